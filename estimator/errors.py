@@ -1,0 +1,15 @@
+"""The two ways in which numbers can be refused."""
+
+from __future__ import annotations
+
+
+class EstimatorError(Exception):
+    """Data that cannot be used; the message says why and what to do."""
+
+
+class GeometryError(EstimatorError):
+    """A sensor array that is no array: singular, not of unit axes, or with skewed triads."""
+
+
+class RecordingError(EstimatorError):
+    """A file that is not a readable recording, or one that lacks what an estimate needs."""

@@ -1,0 +1,369 @@
+"""A recording in memory, and its HDF5 file: read, written whole, or written as the run goes.
+
+The layout is documented in the package README. Files are plain HDF5 (no filters, default library bounds),
+which is what survives a process that dies between two flushes.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array import SensorArray, sensor_array
+from estimator.errors import GeometryError, RecordingError
+from estimator.kinematics import Site, check_gimbals
+from estimator.reference import AttitudeReadings, RateReadings, Reference, TableReadings, Turns
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+FORMAT = "turntable-recording"
+FORMAT_VERSION = 1
+PROBE_LIMIT_S = 60.0
+TEXT_BYTES = 240
+
+UNITS = {
+    "t_ns": "ns",
+    "arrival_ns": "ns",
+    "t_start_ns": "ns",
+    "t_end_ns": "ns",
+    "half_width_ns": "ns",
+    "angle_rad": "rad",
+    "turn_rad": "rad",
+    "sd_rad": "rad",
+    "rate_rps": "rad/s",
+    "noise_rps": "rad/s",
+    "temperature_c": "degC",
+    "accel_mps2": "m/s2",
+    "states": "1, rad/s, rad, rad",
+    "sd": "1, rad/s, rad, rad",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuData:
+    """Samples of one source: instants (n,), rates (n, m), and what else it gave; ``lost`` counts what it lost."""
+
+    array: SensorArray
+    t_ns: Stamps
+    rate_rps: Floats
+    temperature_c: Floats | None = None
+    accel_mps2: Floats | None = None
+    counter: Stamps | None = None
+    lost: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """One run, or one measurement made elsewhere."""
+
+    sources: Mapping[str, ImuData]
+    reference: Reference
+    site: Site | None = None
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+    path: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """File name, or what stands for it."""
+        return self.path.name if self.path else "recording in memory"
+
+
+class RecordingWriter:
+    """Writes a recording as the run goes.
+
+    Rows are kept until ``flush``, then appended in blocks and handed to the operating system, so a killed
+    process loses what came after the last flush and nothing else. ``descriptor`` is for an fsync by the caller.
+    """
+
+    def __init__(self, path: Path, attributes: Mapping[str, Any]) -> None:
+        """Create the file; RecordingError if it exists or cannot be created."""
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = h5py.File(path, "x")
+        except (OSError, ValueError) as error:
+            raise RecordingError(f"cannot create {path}: {_first_line(error)}") from None
+        self.path = path
+        self._pending: dict[str, list[NDArray[Any]]] = {}
+        self._file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
+        self.set_attributes(attributes)
+        self.flush()
+
+    def set_attributes(self, attributes: Mapping[str, Any]) -> None:
+        """Set attributes of the file."""
+        self._file.attrs.update(attributes)
+
+    def add_table(self, gimbals: tuple[str, ...]) -> None:
+        """Declare the table: its columns are its gimbals, outermost first."""
+        group = self._file.require_group("table")
+        group.attrs["axes"] = list(gimbals)
+        group.attrs["gimbals"] = list(gimbals)
+
+    def add_source(self, name: str, array: SensorArray, attributes: Mapping[str, Any]) -> None:
+        """Declare a source with the axes of its channels."""
+        group = self._file.require_group(f"imu/{name}")
+        group.attrs.update(
+            {"names": list(array.names), "p": array.p, "j": array.j, "k": array.k, **attributes}
+        )
+
+    def set_source(self, name: str, attributes: Mapping[str, Any]) -> None:
+        """Set attributes of a source, for instance its counts of lost samples."""
+        self._file[f"imu/{name}"].attrs.update(attributes)
+
+    def append(self, path: str, rows: NDArray[Any]) -> None:
+        """Append rows to the dataset at ``path``, created by its first rows."""
+        self._pending.setdefault(path, []).append(rows)
+
+    def append_text(self, group: str, t_ns: Mapping[str, int], field_name: str, text: str) -> None:
+        """Append one row of stamps and one text (cut at 240 bytes) to a group such as events or steps."""
+        for key, value in t_ns.items():
+            self.append(f"{group}/{key}", np.array([value], dtype=np.int64))
+        raw = text.encode()[:TEXT_BYTES].decode(errors="ignore").encode()
+        self.append(f"{group}/{field_name}", np.array([raw], dtype=f"S{TEXT_BYTES}"))
+
+    def flush(self) -> None:
+        """Append what is pending and hand it to the operating system."""
+        for path, blocks in self._pending.items():
+            rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+            dataset = self._file.get(path)
+            if dataset is None:
+                _create(self._file, path, rows, growing=True)
+            else:
+                n = len(dataset)
+                dataset.resize(n + len(rows), axis=0)
+                dataset[n:] = rows
+        self._pending.clear()
+        self._file.flush()
+
+    @property
+    def descriptor(self) -> int:
+        """File descriptor, for os.fsync: HDF5's own flush issues none."""
+        return int(self._file.id.get_vfd_handle())
+
+    def replace_group(self, path: str, datasets: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:
+        """Write a group of results whole, in place of what stood there."""
+        _replace_group(self._file, path, datasets, attributes)
+
+    def close(self) -> None:
+        """Flush and close; twice is once."""
+        if self._file:
+            self.flush()
+            self._file.close()
+
+
+def write_recording(path: Path, recording: Recording) -> None:
+    """Write a whole recording, for instance an imported one; RecordingError if the file exists."""
+    writer = RecordingWriter(path, recording.attributes)
+    try:
+        if recording.site is not None:
+            writer.set_attributes(
+                {
+                    "site_latitude_rad": recording.site.latitude_rad,
+                    "site_heading_rad": recording.site.heading_rad,
+                }
+            )
+        reference = recording.reference
+        if isinstance(reference, TableReadings):
+            writer.add_table(reference.gimbals)
+            root, names = "table", ("t_ns", "angle_rad", "rate_rps")
+        elif isinstance(reference, RateReadings):
+            root, names = "reference", ("t_ns", "rate_rps")
+        elif isinstance(reference, AttitudeReadings):
+            root, names = "reference", ("t_ns", "attitude_wxyz")
+        else:
+            root, names = "reference", ("t_start_ns", "t_end_ns", "turn_rad", "sd_rad")
+        for name in names:
+            writer.append(f"{root}/{name}", getattr(reference, name))
+        for source, data in recording.sources.items():
+            writer.add_source(source, data.array, {"lost": data.lost})
+            for name in ("t_ns", "rate_rps", "temperature_c", "accel_mps2", "counter"):
+                values = getattr(data, name)
+                if values is not None:
+                    writer.append(f"imu/{source}/{name}", values)
+    finally:
+        writer.close()
+
+
+def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:
+    """Write a group of results into an existing recording, in place of what stood there."""
+    with h5py.File(path, "r+") as file:
+        _replace_group(file, group, datasets, attributes)
+
+
+def probe(path: Path, limit_s: float = PROBE_LIMIT_S) -> None:
+    """Read the whole file in a process of its own; RecordingError if that process fails, dies or hangs.
+
+    A damaged HDF5 file can hang or kill its reader, so no file is opened here before it has been read there.
+    """
+    if not path.is_file():
+        raise RecordingError(f"{path} is not a file: give the path of a recording (.h5)")
+    try:
+        child = subprocess.run(
+            [sys.executable, str(Path(__file__).with_name("probe.py")), str(path)],
+            capture_output=True,
+            text=True,
+            timeout=limit_s,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise RecordingError(
+            f"{path} is damaged: reading it did not end within {limit_s:.0f} s; what it holds cannot be used"
+        ) from None
+    if child.returncode == 0:
+        return
+    try:
+        reason = str(json.loads(child.stdout)["reason"])
+    except (ValueError, KeyError, TypeError):
+        reason = "it is damaged: the HDF5 library failed on it"
+    raise RecordingError(f"{path} cannot be read: {reason}")
+
+
+def read_recording(path: Path, *, trusted: bool = False) -> Recording:
+    """Read a recording. ``trusted`` skips the probe, for a file that this process has just closed.
+
+    Raises RecordingError, with what is missing or wrong, for a file that is not of the format.
+    """
+    if not trusted:
+        probe(path)
+    try:
+        with h5py.File(path, "r") as file:
+            return _read(path, file)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {_first_line(error)}") from None
+
+
+def _read(path: Path, file: Any) -> Recording:
+    attributes = {key: _plain(value) for key, value in file.attrs.items()}
+    if attributes.get("format") != FORMAT:
+        raise RecordingError(
+            f'{path} is an HDF5 file, but no recording: it lacks the attribute format = "{FORMAT}"; '
+            "bring foreign data in with `station import`"
+        )
+    version = attributes.get("format_version")
+    if not isinstance(version, (int, np.integer)) or version > FORMAT_VERSION:
+        raise RecordingError(
+            f"{path} is of format version {version}, this program reads up to {FORMAT_VERSION}: update it"
+        )
+    site = None
+    if "site_latitude_rad" in attributes:
+        site = Site(float(attributes["site_latitude_rad"]), float(attributes.get("site_heading_rad", 0.0)))
+    sources = {name: _read_source(path, name, group) for name, group in file.get("imu", {}).items()}
+    if not sources:
+        raise RecordingError(f"{path} holds no IMU samples (group /imu is missing or empty)")
+    return Recording(sources, _read_reference(path, file), site, attributes, path)
+
+
+def _read_source(path: Path, name: str, group: Any) -> ImuData:
+    where = f"{path}: /imu/{name}"
+    t_ns = _column(where, group, "t_ns", 1, np.int64)
+    rate = _column(where, group, "rate_rps", 2, np.float64)
+    if len(t_ns) != len(rate):
+        n = min(len(t_ns), len(rate))  # a run cut between two datasets of one flush
+        t_ns, rate = t_ns[:n], rate[:n]
+    axes = {key: _axes(group, key) for key in "pjk"}
+    if axes["p"] is None:
+        raise RecordingError(f"{where} has no sense axes p")
+    names = group.attrs.get("names")
+    m = rate.shape[1]
+    labels = [str(_plain(x)) for x in names] if names is not None else None
+    if labels is None:
+        labels = [name] if m == 1 else [f"{name}{i + 1}" for i in range(m)]
+    try:
+        array = sensor_array(axes["p"], axes["j"], axes["k"], names=labels, part_of_array=True)
+    except GeometryError as error:
+        raise RecordingError(f"{where}: {error}") from None
+    if len(array) != m:
+        raise RecordingError(f"{where} has {m} channels but {len(array)} sense axes")
+    optional = {
+        key: _column(where, group, key, 0, dtype)[: len(t_ns)]
+        for key, dtype in (("temperature_c", np.float64), ("accel_mps2", np.float64), ("counter", np.int64))
+        if key in group
+    }
+    return ImuData(array, t_ns, rate, lost=int(group.attrs.get("lost", 0)), **cast(Any, optional))
+
+
+def _axes(group: Any, key: str) -> Floats | None:
+    value = group.attrs[key] if key in group.attrs else group[key][()] if key in group else None
+    return None if value is None else np.atleast_2d(np.asarray(value, dtype=np.float64))
+
+
+def _read_reference(path: Path, file: Any) -> Reference:
+    if "table" in file:
+        where, group = f"{path}: /table", file["table"]
+        axes = [str(_plain(a)) for a in group.attrs.get("axes", [])]
+        gimbals = check_gimbals([str(_plain(a)) for a in group.attrs.get("gimbals", axes)])
+        if sorted(axes) != sorted(gimbals):
+            raise RecordingError(f"{where}: attribute axes {axes} does not name the gimbals {list(gimbals)}")
+        order = [axes.index(g) for g in gimbals]
+        t_ns = _column(where, group, "t_ns", 1, np.int64)
+        angle = _column(where, group, "angle_rad", 2, np.float64)
+        rate = _column(where, group, "rate_rps", 2, np.float64)
+        n = min(len(t_ns), len(angle), len(rate))
+        if n < 2 or angle.shape[1] != len(axes) or rate.shape[1] != len(axes):
+            raise RecordingError(f"{where} needs two rows or more and one column an axis")
+        finite = np.isfinite(angle[:n]).all(axis=1) & np.isfinite(rate[:n]).all(axis=1)
+        return TableReadings(t_ns[:n][finite], angle[:n, order][finite], rate[:n, order][finite], gimbals)
+    if "reference" not in file:
+        raise RecordingError(f"{path} has neither /table nor /reference: nothing says how the body turned")
+    where, group = f"{path}: /reference", file["reference"]
+    if "turn_rad" in group:
+        turn = _column(where, group, "turn_rad", 2, np.float64)
+        sd = _column(where, group, "sd_rad", 1, np.float64) if "sd_rad" in group else np.zeros(len(turn))
+        start = _column(where, group, "t_start_ns", 1, np.int64)
+        return Turns(start, _column(where, group, "t_end_ns", 1, np.int64), turn, sd)
+    t_ns = _column(where, group, "t_ns", 1, np.int64)
+    if "rate_rps" in group:
+        return RateReadings(t_ns, _column(where, group, "rate_rps", 2, np.float64))
+    return AttitudeReadings(t_ns, _column(where, group, "attitude_wxyz", 2, np.float64))
+
+
+def _column(where: str, group: Any, key: str, dimensions: int, dtype: Any) -> NDArray[Any]:
+    if key not in group:
+        raise RecordingError(f"{where} has no {key}")
+    try:
+        values = np.asarray(group[key][()]).astype(dtype)
+    except (TypeError, ValueError):
+        raise RecordingError(f"{where}/{key} is not numeric") from None
+    if dimensions == 2 and values.ndim == 1:
+        values = values[:, None]
+    if dimensions and values.ndim != dimensions:
+        raise RecordingError(f"{where}/{key} must have {dimensions} dimensions, it has {values.ndim}")
+    return values
+
+
+def _create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> None:
+    row_bytes = max(rows.dtype.itemsize * int(np.prod(rows.shape[1:])), 1)
+    chunk = max(min(32768 // row_bytes, 4096), 16)
+    extra = {"maxshape": (None, *rows.shape[1:]), "chunks": (chunk, *rows.shape[1:])} if growing else {}
+    dataset = file.create_dataset(path, data=rows, **extra)
+    name = path.rsplit("/", 1)[-1]
+    if name in UNITS:
+        dataset.attrs["units"] = UNITS[name]
+
+
+def _replace_group(file: Any, path: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]) -> None:
+    if path in file:
+        del file[path]
+    group = file.create_group(path)
+    group.attrs.update(attributes)
+    for name, values in datasets.items():
+        _create(group, name, np.asarray(values), growing=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, bytes):
+        return value.decode(errors="replace")
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
