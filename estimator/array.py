@@ -31,9 +31,7 @@ class SensorArray:
     def select(self, rows: Sequence[int]) -> SensorArray:
         """Return the array of only these gyros, in this order; rank is not asked of a part."""
         index = list(rows)
-        return SensorArray(
-            tuple(self.names[i] for i in index), self.p[index], self.j[index], self.k[index]
-        )
+        return SensorArray(tuple(self.names[i] for i in index), self.p[index], self.j[index], self.k[index])
 
 
 def sensor_array(
@@ -102,9 +100,9 @@ def tetrahedron() -> SensorArray:
 
 def tetrahedron_as_printed() -> SensorArray:
     """Return eq. 14-16 digit for digit, misprinted J and K included; for reproducing the paper only."""
-    p = [[0, 0, -1], [0.9428, 0, 0.3333], [-0.4714, 0.8165, 0.3333], [-0.4714, -0.8165, 0.3333]]
-    j = [[1, 0, 0], [-0.3333, 0, 0.9428], [-0.1667, 0.2887, 0.9428], [-0.1667, -0.2887, 0.9428]]
-    k = [[0, 1, 0], [0, 1, 0], [0.8660, 0.5, 0], [-0.8660, 0.5, 0]]
+    p: list[list[float]] = [[0, 0, -1], [0.9428, 0, 0.3333], [-0.4714, 0.8165, 0.3333], [-0.4714, -0.8165, 0.3333]]
+    j: list[list[float]] = [[1, 0, 0], [-0.3333, 0, 0.9428], [-0.1667, 0.2887, 0.9428], [-0.1667, -0.2887, 0.9428]]
+    k: list[list[float]] = [[0, 1, 0], [0, 1, 0], [0.8660, 0.5, 0], [-0.8660, 0.5, 0]]
     return sensor_array(p, j, k, as_printed=True)
 
 

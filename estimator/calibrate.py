@@ -140,9 +140,7 @@ def observations(recording: Recording, source: str) -> Iterator[Observations]:
         if isinstance(reference, TableReadings):
             w = rates.at(t)
         else:
-            w = np.column_stack(
-                [np.interp(t, reference.t_ns, reference.rate_rps[:, c]) for c in range(3)]
-            )
+            w = np.column_stack([np.interp(t, reference.t_ns, reference.rate_rps[:, c]) for c in range(3)])
         yield Observations(w, rate[start : start + chunk])
 
 

@@ -42,9 +42,7 @@ def into_body(base_vector: Floats, angles_rad: Floats, gimbals: Sequence[str]) -
     return v
 
 
-def body_rate(
-    angles_rad: Floats, rates_rps: Floats, gimbals: Sequence[str], site: Site | None = None
-) -> Floats:
+def body_rate(angles_rad: Floats, rates_rps: Floats, gimbals: Sequence[str], site: Site | None = None) -> Floats:
     """Return the inertial rate of the body in body axes, shape (k, 3).
 
     ``angles_rad`` and ``rates_rps`` are (k, gimbals), columns ordered as ``gimbals``, outermost first. Each

@@ -111,9 +111,7 @@ class RecordingWriter:
     def add_source(self, name: str, array: SensorArray, attributes: Mapping[str, Any]) -> None:
         """Declare a source with the axes of its channels."""
         group = self._file.require_group(f"imu/{name}")
-        group.attrs.update(
-            {"names": list(array.names), "p": array.p, "j": array.j, "k": array.k, **attributes}
-        )
+        group.attrs.update({"names": list(array.names), "p": array.p, "j": array.j, "k": array.k, **attributes})
 
     def set_source(self, name: str, attributes: Mapping[str, Any]) -> None:
         """Set attributes of a source, for instance its counts of lost samples."""
@@ -172,6 +170,7 @@ def write_recording(path: Path, recording: Recording) -> None:
                 }
             )
         reference = recording.reference
+        names: tuple[str, ...]
         if isinstance(reference, TableReadings):
             writer.add_table(reference.gimbals)
             root, names = "table", ("t_ns", "angle_rad", "rate_rps")
