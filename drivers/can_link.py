@@ -1,0 +1,88 @@
+"""A CAN bus through python-can, with any of its interfaces."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import can
+
+from drivers.errors import LinkLost
+from drivers.seams import Frame
+
+
+class CanLink:
+    """Frames of one bus, stamped on arrival.
+
+    Buses with a file descriptor (socketcan, slcan, udp_multicast) are read by the loop, others by python-can's
+    own thread. ``polled`` is for a loop without threads and sockets: whoever sends on that bus calls
+    ``interrupt``, as a controller chip would.
+    """
+
+    def __init__(self, device: str, interface: str, channel: str, options: dict[str, Any], *, polled: bool) -> None:
+        """Name the bus in python-can's terms; it is opened by ``open``."""
+        self._device, self._interface, self._channel = device, interface, channel
+        self._options, self._polled = options, polled
+        self._bus: can.BusABC | None = None
+        self._notifier: can.Notifier | None = None
+        self._frames: list[Frame] = []
+        self._wake = asyncio.Event()
+        self._ended = ""
+
+    async def open(self) -> None:
+        """Open the bus; LinkLost if python-can cannot."""
+        try:
+            self._bus = can.Bus(interface=self._interface, channel=self._channel, **self._options)
+        except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+            raise LinkLost(self._device, f"cannot open CAN bus {self._interface}:{self._channel} ({error})") from None
+        if not self._polled:
+            listener = _Listener(self)
+            self._notifier = can.Notifier(self._bus, [listener], loop=asyncio.get_running_loop())
+
+    async def receive(self) -> list[Frame]:
+        """Return the frames since the last call, waiting for the first; LinkLost when the bus is gone."""
+        while not self._frames:
+            if self._ended:
+                raise LinkLost(self._device, self._ended)
+            self._wake.clear()
+            await self._wake.wait()
+        frames, self._frames = self._frames, []
+        return frames
+
+    def interrupt(self) -> None:
+        """Take in what has come on a polled bus."""
+        while self._bus is not None and (message := self._bus.recv(0)) is not None:
+            self.take(message)
+
+    def take(self, message: can.Message) -> None:
+        """Keep one frame, stamped now; error and remote frames carry no data."""
+        if message.is_error_frame or message.is_remote_frame:
+            return
+        now_ns = round(asyncio.get_running_loop().time() * 1e9)
+        self._frames.append(Frame(now_ns, message.arbitration_id, message.is_extended_id, bytes(message.data)))
+        self._wake.set()
+
+    def end(self, reason: str) -> None:
+        """Let the reader know that the bus is gone."""
+        self._ended = reason
+        self._wake.set()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        if self._notifier is not None:
+            self._notifier.stop(0.5)
+            self._notifier = None
+        if self._bus is not None:
+            self._bus.shutdown()
+            self._bus = None
+
+
+class _Listener(can.Listener):
+    def __init__(self, link: CanLink) -> None:
+        self._link = link
+
+    def on_message_received(self, msg: can.Message) -> None:
+        self._link.take(msg)
+
+    def on_error(self, exc: Exception) -> None:
+        self._link.end(f"the CAN bus failed ({exc})")

@@ -1,0 +1,28 @@
+"""What can go wrong with a device, by whose fault it is."""
+
+from __future__ import annotations
+
+
+class DeviceError(Exception):
+    """Something about a device; ``device`` is its name on the bench."""
+
+    def __init__(self, device: str, message: str) -> None:
+        """Keep the device's name apart from the message."""
+        super().__init__(f"{device}: {message}")
+        self.device = device
+
+
+class LinkLost(DeviceError):
+    """The link is gone, or the peer does not answer."""
+
+
+class BadReply(DeviceError):
+    """The peer answered, but not as its protocol says."""
+
+
+class DeviceRefused(DeviceError):
+    """The device understood and refused, with its own code."""
+
+
+class DeviceFault(DeviceError):
+    """The device reports a fault of its own."""

@@ -1,0 +1,129 @@
+"""A drive's Modbus register map, read from a profile file: address, width, sign, word order, scale, unit."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+PROFILE_FOLDER = Path(__file__).with_name("profiles")
+
+_BITS = {"i8": 8, "u8": 8, "u16": 16, "i16": 16, "i32": 32, "u32": 32}
+_UNITS = ("", "turn", "turn/s", "turn/s2")
+
+
+class ProfileError(Exception):
+    """A profile file that is missing something or says something impossible."""
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """One value of the drive. raw = value * scale * counts_per_turn where a scale is given, else raw = value."""
+
+    name: str
+    address: int
+    kind: str
+    low_word_first: bool
+    scale: float | None = None
+    unit: str = ""
+
+    @property
+    def words(self) -> int:
+        """Number of 16-bit registers."""
+        return max(_BITS[self.kind] // 16, 1)
+
+    def encode(self, value: float, counts_per_turn: int) -> list[int]:
+        """Return the words of a value (turns, turns/s, turns/s2, or a plain number); ValueError if out of range."""
+        raw = round(value * self.scale * counts_per_turn) if self.scale is not None else round(value)
+        bits = _BITS[self.kind]
+        low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if self.kind[0] == "i" else (0, (1 << bits) - 1)
+        if not low <= raw <= high:
+            raise ValueError(f"{self.name} = {raw} does not fit {self.kind} ({low} to {high})")
+        raw &= (1 << (16 * self.words)) - 1 if bits >= 16 else 0xFF
+        words = [(raw >> (16 * i)) & 0xFFFF for i in range(self.words)]
+        return words if self.low_word_first else words[::-1]
+
+    def decode(self, words: Sequence[int], counts_per_turn: int) -> float:
+        """Return the value of these words, in turns, turns/s, turns/s2, or as a plain number."""
+        ordered = words if self.low_word_first else list(words)[::-1]
+        raw = sum((word & 0xFFFF) << (16 * i) for i, word in enumerate(ordered))
+        bits = _BITS[self.kind]
+        raw &= (1 << bits) - 1
+        if self.kind[0] == "i" and raw >> (bits - 1):
+            raw -= 1 << bits
+        return raw / (self.scale * counts_per_turn) if self.scale is not None else float(raw)
+
+
+@dataclass(frozen=True, slots=True)
+class DriveProfile:
+    """Everything that tells one make of drive from another."""
+
+    name: str
+    registers: Mapping[str, Register]
+    commands: Mapping[str, int]
+    homing_method: int
+
+    def __getitem__(self, name: str) -> Register:
+        return self.registers[name]
+
+
+REQUIRED_REGISTERS = (
+    "controlword",
+    "statusword",
+    "mode",
+    "position",
+    "rate",
+    "target_position",
+    "profile_rate",
+    "acceleration",
+    "deceleration",
+    "homing_method",
+    "homing_rate_1",
+    "homing_rate_2",
+    "target_rate",
+)
+REQUIRED_COMMANDS = (
+    "shutdown",
+    "switch_on",
+    "enable",
+    "quick_stop",
+    "fault_reset",
+    "home",
+    "move_arm",
+    "move_go",
+)
+
+
+def load_profile(name_or_path: str) -> DriveProfile:
+    """Return a profile that ships with the station by name, or one from a .toml file by path; ProfileError."""
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        path = PROFILE_FOLDER / f"{name_or_path}.toml"
+    try:
+        data = tomllib.loads(path.read_text())
+    except FileNotFoundError:
+        known = ", ".join(sorted(p.stem for p in PROFILE_FOLDER.glob("*.toml")))
+        raise ProfileError(f"no drive profile {name_or_path}: give one of {known}, or the path of a .toml") from None
+    except (OSError, ValueError) as error:
+        raise ProfileError(f"drive profile {path} cannot be read: {error}") from None
+    try:
+        order = {"little": True, "big": False}[data["word_order"]]
+        registers = {
+            key: Register(key, int(r["address"]), r["type"], order, r.get("scale"), r.get("unit", ""))
+            for key, r in data["registers"].items()
+        }
+        profile = DriveProfile(data["name"], registers, dict(data["commands"]), int(data["homing"]["method"]))
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ProfileError(f"drive profile {path} lacks or misspells {error}") from None
+    missing = [r for r in REQUIRED_REGISTERS if r not in registers]
+    missing += [c for c in REQUIRED_COMMANDS if c not in profile.commands]
+    if missing:
+        raise ProfileError(f"drive profile {path} lacks {', '.join(missing)}")
+    for register in registers.values():
+        if register.kind not in _BITS or register.unit not in _UNITS:
+            raise ProfileError(
+                f"drive profile {path}: {register.name} has type {register.kind!r} and unit {register.unit!r}; "
+                f"types are {', '.join(_BITS)}, units {', '.join(u for u in _UNITS if u)}"
+            )
+    return profile

@@ -1,0 +1,227 @@
+"""When a sample was taken: device counters, or regular sampling, aligned to the host's clock.
+
+Delays are one-sided: a sample can come late, never early. So the earliest arrivals of each second tell the
+device's time, and a robust line through them carries its offset and drift. That line moves slowly, hence a
+sample's time never jumps. Arrivals themselves are only used for this.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.seams import SourceCounts
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_BUCKET_S = 1.0
+_BUCKETS = 120  # two minutes of earliest arrivals
+_MIN_BUCKETS_FOR_DRIFT = 10
+_SLEW = 1e-3  # how fast the line may move: 1 ms a second
+_LATE_PERIODS = 2.0
+
+
+class HostFit:
+    """Line from device time (s since its first sample) to host time (ns)."""
+
+    def __init__(self) -> None:
+        """Start with nothing known."""
+        self._origin_ns: int | None = None
+        self._offset_s = 0.0  # of the line in use, at _at_s
+        self._slope = 0.0
+        self._at_s = 0.0
+        self._earliest: deque[tuple[float, float]] = deque(maxlen=_BUCKETS)
+        self._bucket: list[float] = []  # end of the bucket, device time and excess of its earliest arrival
+
+    def add(self, device_s: Floats, arrival_ns: Stamps) -> None:
+        """Take in arrivals of samples taken at these device times."""
+        if self._origin_ns is None:
+            self._origin_ns = int(arrival_ns[0]) - round(device_s[0] * 1e9)
+            first = (arrival_ns - self._origin_ns) * 1e-9 - device_s
+            self._offset_s = float(first.min())
+        excess = (arrival_ns - self._origin_ns) * 1e-9 - device_s
+        best = int(np.argmin(excess))
+        at, value = float(device_s[best]), float(excess[best])
+        if not self._bucket:
+            self._bucket = [at + _BUCKET_S, at, value]
+        elif value < self._bucket[2]:
+            self._bucket[1:] = [at, value]
+        if value < self._line(at) and len(self._earliest) < 2:
+            self._offset_s = value - self._slope * (at - self._at_s)  # nothing settled yet: take it at once
+        if float(device_s[-1]) >= self._bucket[0]:
+            self._earliest.append((self._bucket[1], self._bucket[2]))
+            self._bucket = []
+            self._move_line(float(device_s[-1]))
+
+    def time_ns(self, device_s: Floats) -> Stamps:
+        """Return host times of device times."""
+        host_s = device_s + self._offset_s + self._slope * (device_s - self._at_s)
+        return np.asarray((self._origin_ns or 0) + np.round(host_s * 1e9), dtype=np.int64)
+
+    def lateness_s(self, device_s: float, arrival_ns: int) -> float:
+        """Return how much later than its time a sample came."""
+        return (arrival_ns - (self._origin_ns or 0)) * 1e-9 - device_s - self._line(device_s)
+
+    def lateness_of(self, device_s: Floats, arrival_ns: Stamps) -> Floats:
+        """Return the same for many samples."""
+        line = self._offset_s + self._slope * (device_s - self._at_s)
+        return np.asarray((arrival_ns - (self._origin_ns or 0)) * 1e-9 - device_s - line)
+
+    @property
+    def known(self) -> bool:
+        """Whether anything has been taken in."""
+        return self._origin_ns is not None
+
+    def _line(self, device_s: float) -> float:
+        return self._offset_s + self._slope * (device_s - self._at_s)
+
+    def _move_line(self, now_s: float) -> None:
+        points = np.array(self._earliest)
+        at, excess = points[:, 0], points[:, 1]
+        slope = 0.0
+        if len(points) >= _MIN_BUCKETS_FOR_DRIFT:
+            # Theil-Sen over well separated pairs: single late seconds do not bend it.
+            half = len(points) // 2
+            slope = float(np.median((excess[half:] - excess[:-half]) / (at[half:] - at[:-half])))
+            wanted = float(np.median(excess - slope * (at - now_s)))
+        else:
+            wanted = float(excess.min())
+        step = wanted - self._line(now_s)
+        limit = _SLEW * _BUCKET_S
+        self._offset_s = self._line(now_s) + min(max(step, -limit), limit)
+        self._at_s, self._slope = now_s, slope
+
+
+@dataclass(slots=True)
+class CounterClock:
+    """Times of samples that carry a wrapping counter of a known tick."""
+
+    tick_s: float
+    modulus: int
+    ticks_per_sample: int
+    counts: SourceCounts = field(default_factory=SourceCounts)
+    fit: HostFit = field(default_factory=HostFit)
+    _last: int = -1  # unwrapped count of the last sample
+    _last_arrival_ns: int = 0
+
+    def stamp(self, counter: Stamps, arrival_ns: Stamps) -> tuple[NDArray[np.bool_], Stamps]:
+        """Return which samples are new (n,), and the times in ns of those.
+
+        Gaps longer than the counter's wrap are resolved by the arrival time.
+        """
+        unwrapped = self._unwrap(counter, int(arrival_ns[0]))
+        before = np.concatenate([[self._last], unwrapped])
+        step = np.diff(before)
+        keep = step > 0
+        if self._last < 0:
+            keep[0], step[0] = True, self.ticks_per_sample
+        self.counts.repeated += int(np.sum(~keep))
+        missing = np.round(step[keep] / self.ticks_per_sample).astype(int) - 1
+        self.counts.lost += int(np.maximum(missing, 0).sum())
+        fresh = unwrapped[keep]
+        if not len(fresh):
+            return keep, np.empty(0, dtype=np.int64)
+        self._last, self._last_arrival_ns = int(fresh[-1]), int(arrival_ns[-1])
+        device_s = np.asarray(fresh * self.tick_s, dtype=np.float64)
+        self.fit.add(device_s, arrival_ns[keep])
+        t_ns = self.fit.time_ns(device_s)
+        late = (arrival_ns[keep] - t_ns).astype(np.float64) * 1e-9
+        period = self.tick_s * self.ticks_per_sample
+        self.counts.late += int(np.sum(late > max(_LATE_PERIODS * period, 0.05)))
+        self.counts.samples += len(fresh)
+        return keep, t_ns
+
+    def _unwrap(self, counter: Stamps, arrival_ns: int) -> Stamps:
+        if self._last < 0:
+            first = int(counter[0])
+        else:
+            ahead = (int(counter[0]) - self._last) % self.modulus
+            expected = (arrival_ns - self._last_arrival_ns) * 1e-9 / self.tick_s
+            wraps = max(round((expected - ahead) / self.modulus), 0)
+            repeat = ahead > self.modulus - 2 * self.ticks_per_sample or ahead == 0
+            first = self._last + ahead + wraps * self.modulus
+            if repeat and expected < self.modulus / 2:  # the same sample, or one just before, once more
+                first = self._last + (ahead - self.modulus if ahead else 0)
+        step = np.diff(counter) % self.modulus
+        step = np.where(step > self.modulus // 2, step - self.modulus, step)
+        return np.concatenate([[first], first + np.cumsum(step)]).astype(np.int64)
+
+
+class RegularClock:
+    """Times of samples that carry no counter and are known to be taken regularly.
+
+    Samples are held back a little while: a lost sample shows only in that all later ones keep coming one
+    period late, and a doubled one in that they keep coming one period early; a late one is followed by others
+    that are in time. A repeat is dropped only where two neighbours are equal.
+    """
+
+    HOLD = 8
+    """How many samples are looked at before the first of them is given its time."""
+
+    def __init__(self, period_s: float, counts: SourceCounts) -> None:
+        """Start empty, for samples that come every ``period_s`` on average."""
+        self._period_s = period_s
+        self._counts = counts
+        self._fit = HostFit()
+        self._held: list[tuple[int, float, bytes]] = []  # arrival_ns, value, raw bytes
+        self._next = 0
+        self._last_raw = b""
+
+    def add(self, arrival_ns: int, value: float, raw: bytes) -> None:
+        """Take in one sample; ``raw`` is what equal samples share."""
+        self._held.append((arrival_ns, value, raw))
+
+    def ready(self, *, everything: bool = False) -> tuple[Stamps, Stamps, Floats] | None:
+        """Return (t_ns, arrival_ns, value) of the samples that can be timed, or None while too few are held."""
+        if not self._held or (len(self._held) < 2 * self.HOLD and not everything):
+            return None
+        start = self._index_held()
+        take = len(start) if everything else len(start) - self.HOLD
+        if take <= 0:
+            return None
+        rows, self._held = self._held[:take], self._held[take:]
+        index = np.array(start[:take])
+        arrival = np.array([row[0] for row in rows], dtype=np.int64)
+        device_s = np.asarray(index * self._period_s, dtype=np.float64)
+        self._fit.add(device_s, arrival)
+        t_ns = self._fit.time_ns(device_s)
+        self._counts.samples += take
+        self._counts.lost += int(index[-1]) - self._next + 1 - take
+        self._counts.late += int(np.sum((arrival - t_ns) * 1e-9 > max(_LATE_PERIODS * self._period_s, 0.05)))
+        self._next = int(index[-1]) + 1
+        self._last_raw = rows[-1][2]
+        return t_ns, arrival, np.array([row[1] for row in rows])
+
+    def _index_held(self) -> list[int]:
+        """Return the sample index of each held sample; drops repeats from the held ones."""
+        period = self._period_s
+        arrival = np.array([row[0] for row in self._held], dtype=np.int64)
+        if not self._fit.known:
+            device_s = np.asarray(np.arange(len(self._held)) * period, dtype=np.float64)
+            self._fit.add(device_s, arrival)
+        device_s = (self._next + np.arange(len(arrival))) * period
+        if np.all(np.abs(self._fit.lateness_of(device_s, arrival)) < 0.5 * period):
+            return list(range(self._next, self._next + len(arrival)))  # all in time: nothing lost or doubled
+        index: list[int] = []
+        expected = self._next
+        i = 0
+        while i < len(self._held):
+            window = self._held[i : i + self.HOLD]
+            lag = min(self._fit.lateness_s((expected + n) * period, row[0]) / period for n, row in enumerate(window))
+            here = self._fit.lateness_s(expected * period, self._held[i][0]) / period
+            if lag > 0.6 and here > 0.6 and len(window) >= 3:
+                expected += round(lag)
+            elif lag < -0.6 and len(window) >= 3:
+                previous = self._held[i - 1][2] if i else self._last_raw
+                if self._held[i][2] == previous:
+                    del self._held[i]
+                    self._counts.repeated += 1
+                    continue
+            index.append(expected)
+            expected += 1
+            i += 1
+        return index

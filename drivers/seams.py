@@ -1,0 +1,181 @@
+"""The four seams to hardware, and the values that cross them. Nothing inherits from these to plug in."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One CAN frame with the loop time at which it arrived."""
+
+    t_ns: int
+    identifier: int
+    extended: bool
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class AxisLimits:
+    """What an axis may be asked for."""
+
+    rate_rps: float
+    acceleration_rps2: float
+
+
+@dataclass(frozen=True, slots=True)
+class AxisState:
+    """Readback of one axis: angle and rate, each with the middle of its own round trip, and its half-width."""
+
+    angle_t_ns: int
+    angle_rad: float
+    rate_t_ns: int
+    rate_rps: float
+    half_width_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class AxisStatus:
+    """Condition of one axis; ``fault`` is the device's own text, empty when there is none."""
+
+    enabled: bool
+    target_reached: bool
+    fault: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuBlock:
+    """Samples of one source.
+
+    ``t_ns`` (n,) when each was taken, on the loop's clock; ``arrival_ns`` (n,) when it was here; ``rate_rps``
+    (n, m); ``temperature_c`` (n,), NaN before the first is known; ``counter`` (n,) the device's own count and
+    ``accel_mps2`` (n, 3), where there are such.
+    """
+
+    t_ns: Stamps
+    arrival_ns: Stamps
+    rate_rps: Floats
+    temperature_c: Floats
+    counter: Stamps | None = None
+    accel_mps2: Floats | None = None
+
+
+@dataclass(slots=True)
+class SourceCounts:
+    """What a source lost, got twice, got late (over two periods after its time), or had to throw away."""
+
+    samples: int = 0
+    lost: int = 0
+    repeated: int = 0
+    late: int = 0
+    corrupt: int = 0
+
+
+@dataclass(slots=True)
+class ByteChunk:
+    """Bytes with the loop time at which they arrived."""
+
+    t_ns: int
+    data: bytes = field(default=b"")
+
+
+class ByteLink(Protocol):
+    """A stream of bytes to one device."""
+
+    async def open(self) -> None:
+        """Open the link; LinkLost if there is none."""
+
+    async def receive(self) -> ByteChunk:
+        """Return the next bytes; LinkLost when the other end is gone."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+
+    def close(self) -> None:
+        """Close; twice is once."""
+
+
+class FrameLink(Protocol):
+    """A CAN bus."""
+
+    async def open(self) -> None:
+        """Open the bus; LinkLost if there is none."""
+
+    async def receive(self) -> list[Frame]:
+        """Return the frames that have come since the last call, waiting for the first; LinkLost if gone."""
+
+    def close(self) -> None:
+        """Close; twice is once."""
+
+
+class Turntable(Protocol):
+    """A rate table of one to three axes, named x, y, z."""
+
+    @property
+    def limits(self) -> Mapping[str, AxisLimits]:
+        """Limits by axis."""
+
+    async def open(self) -> None:
+        """Connect and see that every axis answers."""
+
+    async def enable(self) -> None:
+        """Bring every axis to holding position under power."""
+
+    async def home(self) -> None:
+        """Find the home position of every axis; their angles count from there."""
+
+    async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
+        """Turn at a rate until told otherwise."""
+
+    async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
+        """Start towards an angle from home (turns are not wrapped) with a trapezoid of rate."""
+
+    async def read(self, axis: str) -> AxisState:
+        """Measure angle and rate."""
+
+    async def status(self, axis: str) -> AxisStatus:
+        """Get condition and fault."""
+
+    async def stop(self) -> None:
+        """Bring every axis to rest by a controlled stop and wait for it."""
+
+    async def reset_fault(self) -> None:
+        """Clear the faults that can be cleared."""
+
+    async def disable(self) -> None:
+        """Take power off."""
+
+    def close(self) -> None:
+        """Drop the link."""
+
+
+class ImuSource(Protocol):
+    """A device under test, or a part of one, that gives samples by itself."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the sources it delivers."""
+
+    def counts(self, name: str) -> SourceCounts:
+        """Get the counts of one source."""
+
+    async def open(self) -> None:
+        """Open the link."""
+
+    def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
+        """Yield (source name, block) as they come; LinkLost when the link ends."""
+
+    def flush(self) -> list[tuple[str, ImuBlock]]:
+        """Return the samples still held back for their timing, at the end of a run."""
+
+    def close(self) -> None:
+        """Close the link."""

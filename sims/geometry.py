@@ -1,0 +1,62 @@
+"""How gyros are mounted: each by the polar angle and azimuth of its sense axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_POLAR = math.degrees(math.acos(1 / 3))
+_FACE = math.degrees(math.atan(2.0))
+
+MOUNTS_DEG: dict[str, list[tuple[float, float]]] = {
+    "triad": [(90, 0), (90, 90), (0, 180)],
+    "tetrahedron": [(180, 0), (_POLAR, 0), (_POLAR, 120), (_POLAR, 240)],
+    "dodecahedron": [(0, 180), *((_FACE, 72.0 * i) for i in range(5))],
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mounting:
+    """Sense axes and tilt axes, each (n, 3)."""
+
+    p: Floats
+    j: Floats
+    k: Floats
+
+
+def cone_mounts(n: int, half_angle_deg: float) -> list[tuple[float, float]]:
+    """Return mounting angles of n gyros on a cone about +z."""
+    return [(half_angle_deg, 360.0 * i / n) for i in range(n)]
+
+
+def mounted(angles_deg: Sequence[tuple[float, float]]) -> Mounting:
+    """Return the axes of gyros whose own z axis was turned by the polar angle about y, then by the azimuth about z.
+
+    A gyro's tilt axes are its own -x and -y after the turn.
+    """
+    axes = []
+    for polar, azimuth in np.radians(np.asarray(angles_deg, dtype=np.float64)):
+        about_y = np.array([[math.cos(polar), 0, math.sin(polar)], [0, 1, 0], [-math.sin(polar), 0, math.cos(polar)]])
+        about_z = np.array(
+            [[math.cos(azimuth), -math.sin(azimuth), 0], [math.sin(azimuth), math.cos(azimuth), 0], [0, 0, 1]]
+        )
+        axes.append(about_z @ about_y)
+    turned = np.array(axes)
+    return Mounting(turned[:, :, 2], -turned[:, :, 0], -turned[:, :, 1])
+
+
+def along(p: Sequence[Sequence[float]]) -> Mounting:
+    """Return the mounting of gyros given by their sense axes."""
+    angles = []
+    for x, y, z in p:
+        if math.hypot(x, y) < 1e-6:
+            angles.append((0.0, 180.0) if z > 0 else (180.0, 0.0))
+        else:
+            angles.append((math.degrees(math.acos(max(-1.0, min(1.0, z)))), math.degrees(math.atan2(y, x))))
+    return mounted(angles)

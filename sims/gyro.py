@@ -1,0 +1,77 @@
+"""Physics of an array of rate gyros: true input, deterministic errors, noise, temperature."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sims.body import Body
+from sims.geometry import Mounting
+
+Floats = NDArray[np.float64]
+
+_CORRELATION_TIMES_S = np.array([1.0, 10.0, 100.0, 1000.0])
+# A decade-spaced sum of Gauss-Markov processes of equal variance s^2 has a flat Allan deviation of 0.775 s;
+# bias instability B is the one whose floor is 0.664 B (IEEE Std 952, Annex C).
+_SHARE = 0.664 / 0.775
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroTruth:
+    """True errors of each gyro (m,), and the noise all have."""
+
+    k: Floats
+    b_rps: Floats
+    sigma_j_rad: Floats
+    sigma_k_rad: Floats
+    arw_rps_rthz: float
+    bias_instability_rps: float
+    temperature_c: float = 25.0
+    warming_c: float = 2.0
+    warming_time_s: float = 300.0
+
+
+class GyroArray:
+    """Rates that the gyros of one device put out, before its own quantisation."""
+
+    def __init__(self, mounting: Mounting, truth: GyroTruth, body: Body, rate_hz: float, seed: tuple[int, ...]) -> None:
+        """``seed`` makes the noise; the same seed gives the same samples."""
+        self._truth = truth
+        self._body = body
+        tilt_j, tilt_k = truth.sigma_j_rad[:, None], truth.sigma_k_rad[:, None]
+        tilted = mounting.p - tilt_k * mounting.j + tilt_j * mounting.k
+        self._sensitivity = (1 - truth.k)[:, None] * tilted
+        self._white_rps = truth.arw_rps_rthz * math.sqrt(rate_hz)
+        self._random = np.random.default_rng(seed)
+        m = len(mounting.p)
+        self._wander_rps = _SHARE * truth.bias_instability_rps
+        self._wander = self._random.standard_normal((len(_CORRELATION_TIMES_S), m))
+        self._period_s = 1 / rate_hz
+        self._decays: dict[int, tuple[Floats, Floats]] = {}
+
+    def sample(self, t_s: Floats) -> Floats:
+        """Return the outputs (n, m) in rad/s at n successive sampling instants.
+
+        Bias instability moves once a call, so calls should be a hundredth of its shortest time apart or less.
+        """
+        n = len(t_s)
+        keep, push = self._decay(n)
+        self._wander = keep * self._wander + push * self._random.standard_normal(self._wander.shape)
+        bias = self._truth.b_rps + self._wander_rps * self._wander.sum(axis=0)
+        noise = self._white_rps * self._random.standard_normal((n, len(bias)))
+        return np.asarray(self._body.rate_rps(t_s) @ self._sensitivity.T - bias - noise)
+
+    def _decay(self, samples: int) -> tuple[Floats, Floats]:
+        """Return what the wander keeps over this many samples, and what is added to it."""
+        if samples not in self._decays:
+            keep = np.exp(-samples * self._period_s / _CORRELATION_TIMES_S)[:, None]
+            self._decays[samples] = keep, np.sqrt(1 - keep**2)
+        return self._decays[samples]
+
+    def temperature_c(self, t_s: float) -> float:
+        """Return the temperature of the gyros."""
+        truth = self._truth
+        return truth.temperature_c + truth.warming_c * (1 - math.exp(-max(t_s, 0.0) / truth.warming_time_s))

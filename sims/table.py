@@ -1,0 +1,84 @@
+"""The table as a thing of metal: axes, encoders, a fault input; one model under every protocol."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sims.motion import AxisMotion
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class AxisData:
+    """What the maker's plate says of an axis, and where it happens to stand at power-on."""
+
+    max_rate_rps: float
+    max_acceleration_rps2: float
+    counts_per_turn: int
+    start_angle_rad: float = 0.0
+
+
+class TableModel:
+    """Axes x, y, z as far as the table has them; angles are true angles from the mechanical home position."""
+
+    def __init__(self, axes: Mapping[str, AxisData], clock: Callable[[], float]) -> None:
+        """Start at rest, each axis where it stands; ``clock`` gives seconds."""
+        self.clock = clock
+        self.data = dict(axes)
+        self.motion = {
+            name: AxisMotion(data.start_angle_rad, data.max_rate_rps, data.max_acceleration_rps2)
+            for name, data in axes.items()
+        }
+        self.tripped: dict[str, str] = {}
+        # Encoders count from where they were switched on until a homing run zeroes them at home.
+        self._zero = {name: data.start_angle_rad for name, data in axes.items()}
+
+    def angles(self, axis: str, t_s: Floats) -> Floats:
+        """Return the true angles of an axis; an axis that the table lacks stays at zero."""
+        motion = self.motion.get(axis)
+        return np.zeros(len(t_s)) if motion is None else motion.angles(t_s)
+
+    def encoder_turns(self, axis: str) -> float:
+        """Return what the encoder reads now, a whole number of counts, in turns."""
+        counts = self.data[axis].counts_per_turn
+        angle = self.motion[axis].at(self.clock())[0] - self._zero[axis]
+        return math.floor(angle / (2 * math.pi) * counts + 0.5) / counts
+
+    def rate_rps(self, axis: str) -> float:
+        """Return the rate of an axis now."""
+        return self.motion[axis].at(self.clock())[1]
+
+    def at_rest(self) -> bool:
+        """Return whether no axis turns."""
+        return all(self.rate_rps(axis) == 0.0 for axis in self.motion)
+
+    def move_encoder(self, axis: str, turns: float, rate_rps: float, acceleration_rps2: float) -> None:
+        """Move until the encoder reads this many turns."""
+        target = turns * 2 * math.pi + self._zero[axis]
+        self.motion[axis].move(self.clock(), target, rate_rps, acceleration_rps2)
+
+    def seek_home(self, axis: str, rate_rps: float) -> None:
+        """Turn to the nearest index pulse, which is at home once a turn."""
+        now = self.clock()
+        angle = self.motion[axis].at(now)[0]
+        home = 2 * math.pi * round(angle / (2 * math.pi))
+        self.motion[axis].move(now, home, rate_rps, self.data[axis].max_acceleration_rps2)
+
+    def zero_encoder(self, axis: str) -> None:
+        """Let the encoder count from where the axis stands."""
+        self._zero[axis] = self.motion[axis].at(self.clock())[0]
+
+    def stop(self, axis: str) -> None:
+        """Brake with the drive's full torque."""
+        self.motion[axis].stop(self.clock(), self.data[axis].max_acceleration_rps2)
+
+    def trip(self, axis: str, reason: str) -> None:
+        """Pull the fault input of an axis: it brakes by itself and its drive goes to fault."""
+        self.tripped[axis] = reason
+        self.stop(axis)

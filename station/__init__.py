@@ -1,0 +1,1 @@
+"""The application: bench file, scripts, sequencer, session, reports, command line."""

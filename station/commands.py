@@ -1,0 +1,189 @@
+"""What each command does. Long work shows progress on stderr; results go to stdout."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import signal
+import sys
+from contextlib import suppress
+from dataclasses import replace
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import DeviceError
+from estimator.calibrate import calibrate
+from estimator.errors import EstimatorError
+from estimator.recording import Recording, read_recording, write_recording
+from estimator.results import write_calibration
+from station.bench import Bench, Limits, load_bench, read_limits
+from station.errors import UsageError
+from station.loops import ScaledLoop, VirtualLoop
+from station.open_bench import needs_only_memory, open_bench, serve_twins, with_links
+from station.outcome import Outcome, Verdict, judge
+from station.printing import Progress, print_calibration, print_verdict, result_object
+from station.script import Script, check, load_script, paper_script
+from station.session import Result, Session
+
+EXIT_USAGE = 2
+
+
+def command_run(arguments: argparse.Namespace) -> int:
+    """Run a script on a bench."""
+    try:
+        bench = _chosen_bench(arguments)
+        script = load_script(Path(arguments.script)) if arguments.script else paper_script()
+        check(script, bench.table.limits)
+        virtual = needs_only_memory(bench) and arguments.scale is None
+        scale = 1.0 if virtual else arguments.scale or 1.0
+        path = Path(arguments.output) if arguments.output else _new_recording_path()
+        loop_factory = VirtualLoop if virtual else partial(ScaledLoop, scale)
+        with asyncio.Runner(loop_factory=loop_factory) as runner:
+            result = runner.run(_run(bench, script, path, virtual, scale, arguments.reset_fault, quiet=arguments.json))
+    except (UsageError, EstimatorError) as error:
+        return _refuse(str(error), arguments.json)
+    except DeviceError as error:
+        return _refuse(str(error), arguments.json, Outcome.FAULT)
+    if arguments.json:
+        print(json.dumps(result_object(result.verdict, str(result.recording), result.calibration)))
+    else:
+        if result.calibration is not None:
+            print_calibration(result.calibration)
+        print_verdict(result.verdict, result.recording)
+    return result.verdict.outcome.exit_code
+
+
+def command_twin(arguments: argparse.Namespace) -> int:
+    """Serve the twins of a bench until a signal."""
+    try:
+        bench = _seeded(load_bench(Path(arguments.bench) if arguments.bench else None), arguments.seed)
+
+        async def serve() -> None:
+            task = asyncio.current_task()
+            assert task is not None
+            loop = asyncio.get_running_loop()
+            for number in (signal.SIGINT, signal.SIGTERM):
+                loop.add_signal_handler(number, task.cancel)
+            with suppress(asyncio.CancelledError):
+                await serve_twins(
+                    bench,
+                    time_scale=arguments.scale,
+                    host=arguments.host,
+                    port=arguments.port,
+                    announce=partial(print, flush=True),
+                )
+
+        with asyncio.Runner(loop_factory=partial(ScaledLoop, arguments.scale)) as runner:
+            runner.run(serve())
+    except (UsageError, EstimatorError) as error:
+        return _refuse(str(error), False)
+    except (DeviceError, OSError) as error:
+        return _refuse(str(error), False, Outcome.FAULT)
+    return 0
+
+
+def command_calibrate(arguments: argparse.Namespace) -> int:
+    """Estimate the gyros of each recording; the worst exit code of all."""
+    worst = 0
+    for name in arguments.recordings:
+        try:
+            recording = read_recording(Path(name))
+            limits = load_bench(Path(arguments.bench)).limits if arguments.bench else _own_limits(recording)
+            calibration = calibrate(recording)
+            verdict = (
+                judge(calibration, limits)
+                if limits
+                else Verdict(Outcome.PASS, "estimated; the recording carries no limits to judge by")
+            )
+            if arguments.write:
+                write_calibration(Path(name), calibration)
+        except (UsageError, EstimatorError) as error:
+            worst = max(worst, _refuse(str(error), arguments.json))
+            continue
+        if arguments.json:
+            print(json.dumps(result_object(verdict, name, calibration)))
+        else:
+            print_calibration(calibration)
+            print_verdict(verdict, Path(name))
+        worst = max(worst, verdict.outcome.exit_code)
+    return worst
+
+
+def command_import(arguments: argparse.Namespace) -> int:
+    """Turn foreign data into a recording."""
+    from estimator.importing import import_recording
+    from estimator.mapping import read_mapping
+
+    output = Path(arguments.output)
+    try:
+        imported = import_recording(read_mapping(Path(arguments.mapping)), [Path(d) for d in arguments.data])
+        write_recording(output, imported.recording)
+    except EstimatorError as error:
+        return _refuse(str(error), arguments.json)
+    samples = {name: len(data.t_ns) for name, data in imported.recording.sources.items()}
+    refused = [{"file": r.file, "reason": r.reason} for r in imported.refused]
+    if arguments.json:
+        print(json.dumps({"recording": str(output), "samples": samples, "refused": refused}))
+    else:
+        for entry in refused:
+            print(f"refused {entry['file']}: {entry['reason']}", file=sys.stderr)
+        print(f"{output}: {', '.join(f'{n} samples of {name}' for name, n in samples.items())}")
+    return 0
+
+
+async def _run(
+    bench: Bench, script: Script, path: Path, virtual: bool, scale: float, reset_fault: bool, *, quiet: bool
+) -> Result:
+    async with open_bench(bench, time_scale=scale, virtual=virtual) as opened:
+        with Progress(quiet) as progress:
+            session = Session(
+                opened,
+                script,
+                path,
+                seed=bench.twin.seed,
+                reset_fault=reset_fault,
+                time_scale=scale,
+                on_progress=progress.show,
+            )
+            return await session.run()
+
+
+def _chosen_bench(arguments: argparse.Namespace) -> Bench:
+    bench = load_bench(Path(arguments.bench) if arguments.bench else None)
+    links = {}
+    for text in arguments.link:
+        device, equals, url = text.partition("=")
+        if not equals:
+            raise UsageError(f"--link {text}: write DEVICE=URL, for instance table=tcp://127.0.0.1:5020")
+        links[device] = url
+    return _seeded(with_links(bench, links, arguments.device), arguments.seed)
+
+
+def _seeded(bench: Bench, seed: int | None) -> Bench:
+    return bench if seed is None else replace(bench, twin=replace(bench.twin, seed=seed))
+
+
+def _own_limits(recording: Recording) -> Limits | None:
+    text = recording.attributes.get("bench")
+    return read_limits(str(text)) if text else None
+
+
+def _new_recording_path() -> Path:
+    """Return a path that is free; a second run within a second gets a number."""
+    stem = f"run-{datetime.now():%Y%m%d-%H%M%S}"
+    path, number = Path("recordings") / f"{stem}.h5", 1
+    while path.exists():
+        number += 1
+        path = path.with_name(f"{stem}-{number}.h5")
+    return path
+
+
+def _refuse(reason: str, as_json: bool, outcome: Outcome | None = None) -> int:
+    print(f"station: {reason}", file=sys.stderr)
+    if as_json:
+        empty: dict[str, Any] = {"outcome": outcome and str(outcome), "reason": reason, "recording": None}
+        print(json.dumps({**empty, "gyros": [], "nis_mean": None, "samples": 0, "lost": 0}))
+    return outcome.exit_code if outcome else EXIT_USAGE

@@ -1,0 +1,15 @@
+"""What the station itself refuses, before anything moves."""
+
+from __future__ import annotations
+
+
+class UsageError(Exception):
+    """Wrong usage or unreadable input; the message says what to do."""
+
+
+class BenchError(UsageError):
+    """A bench file that says something impossible; the message names file, line and key."""
+
+
+class ScriptError(UsageError):
+    """A script that cannot be read, or asks for what the table cannot do."""

@@ -1,0 +1,114 @@
+"""The estimate while the run goes on: samples wait for the table's readings, then feed the live filters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.seams import ImuBlock
+from estimator.array import SensorArray
+from estimator.calibrate import BLOCK_S
+from estimator.filter import LiveFilter
+from estimator.kinematics import Site
+from estimator.model import Prior, decode
+from estimator.reference import BodyRates
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_KEEP_EVERY = 10  # states are kept every so many-th block
+
+
+@dataclass(slots=True, eq=False)
+class History:
+    """What one filter said as it went: innovations by block, states and sigmas once a second."""
+
+    t_ns: list[int] = field(default_factory=list)
+    nis: list[float] = field(default_factory=list)
+    dof: list[int] = field(default_factory=list)
+    normalised: list[Floats] = field(default_factory=list)
+    state_t_ns: list[int] = field(default_factory=list)
+    states: list[Floats] = field(default_factory=list)
+    sd: list[Floats] = field(default_factory=list)
+
+
+class LiveSource:
+    """One source: samples not yet used, its filter, what the filter said."""
+
+    def __init__(self, array: SensorArray, rate_hz: float, noise_rps: float, prior: Prior) -> None:
+        """``noise_rps`` is the data sheet's white noise of one sample."""
+        self.array = array
+        self.prior = prior
+        self.noise_rps = np.full(len(array), noise_rps)
+        self.filter = LiveFilter(array, self.noise_rps, prior)
+        self.history = History()
+        self._rows = max(round(BLOCK_S * rate_hz), 1)
+        self._t: Stamps = np.empty(0, dtype=np.int64)
+        self._y: Floats = np.empty((0, len(array)))
+
+    def add(self, block: ImuBlock) -> None:
+        """Take in samples; those that the device calls invalid (NaN) are left out."""
+        good = np.isfinite(block.rate_rps).all(axis=1)
+        self._t = np.concatenate([self._t, block.t_ns[good]])
+        self._y = np.vstack([self._y, block.rate_rps[good]])
+
+    def advance(self, rates: BodyRates, *, everything: bool = False) -> None:
+        """Use the samples that the table's readings cover, in whole blocks, at the end also the last part."""
+        early = int(np.searchsorted(self._t, rates.starts_ns, side="left"))
+        ready = int(np.searchsorted(self._t, rates.final_until_ns, side="right"))
+        start = early
+        while start < ready and (ready - start >= self._rows or everything):
+            stop = min(start + self._rows, ready)
+            self._update(rates.at(self._t[start:stop]), start, stop)
+            start = stop
+        if start:
+            self._t, self._y = self._t[start:], self._y[start:]
+
+    def decoded(self) -> tuple[Floats, Floats]:
+        """Return the states (m, 4) and their sigmas."""
+        x, p = self.filter.state()
+        pairs = [decode(xi, pi) for xi, pi in zip(x, p, strict=True)]
+        return np.array([s for s, _ in pairs]), np.array([np.sqrt(np.diag(c)) for _, c in pairs])
+
+    def _update(self, w: Floats, start: int, stop: int) -> None:
+        innovation = self.filter.update(w, self._y[start:stop])
+        history, t_ns = self.history, int(self._t[stop - 1])
+        history.t_ns.append(t_ns)
+        history.nis.append(innovation.nis)
+        history.dof.append(innovation.dof)
+        history.normalised.append(innovation.normalised)
+        if len(history.t_ns) % _KEEP_EVERY == 0:
+            states, sd = self.decoded()
+            history.state_t_ns.append(t_ns)
+            history.states.append(states)
+            history.sd.append(sd)
+
+
+class LiveEstimate:
+    """All sources of a run on one table."""
+
+    def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
+        """Start without sources."""
+        self.rates = BodyRates(gimbals, site)
+        self.sources: dict[str, LiveSource] = {}
+
+    def add_row(self, t_ns: int, angle_rad: Floats, rate_rps: Floats) -> None:
+        """Take in one row of table readings and use the samples it covers."""
+        self.rates.add(np.array([t_ns], dtype=np.int64), angle_rad[None], rate_rps[None])
+        for source in self.sources.values():
+            source.advance(self.rates)
+
+    def finish(self) -> None:
+        """Use what is left."""
+        self.rates.finish()
+        for source in self.sources.values():
+            source.advance(self.rates, everything=True)
+
+    @property
+    def nis_mean(self) -> float:
+        """Mean normalised innovation squared per degree of freedom over all sources."""
+        total = sum(s.filter.nis_sum for s in self.sources.values())
+        dof = sum(s.filter.nis_dof for s in self.sources.values())
+        return total / dof if dof else float("nan")

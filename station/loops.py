@@ -1,0 +1,93 @@
+"""The event loop as the clock: real time, real time scaled, and virtual time.
+
+Code of the station asks ``loop.time()``, sleeps by ``asyncio.sleep`` and limits by ``asyncio.timeout``, and
+knows no other clock. Which loop runs decides how fast that clock goes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import selectors
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from typing import Any
+
+
+class ScaledLoop(asyncio.SelectorEventLoop):
+    """A loop whose clock runs ``scale`` times as fast as the wall's; 1 is real time."""
+
+    def __init__(self, scale: float = 1.0) -> None:
+        """Start the clock at zero."""
+        self.scale = scale
+        self._began = time.monotonic()
+        super().__init__(_ScaledSelector(scale))
+
+    def time(self) -> float:
+        """Return seconds of the loop's clock."""
+        return (time.monotonic() - self._began) * self.scale
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """A loop whose clock jumps to the next timer when nothing is left to do.
+
+    Only for links in memory: it waits for no socket, starts no thread, and runs what is given to an executor
+    at once. Two runs of the same program see the same instants.
+    """
+
+    def __init__(self) -> None:
+        """Start the clock at zero."""
+        self._now = 0.0
+        super().__init__(_VirtualSelector(self))
+
+    def time(self) -> float:
+        """Return seconds of the loop's clock."""
+        return self._now
+
+    def advance(self, seconds: float | None) -> None:
+        """Let the clock jump; RuntimeError when nothing is left that could ever happen."""
+        if seconds is None:
+            raise RuntimeError("virtual time stands still: every task waits and no timer is set")
+        if seconds > 0:
+            # To the timer's own instant, not by a difference: sums of differences drift by rounding.
+            scheduled: list[asyncio.TimerHandle] = self._scheduled  # type: ignore[attr-defined]
+            self._now = max(self._now, scheduled[0].when())
+
+    def run_in_executor(self, executor: Executor | None, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # type: ignore[override]
+        """Run at once: a thread would not share this clock."""
+        future = self.create_future()
+        future.set_result(func(*args))
+        return future
+
+    def _write_to_self(self) -> None:
+        """Nothing sleeps, so nothing needs waking."""
+
+
+class _ScaledSelector(selectors.DefaultSelector):
+    def __init__(self, scale: float) -> None:
+        super().__init__()
+        self._scale = scale
+
+    def select(self, timeout: float | None = None) -> Any:
+        return super().select(None if timeout is None else timeout / self._scale)
+
+
+class _VirtualSelector(selectors.DefaultSelector):
+    def __init__(self, loop: VirtualLoop) -> None:
+        super().__init__()
+        self._loop = loop
+
+    def select(self, timeout: float | None = None) -> Any:
+        self._loop.advance(timeout)
+        return []
+
+
+def is_virtual(loop: asyncio.AbstractEventLoop) -> bool:
+    """Return whether this loop's clock jumps."""
+    return isinstance(loop, VirtualLoop)
+
+
+def run(main: Callable[[], Any], loop_factory: Callable[[], asyncio.AbstractEventLoop]) -> Any:
+    """Run a coroutine function to its end on a new loop."""
+    with asyncio.Runner(loop_factory=loop_factory) as runner:
+        return runner.run(main())

@@ -1,0 +1,140 @@
+"""What a person sees in the terminal: progress, the table of states, the verdict; and the JSON for machines."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, TaskID, TextColumn
+from rich.progress import Progress as RichProgress
+from rich.table import Table
+
+from estimator.calibrate import Calibration
+from estimator.model import STATES
+from station.outcome import Outcome, Verdict
+from station.snapshot import Snapshot
+
+_REFRESH_S = 0.1  # of the wall's clock: a person watches, however fast the loop's clock runs
+_COLOURS = {
+    Outcome.PASS: "bold green",
+    Outcome.FAIL: "bold red",
+    Outcome.ABORTED: "bold yellow",
+    Outcome.FAULT: "bold red",
+}
+_PLAIN_EVERY = 0.1  # without a terminal: one line each tenth of the run
+
+
+class Progress:
+    """Progress of a run on stderr: a bar in a terminal, a few lines elsewhere, nothing when quiet."""
+
+    def __init__(self, quiet: bool) -> None:
+        """Show nothing if quiet."""
+        self._quiet = quiet
+        self._console = Console(stderr=True)
+        self._bar: RichProgress | None = None
+        self._task = TaskID(0)
+        self._shown_at = 0.0
+        self._shown_share = -1.0
+
+    def __enter__(self) -> Progress:
+        if not self._quiet and self._console.is_terminal:
+            columns = (TextColumn("{task.description:<18}"), BarColumn(), TextColumn("{task.fields[detail]}"))
+            self._bar = RichProgress(*columns, console=self._console, auto_refresh=False)
+            self._bar.start()
+            self._task = self._bar.add_task("connecting", total=1.0, detail="")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.refresh()
+            self._bar.stop()
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show where the run is, not more often than a person can read."""
+        now = time.monotonic()
+        if self._quiet or now - self._shown_at < _REFRESH_S:
+            return
+        self._shown_at = now
+        detail = (
+            f"{_clock(snapshot.remaining_s)} left   {snapshot.samples} samples, {snapshot.lost} lost   "
+            f"NIS {snapshot.nis_mean:.2f}"
+        )
+        if self._bar is not None:
+            self._bar.update(self._task, description=snapshot.phase, completed=snapshot.share, detail=detail)
+            self._bar.refresh()
+        elif snapshot.share - self._shown_share >= _PLAIN_EVERY:
+            self._shown_share = snapshot.share
+            self._console.print(f"{snapshot.share:4.0%}  {snapshot.phase:<18} {detail}", highlight=False)
+
+
+def print_calibration(calibration: Calibration) -> None:
+    """Print the states of every gyro with their sigmas, in the units people use."""
+    table = Table(title="States and their standard deviations", title_style="bold", title_justify="left")
+    table.add_column("gyro")
+    for heading in ("k [ppm]", "b [deg/s]", "sigma_j [deg]", "sigma_k [deg]"):
+        table.add_column(heading, justify="right")
+        table.add_column("±", justify="right", style="dim")
+    table.add_column("ARW-like noise [deg/s]", justify="right")
+    scales = (1e6, math.degrees(1), math.degrees(1), math.degrees(1))
+    formats = (".0f", ".5f", ".5f", ".5f")
+    for gyro in calibration.gyros:
+        cells = [gyro.name]
+        for value, sd, scale, form in zip(gyro.states, gyro.sd, scales, formats, strict=True):
+            cells += [format(value * scale, form), format(sd * scale, form)]
+        table.add_row(*cells, f"{math.degrees(gyro.noise_rps):.4f}")
+    console = _stdout()
+    console.print(table)
+    console.print(
+        f"mean NIS {calibration.nis_mean:.3f} per degree of freedom (1 = the filter's sigmas are true), "
+        f"{calibration.samples} samples, {calibration.lost} lost",
+        highlight=False,
+    )
+    for note in calibration.notes:
+        console.print(f"note: {note}", highlight=False)
+
+
+def print_verdict(verdict: Verdict, recording: Path) -> None:
+    """Print how it ended, why, and where the recording is."""
+    console = _stdout()
+    console.print(f"[{_COLOURS[verdict.outcome]}]{verdict.outcome}[/]  {verdict.reason}", highlight=False)
+    console.print(f"recording: {recording}", highlight=False, soft_wrap=True)
+
+
+def result_object(verdict: Verdict, recording: str, calibration: Calibration | None) -> dict[str, Any]:
+    """Return the result as what --json prints."""
+    gyros = [
+        {
+            "name": gyro.name,
+            **dict(zip(STATES, map(float, gyro.states), strict=True)),
+            "sd": dict(zip(STATES, map(float, gyro.sd), strict=True)),
+        }
+        for gyro in (calibration.gyros if calibration else ())
+    ]
+    nis = calibration.nis_mean if calibration and np.isfinite(calibration.nis_mean) else None
+    return {
+        "outcome": str(verdict.outcome),
+        "reason": verdict.reason,
+        "recording": recording,
+        "gyros": gyros,
+        "nis_mean": nis,
+        "samples": calibration.samples if calibration else 0,
+        "lost": calibration.lost if calibration else 0,
+    }
+
+
+def _stdout() -> Console:
+    console = Console()
+    # A pipe has no width of its own, and a table cut to 80 columns loses its numbers.
+    return console if console.is_terminal else Console(width=120)
+
+
+def _clock(seconds: float) -> str:
+    whole = max(round(seconds), 0)
+    return f"{whole // 60}:{whole % 60:02d}"

@@ -1,0 +1,74 @@
+"""Carries out a script on a table."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+
+from drivers.errors import DeviceRefused
+from drivers.seams import Turntable
+from station.script import Move, Rest, Rotate, Script
+
+_WATCH_S = 0.05  # how often arrival is asked for, from this long before it is due
+_OVERDUE_S = 5.0
+_ON_TARGET_RAD = math.radians(0.05)
+
+
+class Sequencer:
+    """Runs steps in order; tells when each begins and ends. The table must be enabled and homed."""
+
+    def __init__(self, table: Turntable, script: Script, on_step: Callable[[str, int, int], None]) -> None:
+        """``on_step(label, start_ns, end_ns)`` is called after each step."""
+        self._table, self._script, self._on_step = table, script, on_step
+        self._target_rad: dict[str, float] = dict.fromkeys(table.limits, 0.0)
+        self._durations_s = script.durations_s()
+        self._index = 0
+        self._step_began_s = 0.0
+
+    @property
+    def label(self) -> str:
+        """Label of the step under way."""
+        return self._script.steps[self._index].label
+
+    def times_s(self, now_s: float) -> tuple[float, float]:
+        """Return time done and time remaining by plan."""
+        done = sum(self._durations_s[: self._index]) + min(now_s - self._step_began_s, self._durations_s[self._index])
+        return done, sum(self._durations_s) - done
+
+    async def run(self) -> None:
+        """Run the script to its end; DeviceRefused if an axis does not get where it was sent."""
+        loop = asyncio.get_running_loop()
+        for index, (step, duration_s) in enumerate(zip(self._script.steps, self._durations_s, strict=True)):
+            self._index, self._step_began_s = index, loop.time()
+            due_s = self._step_began_s + duration_s
+            if isinstance(step, Rest):
+                await asyncio.sleep(duration_s)
+            else:
+                await self._drive(step, due_s)
+            self._on_step(step.label, round(self._step_began_s * 1e9), round(loop.time() * 1e9))
+
+    async def _drive(self, step: Move | Rotate, due_s: float) -> None:
+        axis = step.axis
+        target = step.angle_rad if isinstance(step, Move) else self._target_rad[axis] + step.turn_rad
+        self._target_rad[axis] = target
+        await self._table.move(axis, target, abs(step.rate_rps), step.acceleration_rps2)
+        loop = asyncio.get_running_loop()
+        await asyncio.sleep(max(due_s - _WATCH_S - loop.time(), 0.0))
+        while not (await self._table.status(axis)).target_reached:
+            if loop.time() > due_s + _OVERDUE_S:
+                state = await self._table.read(axis)
+                raise DeviceRefused(
+                    "table",
+                    f"axis {axis} is overdue in step {step.label!r}: it is at {math.degrees(state.angle_rad):.2f} deg, "
+                    f"it was sent to {math.degrees(target):.2f} deg",
+                )
+            await asyncio.sleep(_WATCH_S)
+        await asyncio.sleep(max(due_s - loop.time(), 0.0))
+        angle = (await self._table.read(axis)).angle_rad
+        if abs(angle - target) > _ON_TARGET_RAD:
+            raise DeviceRefused(
+                "table",
+                f"axis {axis} says it has arrived in step {step.label!r}, but is at {math.degrees(angle):.3f} deg "
+                f"instead of {math.degrees(target):.3f} deg",
+            )

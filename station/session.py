@@ -1,0 +1,359 @@
+"""One run from first contact to verdict: everything opened, the script driven, all recorded, the table at rest."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import importlib.metadata
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import DeviceError, LinkLost
+from drivers.seams import ImuBlock
+from estimator.calibrate import Calibration, calibrate, source_gram
+from estimator.errors import EstimatorError
+from estimator.gram import solve
+from estimator.recording import Recording, RecordingWriter, read_recording, write_attributes, write_results
+from estimator.results import write_calibration
+from station.live import LiveEstimate, LiveSource
+from station.loops import is_virtual
+from station.open_bench import OpenBench, OpenImu
+from station.outcome import Outcome, Verdict, judge
+from station.script import Script
+from station.sequencer import Sequencer
+from station.snapshot import Snapshot
+from station.table_watch import check_axes, watch_table
+
+_FLUSH_S = 0.25  # what a killed station loses, at most, beyond what was on its way
+_FIRST_SAMPLE_S = 3.0
+_SILENCE_S = 1.0
+_STOP_LIMIT_S = 15.0
+_UNFINISHED = "the run did not end: the station died without closing the file"
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """How a run ended, and its calibration if it came to one."""
+
+    verdict: Verdict
+    recording: Path
+    calibration: Calibration | None
+    agreement: float
+    """Largest difference between the live filter and the batch estimate, in sigmas, under the same noise."""
+
+
+class Session:
+    """Runs one script on one open bench into one recording."""
+
+    def __init__(
+        self,
+        bench: OpenBench,
+        script: Script,
+        path: Path,
+        *,
+        seed: int = 0,
+        reset_fault: bool = False,
+        time_scale: float = 1.0,
+        on_progress: Callable[[Snapshot], None] = lambda snapshot: None,
+    ) -> None:
+        """Create the recording; nothing is opened yet. RecordingError if the file cannot be created."""
+        config = bench.bench
+        self._open, self._bench, self._script = bench, config, script
+        self._reset_fault, self._time_scale, self._on_progress = reset_fault, time_scale, on_progress
+        self._phase = "connecting"
+        self._reason = ""
+        self._sequencer: Sequencer | None = None
+        self._last_seen_s: dict[str, float] = {}
+        self._half_width_ns = 0
+        self._sync: asyncio.Future[Any] | None = None
+        self._live = LiveEstimate(config.table.gimbals, config.site)
+        self._writer = RecordingWriter(path, _attributes(bench, script, seed))
+        self._writer.add_table(config.table.gimbals)
+        for imu in bench.imus:
+            self._add_sources(imu)
+
+    async def run(self) -> Result:
+        """Run to the end. Whatever happens, the table is brought to rest and the recording is closed."""
+        loop = asyncio.get_running_loop()
+        work = loop.create_task(self._work())
+        verdict: Verdict | None = None
+        with _signals(self._abort, work):
+            try:
+                await work
+            except asyncio.CancelledError:
+                verdict = Verdict(Outcome.ABORTED, self._reason or "cancelled")
+            except DeviceError as error:
+                verdict = Verdict(Outcome.FAULT, str(error))
+            except BaseExceptionGroup as group:
+                verdict = self._verdict_of(group)
+            finally:
+                stop_error = await self._rest()
+        if stop_error:
+            verdict = verdict or Verdict(Outcome.FAULT, stop_error)
+            if stop_error not in verdict.reason:
+                verdict = replace(verdict, reason=f"{verdict.reason}; {stop_error}")
+        return await self._conclude(verdict)
+
+    def snapshot(self) -> Snapshot:
+        """Return the state of the run now."""
+        now = asyncio.get_running_loop().time()
+        elapsed, remaining = self._sequencer.times_s(now) if self._sequencer else (0.0, self._script.duration_s)
+        counts = [imu.source.counts(name) for imu in self._open.imus for name in imu.source.names]
+        return Snapshot(
+            self._phase,
+            elapsed,
+            remaining,
+            sum(c.samples for c in counts),
+            sum(c.lost for c in counts),
+            self._live.nis_mean,
+        )
+
+    def _add_sources(self, imu: OpenImu) -> None:
+        config = imu.config
+        noise_rps = config.arw_rps_rthz * np.sqrt(config.rate_hz)
+        one_each = len(imu.source.names) == len(config.array)
+        for i, name in enumerate(imu.source.names):
+            array = config.array.select([i]) if one_each else config.array
+            self._writer.add_source(
+                name, array, config.prior, {"device": config.name, "rate_hz": config.rate_hz, "lost": 0}
+            )
+            self._live.sources[name] = LiveSource(array, config.rate_hz, float(noise_rps), config.prior)
+
+    async def _work(self) -> None:
+        table = self._open.table
+        axes = self._bench.table.gimbals
+        async with asyncio.TaskGroup() as group:
+            services = [group.create_task(self._keep_flushing())]
+            await table.open()
+            for imu in self._open.imus:
+                await imu.source.open()
+                services.append(group.create_task(self._acquire(imu)))
+            await self._first_samples()
+            services.append(group.create_task(self._watch_silence()))
+            if self._reset_fault:
+                await table.reset_fault()
+            self._phase = "enabling"
+            await table.enable()
+            self._phase = "homing"
+            await table.home()
+            await check_axes(table, axes)
+            services.append(
+                group.create_task(
+                    watch_table(table, axes, self._bench.table.poll_rate_hz, self._take_row, self._take_half_width)
+                )
+            )
+            self._sequencer = Sequencer(table, self._script, self._end_step)
+            self._event("script begins")
+            await self._sequencer.run()
+            self._phase = "finishing"
+            for service in services:
+                service.cancel()
+
+    async def _acquire(self, imu: OpenImu) -> None:
+        async for name, block in imu.source.blocks():
+            self._take_block(name, block)
+
+    def _take_block(self, name: str, block: ImuBlock) -> None:
+        self._last_seen_s[name] = asyncio.get_running_loop().time()
+        where = f"imu/{name}"
+        self._writer.append(f"{where}/t_ns", block.t_ns)
+        self._writer.append(f"{where}/arrival_ns", block.arrival_ns)
+        self._writer.append(f"{where}/rate_rps", block.rate_rps)
+        self._writer.append(f"{where}/temperature_c", block.temperature_c)
+        if block.counter is not None:
+            self._writer.append(f"{where}/counter", block.counter)
+        if block.accel_mps2 is not None:
+            self._writer.append(f"{where}/accel_mps2", block.accel_mps2)
+        self._live.sources[name].add(block)
+
+    def _take_row(self, row: tuple[int, Any, Any]) -> None:
+        t_ns, angle_rad, rate_rps = row
+        self._writer.append("table/t_ns", np.array([t_ns], dtype=np.int64))
+        self._writer.append("table/angle_rad", angle_rad[None])
+        self._writer.append("table/rate_rps", rate_rps[None])
+        self._live.add_row(t_ns, angle_rad, rate_rps)
+        if self._sequencer is not None and self._phase != "finishing":
+            self._phase = self._sequencer.label
+        self._on_progress(self.snapshot())
+
+    def _take_half_width(self, half_width_ns: int) -> None:
+        self._half_width_ns = max(self._half_width_ns, half_width_ns)
+
+    async def _first_samples(self) -> None:
+        limit_s = _FIRST_SAMPLE_S * self._time_scale
+        names = {name for imu in self._open.imus for name in imu.source.names}
+        deadline = asyncio.get_running_loop().time() + limit_s
+        while missing := sorted(names - set(self._last_seen_s)):
+            if asyncio.get_running_loop().time() > deadline:
+                raise LinkLost(
+                    self._device_of(missing[0]),
+                    f"no samples from {', '.join(missing)} within {limit_s:g} s; is it powered, the link right, "
+                    "the rate as in the bench file?",
+                )
+            await asyncio.sleep(0.05)
+
+    async def _watch_silence(self) -> None:
+        limit_s = _SILENCE_S * self._time_scale
+        while True:
+            await asyncio.sleep(limit_s / 4)
+            now = asyncio.get_running_loop().time()
+            silent = [name for name, seen in self._last_seen_s.items() if now - seen > limit_s]
+            if silent:
+                raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s")
+
+    async def _keep_flushing(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            await asyncio.sleep(_FLUSH_S)
+            self._writer.flush()
+            # A simulated run needs no protection from a power cut, and an fsync costs milliseconds.
+            if not is_virtual(loop) and (self._sync is None or self._sync.done()):
+                self._sync = loop.run_in_executor(None, os.fsync, self._writer.descriptor)
+
+    async def _rest(self) -> str:
+        """Bring the table to rest; return what went wrong with that, in words."""
+        table = self._open.table
+        try:
+            async with asyncio.timeout(_STOP_LIMIT_S * self._time_scale):
+                await table.stop()
+                await table.disable()
+            self._event("table at rest")
+        except (DeviceError, TimeoutError) as error:
+            reason = str(error) or "no answer in time"
+            self._event(f"controlled stop not confirmed: {reason}")
+            return f"the stop could not be confirmed ({reason}): the table's own watchdog must stop it"
+        finally:
+            table.close()
+            for imu in self._open.imus:
+                imu.source.close()
+        return ""
+
+    async def _conclude(self, verdict: Verdict | None) -> Result:
+        for imu in self._open.imus:
+            for name, block in imu.source.flush():
+                self._take_block(name, block)
+            for name in imu.source.names:
+                counts = imu.source.counts(name)
+                self._writer.set_source(
+                    name, {key: getattr(counts, key) for key in ("lost", "repeated", "late", "corrupt")}
+                )
+        self._writer.set_attributes({"table_read_half_width_ns": self._half_width_ns})
+        if self._sync is not None:
+            with suppress(OSError):
+                await self._sync
+        self._writer.close()
+        calibration, agreement = None, float("nan")
+        if verdict is None:
+            try:
+                calibration, agreement = self._estimate()
+                verdict = judge(calibration, self._bench.limits)
+            except EstimatorError as error:
+                verdict = Verdict(Outcome.FAIL, str(error))
+        write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
+        return Result(verdict, self._writer.path, calibration, agreement)
+
+    def _estimate(self) -> tuple[Calibration, float]:
+        """Return the batch estimate from the recorded samples, and how far the live filter is from it."""
+        self._live.finish()
+        path = self._writer.path
+        recording = read_recording(path, trusted=True)
+        calibration = replace(calibrate(recording), nis_mean=self._live.nis_mean)
+        agreement = self._agreement(recording)
+        write_calibration(path, calibration, {"live_batch_difference_sigma": agreement})
+        for name, source in self._live.sources.items():
+            h = source.history
+            innovation = {"t_ns": h.t_ns, "nis": h.nis, "dof": h.dof, "normalised": h.normalised}
+            estimate = {"t_ns": h.state_t_ns, "states": h.states, "sd": h.sd}
+            write_results(path, f"innovation/{name}", {k: np.array(v) for k, v in innovation.items()}, {})
+            write_results(path, f"estimate/{name}", {k: np.array(v) for k, v in estimate.items()}, {})
+        return calibration, agreement
+
+    def _agreement(self, recording: Recording) -> float:
+        largest = 0.0
+        for name, source in self._live.sources.items():
+            batch = solve(source_gram(recording, name), source.array, source.prior, source.noise_rps)
+            x, _ = source.filter.state()
+            sd = np.sqrt(np.diagonal(batch.covariance, axis1=1, axis2=2))
+            largest = max(largest, float(np.abs((x - batch.x) / sd).max()))
+        return largest
+
+    def _verdict_of(self, group: BaseExceptionGroup[BaseException]) -> Verdict:
+        """Return the verdict for the first device error within a group; anything else is a defect and goes on."""
+        first = _first_device_error(group)
+        if first is None:
+            raise group
+        return Verdict(Outcome.FAULT, str(first))
+
+    def _abort(self, name: str) -> None:
+        if not self._reason:
+            self._reason = f"stopped by {name} in phase {self._phase!r}"
+
+    def _end_step(self, label: str, start_ns: int, end_ns: int) -> None:
+        self._writer.append_text("steps", {"t_start_ns": start_ns, "t_end_ns": end_ns}, "label", label)
+
+    def _event(self, text: str) -> None:
+        now_ns = round(asyncio.get_running_loop().time() * 1e9)
+        self._writer.append_text("events", {"t_ns": now_ns}, "text", text)
+
+    def _device_of(self, source: str) -> str:
+        return next(imu.config.name for imu in self._open.imus if source in imu.source.names)
+
+
+def _first_device_error(group: BaseExceptionGroup[BaseException]) -> DeviceError | None:
+    for error in group.exceptions:
+        found = _first_device_error(error) if isinstance(error, BaseExceptionGroup) else error
+        if isinstance(found, DeviceError):
+            return found
+    return None
+
+
+def _attributes(bench: OpenBench, script: Script, seed: int) -> dict[str, Any]:
+    config = bench.bench
+    attributes: dict[str, Any] = {
+        "station": config.name,
+        "software_version": importlib.metadata.version("turntable-station"),
+        "bench": config.text,
+        "bench_sha256": hashlib.sha256(config.text.encode()).hexdigest(),
+        "script": script.name,
+        "script_steps": [step.label for step in script.steps],
+        "devices": [f"{imu.config.name} ({imu.config.protocol}, {imu.config.link})" for imu in bench.imus],
+        "seed": seed,
+        "outcome": str(Outcome.ABORTED),
+        "reason": _UNFINISHED,
+    }
+    if config.site is not None:
+        attributes["site_latitude_rad"] = config.site.latitude_rad
+        attributes["site_heading_rad"] = config.site.heading_rad
+    return attributes
+
+
+@contextmanager
+def _signals(note: Callable[[str], None], work: asyncio.Task[None]) -> Iterator[None]:
+    """Let Ctrl-C and the polite signals cancel the work; the stop that follows is not cut short by more of them."""
+    loop = asyncio.get_running_loop()
+    names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
+    if hasattr(signal, "SIGHUP"):
+        names[signal.SIGHUP] = "SIGHUP (the terminal is gone)"
+
+    def handle(number: int, _frame: Any) -> None:
+        note(names[signal.Signals(number)])
+        loop.call_soon_threadsafe(work.cancel)
+
+    before = {}
+    for number in names:
+        try:
+            before[number] = signal.signal(number, handle)
+        except ValueError:  # not the main thread: signals are somebody else's
+            break
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)

@@ -1,0 +1,97 @@
+"""Reads the table regularly, puts its readings on common instants, and watches over its condition."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import DeviceFault
+from drivers.seams import AxisState, Turntable
+
+Floats = NDArray[np.float64]
+
+_STATUS_EVERY = 5  # condition is asked for in every so many-th reading
+
+
+class Aligner:
+    """Turns readings of single axes, each at its own instant, into rows at one instant.
+
+    An angle is carried to the row's instant by its rate, a rate by interpolation towards the reading before or
+    after, so a row is given one reading later.
+    """
+
+    def __init__(self, axes: tuple[str, ...]) -> None:
+        """Columns are ordered as ``axes``."""
+        self._axes = axes
+        self._readings: list[dict[str, AxisState]] = []
+
+    def add(self, states: Mapping[str, AxisState]) -> tuple[int, Floats, Floats] | None:
+        """Take in one reading of all axes; return the row (t_ns, angles, rates) of the one before, if any."""
+        self._readings.append(dict(states))
+        return self._row(-2) if len(self._readings) >= 2 else None
+
+    def last(self) -> tuple[int, Floats, Floats] | None:
+        """Return the row of the last reading, when no other will come."""
+        return self._row(-1) if self._readings else None
+
+    def _row(self, index: int) -> tuple[int, Floats, Floats]:
+        states = self._readings[index]
+        stamps = [t for s in states.values() for t in (s.angle_t_ns, s.rate_t_ns)]
+        at_ns = sum(stamps) // len(stamps)
+        angles = np.empty(len(self._axes))
+        rates = np.empty(len(self._axes))
+        for column, axis in enumerate(self._axes):
+            state = states[axis]
+            series = [(r[axis].rate_t_ns, r[axis].rate_rps) for r in self._readings]
+            times = np.array([t - at_ns for t, _ in series], dtype=np.float64)
+            rates[column] = np.interp(0.0, times, [rate for _, rate in series])
+            angles[column] = state.angle_rad + state.rate_rps * (at_ns - state.angle_t_ns) * 1e-9
+        self._readings = self._readings[-2:]
+        return at_ns, angles, rates
+
+
+async def watch_table(
+    table: Turntable,
+    axes: tuple[str, ...],
+    rate_hz: float,
+    on_row: Callable[[tuple[int, Floats, Floats]], None],
+    on_half_width: Callable[[int], None],
+) -> None:
+    """Read until cancelled; DeviceFault when an axis goes to fault or leaves operation by itself."""
+    loop = asyncio.get_running_loop()
+    aligner = Aligner(axes)
+    period_s = 1 / rate_hz
+    due_s = loop.time()
+    count = 0
+    try:
+        while True:
+            states = {axis: await table.read(axis) for axis in axes}
+            row = aligner.add(states)
+            if row is not None:
+                on_row(row)
+            on_half_width(max(s.half_width_ns for s in states.values()))
+            count += 1
+            if count % _STATUS_EVERY == 0:
+                await check_axes(table, axes)
+            due_s = max(due_s + period_s, loop.time())
+            await asyncio.sleep(due_s - loop.time())
+    finally:
+        row = aligner.last()
+        if row is not None:
+            on_row(row)
+
+
+async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
+    """See that every axis is in operation; DeviceFault if one is not."""
+    for axis in axes:
+        status = await table.status(axis)
+        if status.fault:
+            raise DeviceFault("table", status.fault)
+        if not status.enabled:
+            raise DeviceFault(
+                "table",
+                f"axis {axis} has left operation by itself (now {status.text}): its watchdog or an interlock",
+            )
