@@ -7,6 +7,7 @@ from typing import Any
 
 import can
 
+from drivers.can_memory import MemoryBus
 from drivers.errors import LinkLost
 from drivers.seams import Frame
 
@@ -15,14 +16,13 @@ class CanLink:
     """Frames of one bus, stamped on arrival.
 
     Buses with a file descriptor (socketcan, slcan, udp_multicast) are read by the loop, others by python-can's
-    own thread. ``polled`` is for a loop without threads and sockets: whoever sends on that bus calls
-    ``interrupt``, as a controller chip would.
+    own thread. Interface "memory" is the bus within this loop.
     """
 
-    def __init__(self, device: str, interface: str, channel: str, options: dict[str, Any], *, polled: bool) -> None:
+    def __init__(self, device: str, interface: str, channel: str, options: dict[str, Any]) -> None:
         """Name the bus in python-can's terms; it is opened by ``open``."""
         self._device, self._interface, self._channel = device, interface, channel
-        self._options, self._polled = options, polled
+        self._options = options
         self._bus: can.BusABC | None = None
         self._notifier: can.Notifier | None = None
         self._frames: list[Frame] = []
@@ -31,13 +31,14 @@ class CanLink:
 
     async def open(self) -> None:
         """Open the bus; LinkLost if python-can cannot."""
+        if self._interface == "memory":
+            self._bus = MemoryBus(self._channel, self.take)
+            return
         try:
             self._bus = can.Bus(interface=self._interface, channel=self._channel, **self._options)
         except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
             raise LinkLost(self._device, f"cannot open CAN bus {self._interface}:{self._channel} ({error})") from None
-        if not self._polled:
-            listener = _Listener(self)
-            self._notifier = can.Notifier(self._bus, [listener], loop=asyncio.get_running_loop())
+        self._notifier = can.Notifier(self._bus, [_Listener(self)], loop=asyncio.get_running_loop())
 
     async def receive(self) -> list[Frame]:
         """Return the frames since the last call, waiting for the first; LinkLost when the bus is gone."""
@@ -48,11 +49,6 @@ class CanLink:
             await self._wake.wait()
         frames, self._frames = self._frames, []
         return frames
-
-    def interrupt(self) -> None:
-        """Take in what has come on a polled bus."""
-        while self._bus is not None and (message := self._bus.recv(0)) is not None:
-            self.take(message)
 
     def take(self, message: can.Message) -> None:
         """Keep one frame, stamped now; error and remote frames carry no data."""

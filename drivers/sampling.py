@@ -175,9 +175,14 @@ class RegularClock:
         """Take in one sample; ``raw`` is what equal samples share."""
         self._held.append((arrival_ns, value, raw))
 
+    @property
+    def due(self) -> bool:
+        """Whether enough is held for ``ready`` to give something."""
+        return len(self._held) >= 2 * self.HOLD
+
     def ready(self, *, everything: bool = False) -> tuple[Stamps, Stamps, Floats] | None:
         """Return (t_ns, arrival_ns, value) of the samples that can be timed, or None while too few are held."""
-        if not self._held or (len(self._held) < 2 * self.HOLD and not everything):
+        if not self._held or not (self.due or everything):
             return None
         start = self._index_held()
         take = len(start) if everything else len(start) - self.HOLD
@@ -203,7 +208,7 @@ class RegularClock:
         if not self._fit.known:
             device_s = np.asarray(np.arange(len(self._held)) * period, dtype=np.float64)
             self._fit.add(device_s, arrival)
-        device_s = (self._next + np.arange(len(arrival))) * period
+        device_s = np.asarray((self._next + np.arange(len(arrival))) * period, dtype=np.float64)
         if np.all(np.abs(self._fit.lateness_of(device_s, arrival)) < 0.5 * period):
             return list(range(self._next, self._next + len(arrival)))  # all in time: nothing lost or doubled
         index: list[int] = []

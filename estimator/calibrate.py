@@ -11,16 +11,20 @@ from numpy.typing import NDArray
 from estimator.array import SensorArray
 from estimator.errors import RecordingError
 from estimator.filter import LiveFilter
-from estimator.gram import Gram, solve
-from estimator.model import Prior, decode
+from estimator.gram import Gram, Solution, solve
+from estimator.model import Prior, decode, regressor_maps
 from estimator.recording import ImuData, Recording
 from estimator.reference import AttitudeReadings, BodyRates, RateReadings, TableReadings, Turns, rates_from_attitude
 
 Floats = NDArray[np.float64]
 
-BLOCK_S = 0.1
+BLOCK_S = 0.2
 """Length of a block of the live filter, and of the means that an attitude reference is compared over."""
 _CHUNK_ROWS = 65536
+CLUSTER_S = 5.0
+"""Length over which residuals against a foreign reference may hang together without the sigma being wrong."""
+_FEWEST_CLUSTERS = 8
+_COLOURED = 2.0  # sigmas that grow by more than this are told
 _UNSEEN = 0.5  # a posterior sigma above this share of the prior's: the run did not show the state
 
 
@@ -60,20 +64,20 @@ class Calibration:
     notes: tuple[str, ...]
 
 
-def calibrate(recording: Recording, prior: Prior | None = None) -> Calibration:
-    """Return the batch estimate of every gyro, the noise taken from the residual.
+def calibrate(recording: Recording) -> Calibration:
+    """Return the batch estimate of every gyro under its data sheet's prior, the noise taken from the residual.
 
     Raises RecordingError if a source has no samples that the reference covers.
     """
-    prior = prior or Prior()
     gyros: list[GyroCalibration] = []
     notes: list[str] = []
     nis_sum, nis_dof, samples = 0.0, 0, 0
     for source, data in recording.sources.items():
-        gram = source_gram(recording, source)
+        gram, prior = source_gram(recording, source), data.prior
         noise = None
         if isinstance(recording.reference, Turns):  # a few rows: their doubt is stated, not found
-            noise = np.maximum(sample_noise(data), solve(gram, data.array, prior).noise_rps)
+            # The rows are weighted by the noise of the worst channel, so that is what the noise is relative to.
+            noise = np.maximum(sample_noise(data).max(), solve(gram, data.array, prior).noise_rps)
         solution = solve(gram, data.array, prior, noise)
         # The innovations need the noise that the batch estimate finds, so the rows are walked twice.
         live = LiveFilter(data.array, solution.noise_rps, prior)
@@ -84,10 +88,14 @@ def calibrate(recording: Recording, prior: Prior | None = None) -> Calibration:
         samples += gram.rows * len(data.array)
         nis_sum += live.nis_sum
         nis_dof += live.nis_dof
+        covariances = solution.covariance
+        if isinstance(recording.reference, (AttitudeReadings, RateReadings)):
+            covariances, coloured = _clustered(recording, source, solution, prior)
+            notes.extend(coloured)
         for i, name in enumerate(data.array.names):
-            states, covariance = decode(solution.x[i], solution.covariance[i])
+            states, covariance = decode(solution.x[i], covariances[i])
             gyros.append(GyroCalibration(name, source, states, covariance, float(solution.noise_rps[i])))
-            notes.extend(_unseen(name, solution.covariance[i], prior))
+            notes.extend(_unseen(name, covariances[i], prior))
     lost = sum(data.lost * len(data.array) for data in recording.sources.values())
     nis_mean = nis_sum / nis_dof if nis_dof else float("nan")
     return Calibration(tuple(gyros), nis_mean, samples, lost, tuple(notes))
@@ -99,7 +107,12 @@ def source_gram(recording: Recording, source: str) -> Gram:
     gram = Gram.empty(len(data.array))
     for part in observations(recording, source):
         gram += Gram.of(part.w_rps, part.y_rps, part.weight)
-    if gram.rows < 8:
+    if isinstance(recording.reference, Turns) and gram.rows < 4:
+        raise RecordingError(
+            f"{recording.name}: {gram.rows} of {len(recording.reference.sd_rad)} turns hold samples of {source}: "
+            "four states a gyro need four turns or rests at the least"
+        )
+    if not isinstance(recording.reference, Turns) and gram.rows < 8:
         raise RecordingError(
             f"{recording.name}: source {source} has {len(data.t_ns)} samples, of which {gram.rows} lie within the "
             "reference: too few to estimate four states a gyro"
@@ -125,6 +138,11 @@ def observations(recording: Recording, source: str) -> Iterator[Observations]:
         yield _segments(data, reference)
         return
     t_ns, rate = _usable(data)
+    if isinstance(reference, RateReadings):
+        known = np.isfinite(reference.rate_rps).all(axis=1)
+        reference = RateReadings(reference.t_ns[known], reference.rate_rps[known])
+        if not known.any():
+            return
     if isinstance(reference, TableReadings):
         rates = BodyRates(reference.gimbals, recording.site)
         rates.add(reference.t_ns, reference.angle_rad, reference.rate_rps)
@@ -147,10 +165,17 @@ def observations(recording: Recording, source: str) -> Iterator[Observations]:
 def sample_noise(data: ImuData) -> Floats:
     """Return the white noise of one sample of each channel (m,), from differences of neighbours."""
     # Median of |N(0, 2 s^2)| is 0.954 s; the quantum is the floor for data rounded so that most do not differ.
-    steps = np.abs(np.diff(_usable(data)[1], axis=0))
-    quantum = [float(column[column > 0].min(initial=np.inf)) for column in steps.T]
+    rate = _usable(data)[1]
+    quantum = _quantum(rate)
     floor = np.where(np.isfinite(quantum), quantum, 1e-9) / np.sqrt(12)
-    return np.asarray(np.maximum(np.median(steps, axis=0) / 0.954, floor))
+    return np.asarray(np.maximum(np.median(np.abs(np.diff(rate, axis=0)), axis=0) / 0.954, floor))
+
+
+def _quantum(rate_rps: Floats) -> Floats:
+    """Return the smallest step between neighbouring samples of each channel (m,); infinite if all are equal."""
+    steps = np.abs(np.diff(rate_rps, axis=0))
+    # Differences of the same two decimals differ in their last binary digits: 1e-9 rad/s is no step.
+    return np.array([float(column[column > 1e-9].min(initial=np.inf)) for column in steps.T])
 
 
 def _usable(data: ImuData) -> tuple[NDArray[np.int64], Floats]:
@@ -179,24 +204,69 @@ def _means(data: ImuData, reference: RateReadings) -> Iterator[Observations]:
 
 
 def _segments(data: ImuData, turns: Turns) -> Observations:
-    """Return one row a segment: mean rate from the angle turned, mean output, weight from the doubt of both."""
+    """Return one row a segment: mean rate from the angle turned, mean output, weight from the doubt of both.
+
+    The mean is over time, not over samples: foreign samples may be unevenly spaced.
+    """
     t_ns, rate = _usable(data)
-    step_s = float(np.median(np.diff(t_ns))) * 1e-9
+    white, quantum = float(sample_noise(data).max()), _quantum(rate)
     w, y, weight = [], [], []
-    white = float(np.median(sample_noise(data)))
     for start, end, turn, sd in zip(turns.t_start_ns, turns.t_end_ns, turns.turn_rad, turns.sd_rad, strict=True):
         inside = (t_ns >= start) & (t_ns <= end)
         n = int(inside.sum())
         if n < 2:
             continue
-        length_s = n * step_s
+        t_s, part = (t_ns[inside] - start) * 1e-9, rate[inside]
+        length_s = float(t_s[-1] - t_s[0])
         w.append(turn / length_s)
-        y.append(rate[inside].mean(axis=0))
+        y.append(np.trapezoid(part, t_s, axis=0) / length_s)
+        # Samples that hardly leave one count do not average: their mean is good to the count, however many.
+        stuck = np.where(np.isfinite(quantum) & (part.std(axis=0) < quantum / 2), quantum / np.sqrt(12), 0.0)
         # Noise of one sample relative to the noise of this mean.
-        weight.append(white / np.hypot(white / np.sqrt(n), sd / length_s))
+        weight.append(white / np.sqrt(white**2 / n + (sd / length_s) ** 2 + float(stuck.max()) ** 2))
     if not w:
         return Observations(np.empty((0, 3)), np.empty((0, len(data.array))), np.empty(0))
     return Observations(np.array(w), np.array(y), np.array(weight))
+
+
+def _clustered(recording: Recording, source: str, solution: Solution, prior: Prior) -> tuple[Floats, list[str]]:
+    """Return covariances (m, 4, 4) that hold for residuals correlated within clusters of 5 s, and notes.
+
+    Another instrument's errors (its filter, its delay, lost markers) are no white noise. The scores of a
+    cluster are summed before they are squared (Liang, Zeger 1986), so what hangs together within it counts as
+    one. No direction gets less than the white-noise covariance.
+    """
+    data = recording.sources[source]
+    m = len(data.array)
+    maps = regressor_maps(data.array)
+    attitude = isinstance(recording.reference, AttitudeReadings)
+    row_s = BLOCK_S if attitude else BLOCK_S / block_rows(data)
+    rows = max(round(CLUSTER_S / row_s), 1)
+    scores = []
+    for part in observations(recording, source):
+        regressors = np.column_stack([np.ones(len(part.w_rps)), part.w_rps])
+        rest = part.y_rps - part.w_rps @ data.array.p.T
+        rest -= np.einsum("rj,mij,mi->rm", regressors, maps, solution.x)
+        products = regressors[:, :, None] * rest[:, None, :]
+        scores.append(np.add.reduceat(products, np.arange(0, len(products), rows), axis=0))
+    by_gyro = np.einsum("mij,cjm->mci", maps, np.vstack(scores)) / solution.noise_rps[:, None, None] ** 2
+    count = by_gyro.shape[1]
+    if count < _FEWEST_CLUSTERS:
+        return solution.covariance, [f"{source}: too short to tell whether the residual is white; sigmas assume it"]
+    out, notes = np.empty((m, 4, 4)), []
+    for i, name in enumerate(data.array.names):
+        white = solution.covariance[i]
+        meat = by_gyro[i].T @ by_gyro[i] * count / (count - 1) + np.diag(1 / prior.variances())
+        root = np.linalg.cholesky(white)
+        ratio, directions = np.linalg.eigh(root.T @ meat @ root)
+        basis = root @ directions
+        out[i] = basis @ np.diag(np.maximum(ratio, 1.0)) @ basis.T
+        worst = float(np.sqrt(np.max(np.diag(out[i]) / np.diag(white))))
+        if worst > _COLOURED:
+            notes.append(
+                f"{name}: the residual is no white noise; sigmas are up to {worst:.1f} times those of white noise"
+            )
+    return out, notes
 
 
 def _unseen(name: str, covariance: Floats, prior: Prior) -> list[str]:

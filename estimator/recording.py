@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from estimator.array import SensorArray, sensor_array
 from estimator.errors import GeometryError, RecordingError
 from estimator.kinematics import Site, check_gimbals
+from estimator.model import Prior
 from estimator.reference import AttitudeReadings, RateReadings, Reference, TableReadings, Turns
 
 Floats = NDArray[np.float64]
@@ -60,6 +61,7 @@ class ImuData:
     accel_mps2: Floats | None = None
     counter: Stamps | None = None
     lost: int = 0
+    prior: Prior = field(default_factory=Prior)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,6 +96,8 @@ class RecordingWriter:
             raise RecordingError(f"cannot create {path}: {_first_line(error)}") from None
         self.path = path
         self._pending: dict[str, list[NDArray[Any]]] = {}
+        self._datasets: dict[str, Any] = {}
+        self._lengths: dict[str, int] = {}
         self._file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
         self.set_attributes(attributes)
         self.flush()
@@ -108,9 +112,10 @@ class RecordingWriter:
         group.attrs["axes"] = list(gimbals)
         group.attrs["gimbals"] = list(gimbals)
 
-    def add_source(self, name: str, array: SensorArray, attributes: Mapping[str, Any]) -> None:
-        """Declare a source with the axes of its channels."""
+    def add_source(self, name: str, array: SensorArray, prior: Prior, attributes: Mapping[str, Any]) -> None:
+        """Declare a source with the axes of its channels and what its data sheet promises."""
         group = self._file.require_group(f"imu/{name}")
+        group.attrs["prior"] = [prior.k, prior.b_rps, prior.sigma_rad]
         group.attrs.update({"names": list(array.names), "p": array.p, "j": array.j, "k": array.k, **attributes})
 
     def set_source(self, name: str, attributes: Mapping[str, Any]) -> None:
@@ -132,13 +137,12 @@ class RecordingWriter:
         """Append what is pending and hand it to the operating system."""
         for path, blocks in self._pending.items():
             rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-            dataset = self._file.get(path)
+            dataset = self._datasets.get(path)
             if dataset is None:
-                _create(self._file, path, rows, growing=True)
+                self._datasets[path] = _create(self._file, path, rows, growing=True)
+                self._lengths[path] = len(rows)
             else:
-                n = len(dataset)
-                dataset.resize(n + len(rows), axis=0)
-                dataset[n:] = rows
+                self._lengths[path] = _extend(dataset, self._lengths[path], rows)
         self._pending.clear()
         self._file.flush()
 
@@ -183,7 +187,7 @@ def write_recording(path: Path, recording: Recording) -> None:
         for name in names:
             writer.append(f"{root}/{name}", getattr(reference, name))
         for source, data in recording.sources.items():
-            writer.add_source(source, data.array, {"lost": data.lost})
+            writer.add_source(source, data.array, data.prior, {"lost": data.lost})
             for name in ("t_ns", "rate_rps", "temperature_c", "accel_mps2", "counter"):
                 values = getattr(data, name)
                 if values is not None:
@@ -196,6 +200,12 @@ def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], 
     """Write a group of results into an existing recording, in place of what stood there."""
     with h5py.File(path, "r+") as file:
         _replace_group(file, group, datasets, attributes)
+
+
+def write_attributes(path: Path, attributes: Mapping[str, Any]) -> None:
+    """Set attributes of an existing recording."""
+    with h5py.File(path, "r+") as file:
+        file.attrs.update(attributes)
 
 
 def probe(path: Path, limit_s: float = PROBE_LIMIT_S) -> None:
@@ -287,7 +297,8 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
         for key, dtype in (("temperature_c", np.float64), ("accel_mps2", np.float64), ("counter", np.int64))
         if key in group
     }
-    return ImuData(array, t_ns, rate, lost=int(group.attrs.get("lost", 0)), **cast(Any, optional))
+    prior = Prior(*(float(v) for v in group.attrs["prior"])) if "prior" in group.attrs else Prior()
+    return ImuData(array, t_ns, rate, lost=int(group.attrs.get("lost", 0)), prior=prior, **cast(Any, optional))
 
 
 def _axes(group: Any, key: str) -> Floats | None:
@@ -339,7 +350,18 @@ def _column(where: str, group: Any, key: str, dimensions: int, dtype: Any) -> ND
     return values
 
 
-def _create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> None:
+def _extend(dataset: Any, length: int, rows: NDArray[Any]) -> int:
+    """Append rows to a dataset of known length by HDF5's own calls: h5py's indexing costs ten times as much."""
+    rows = np.ascontiguousarray(rows)
+    total = length + len(rows)
+    dataset.id.set_extent((total, *rows.shape[1:]))
+    space = dataset.id.get_space()
+    space.select_hyperslab((length, *(0 for _ in rows.shape[1:])), rows.shape)
+    dataset.id.write(h5py.h5s.create_simple(rows.shape), space, rows)
+    return total
+
+
+def _create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> Any:
     row_bytes = max(rows.dtype.itemsize * int(np.prod(rows.shape[1:])), 1)
     chunk = max(min(32768 // row_bytes, 4096), 16)
     extra = {"maxshape": (None, *rows.shape[1:]), "chunks": (chunk, *rows.shape[1:])} if growing else {}
@@ -347,6 +369,7 @@ def _create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> None:
     name = path.rsplit("/", 1)[-1]
     if name in UNITS:
         dataset.attrs["units"] = UNITS[name]
+    return dataset
 
 
 def _replace_group(file: Any, path: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]) -> None:

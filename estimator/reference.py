@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +58,30 @@ class Turns:
 Reference = TableReadings | RateReadings | AttitudeReadings | Turns
 
 
+class _Rows:
+    """Rows that grow at the end without being copied each time."""
+
+    def __init__(self, shape: tuple[int, ...], dtype: type = np.float64) -> None:
+        self._store: NDArray[Any] = np.empty((256, *shape), dtype=dtype)
+        self._length = 0
+
+    def __len__(self) -> int:
+        return self._length
+
+    @property
+    def all(self) -> NDArray[Any]:
+        return self._store[: self._length]
+
+    def append(self, rows: NDArray[Any]) -> None:
+        total = self._length + len(rows)
+        if total > len(self._store):
+            grown = np.empty((max(total, 2 * len(self._store)), *self._store.shape[1:]), dtype=self._store.dtype)
+            grown[: self._length] = self.all
+            self._store = grown
+        self._store[self._length : total] = rows
+        self._length = total
+
+
 class BodyRates:
     """Body rate at any instant from table readings that keep coming.
 
@@ -72,73 +97,68 @@ class BodyRates:
         self._gimbals = check_gimbals(gimbals)
         self._site = site
         n = len(self._gimbals)
-        self._t = np.empty(0, dtype=np.int64)
-        self._angle = np.empty((0, n))
-        self._rate = np.empty((0, n))
-        self._sums = np.zeros((1, 2 + 2 * n))  # running sums of [s, s^2, d, s d] before each row
-        self._summed_rate = np.zeros((0, n))
-        self._refined = np.empty((0, n))
+        self._times = _Rows((), np.int64)
+        self._angle, self._rate, self._summed, self._refined = (_Rows((n,)) for _ in range(4))
+        self._sums = _Rows((2 + 2 * n,))  # running sums of [s, s^2, d, s d] before each row
+        self._sums.append(np.zeros((1, 2 + 2 * n)))
 
     def add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats) -> None:
         """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before."""
         if not len(t_ns):
             return
-        last = self._t[-1:]
-        times = np.concatenate([last, t_ns])
-        if np.any(np.diff(times) <= 0):
+        first = not len(self._times)
+        before = t_ns[:1] if first else self._times.all[-1:]
+        step_ns = np.diff(np.concatenate([before, t_ns]))
+        if np.any(step_ns[first:] <= 0):
             raise RecordingError("the times of the table readings do not increase: sort them, drop repeats")
-        step_s = np.diff(times) * 1e-9
-        rates = np.vstack([self._rate[-1:], rate_rps])
-        area = 0.5 * (rates[1:] + rates[:-1]) * step_s[:, None]
-        if not len(self._t):
-            area = np.vstack([np.zeros(rates.shape[1]), area])
-            start = np.zeros(rates.shape[1])
-        else:
-            start = self._summed_rate[-1]
+        rates = np.vstack([rate_rps[:1] if first else self._rate.all[-1:], rate_rps])
+        area = 0.5 * (rates[1:] + rates[:-1]) * (step_ns * 1e-9)[:, None]
+        start = np.zeros((1, rates.shape[1])) if first else self._summed.all[-1:]
         summed = np.cumsum(np.vstack([start, area]), axis=0)[1:]
         drift = self._unwrapped(angle_rad, summed) - summed
-        s = (t_ns - (self._t[0] if len(self._t) else t_ns[0])) * 1e-9
+        s = (t_ns - (t_ns[0] if first else self._times.all[0])) * 1e-9
         terms = np.column_stack([s, s * s, drift, s[:, None] * drift])
-        self._sums = np.vstack([self._sums, np.cumsum(np.vstack([self._sums[-1], terms]), axis=0)[1:]])
-        self._t = np.concatenate([self._t, t_ns])
-        self._angle = np.vstack([self._angle, drift + summed])
-        self._rate = np.vstack([self._rate, rate_rps])
-        self._summed_rate = np.vstack([self._summed_rate, summed])
-        final = int(np.searchsorted(self._t, self._t[-1] - ANCHOR_HALF_WINDOW_NS, side="right"))
-        self._refine_up_to(final)
+        self._sums.append(np.cumsum(np.vstack([self._sums.all[-1:], terms]), axis=0)[1:])
+        self._times.append(t_ns)
+        self._angle.append(drift + summed)
+        self._rate.append(rate_rps)
+        self._summed.append(summed)
+        latest = int(self._times.all[-1]) - ANCHOR_HALF_WINDOW_NS
+        self._refine_up_to(int(np.searchsorted(self._times.all, latest, side="right")))
 
     def finish(self) -> None:
         """Make the last second final too, with windows that end with the readings."""
-        self._refine_up_to(len(self._t))
+        self._refine_up_to(len(self._times))
 
     @property
     def final_until_ns(self) -> int:
         """Latest instant at which ``at`` may be asked; before the first reading when there is none yet."""
         n = len(self._refined)
-        return int(self._t[n - 1]) if n else -(2**62)
+        return int(self._times.all[n - 1]) if n else -(2**62)
 
     @property
     def starts_ns(self) -> int:
         """Instant of the first reading."""
-        return int(self._t[0]) if len(self._t) else 2**62
+        return int(self._times.all[0]) if len(self._times) else 2**62
 
     def at(self, t_ns: Stamps) -> Floats:
         """Return the body rate (rows, 3) in rad/s at instants between the first and the last final reading."""
         n = len(self._refined)
-        # Search near the newest rows only: a live filter asks for the end of a long run.
-        first = max(int(np.searchsorted(self._t[:n], t_ns[0], side="right")) - 1, 0)
-        last = min(int(np.searchsorted(self._t[:n], t_ns[-1], side="left")) + 1, n)
-        known = self._t[first:last]
+        times = self._times.all[:n]
+        first = max(int(np.searchsorted(times, t_ns[0], side="right")) - 1, 0)
+        last = min(int(np.searchsorted(times, t_ns[-1], side="left")) + 1, n)
+        known = times[first:last]
         origin = int(known[0])
         at_s, known_s = (t_ns - origin) * 1e-9, (known - origin) * 1e-9
         columns = range(len(self._gimbals))
-        angle = np.column_stack([np.interp(at_s, known_s, self._angle[first:last, c]) for c in columns])
-        rate = np.column_stack([np.interp(at_s, known_s, self._refined[first:last, c]) for c in columns])
+        angle = np.column_stack([np.interp(at_s, known_s, self._angle.all[first:last, c]) for c in columns])
+        rate = np.column_stack([np.interp(at_s, known_s, self._refined.all[first:last, c]) for c in columns])
         return body_rate(angle, rate, self._gimbals, self._site)
 
     def _unwrapped(self, angle_rad: Floats, summed: Floats) -> Floats:
         """Return angles without whole-turn jumps: the summed rate says which turn it is."""
-        previous = self._angle[-1] - self._summed_rate[-1] if len(self._t) else angle_rad[0] - summed[0]
+        known = len(self._times) > 0
+        previous = self._angle.all[-1] - self._summed.all[-1] if known else angle_rad[0] - summed[0]
         drift = np.vstack([previous, angle_rad - summed])
         jumps = np.round(np.diff(drift, axis=0) / (2 * np.pi))
         return np.asarray(angle_rad - 2 * np.pi * np.cumsum(jumps, axis=0))
@@ -147,20 +167,23 @@ class BodyRates:
         start = len(self._refined)
         if stop <= start:
             return
-        t = self._t[start:stop]
-        low = np.searchsorted(self._t, t - ANCHOR_HALF_WINDOW_NS, side="left")
-        high = np.searchsorted(self._t, t + ANCHOR_HALF_WINDOW_NS, side="right")
-        window = self._sums[high] - self._sums[low]
+        times, sums = self._times.all, self._sums.all
+        low = np.searchsorted(times, times[start:stop] - ANCHOR_HALF_WINDOW_NS, side="left")
+        high = np.searchsorted(times, times[start:stop] + ANCHOR_HALF_WINDOW_NS, side="right")
+        window = sums[high] - sums[low]
         count = (high - low).astype(np.float64)[:, None]
         n = len(self._gimbals)
         s, ss, d, sd = window[:, :1], window[:, 1:2], window[:, 2 : 2 + n], window[:, 2 + n :]
         spread = ss - s * s / count
         slope = np.where(count >= 5, (sd - s * d / count) / np.where(spread > 0, spread, np.inf), 0.0)
-        self._refined = np.vstack([self._refined, self._rate[start:stop] + slope])
+        self._refined.append(self._rate.all[start:stop] + slope)
 
 
 def rates_from_attitude(readings: AttitudeReadings) -> RateReadings:
-    """Return mean body rates between successive attitudes, stamped in the middle; NaN beside a lost one."""
+    """Return mean body rates (k - 1, 3) between successive attitudes, stamped in the middle.
+
+    NaN beside a lost attitude, and over a gap of more than three usual steps: what happened there is not known.
+    """
     q = readings.attitude_wxyz
     w0, v0, w1, v1 = q[:-1, :1], q[:-1, 1:], q[1:, :1], q[1:, 1:]
     scalar = w0 * w1 + np.sum(v0 * v1, axis=1, keepdims=True)
@@ -170,4 +193,5 @@ def rates_from_attitude(readings: AttitudeReadings) -> RateReadings:
     angle = 2 * np.arctan2(length, sign * scalar)
     turn = sign * vector * np.where(length > 1e-12, angle / np.where(length > 1e-12, length, 1.0), 2.0)
     step_s = np.diff(readings.t_ns)[:, None] * 1e-9
+    step_s = np.where(step_s > 3 * np.median(step_s), np.nan, step_s)
     return RateReadings((readings.t_ns[:-1] + np.diff(readings.t_ns) // 2), turn / step_s)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +24,10 @@ class CanNodes:
         dbc: Path,
         signals: Sequence[tuple[str, str | None]],
         rate_hz: float,
-        on_sent: Callable[[], None] = lambda: None,
     ) -> None:
-        """``signals`` names rate and temperature of each gyro; ``on_sent`` is called when a bus has no interrupt."""
+        """``signals`` names rate and temperature of each gyro."""
         database: Any = cantools.database.load_file(dbc)
-        self._gyros, self._bus, self._on_sent = gyros, bus, on_sent
+        self._gyros, self._bus = gyros, bus
         self._period_s = 1 / rate_hz
         self._rates = [_signal(database, rate) for rate, _ in signals]
         self._temperatures = [_signal(database, t) for _, t in signals if t is not None]
@@ -49,7 +48,6 @@ class CanNodes:
             if count % every == 0:
                 for message, signal in self._temperatures:
                     self._send(message, signal, self._gyros.temperature_c(at))
-            self._on_sent()
 
     def _send(self, message: Any, signal: str, value: float) -> None:
         field = message.get_signal_by_name(signal)

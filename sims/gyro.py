@@ -13,6 +13,7 @@ from sims.geometry import Mounting
 
 Floats = NDArray[np.float64]
 
+_AHEAD_S = 0.1  # bias instability moves in steps of this, a tenth of its shortest time
 _CORRELATION_TIMES_S = np.array([1.0, 10.0, 100.0, 1000.0])
 # A decade-spaced sum of Gauss-Markov processes of equal variance s^2 has a flat Allan deviation of 0.775 s;
 # bias instability B is the one whose floor is 0.664 B (IEEE Std 952, Annex C).
@@ -51,18 +52,39 @@ class GyroArray:
         self._wander = self._random.standard_normal((len(_CORRELATION_TIMES_S), m))
         self._period_s = 1 / rate_hz
         self._decays: dict[int, tuple[Floats, Floats]] = {}
+        self._per_call = 0
+        self._revision = -1
+        self._ahead_t, self._ahead, self._ahead_noise = np.empty(0), np.empty((0, m)), np.empty((0, m))
 
     def sample(self, t_s: Floats) -> Floats:
-        """Return the outputs (n, m) in rad/s at n successive sampling instants.
+        """Return the outputs (n, m) in rad/s at n successive sampling instants, the first of which is now.
 
-        Bias instability moves once a call, so calls should be a hundredth of its shortest time apart or less.
+        The instants to come are worked out ahead; when the table has been told to do something else in the
+        meantime, the true part of what is left is worked out anew. The noise of an instant stays what it was.
         """
         n = len(t_s)
-        keep, push = self._decay(n)
+        if n != self._per_call or not len(self._ahead):
+            self._look_ahead(t_s)
+        elif self._body.revision != self._revision:
+            self._work_out(self._ahead_t)
+        out = self._ahead[:n] - self._ahead_noise[:n]
+        self._ahead, self._ahead_noise, self._ahead_t = self._ahead[n:], self._ahead_noise[n:], self._ahead_t[n:]
+        return np.asarray(out)
+
+    def _look_ahead(self, t_s: Floats) -> None:
+        n = self._per_call = len(t_s)
+        calls = max(round(_AHEAD_S / (n * self._period_s)), 1)
+        self._ahead_t = (t_s + n * self._period_s * np.arange(calls)[:, None]).ravel()
+        rows, m = len(self._ahead_t), len(self._truth.k)
+        keep, push = self._decay(rows)
         self._wander = keep * self._wander + push * self._random.standard_normal(self._wander.shape)
-        bias = self._truth.b_rps + self._wander_rps * self._wander.sum(axis=0)
-        noise = self._white_rps * self._random.standard_normal((n, len(bias)))
-        return np.asarray(self._body.rate_rps(t_s) @ self._sensitivity.T - bias - noise)
+        wander = self._wander_rps * self._wander.sum(axis=0)
+        self._ahead_noise = wander + self._white_rps * self._random.standard_normal((rows, m))
+        self._work_out(self._ahead_t)
+
+    def _work_out(self, t_s: Floats) -> None:
+        self._ahead = self._body.rate_rps(t_s) @ self._sensitivity.T - self._truth.b_rps
+        self._revision = self._body.revision
 
     def _decay(self, samples: int) -> tuple[Floats, Floats]:
         """Return what the wander keeps over this many samples, and what is added to it."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_KEEP_SEGMENTS = 64
+_KEEP_SEGMENTS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +37,7 @@ class AxisMotion:
         self.max_acceleration_rps2 = max_acceleration_rps2
         self._segments = [_Segment(-math.inf, angle_rad, 0.0, 0.0)]
         self._ends_s = -math.inf
+        self.revision = 0
 
     def at(self, t_s: float) -> tuple[float, float]:
         """Return angle and rate at one instant, not before the segments that are kept."""
@@ -47,14 +48,15 @@ class AxisMotion:
         return first.angle_rad, first.rate_rps
 
     def angles(self, t_s: Floats) -> Floats:
-        """Return the angle at each instant (n,)."""
-        last = self._segments[-1]
-        if t_s[0] >= last.t_s and last.rate_rps == 0.0 and last.acceleration_rps2 == 0.0:
-            return np.full(len(t_s), last.angle_rad)
-        if t_s[0] >= last.t_s:
-            dt = t_s - last.t_s
-            return np.asarray(last.angle_rad + dt * (last.rate_rps + 0.5 * last.acceleration_rps2 * dt))
-        return np.array([self.at(float(t))[0] for t in t_s])
+        """Return the angle at each instant (n,), in ascending order or not."""
+        out = np.full(len(t_s), self._segments[0].angle_rad)
+        for segment, following in zip(self._segments, [*self._segments[1:], None], strict=True):
+            if segment.t_s == -math.inf or (following is not None and following.t_s <= t_s.min()):
+                continue
+            dt = t_s - segment.t_s
+            angle = segment.angle_rad + dt * (segment.rate_rps + 0.5 * segment.acceleration_rps2 * dt)
+            out = np.where(dt >= 0, angle, out)
+        return np.asarray(out)
 
     def settled(self, t_s: float) -> bool:
         """Return whether the last command has been carried out."""
@@ -109,6 +111,7 @@ class AxisMotion:
 
     def _start(self, t_s: float) -> None:
         """Forget what was to come, keep what has been."""
+        self.revision += 1
         past = [s for s in self._segments if s.t_s <= t_s]
         self._segments = past[-_KEEP_SEGMENTS:]
 

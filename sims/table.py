@@ -44,6 +44,10 @@ class TableModel:
         motion = self.motion.get(axis)
         return np.zeros(len(t_s)) if motion is None else motion.angles(t_s)
 
+    def revision(self) -> int:
+        """Return a number that changes whenever an axis has been told something."""
+        return sum(motion.revision for motion in self.motion.values())
+
     def encoder_turns(self, axis: str) -> float:
         """Return what the encoder reads now, a whole number of counts, in turns."""
         counts = self.data[axis].counts_per_turn

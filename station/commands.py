@@ -42,7 +42,7 @@ def command_run(arguments: argparse.Namespace) -> int:
         path = Path(arguments.output) if arguments.output else _new_recording_path()
         loop_factory = VirtualLoop if virtual else partial(ScaledLoop, scale)
         with asyncio.Runner(loop_factory=loop_factory) as runner:
-            result = runner.run(_run(bench, script, path, virtual, scale, arguments.reset_fault, quiet=arguments.json))
+            result = runner.run(_run(bench, script, path, scale, arguments.reset_fault, quiet=arguments.json))
     except (UsageError, EstimatorError) as error:
         return _refuse(str(error), arguments.json)
     except DeviceError as error:
@@ -124,20 +124,18 @@ def command_import(arguments: argparse.Namespace) -> int:
     except EstimatorError as error:
         return _refuse(str(error), arguments.json)
     samples = {name: len(data.t_ns) for name, data in imported.recording.sources.items()}
-    refused = [{"file": r.file, "reason": r.reason} for r in imported.refused]
+    refused = [{"name": r.name, "reason": r.reason} for r in imported.refused]
     if arguments.json:
         print(json.dumps({"recording": str(output), "samples": samples, "refused": refused}))
     else:
         for entry in refused:
-            print(f"refused {entry['file']}: {entry['reason']}", file=sys.stderr)
+            print(f"refused {entry['name']}: {entry['reason']}", file=sys.stderr)
         print(f"{output}: {', '.join(f'{n} samples of {name}' for name, n in samples.items())}")
     return 0
 
 
-async def _run(
-    bench: Bench, script: Script, path: Path, virtual: bool, scale: float, reset_fault: bool, *, quiet: bool
-) -> Result:
-    async with open_bench(bench, time_scale=scale, virtual=virtual) as opened:
+async def _run(bench: Bench, script: Script, path: Path, scale: float, reset_fault: bool, *, quiet: bool) -> Result:
+    async with open_bench(bench, time_scale=scale) as opened:
         with Progress(quiet) as progress:
             session = Session(
                 opened,

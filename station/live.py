@@ -18,7 +18,8 @@ from estimator.reference import BodyRates
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
-_KEEP_EVERY = 10  # states are kept every so many-th block
+_KEEP_EVERY = 5  # states are kept every so many-th block
+_ROWS_AT_ONCE = 5  # table readings are taken in by handfuls: a quarter of a second at 20 Hz
 
 
 @dataclass(slots=True, eq=False)
@@ -47,15 +48,15 @@ class LiveSource:
         self._rows = max(round(BLOCK_S * rate_hz), 1)
         self._t: Stamps = np.empty(0, dtype=np.int64)
         self._y: Floats = np.empty((0, len(array)))
+        self._new: list[ImuBlock] = []
 
     def add(self, block: ImuBlock) -> None:
-        """Take in samples; those that the device calls invalid (NaN) are left out."""
-        good = np.isfinite(block.rate_rps).all(axis=1)
-        self._t = np.concatenate([self._t, block.t_ns[good]])
-        self._y = np.vstack([self._y, block.rate_rps[good]])
+        """Take in samples."""
+        self._new.append(block)
 
     def advance(self, rates: BodyRates, *, everything: bool = False) -> None:
         """Use the samples that the table's readings cover, in whole blocks, at the end also the last part."""
+        self._take_new()
         early = int(np.searchsorted(self._t, rates.starts_ns, side="left"))
         ready = int(np.searchsorted(self._t, rates.final_until_ns, side="right"))
         start = early
@@ -71,6 +72,17 @@ class LiveSource:
         x, p = self.filter.state()
         pairs = [decode(xi, pi) for xi, pi in zip(x, p, strict=True)]
         return np.array([s for s, _ in pairs]), np.array([np.sqrt(np.diag(c)) for _, c in pairs])
+
+    def _take_new(self) -> None:
+        """Join what has come; samples that the device calls invalid (NaN) are left out."""
+        if not self._new:
+            return
+        t_ns = np.concatenate([block.t_ns for block in self._new])
+        rate = np.vstack([block.rate_rps for block in self._new])
+        self._new.clear()
+        good = np.isfinite(rate).all(axis=1)
+        self._t = np.concatenate([self._t, t_ns[good]])
+        self._y = np.vstack([self._y, rate[good]])
 
     def _update(self, w: Floats, start: int, stop: int) -> None:
         innovation = self.filter.update(w, self._y[start:stop])
@@ -93,18 +105,28 @@ class LiveEstimate:
         """Start without sources."""
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
+        self._rows: list[tuple[int, Floats, Floats]] = []
 
     def add_row(self, t_ns: int, angle_rad: Floats, rate_rps: Floats) -> None:
-        """Take in one row of table readings and use the samples it covers."""
-        self.rates.add(np.array([t_ns], dtype=np.int64), angle_rad[None], rate_rps[None])
-        for source in self.sources.values():
-            source.advance(self.rates)
+        """Take in one row of table readings; now and then use the samples that they cover."""
+        self._rows.append((t_ns, angle_rad, rate_rps))
+        if len(self._rows) >= _ROWS_AT_ONCE:
+            self._take_rows()
+            for source in self.sources.values():
+                source.advance(self.rates)
 
     def finish(self) -> None:
         """Use what is left."""
+        self._take_rows()
         self.rates.finish()
         for source in self.sources.values():
             source.advance(self.rates, everything=True)
+
+    def _take_rows(self) -> None:
+        if self._rows:
+            t_ns, angle, rate = zip(*self._rows, strict=True)
+            self.rates.add(np.array(t_ns, dtype=np.int64), np.array(angle), np.array(rate))
+            self._rows.clear()
 
     @property
     def nis_mean(self) -> float:

@@ -23,6 +23,7 @@ from pymodbus.transport import NULLMODEM_HOST
 from drivers.byte_links import MemoryLink, SerialLink, TcpLink
 from drivers.can_imu import BUILT_IN_DBC, CanChannel, CanImu
 from drivers.can_link import CanLink
+from drivers.can_memory import MemoryBus
 from drivers.errors import DeviceError
 from drivers.modbus_table import DriveAxis, ModbusTable
 from drivers.seams import ByteLink, ImuSource, Turntable
@@ -85,11 +86,11 @@ def needs_only_memory(bench: Bench) -> bool:
 
 
 @asynccontextmanager
-async def open_bench(bench: Bench, *, time_scale: float = 1.0, virtual: bool = False) -> AsyncIterator[OpenBench]:
+async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[OpenBench]:
     """Build links, twins and drivers; all twins end with the context.
 
     ``time_scale`` is how fast the loop's clock runs: what waits for a host, not for physics, is stretched by
-    it. ``virtual`` promises a loop without threads and sockets.
+    it.
     """
     used = [imu for imu in bench.imus if imu.used]
     if not used:
@@ -108,12 +109,12 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0, virtual: bool = F
         )
         imus = []
         for imu in used:
-            source = _can_imu(imu, twins, virtual) if imu.protocol == "can" else _stim300(imu, twins)
+            source = _can_imu(imu, twins) if imu.protocol == "can" else _stim300(imu, twins)
             imus.append(OpenImu(imu, source))
         yield OpenBench(bench, table, tuple(imus))
 
 
-def _can_imu(imu: ImuConfig, twins: _Twins, virtual: bool) -> ImuSource:
+def _can_imu(imu: ImuConfig, twins: _Twins) -> ImuSource:
     channels = tuple(
         CanChannel(name, rate, temperature)
         for name, (rate, temperature) in zip(imu.array.names, imu.signals, strict=True)
@@ -121,13 +122,11 @@ def _can_imu(imu: ImuConfig, twins: _Twins, virtual: bool) -> ImuSource:
     dbc = imu.dbc or BUILT_IN_DBC
     if imu.link == TWIN:
         channel = f"wire{next(_wires)}"
-        link = CanLink(imu.name, "virtual", channel, {}, polled=True)
-        twins.serve_can(imu, can.Bus(interface="virtual", channel=channel), link.interrupt)
+        link = CanLink(imu.name, "memory", channel, {})
+        twins.serve_can(imu, MemoryBus(channel))
     else:
         interface, channel, options = _can_address(imu)
-        link = CanLink(imu.name, interface, channel, options, polled=False)
-    if virtual and imu.link != TWIN:
-        raise BenchError(f"{imu.name}: virtual time is for twins only")
+        link = CanLink(imu.name, interface, channel, options)
     return CanImu(imu.name, link, dbc, channels, imu.rate_hz)
 
 
@@ -191,7 +190,7 @@ class _Twins:
         self.table = TableModel(axes, loop.time)
         site = bench.site
         latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
-        self._body = Body(bench.table.gimbals, self.table.angles, latitude, heading)
+        self._body = Body(bench.table.gimbals, self.table.angles, self.table.revision, latitude, heading)
         self._truths = {imu.name: _truth(bench, imu) for imu in bench.imus}
         self._read_faults(bench.twin.truths)
         bench.twin.truths.done()
@@ -218,9 +217,9 @@ class _Twins:
             _mounting(imu), self._truths[imu.name], self._body, imu.rate_hz, (self._bench.twin.seed, index)
         )
 
-    def serve_can(self, imu: ImuConfig, bus: can.BusABC, on_sent: Callable[[], None] = lambda: None) -> None:
+    def serve_can(self, imu: ImuConfig, bus: can.BusABC) -> None:
         self._stack.callback(bus.shutdown)
-        nodes = CanNodes(self.gyros(imu), bus, imu.dbc or BUILT_IN_DBC, imu.signals, imu.rate_hz, on_sent)
+        nodes = CanNodes(self.gyros(imu), bus, imu.dbc or BUILT_IN_DBC, imu.signals, imu.rate_hz)
         self._run(nodes.serve())
 
     def serve_stim300(self, imu: ImuConfig, write: Callable[[bytes], None]) -> None:

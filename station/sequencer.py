@@ -27,6 +27,12 @@ class Sequencer:
         self._step_began_s = 0.0
 
     @property
+    def driven_axis(self) -> str | None:
+        """Axis that the step under way turns."""
+        step = self._script.steps[self._index]
+        return None if isinstance(step, Rest) else step.axis
+
+    @property
     def label(self) -> str:
         """Label of the step under way."""
         return self._script.steps[self._index].label

@@ -144,14 +144,18 @@ class Session:
             self._phase = "homing"
             await table.home()
             await check_axes(table, axes)
-            services.append(
-                group.create_task(
-                    watch_table(table, axes, self._bench.table.poll_rate_hz, self._take_row, self._take_half_width)
-                )
+            sequencer = self._sequencer = Sequencer(table, self._script, self._end_step)
+            watch = watch_table(
+                table,
+                axes,
+                self._bench.table.poll_rate_hz,
+                lambda: sequencer.driven_axis,
+                self._take_row,
+                self._take_half_width,
             )
-            self._sequencer = Sequencer(table, self._script, self._end_step)
+            services.append(group.create_task(watch))
             self._event("script begins")
-            await self._sequencer.run()
+            await sequencer.run()
             self._phase = "finishing"
             for service in services:
                 service.cancel()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from drivers.seams import AxisState, Turntable
 Floats = NDArray[np.float64]
 
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
+
+_IDLE_EVERY = 4  # while an axis turns, another is looked at in every so many-th reading
 
 
 class Aligner:
@@ -57,22 +60,37 @@ async def watch_table(
     table: Turntable,
     axes: tuple[str, ...],
     rate_hz: float,
+    driven_axis: Callable[[], str | None],
     on_row: Callable[[tuple[int, Floats, Floats]], None],
     on_half_width: Callable[[int], None],
 ) -> None:
-    """Read until cancelled; DeviceFault when an axis goes to fault or leaves operation by itself."""
+    """Read until cancelled; DeviceFault when an axis goes to fault or leaves operation by itself.
+
+    An axis that is driven or turns is read every time, of the others one in turn: what stands still and has
+    not been told to move is still there, and a slow bus has its time for what turns.
+    """
     loop = asyncio.get_running_loop()
+    states = {axis: await table.read(axis) for axis in axes}
     aligner = Aligner(axes)
     period_s = 1 / rate_hz
     due_s = loop.time()
     count = 0
     try:
         while True:
-            states = {axis: await table.read(axis) for axis in axes}
+            busy = [a for a in axes if a == driven_axis() or states[a].rate_rps != 0.0]
+            in_turn = axes[count // _IDLE_EVERY % len(axes)]
+            if not busy or (count % _IDLE_EVERY == 0 and in_turn not in busy):
+                busy.append(in_turn)
+            for axis in busy:
+                states[axis] = await table.read(axis)
+                on_half_width(states[axis].half_width_ns)
+            now_ns = states[busy[0]].angle_t_ns
+            for axis in axes:
+                if axis not in busy:
+                    states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns)
             row = aligner.add(states)
             if row is not None:
                 on_row(row)
-            on_half_width(max(s.half_width_ns for s in states.values()))
             count += 1
             if count % _STATUS_EVERY == 0:
                 await check_axes(table, axes)
