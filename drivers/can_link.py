@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from typing import Any
 
 import can
@@ -10,6 +11,10 @@ import can
 from drivers.can_memory import MemoryBus
 from drivers.errors import LinkLost
 from drivers.seams import Frame
+
+# Interfaces whose stamps are the host's time of day, taken before the loop gets to see the frame.
+_STAMPED_BY_WALL_CLOCK = ("socketcan", "udp_multicast", "slcan")
+_OLDEST_S = 1.0
 
 
 class CanLink:
@@ -54,9 +59,18 @@ class CanLink:
         """Keep one frame, stamped now; error and remote frames carry no data."""
         if message.is_error_frame or message.is_remote_frame:
             return
-        now_ns = round(asyncio.get_running_loop().time() * 1e9)
-        self._frames.append(Frame(now_ns, message.arbitration_id, message.is_extended_id, bytes(message.data)))
+        loop = asyncio.get_running_loop()
+        arrival_s = loop.time() - self._age_s(message) * getattr(loop, "scale", 1.0)
+        self._frames.append(
+            Frame(round(arrival_s * 1e9), message.arbitration_id, message.is_extended_id, bytes(message.data))
+        )
         self._wake.set()
+
+    def _age_s(self, message: can.Message) -> float:
+        """Return how long ago a frame came in, by the wall's clock, where the driver or kernel stamps with it."""
+        if self._interface not in _STAMPED_BY_WALL_CLOCK:
+            return 0.0
+        return min(max(time.time() - message.timestamp, 0.0), _OLDEST_S)
 
     def end(self, reason: str) -> None:
         """Let the reader know that the bus is gone."""

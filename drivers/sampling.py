@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ _BUCKETS = 120  # two minutes of earliest arrivals
 _MIN_BUCKETS_FOR_DRIFT = 10
 _SLEW = 1e-3  # how fast the line may move: 1 ms a second
 _LATE_PERIODS = 2.0
+_LOSS_COST = 6.0  # in samples that came a period late: how much it takes to believe in a loss
+_REPEAT_COST = 4.0
 
 
 class HostFit:
@@ -62,12 +65,8 @@ class HostFit:
         host_s = device_s + self._offset_s + self._slope * (device_s - self._at_s)
         return np.asarray((self._origin_ns or 0) + np.round(host_s * 1e9), dtype=np.int64)
 
-    def lateness_s(self, device_s: float, arrival_ns: int) -> float:
-        """Return how much later than its time a sample came."""
-        return (arrival_ns - (self._origin_ns or 0)) * 1e-9 - device_s - self._line(device_s)
-
     def lateness_of(self, device_s: Floats, arrival_ns: Stamps) -> Floats:
-        """Return the same for many samples."""
+        """Return how much later than its time each sample came, in s."""
         line = self._offset_s + self._slope * (device_s - self._at_s)
         return np.asarray((arrival_ns - (self._origin_ns or 0)) * 1e-9 - device_s - line)
 
@@ -154,13 +153,17 @@ class CounterClock:
 class RegularClock:
     """Times of samples that carry no counter and are known to be taken regularly.
 
-    Samples are held back a little while: a lost sample shows only in that all later ones keep coming one
-    period late, and a doubled one in that they keep coming one period early; a late one is followed by others
-    that are in time. A repeat is dropped only where two neighbours are equal.
+    Samples are held back a little while, because only what follows tells a late sample from a lost one: after
+    a loss all later samples keep coming a period late, after a stall they catch up. A doubled sample shows in
+    that all later ones keep coming a period early; it is dropped where two neighbours are equal.
     """
 
     HOLD = 8
-    """How many samples are looked at before the first of them is given its time."""
+    """How many later samples there must be before one is given its time."""
+    PROOF = 32
+    """How many later samples must agree, in a steady rhythm, that one was lost or doubled."""
+    MOST = 256
+    """How many are held at the most, should the rhythm not come back."""
 
     def __init__(self, period_s: float, counts: SourceCounts) -> None:
         """Start empty, for samples that come every ``period_s`` on average."""
@@ -184,49 +187,72 @@ class RegularClock:
         """Return (t_ns, arrival_ns, value) of the samples that can be timed, or None while too few are held."""
         if not self._held or not (self.due or everything):
             return None
-        start = self._index_held()
-        take = len(start) if everything else len(start) - self.HOLD
+        index = self._index_held(certain=everything or len(self._held) >= self.MOST)
+        take = len(index) if everything else len(index) - self.HOLD
         if take <= 0:
             return None
         rows, self._held = self._held[:take], self._held[take:]
-        index = np.array(start[:take])
         arrival = np.array([row[0] for row in rows], dtype=np.int64)
-        device_s = np.asarray(index * self._period_s, dtype=np.float64)
+        device_s = np.asarray(index[:take] * self._period_s, dtype=np.float64)
         self._fit.add(device_s, arrival)
         t_ns = self._fit.time_ns(device_s)
+        last = int(index[take - 1])
         self._counts.samples += take
-        self._counts.lost += int(index[-1]) - self._next + 1 - take
+        self._counts.lost += last + 1 - self._next - take
         self._counts.late += int(np.sum((arrival - t_ns) * 1e-9 > max(_LATE_PERIODS * self._period_s, 0.05)))
-        self._next = int(index[-1]) + 1
-        self._last_raw = rows[-1][2]
+        self._next, self._last_raw = last + 1, rows[-1][2]
         return t_ns, arrival, np.array([row[1] for row in rows])
 
-    def _index_held(self) -> list[int]:
-        """Return the sample index of each held sample; drops repeats from the held ones."""
-        period = self._period_s
+    def _index_held(self, *, certain: bool) -> NDArray[np.int64]:
+        """Return the sample index of each held sample, as far as it is known; drops repeats from the held ones."""
         arrival = np.array([row[0] for row in self._held], dtype=np.int64)
+        index = self._next + np.arange(len(arrival))
+        device_s = np.asarray(index * self._period_s, dtype=np.float64)
         if not self._fit.known:
-            device_s = np.asarray(np.arange(len(self._held)) * period, dtype=np.float64)
             self._fit.add(device_s, arrival)
-        device_s = np.asarray((self._next + np.arange(len(arrival))) * period, dtype=np.float64)
-        if np.all(np.abs(self._fit.lateness_of(device_s, arrival)) < 0.5 * period):
-            return list(range(self._next, self._next + len(arrival)))  # all in time: nothing lost or doubled
-        index: list[int] = []
-        expected = self._next
-        i = 0
-        while i < len(self._held):
-            window = self._held[i : i + self.HOLD]
-            lag = min(self._fit.lateness_s((expected + n) * period, row[0]) / period for n, row in enumerate(window))
-            here = self._fit.lateness_s(expected * period, self._held[i][0]) / period
-            if lag > 0.6 and here > 0.6 and len(window) >= 3:
-                expected += round(lag)
-            elif lag < -0.6 and len(window) >= 3:
-                previous = self._held[i - 1][2] if i else self._last_raw
-                if self._held[i][2] == previous:
-                    del self._held[i]
-                    self._counts.repeated += 1
-                    continue
-            index.append(expected)
-            expected += 1
-            i += 1
-        return index
+        lag = self._fit.lateness_of(device_s, arrival) / self._period_s
+        if np.all((lag > -0.5) & (lag < 0.6)):
+            return index  # all in time: nothing lost or doubled
+        raws = [self._last_raw, *(row[2] for row in self._held)]
+        shift = _likeliest_shifts(lag, [now == before for before, now in pairwise(raws)])
+        events = np.flatnonzero(np.diff(shift, prepend=0))
+        if len(events) and not certain and not self._steady(lag - shift, int(events[-1])):
+            first = int(events[0])
+            return index[:first] if first > self.HOLD else index[:0]
+        repeats = np.flatnonzero(np.diff(shift, prepend=0) < 0)
+        for i in repeats[::-1]:
+            del self._held[i]
+        self._counts.repeated += len(repeats)
+        return np.delete(index + shift, repeats)
+
+    def _steady(self, lag: Floats, last_event: int) -> bool:
+        """Return whether the rhythm since has been steady: while a sender catches up, lag proves nothing."""
+        half = self.PROOF // 2
+        if len(lag) - last_event < self.PROOF:
+            return False
+        return bool(abs(lag[-half:].min() - lag[-self.PROOF : -half].min()) < 0.3)
+
+
+def _likeliest_shifts(lag: Floats, equal: list[bool]) -> NDArray[np.int64]:
+    """Return by how many samples each held sample is further on than if none had been lost or doubled before.
+
+    The cheapest path (Viterbi) through the shifts that the lags (in periods) suggest: coming early is all but
+    impossible, late is likely, a loss is rare, a doubled sample is rare and must equal its neighbour.
+    """
+    shifts = np.unique(np.concatenate([[0], np.round(lag), np.floor(lag), np.floor(lag) - 1])).astype(np.int64)
+    step = shifts[None, :] - shifts[:, None]  # from row to column
+    onward = np.where(step > 0, _LOSS_COST + 0.05 * step, np.where(step == 0, 0.0, np.inf))
+    onward_equal = np.where(step == -1, _REPEAT_COST, onward)
+    cost = np.where(shifts == 0, 0.0, np.inf)
+    came_from = np.empty((len(lag), len(shifts)), dtype=np.int64)
+    for i, (now, same) in enumerate(zip(lag, equal, strict=True)):
+        total = cost[:, None] + (onward_equal if same else onward)
+        came_from[i] = np.argmin(total, axis=0)
+        late = now - shifts
+        cost = total.min(axis=0) + 10 * np.maximum(-late - 0.3, 0) + np.clip(late, 0, 3)
+    path = np.empty(len(lag), dtype=np.int64)
+    state = int(np.argmin(cost))
+    for i in range(len(lag) - 1, -1, -1):
+        path[i] = state
+        state = int(came_from[i, state])
+    return shifts[path]

@@ -15,7 +15,7 @@ from estimator.kinematics import Site, body_rate, check_gimbals
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
-ANCHOR_HALF_WINDOW_NS = 1_000_000_000
+ANCHOR_HALF_WINDOW_NS = 3_000_000_000
 """Half of the window over which the angles correct the rates."""
 
 
@@ -85,10 +85,10 @@ class _Rows:
 class BodyRates:
     """Body rate at any instant from table readings that keep coming.
 
-    Rate readings give the shape between two readings, angle readings the truth over a second: a servo drive's
+    Rate readings give the shape between two readings, angle readings the truth over seconds: a servo drive's
     rate is rounded and may be off in scale, its encoder counts are not. Each rate is corrected by the slope,
-    within one second to each side, of what the angle says beyond the summed rate. A row is final once a
-    reading one second later is there; ``finish`` makes the rest final. Feeding row by row or all at once gives
+    within three seconds to each side, of what the angle says beyond the summed rate. A row is final once a
+    reading three seconds later is there; ``finish`` makes the rest final. Feeding row by row or all at once gives
     the same numbers, so the live filter and the batch estimate see the same regressors.
     """
 
@@ -127,7 +127,7 @@ class BodyRates:
         self._refine_up_to(int(np.searchsorted(self._times.all, latest, side="right")))
 
     def finish(self) -> None:
-        """Make the last second final too, with windows that end with the readings."""
+        """Make the last seconds final too, with windows that end with the readings."""
         self._refine_up_to(len(self._times))
 
     @property

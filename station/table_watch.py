@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import statistics
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -16,6 +18,10 @@ Floats = NDArray[np.float64]
 
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
 
+_SLOW = 1.5  # times the usual round trip: such a reading is left out, its instant is not known
+_ALWAYS_QUICK_NS = 1_000_000
+_SLOW = 1.5  # times the usual round trip: such a reading is left out, its instant is not known
+_ALWAYS_QUICK_NS = 1_000_000
 _IDLE_EVERY = 4  # while an axis turns, another is looked at in every so many-th reading
 
 
@@ -56,6 +62,17 @@ class Aligner:
         return at_ns, angles, rates
 
 
+class _Quick:
+    """Tells readings whose instant is known from those that took so long that it is not."""
+
+    def __init__(self) -> None:
+        self._recent: deque[int] = deque(maxlen=51)
+
+    def judge(self, half_width_ns: int) -> bool:
+        self._recent.append(half_width_ns)
+        return half_width_ns <= _SLOW * statistics.median(self._recent) + _ALWAYS_QUICK_NS
+
+
 async def watch_table(
     table: Turntable,
     axes: tuple[str, ...],
@@ -71,7 +88,7 @@ async def watch_table(
     """
     loop = asyncio.get_running_loop()
     states = {axis: await table.read(axis) for axis in axes}
-    aligner = Aligner(axes)
+    aligner, quick = Aligner(axes), _Quick()
     period_s = 1 / rate_hz
     due_s = loop.time()
     count = 0
@@ -81,16 +98,18 @@ async def watch_table(
             in_turn = axes[count // _IDLE_EVERY % len(axes)]
             if not busy or (count % _IDLE_EVERY == 0 and in_turn not in busy):
                 busy.append(in_turn)
-            for axis in busy:
-                states[axis] = await table.read(axis)
-                on_half_width(states[axis].half_width_ns)
-            now_ns = states[busy[0]].angle_t_ns
-            for axis in axes:
-                if axis not in busy:
-                    states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns)
-            row = aligner.add(states)
-            if row is not None:
-                on_row(row)
+            fresh = {axis: await table.read(axis) for axis in busy}
+            slowest_ns = max(state.half_width_ns for state in fresh.values())
+            if quick.judge(slowest_ns):
+                on_half_width(slowest_ns)
+                states.update(fresh)
+                now_ns = states[busy[0]].angle_t_ns
+                for axis in axes:
+                    if axis not in busy:
+                        states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns)
+                row = aligner.add(states)
+                if row is not None:
+                    on_row(row)
             count += 1
             if count % _STATUS_EVERY == 0:
                 await check_axes(table, axes)
