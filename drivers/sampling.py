@@ -173,6 +173,7 @@ class RegularClock:
         self._held: list[tuple[int, float, bytes]] = []  # arrival_ns, value, raw bytes
         self._next = 0
         self._last_raw = b""
+        self._look_again = 0
 
     def add(self, arrival_ns: int, value: float, raw: bytes) -> None:
         """Take in one sample; ``raw`` is what equal samples share."""
@@ -191,7 +192,7 @@ class RegularClock:
         take = len(index) if everything else len(index) - self.HOLD
         if take <= 0:
             return None
-        rows, self._held = self._held[:take], self._held[take:]
+        rows, self._held, self._look_again = self._held[:take], self._held[take:], 0
         arrival = np.array([row[0] for row in rows], dtype=np.int64)
         device_s = np.asarray(index[:take] * self._period_s, dtype=np.float64)
         self._fit.add(device_s, arrival)
@@ -211,8 +212,11 @@ class RegularClock:
         if not self._fit.known:
             self._fit.add(device_s, arrival)
         lag = self._fit.lateness_of(device_s, arrival) / self._period_s
-        if np.all((lag > -0.5) & (lag < 0.6)):
-            return index  # all in time: nothing lost or doubled
+        if lag.min() > -0.5 and lag[-self.HOLD :].min() < 0.6:
+            return index  # the last ones are in time, so nothing was lost or doubled before them
+        if not certain and len(self._held) < self._look_again:
+            return index[:0]
+        self._look_again = len(self._held) + self.HOLD  # the search below is dear
         raws = [self._last_raw, *(row[2] for row in self._held)]
         shift = _likeliest_shifts(lag, [now == before for before, now in pairwise(raws)])
         events = np.flatnonzero(np.diff(shift, prepend=0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +39,11 @@ class AxisMotion:
         self._segments = [_Segment(-math.inf, angle_rad, 0.0, 0.0)]
         self._ends_s = -math.inf
         self.revision = 0
+        self._keep = _KEEP_SEGMENTS
+
+    def keep_all(self) -> None:
+        """Remember every segment from now on, for a run that is looked at as a whole."""
+        self._keep = sys.maxsize
 
     def at(self, t_s: float) -> tuple[float, float]:
         """Return angle and rate at one instant, not before the segments that are kept."""
@@ -113,7 +119,7 @@ class AxisMotion:
         """Forget what was to come, keep what has been."""
         self.revision += 1
         past = [s for s in self._segments if s.t_s <= t_s]
-        self._segments = past[-_KEEP_SEGMENTS:]
+        self._segments = past[-self._keep :]
 
     def _acceleration(self, wanted_rps2: float) -> float:
         return min(abs(wanted_rps2) or self.max_acceleration_rps2, self.max_acceleration_rps2)

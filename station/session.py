@@ -32,6 +32,7 @@ from station.snapshot import Snapshot
 from station.table_watch import check_axes, watch_table
 
 _FLUSH_S = 0.25  # what a killed station loses, at most, beyond what was on its way
+_SYNC_S = 0.5
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
 _STOP_LIMIT_S = 15.0
@@ -213,12 +214,19 @@ class Session:
                 raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s")
 
     async def _keep_flushing(self) -> None:
+        """Hand rows to the operating system four times a second, and have it write them out twice a second.
+
+        A simulated run needs no protection from a power cut. An fsync holds up whoever writes to the file, so
+        it keeps to the host's time, however fast the loop's clock runs.
+        """
         loop = asyncio.get_running_loop()
+        sync_due_s = loop.time()
         while True:
             await asyncio.sleep(_FLUSH_S)
             self._writer.flush()
-            # A simulated run needs no protection from a power cut, and an fsync costs milliseconds.
-            if not is_virtual(loop) and (self._sync is None or self._sync.done()):
+            synced = self._sync is None or self._sync.done()
+            if not is_virtual(loop) and synced and loop.time() >= sync_due_s:
+                sync_due_s = loop.time() + _SYNC_S * self._time_scale
                 self._sync = loop.run_in_executor(None, os.fsync, self._writer.descriptor)
 
     async def _rest(self) -> str:

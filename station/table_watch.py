@@ -18,9 +18,11 @@ Floats = NDArray[np.float64]
 
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
 
-_SLOW = 1.5  # times the usual round trip: such a reading is left out, its instant is not known
+_QUICK, _SLOW = 1.5, 4.0  # times the usual round trip: read again beyond the first, leave out beyond the second
+_TRIES = 3
 _ALWAYS_QUICK_NS = 1_000_000
-_SLOW = 1.5  # times the usual round trip: such a reading is left out, its instant is not known
+_QUICK, _SLOW = 1.5, 4.0  # times the usual round trip: read again beyond the first, leave out beyond the second
+_TRIES = 3
 _ALWAYS_QUICK_NS = 1_000_000
 _IDLE_EVERY = 4  # while an axis turns, another is looked at in every so many-th reading
 
@@ -62,15 +64,22 @@ class Aligner:
         return at_ns, angles, rates
 
 
-class _Quick:
-    """Tells readings whose instant is known from those that took so long that it is not."""
+async def _read_quickly(table: Turntable, axes: list[str], usual_ns: deque[int]) -> dict[str, AxisState] | None:
+    """Read axes; again if the round trip was slow, and None if it stays so that the instant is not known."""
+    best: dict[str, AxisState] | None = None
+    for _ in range(_TRIES):
+        states = {axis: await table.read(axis) for axis in axes}
+        usual_ns.append(_slowest_ns(states))
+        if best is None or _slowest_ns(states) < _slowest_ns(best):
+            best = states
+        usual = statistics.median(usual_ns) + _ALWAYS_QUICK_NS
+        if _slowest_ns(best) <= _QUICK * usual:
+            return best
+    return best if best is not None and _slowest_ns(best) <= _SLOW * usual else None
 
-    def __init__(self) -> None:
-        self._recent: deque[int] = deque(maxlen=51)
 
-    def judge(self, half_width_ns: int) -> bool:
-        self._recent.append(half_width_ns)
-        return half_width_ns <= _SLOW * statistics.median(self._recent) + _ALWAYS_QUICK_NS
+def _slowest_ns(states: Mapping[str, AxisState]) -> int:
+    return max(state.half_width_ns for state in states.values())
 
 
 async def watch_table(
@@ -88,7 +97,8 @@ async def watch_table(
     """
     loop = asyncio.get_running_loop()
     states = {axis: await table.read(axis) for axis in axes}
-    aligner, quick = Aligner(axes), _Quick()
+    aligner = Aligner(axes)
+    usual_ns: deque[int] = deque(maxlen=51)
     period_s = 1 / rate_hz
     due_s = loop.time()
     count = 0
@@ -98,10 +108,9 @@ async def watch_table(
             in_turn = axes[count // _IDLE_EVERY % len(axes)]
             if not busy or (count % _IDLE_EVERY == 0 and in_turn not in busy):
                 busy.append(in_turn)
-            fresh = {axis: await table.read(axis) for axis in busy}
-            slowest_ns = max(state.half_width_ns for state in fresh.values())
-            if quick.judge(slowest_ns):
-                on_half_width(slowest_ns)
+            fresh = await _read_quickly(table, busy, usual_ns)
+            if fresh is not None:
+                on_half_width(_slowest_ns(fresh))
                 states.update(fresh)
                 now_ns = states[busy[0]].angle_t_ns
                 for axis in axes:
