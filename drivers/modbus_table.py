@@ -281,6 +281,8 @@ class ModbusTable:
         unit_id = self._axes[axis].unit_id
         if self._client is None or not self._client.connected:
             raise LinkLost(self._device, f"the connection to {self._address[0]}:{self._address[1]} is gone")
+        task = asyncio.current_task()
+        cancels = task.cancelling() if task else 0
         try:
             reply = await getattr(self._client, function)(register.address, device_id=unit_id, **arguments)
         except ModbusException as error:
@@ -289,6 +291,9 @@ class ModbusTable:
                 f"axis {axis} (unit id {unit_id}) does not answer within {2 * self._timeout_s:g} s, twice asked "
                 f"({_brief(error)})",
             ) from None
+        if task is not None and task.cancelling() > cancels:
+            # asyncio.wait_for of Python 3.11, within pymodbus, forgets a cancel that comes together with the reply.
+            raise asyncio.CancelledError
         if reply.isError():
             code = int(getattr(reply, "exception_code", 0))
             meaning = _EXCEPTIONS.get(code, "unknown exception")

@@ -240,8 +240,9 @@ def _imu(table: Table, folder: Path) -> ImuConfig:
 
 
 def _array(table: Table, device: str) -> tuple[str, SensorArray]:
+    explicit = table.has("p")
     try:
-        if table.has("p"):
+        if explicit:
             p, j, k = table.value("p"), table.value("j"), table.value("k")
             names = [f"gyro{i + 1}" for i in range(len(p) if isinstance(p, list) else 0)]
             return "explicit", sensor_array(p, j, k, names=names)
@@ -250,7 +251,7 @@ def _array(table: Table, device: str) -> tuple[str, SensorArray]:
             return kind, cone(table.integer("gyros"), table.quantity("half_angle", "angle"))
         return kind, {"triad": triad, "tetrahedron": tetrahedron, "dodecahedron": dodecahedron}[kind]()
     except GeometryError as error:
-        raise table.fail("p" if "explicit" in str(error) else "array", f"{device}: {error}") from None
+        raise table.fail("p" if explicit else "array", f"{device}: {error}") from None
 
 
 def _signals(table: Table, count: int) -> tuple[tuple[str, str | None], ...]:

@@ -7,6 +7,7 @@ import hashlib
 import importlib.metadata
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -73,9 +74,13 @@ class Session:
         self._sequencer: Sequencer | None = None
         self._last_seen_s: dict[str, float] = {}
         self._half_width_ns = 0
+        self._connected = False
         self._sync: asyncio.Future[Any] | None = None
         self._live = LiveEstimate(config.table.gimbals, config.site)
         self._writer = RecordingWriter(path, _attributes(bench, script, seed))
+        loop = asyncio.get_running_loop()
+        if not is_virtual(loop):  # a simulated clock has no place in the day
+            self._writer.set_attributes({"clock_zero_utc_s": time.time() - loop.time() / time_scale})
         self._writer.add_table(config.table.gimbals)
         for imu in bench.imus:
             self._add_sources(imu)
@@ -133,6 +138,7 @@ class Session:
         async with asyncio.TaskGroup() as group:
             services = [group.create_task(self._keep_flushing())]
             await table.open()
+            self._connected = True
             for imu in self._open.imus:
                 await imu.source.open()
                 services.append(group.create_task(self._acquire(imu)))
@@ -233,10 +239,11 @@ class Session:
         """Bring the table to rest; return what went wrong with that, in words."""
         table = self._open.table
         try:
-            async with asyncio.timeout(_STOP_LIMIT_S * self._time_scale):
-                await table.stop()
-                await table.disable()
-            self._event("table at rest")
+            if self._connected:
+                async with asyncio.timeout(_STOP_LIMIT_S * self._time_scale):
+                    await table.stop()
+                    await table.disable()
+                self._event("table at rest")
         except (DeviceError, TimeoutError) as error:
             reason = str(error) or "no answer in time"
             self._event(f"controlled stop not confirmed: {reason}")

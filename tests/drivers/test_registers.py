@@ -1,0 +1,195 @@
+"""Register maps: the Kinco profile against the maker's frames, and what is wrong with a bad profile."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymodbus.framer import FramerRTU
+from pymodbus.pdu import DecodePDU
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    WriteMultipleRegistersRequest,
+    WriteSingleRegisterRequest,
+)
+
+from drivers.registers import PROFILE_FOLDER, DriveProfile, ProfileError, Register, load_profile
+
+VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "modbus_cia402.json").read_text())["vectors"]
+COUNTS = 65536
+KINCO_TEXT = (PROFILE_FOLDER / "kinco.toml").read_text()
+
+
+def vectors(key: str) -> list[dict[str, Any]]:
+    return [v for v in VECTORS if v["transport"] == "rtu" and key in v["decoded"]]
+
+
+@pytest.fixture(scope="module")
+def kinco() -> DriveProfile:
+    return load_profile("kinco")
+
+
+def frame(request: Any) -> str:
+    return FramerRTU(DecodePDU(True)).buildFrame(request).hex()
+
+
+@pytest.mark.parametrize("vector", vectors("target_velocity_dps"), ids=lambda v: v["decoded"]["raw"])
+def test_rates_are_the_words_of_the_vectors(kinco: DriveProfile, vector: dict[str, Any]) -> None:
+    raw = bytes.fromhex(vector["hex"])
+    words = list(struct.unpack(">2H", raw[7:11]))
+    turns_per_s = vector["decoded"]["target_velocity_dps"] / 360
+    register = kinco["target_rate"]
+    assert register.encode(turns_per_s, COUNTS) == words
+    lsb_dps = 360 / (60 * 512 / 1875 * COUNTS)
+    assert register.decode(words, COUNTS) * 360 == pytest.approx(turns_per_s * 360, abs=0.5 * lsb_dps)
+    written = WriteMultipleRegistersRequest(dev_id=1, address=register.address, registers=words)
+    assert frame(written) == vector["hex"]
+
+
+def test_a_position_is_counts_with_the_low_word_first(kinco: DriveProfile) -> None:
+    (vector,) = vectors("deg_at_65536_cpr")
+    words = list(struct.unpack(">2H", bytes.fromhex(vector["hex"])[3:7]))
+    assert words == [0xC000, 0xFFFF]
+    assert kinco["position"].decode(words, COUNTS) * 360 == vector["decoded"]["deg_at_65536_cpr"]
+    assert kinco["position"].encode(-0.25, COUNTS) == words
+
+
+@pytest.mark.parametrize(
+    ("rpm", "raw"), [(-100.0, bytes.fromhex("7EB1E4FF")), (200.0, bytes.fromhex("039D3600"))], ids=str
+)
+def test_speeds_are_the_manuals_bytes(kinco: DriveProfile, rpm: float, raw: bytes) -> None:
+    words = kinco["target_rate"].encode(rpm / 60, COUNTS)
+    assert struct.pack("<2H", *words) == raw
+
+
+def test_an_acceleration_is_the_manuals_bytes(kinco: DriveProfile) -> None:
+    assert struct.pack("<2H", *kinco["acceleration"].encode(100.0, COUNTS)) == bytes.fromhex("6EA30100")
+
+
+def test_a_stock_rtu_framer_sends_the_manuals_three_frames(kinco: DriveProfile) -> None:
+    manual = [v["hex"] for v in VECTORS if v["transport"] == "rtu" and v["kind"] == "manual example"]
+    control, rate = kinco["controlword"], kinco["target_rate"]
+    value = 546133 / (rate.scale or 1.0) / COUNTS
+    requests = [
+        ReadHoldingRegistersRequest(dev_id=1, address=kinco["statusword"].address, count=2),
+        WriteSingleRegisterRequest(
+            dev_id=1, address=control.address, registers=control.encode(kinco.commands["enable"], COUNTS)
+        ),
+        WriteMultipleRegistersRequest(dev_id=1, address=rate.address, registers=rate.encode(value, COUNTS)),
+    ]
+    assert [frame(request) for request in requests] == manual
+
+
+@pytest.mark.parametrize("vector", vectors("meaning"), ids=lambda v: v["decoded"]["meaning"])
+def test_the_derived_frames_are_those_of_the_profile(kinco: DriveProfile, vector: dict[str, Any]) -> None:
+    decoded = vector["decoded"]
+    by_address = {r.address: r for r in kinco.registers.values()}
+    register = by_address[int(decoded["addr"], 16)]
+    if "value" in decoded:
+        words = register.encode(decoded["value"], COUNTS)
+        assert frame(WriteSingleRegisterRequest(dev_id=1, address=register.address, registers=words)) == vector["hex"]
+    else:
+        read = ReadHoldingRegistersRequest(dev_id=1, address=register.address, count=register.words)
+        assert frame(read) == vector["hex"]
+
+
+@pytest.mark.parametrize(
+    ("command", "meaning"),
+    [
+        ("shutdown", "shutdown / ready"),
+        ("enable", "enable operation"),
+        ("fault_reset", "fault reset"),
+        ("move_arm", "abs position arm"),
+        ("move_go", "abs position go"),
+    ],
+)
+def test_commands_are_the_makers_controlwords(kinco: DriveProfile, command: str, meaning: str) -> None:
+    (value,) = [v["decoded"]["value"] for v in vectors("meaning") if v["decoded"]["meaning"] == meaning]
+    assert kinco.commands[command] == value
+
+
+@given(st.sampled_from(["i8", "u8", "u16", "i16", "i32", "u32"]), st.booleans(), st.data())
+def test_every_value_that_fits_comes_back(kind: str, low_word_first: bool, data: st.DataObject) -> None:
+    bits = int(kind[1:])
+    low = -(1 << (bits - 1)) if kind[0] == "i" else 0
+    raw = data.draw(st.integers(low, low + (1 << bits) - 1))
+    register = Register("r", 0, kind, low_word_first)
+    words = register.encode(raw, COUNTS)
+    assert len(words) == register.words
+    assert all(0 <= word <= 0xFFFF for word in words)
+    assert register.decode(words, COUNTS) == raw
+
+
+def test_the_word_order_is_a_matter_of_the_profile() -> None:
+    low, high = (Register("r", 0, "i32", order) for order in (True, False))
+    assert low.encode(0x00085555, COUNTS) == [0x5555, 0x0008]
+    assert high.encode(0x00085555, COUNTS) == [0x0008, 0x5555]
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [("u16", 65536), ("u16", -1), ("i16", 32768), ("i8", -129), ("u8", 256), ("i32", 1 << 31), ("u32", -1)],
+)
+def test_a_value_that_does_not_fit_is_refused_by_name(kind: str, value: int) -> None:
+    with pytest.raises(ValueError, match="some_register"):
+        Register("some_register", 0, kind, True).encode(value, COUNTS)
+
+
+def test_a_value_that_does_not_fit_after_scaling_is_refused(kinco: DriveProfile) -> None:
+    with pytest.raises(ValueError, match="target_rate"):
+        kinco["target_rate"].encode(2001.0, COUNTS)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_value_that_is_not_finite_is_refused(kinco: DriveProfile, value: float) -> None:
+    with pytest.raises(ValueError, match="target_rate|NaN|finite"):
+        kinco["target_rate"].encode(value, COUNTS)
+
+
+def written(folder: Path, text: str) -> str:
+    path = folder / "drive.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_a_profile_may_be_a_file_of_ones_own(tmp_path: Path, kinco: DriveProfile) -> None:
+    assert load_profile(written(tmp_path, KINCO_TEXT)) == kinco
+
+
+def test_an_unknown_profile_is_refused_with_those_known() -> None:
+    with pytest.raises(ProfileError, match="no drive profile acme: give one of .*kinco"):
+        load_profile("acme")
+
+
+def test_a_profile_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ProfileError, match=r"no drive profile .*absent\.toml"):
+        load_profile(str(tmp_path / "absent.toml"))
+
+
+@pytest.mark.parametrize(
+    ("find", "put", "complaint"),
+    [
+        ("statusword      =", "status_word     =", "lacks statusword"),
+        ("quick_stop  = 0x0B", "", "lacks quick_stop"),
+        ('type = "u16"', 'type = "u24"', "type 'u24'.*types are i8"),
+        ('unit = "turn/s2"', 'unit = "deg/s2"', "unit 'deg/s2'.*units turn"),
+        ('word_order = "little"', 'word_order = "middle"', "word_order|middle"),
+        ('word_order = "little"', "", "word_order"),
+        ("address = 0x3200, ", "", "lacks or misspells 'address'"),
+        ("address = 0x3200", 'address = "status"', "status"),
+        ("method = 34", 'method = "index"', "index|method"),
+        ('name = "Kinco FD/CD/JD"', "", "name"),
+        ("[registers]", "[registers", "cannot be read"),
+        ("[homing]", "[housing]", "homing"),
+    ],
+)
+def test_a_faulty_profile_is_refused_with_its_fault(tmp_path: Path, find: str, put: str, complaint: str) -> None:
+    assert find in KINCO_TEXT
+    with pytest.raises(ProfileError, match=complaint):
+        load_profile(written(tmp_path, KINCO_TEXT.replace(find, put)))

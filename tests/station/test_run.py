@@ -1,0 +1,276 @@
+"""The main job through the real client and server, python-can and the codecs, in virtual time."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from support import TABLE_1, command
+
+from station.bench import default_bench_text
+from station.cli import main
+
+KEYS = ("k", "b_rps", "sigma_j_rad", "sigma_k_rad")
+
+SHORT_SCRIPT = """
+name = "short"
+[[step]]
+kind = "rest"
+duration = "4 s"
+[[step]]
+kind = "rotate"
+axis = "x"
+rate = "40 deg/s"
+acceleration = "20 deg/s2"
+duration = "11 s"
+[[step]]
+kind = "rotate"
+axis = "y"
+rate = "-40 deg/s"
+acceleration = "20 deg/s2"
+duration = "11 s"
+[[step]]
+kind = "rotate"
+axis = "z"
+rate = "40 deg/s"
+acceleration = "20 deg/s2"
+duration = "11 s"
+[[step]]
+kind = "move"
+axis = "x"
+angle = "30 deg"
+rate = "20 deg/s"
+[[step]]
+kind = "rest"
+duration = "4 s"
+"""
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    path = tmp_path / "short.toml"
+    path.write_text(SHORT_SCRIPT)
+    return path
+
+
+def bench_file(folder: Path, *changes: tuple[str, str], end: str = "") -> Path:
+    """Return the default bench with some of its lines changed; limits on sigmas suit a short script."""
+    text = default_bench_text()
+    relaxed = [(f"sd_{name} = ", f"# sd_{name} = ") for name in ("scale_factor_error", "bias", "misalignment")]
+    for old, new in (*relaxed, *changes):
+        assert old in text, old
+        text = text.replace(old, new)
+    path = folder / "bench.toml"
+    path.write_text(text + end)
+    return path
+
+
+def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, dict[str, Any]]:
+    code = main(["run", "--json", *map(str, arguments)])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def events(path: Path) -> list[str]:
+    with h5py.File(path) as file:
+        return [text.decode() for text in file["events/text"][()]]
+
+
+def test_the_paper_script_passes_on_the_built_in_twins_and_finds_the_truth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, result = run_json(capsys, "-o", tmp_path / "run.h5", "--seed", "1")
+    assert code == 0
+    assert result["outcome"] == "PASS"
+    assert [gyro["name"] for gyro in result["gyros"]] == ["gyro1", "gyro2", "gyro3", "gyro4"]
+    errors = [(g[key] - t) / g["sd"][key] for g in result["gyros"] for key, t in zip(KEYS, TABLE_1, strict=True)]
+    assert np.abs(errors).max() < 4
+    assert 0.95 < result["nis_mean"] < 1.05
+    assert result["lost"] == 0
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert file["calibration"].attrs["live_batch_difference_sigma"] < 1e-6
+        last = file["table/angle_rad"][-1]
+        assert np.abs(last - 8 * np.pi).max() < 2 * np.pi / 65536  # four turns each, home to the count
+
+
+def test_the_same_bench_and_seed_give_the_same_bytes_and_another_seed_others(
+    tmp_path: Path, short: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = bench_file(tmp_path)
+
+    def contents(name: str, seed: int) -> dict[str, bytes]:
+        main(["run", "--bench", str(bench), "--script", str(short), "--seed", str(seed), "-o", str(tmp_path / name)])
+        found: dict[str, bytes] = {}
+        with h5py.File(tmp_path / name) as file:
+            file.visititems(lambda key, item: found.update({key: item[()].tobytes()} if hasattr(item, "shape") else {}))
+        return found
+
+    first, second, other = contents("a.h5", 5), contents("b.h5", 5), contents("c.h5", 6)
+    assert first == second
+    assert first["imu/gyro1/rate_rps"] != other["imu/gyro1/rate_rps"]
+    assert "PASS" in capsys.readouterr().out
+
+
+def test_a_stim300_and_the_array_ride_on_one_table(
+    tmp_path: Path, short: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = bench_file(tmp_path)
+    code, result = run_json(
+        capsys, "--bench", bench, "--script", short, "-o", tmp_path / "r.h5", "--device", "stim300", "--device", "array"
+    )
+    assert code == 0, result["reason"]
+    assert len(result["gyros"]) == 7
+    stim = {g["name"]: g for g in result["gyros"]}["x"]
+    assert abs(stim["k"] - 300e-6) < 4 * stim["sd"]["k"]
+
+
+def test_a_recording_calibrates_to_what_its_run_said(
+    tmp_path: Path, short: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "r.h5"
+    _, result = run_json(capsys, "--bench", bench_file(tmp_path), "--script", short, "-o", path)
+    assert main(["calibrate", str(path), "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["gyros"] == result["gyros"]
+    assert again["samples"] == result["samples"]
+
+
+def test_limits_decide_between_pass_and_fail_and_the_reason_names_the_limit(
+    tmp_path: Path, short: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = bench_file(tmp_path, ('scale_factor_error = "10000 ppm"', 'scale_factor_error = "3000 ppm"'))
+    code, result = run_json(capsys, "--bench", bench, "--script", short, "-o", tmp_path / "r.h5")
+    assert code == 1
+    assert result["outcome"] == "FAIL"
+    assert "gyro1 k" in result["reason"]
+    assert "3000 ppm" in result["reason"]
+
+
+def test_a_table_fault_in_mid_run_ends_at_rest_with_a_readable_file(
+    tmp_path: Path, short: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = bench_file(tmp_path, end='\n[twin.fault]\naxis = "y"\nat = "25 s"\n')
+    code, result = run_json(capsys, "--bench", bench, "--script", short, "-o", tmp_path / "r.h5")
+    assert code == 4
+    assert result["outcome"] == "FAULT"
+    assert "table" in result["reason"]
+    assert "axis y" in result["reason"]
+    assert events(tmp_path / "r.h5")[-1] == "table at rest"
+    with h5py.File(tmp_path / "r.h5") as file:
+        assert file.attrs["outcome"] == "FAULT"
+        assert file["imu/gyro1/t_ns"][-1] > 20e9
+
+
+def test_a_bench_with_lower_limits_refuses_the_script_before_motion(
+    tmp_path: Path, short: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = bench_file(tmp_path, ('max_rate = "100 deg/s"', 'max_rate = "30 deg/s"'))
+    code = main(["run", "--bench", str(bench), "--script", str(short), "-o", str(tmp_path / "r.h5")])
+    assert code == 2  # the station's own check comes first
+    assert "beyond axis x's limit" in capsys.readouterr().err
+    assert not (tmp_path / "r.h5").exists()
+
+
+def test_an_existing_recording_is_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "r.h5"
+    path.write_bytes(b"precious")
+    assert main(["run", "-o", str(path)]) == 2
+    assert "cannot create" in capsys.readouterr().err
+    assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line_of", "says"),
+    [
+        ("poll_rate =", "pol_rate =", "pol_rate =", "did you mean poll_rate?"),
+        ('timeout = "0.2 s"', 'timeout = "0.2 Hz"', "timeout =", "does not measure time"),
+        ('latitude = "45 deg"', "latitude = 45", "latitude =", "has no unit"),
+        ('array = "tetrahedron"', "p = [[1,0,0],[0,1,0],[1,0,0],[0,1,0]]", "p = [[", "rank < 3"),
+        ('array = "tetrahedron"', "p = [[1,0,0],[0,1,0],[0,0,2],[0,1,0]]", "p = [[", "length 2, not 1"),
+        ('profile = "kinco"', 'profile = "nobody"', "profile =", "no drive profile"),
+        ("seed = 0", "seed = -1", "seed =", "must not be negative"),
+        ('k = "5000 ppm"', 'k = ["1 ppm", "2 ppm"]', "k = [", "2 values for 4 gyros"),
+    ],
+)
+def test_a_wrong_bench_file_is_told_with_its_line_and_nothing_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, line_of: str, says: str
+) -> None:
+    bench = bench_file(tmp_path, (old, new))
+    lines = bench.read_text().splitlines()
+    number = next(i for i, line in enumerate(lines, 1) if line.startswith(line_of))
+    assert main(["run", "--bench", str(bench), "-o", str(tmp_path / "r.h5")]) == 2
+    said = capsys.readouterr().err
+    assert f"line {number}:" in said
+    assert says in said
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    ("step", "says"),
+    [
+        ('kind = "rotate"\naxis = "x"\nrate = "200 deg/s"\nduration = "40 s"', "beyond axis x's limit of 100 deg/s"),
+        ('kind = "rotate"\naxis = "x"\nrate = "20 deg/s"\nduration = "1 s"', "not enough for the two ramps"),
+        ('kind = "rotate"\naxis = "x"\nrate = "2 deg/s"\nacceleration = "80 deg/s2"\nduration = "9 s"', "50 deg/s2"),
+        ('kind = "rest"\nduration = "-3 s"', "give a time above zero"),
+        ('kind = "dance"', "'dance' is not one of rest, move, rotate"),
+        ('kind = "rest"\nduraton = "3 s"', "duration is missing"),
+    ],
+)
+def test_a_script_that_cannot_be_done_is_refused_before_motion(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], step: str, says: str
+) -> None:
+    script = tmp_path / "script.toml"
+    script.write_text(f"[[step]]\n{step}\n")
+    assert main(["run", "--script", str(script), "-o", str(tmp_path / "r.h5")]) == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "r.h5").exists()
+
+
+@pytest.mark.parametrize(
+    ("link", "code", "says"),
+    [
+        ("table=tcp://127.0.0.1:1", 4, "table: nothing answers at 127.0.0.1:1"),
+        ("table=serial:///dev/null", 2, "write tcp://host:port"),
+        ("array=can:nosuch:0", 4, "array: cannot open CAN bus"),
+        ("array=tcp://1.2.3.4:5", 2, "is no CAN link"),
+        ("stim300=serial:///dev/nosuch", 4, "stim300: cannot open serial port"),
+        ("nosuch=twin:", 2, "has no device 'nosuch'"),
+        ("nonsense", 2, "write DEVICE=URL"),
+    ],
+)
+def test_a_link_that_leads_nowhere_names_its_device(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], link: str, code: int, says: str
+) -> None:
+    assert main(["run", "--link", link, "-o", str(tmp_path / "r.h5"), "--json"]) == code
+    captured = capsys.readouterr()
+    result = json.loads(captured.out)
+    assert says in result["reason"]
+    assert result["outcome"] == ("FAULT" if code == 4 else None)
+
+
+def test_ctrl_c_in_mid_run_leaves_the_table_at_rest_and_a_readable_file(tmp_path: Path) -> None:
+    path = tmp_path / "r.h5"
+    run = subprocess.Popen(
+        command("run", "--json", "-o", path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 60
+    while not (path.exists() and path.stat().st_size > 1_000_000) and time.monotonic() < deadline:
+        assert run.poll() is None
+        time.sleep(0.05)  # another process: there is nothing to await
+    run.send_signal(signal.SIGINT)
+    out, err = run.communicate(timeout=30)
+    result = json.loads(out)
+    assert run.returncode == 3
+    assert result["outcome"] == "ABORTED"
+    assert "Ctrl-C" in result["reason"]
+    assert "Traceback" not in err
+    assert events(path)[-1] == "table at rest"
+    with h5py.File(path) as file:
+        assert file.attrs["outcome"] == "ABORTED"
+        assert len(file["imu/gyro1/t_ns"]) == len(file["imu/gyro1/rate_rps"])
