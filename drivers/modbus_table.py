@@ -34,6 +34,7 @@ _POLL_S = 0.02
 _STATE_LIMIT_S = 2.0
 _HOMING_RATE_RPS = math.radians(30.0)
 _HOMING_LIMIT_S = 60.0
+_STOP_LIMIT_S = 10.0
 _AT_REST_RPS = math.radians(0.02)
 
 _EXCEPTIONS = {
@@ -203,7 +204,7 @@ class ModbusTable:
                     await self._command(axis, "quick_stop")
             except (LinkLost, BadReply, DeviceRefused) as error:
                 failure = failure or error
-        deadline = asyncio.get_running_loop().time() + _HOMING_LIMIT_S
+        deadline = asyncio.get_running_loop().time() + _STOP_LIMIT_S
         for axis in self._axes:
             try:
                 while abs(await self._read(axis, "rate")) * TURN > _AT_REST_RPS:

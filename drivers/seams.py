@@ -71,7 +71,7 @@ class ImuBlock:
 
 @dataclass(slots=True)
 class SourceCounts:
-    """What a source lost, got twice, got late (over two periods after its time), or had to throw away."""
+    """What a source lost, got twice, got late (two periods and 50 ms after its time), or had to throw away."""
 
     samples: int = 0
     lost: int = 0

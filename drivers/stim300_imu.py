@@ -38,7 +38,7 @@ class Stim300Imu:
         return (self._device,)
 
     def counts(self, name: str) -> SourceCounts:
-        """Get the counts; ``corrupt`` are datagrams of a wrong CRC and runs of foreign bytes."""
+        """Get the counts; ``corrupt`` are places that began like a datagram and had a wrong CRC."""
         counts = self._clock.counts
         counts.corrupt = self._decoder.bad_datagrams
         return counts

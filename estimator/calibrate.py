@@ -159,7 +159,8 @@ def observations(recording: Recording, source: str) -> Iterator[Observations]:
             w = rates.at(t)
         else:
             w = np.column_stack([np.interp(t, reference.t_ns, reference.rate_rps[:, c]) for c in range(3)])
-        yield Observations(w, rate[start : start + chunk])
+        known = np.isfinite(w).all(axis=1)
+        yield Observations(w[known], rate[start : start + chunk][known])
 
 
 def sample_noise(data: ImuData) -> Floats:

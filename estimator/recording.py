@@ -37,7 +37,6 @@ UNITS = {
     "arrival_ns": "ns",
     "t_start_ns": "ns",
     "t_end_ns": "ns",
-    "half_width_ns": "ns",
     "angle_rad": "rad",
     "turn_rad": "rad",
     "sd_rad": "rad",
@@ -293,10 +292,14 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
     if len(array) != m:
         raise RecordingError(f"{where} has {m} channels but {len(array)} sense axes")
     optional = {
-        key: _column(where, group, key, 0, dtype)[: len(t_ns)]
+        key: _column(where, group, key, 0, dtype)
         for key, dtype in (("temperature_c", np.float64), ("accel_mps2", np.float64), ("counter", np.int64))
         if key in group
     }
+    if any(len(values) < len(t_ns) for values in optional.values()):  # cut in the same way
+        n = min(len(values) for values in optional.values())
+        t_ns, rate = t_ns[:n], rate[:n]
+    optional = {key: values[: len(t_ns)] for key, values in optional.items()}
     prior = Prior(*(float(v) for v in group.attrs["prior"])) if "prior" in group.attrs else Prior()
     return ImuData(array, t_ns, rate, lost=int(group.attrs.get("lost", 0)), prior=prior, **cast(Any, optional))
 

@@ -15,6 +15,10 @@ from estimator.kinematics import Site, body_rate, check_gimbals
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
+GAP_NS = 150_000_000
+GAP_ANGLE_RAD = float(np.radians(0.02))
+"""Readings further apart than the one that disagree by more than the other hide what happened between them."""
+
 ANCHOR_HALF_WINDOW_NS = 3_000_000_000
 """Half of the window over which the angles correct the rates."""
 
@@ -99,6 +103,7 @@ class BodyRates:
         n = len(self._gimbals)
         self._times = _Rows((), np.int64)
         self._angle, self._rate, self._summed, self._refined = (_Rows((n,)) for _ in range(4))
+        self._known = _Rows((), np.bool_)  # whether what happened since the reading before is known
         self._sums = _Rows((2 + 2 * n,))  # running sums of [s, s^2, d, s d] before each row
         self._sums.append(np.zeros((1, 2 + 2 * n)))
 
@@ -116,6 +121,9 @@ class BodyRates:
         start = np.zeros((1, rates.shape[1])) if first else self._summed.all[-1:]
         summed = np.cumsum(np.vstack([start, area]), axis=0)[1:]
         drift = self._unwrapped(angle_rad, summed) - summed
+        drift_before = drift[:1] if first else (self._angle.all[-1:] - self._summed.all[-1:])
+        unexplained = np.abs(np.diff(np.vstack([drift_before, drift]), axis=0)).max(axis=1)
+        self._known.append((step_ns <= GAP_NS) | (unexplained <= GAP_ANGLE_RAD))
         s = (t_ns - (t_ns[0] if first else self._times.all[0])) * 1e-9
         terms = np.column_stack([s, s * s, drift, s[:, None] * drift])
         self._sums.append(np.cumsum(np.vstack([self._sums.all[-1:], terms]), axis=0)[1:])
@@ -142,7 +150,10 @@ class BodyRates:
         return int(self._times.all[0]) if len(self._times) else 2**62
 
     def at(self, t_ns: Stamps) -> Floats:
-        """Return the body rate (rows, 3) in rad/s at instants between the first and the last final reading."""
+        """Return the body rate (rows, 3) in rad/s at instants between the first and the last final reading.
+
+        Rows are NaN where readings are far apart and disagree on what happened between them.
+        """
         n = len(self._refined)
         times = self._times.all[:n]
         first = max(int(np.searchsorted(times, t_ns[0], side="right")) - 1, 0)
@@ -153,7 +164,10 @@ class BodyRates:
         columns = range(len(self._gimbals))
         angle = np.column_stack([np.interp(at_s, known_s, self._angle.all[first:last, c]) for c in columns])
         rate = np.column_stack([np.interp(at_s, known_s, self._refined.all[first:last, c]) for c in columns])
-        return body_rate(angle, rate, self._gimbals, self._site)
+        w = body_rate(angle, rate, self._gimbals, self._site)
+        ends = np.searchsorted(times, t_ns, side="left")
+        w[~self._known.all[ends]] = np.nan
+        return w
 
     def _unwrapped(self, angle_rad: Floats, summed: Floats) -> Floats:
         """Return angles without whole-turn jumps: the summed rate says which turn it is."""

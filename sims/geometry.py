@@ -30,11 +30,6 @@ class Mounting:
     k: Floats
 
 
-def cone_mounts(n: int, half_angle_deg: float) -> list[tuple[float, float]]:
-    """Return mounting angles of n gyros on a cone about +z."""
-    return [(half_angle_deg, 360.0 * i / n) for i in range(n)]
-
-
 def mounted(angles_deg: Sequence[tuple[float, float]]) -> Mounting:
     """Return the axes of gyros whose own z axis was turned by the polar angle about y, then by the azimuth about z.
 

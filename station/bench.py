@@ -122,7 +122,7 @@ def load_bench(path: Path | None) -> Bench:
         name=top.string("name", path.stem if path else "bench"),
         text=text,
         site=_site(top),
-        table=_table(top.table("table")),
+        table=_table(top.table("table"), folder),
         imus=tuple(_imu(t, folder) for t in top.tables("imu")),
         limits=_limits(top.table("limits", optional=True)),
         twin=_twin(top.table("twin", optional=True)),
@@ -150,9 +150,10 @@ def _site(top: Table) -> Site | None:
     return site
 
 
-def _table(table: Table) -> TableConfig:
+def _table(table: Table, folder: Path) -> TableConfig:
     try:
-        profile = load_profile(table.string("profile", "kinco"))
+        name = table.string("profile", "kinco")
+        profile = load_profile(str(folder / name) if name.endswith(".toml") else name)
     except ProfileError as error:
         raise table.fail("profile", str(error)) from None
     gimbals = table.value("gimbals", ["z", "y", "x"])
@@ -197,6 +198,8 @@ def _axis(table: Table) -> AxisConfig:
 
 def _imu(table: Table, folder: Path) -> ImuConfig:
     name = table.string("name")
+    if name in ("table", "seed", "watchdog", "start", "fault"):
+        raise table.fail("name", f"{name!r} means something else on a bench: take another name")
     protocol = table.string("protocol", one_of=("can", "stim300"))
     array_name, array = _array(table, name)
     rate_hz = table.quantity("rate", "frequency")

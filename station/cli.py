@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-EXIT_USAGE = 2
+from station.errors import EXIT_ABORTED, EXIT_USAGE
 
 
 class _Parser(argparse.ArgumentParser):
@@ -18,10 +18,13 @@ class _Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code: 0 pass, 1 fail, 2 wrong usage, 3 aborted, 4 device fault."""
     arguments = _parser().parse_args(argv)
-    from station import commands  # the libraries behind the commands cost a second: --help does without
-
     try:
+        from station import commands  # the libraries behind the commands cost a second: --help does without
+
         return int(getattr(commands, f"command_{arguments.command}")(arguments))
+    except KeyboardInterrupt:
+        print("station: stopped by Ctrl-C before anything moved", file=sys.stderr)
+        return EXIT_ABORTED
     except BrokenPipeError:
         sys.stderr.close()
         return EXIT_USAGE
@@ -108,7 +111,7 @@ def _bench_options(parser: argparse.ArgumentParser) -> None:
 def _positive(text: str) -> float:
     value = float(text)
     if not 0 < value < 1e4:
-        raise argparse.ArgumentTypeError("must be above zero")
+        raise argparse.ArgumentTypeError("must be above 0 and below 10000")
     return value
 
 

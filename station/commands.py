@@ -20,15 +20,13 @@ from estimator.errors import EstimatorError
 from estimator.recording import Recording, read_recording, write_recording
 from estimator.results import write_calibration
 from station.bench import Bench, Limits, load_bench, read_limits
-from station.errors import UsageError
+from station.errors import EXIT_USAGE, UsageError
 from station.loops import ScaledLoop, VirtualLoop
 from station.open_bench import needs_only_memory, open_bench, serve_twins, with_links
 from station.outcome import Outcome, Verdict, judge
 from station.printing import Progress, print_calibration, print_verdict, result_object
 from station.script import Script, check, load_script, paper_script
 from station.session import Result, Session
-
-EXIT_USAGE = 2
 
 
 def command_run(arguments: argparse.Namespace) -> int:

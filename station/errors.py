@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+EXIT_USAGE = 2
+EXIT_ABORTED = 3
+
 
 class UsageError(Exception):
     """Wrong usage or unreadable input; the message says what to do."""

@@ -85,7 +85,10 @@ class LiveSource:
         self._y = np.vstack([self._y, rate[good]])
 
     def _update(self, w: Floats, start: int, stop: int) -> None:
-        innovation = self.filter.update(w, self._y[start:stop])
+        known = np.isfinite(w).all(axis=1)
+        if not known.any():
+            return
+        innovation = self.filter.update(w[known], self._y[start:stop][known])
         history, t_ns = self.history, int(self._t[stop - 1])
         history.t_ns.append(t_ns)
         history.nis.append(innovation.nis)

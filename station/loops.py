@@ -85,9 +85,3 @@ class _VirtualSelector(selectors.DefaultSelector):
 def is_virtual(loop: asyncio.AbstractEventLoop) -> bool:
     """Return whether this loop's clock jumps."""
     return isinstance(loop, VirtualLoop)
-
-
-def run(main: Callable[[], Any], loop_factory: Callable[[], asyncio.AbstractEventLoop]) -> Any:
-    """Run a coroutine function to its end on a new loop."""
-    with asyncio.Runner(loop_factory=loop_factory) as runner:
-        return runner.run(main())

@@ -109,7 +109,7 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
         )
         imus = []
         for imu in used:
-            source = _can_imu(imu, twins) if imu.protocol == "can" else _stim300(imu, twins)
+            source = _can_imu(imu, twins) if imu.protocol == "can" else _stim300(imu, twins, time_scale)
             imus.append(OpenImu(imu, source))
         yield OpenBench(bench, table, tuple(imus))
 
@@ -130,7 +130,7 @@ def _can_imu(imu: ImuConfig, twins: _Twins) -> ImuSource:
     return CanImu(imu.name, link, dbc, channels, imu.rate_hz)
 
 
-def _stim300(imu: ImuConfig, twins: _Twins) -> ImuSource:
+def _stim300(imu: ImuConfig, twins: _Twins, time_scale: float) -> ImuSource:
     link: ByteLink
     if imu.link == TWIN:
         near, far = MemoryLink.pair(imu.name)
@@ -144,7 +144,7 @@ def _stim300(imu: ImuConfig, twins: _Twins) -> ImuSource:
         link = SerialLink(imu.name, url.path, int(options.get("baud", ["921600"])[0]))
     else:
         host, port = _tcp(imu.link, imu.name, None)
-        link = TcpLink(imu.name, host, port, 2.0)
+        link = TcpLink(imu.name, host, port, 2.0 * time_scale)
     return Stim300Imu(imu.name, link, round(imu.rate_hz))
 
 
@@ -182,7 +182,8 @@ class _Twins:
     def __init__(self, bench: Bench, stack: AsyncExitStack) -> None:
         self._bench, self._stack = bench, stack
         loop = asyncio.get_running_loop()
-        start = bench.twin.truths.quantities("start", "angle", len(bench.table.gimbals), 0.0)
+        truths = bench.twin.truths.again()
+        start = truths.quantities("start", "angle", len(bench.table.gimbals), 0.0)
         axes = {
             name: AxisData(axis.limits.rate_rps, axis.limits.acceleration_rps2, axis.counts_per_turn, angle)
             for (name, axis), angle in zip(bench.table.axes.items(), start, strict=True)
@@ -191,9 +192,9 @@ class _Twins:
         site = bench.site
         latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
         self._body = Body(bench.table.gimbals, self.table.angles, self.table.revision, latitude, heading)
-        self._truths = {imu.name: _truth(bench, imu) for imu in bench.imus}
-        self._read_faults(bench.twin.truths)
-        bench.twin.truths.done()
+        self._truths = {imu.name: _truth(truths, imu) for imu in bench.imus}
+        self._read_faults(truths)
+        truths.done()
 
     async def serve_table_in_memory(self) -> tuple[str, int]:
         address = (NULLMODEM_HOST, next(_wires))
@@ -248,10 +249,10 @@ class _Twins:
         self._stack.callback(handle.cancel)
 
 
-def _truth(bench: Bench, imu: ImuConfig) -> GyroTruth:
+def _truth(truths: Table, imu: ImuConfig) -> GyroTruth:
     import numpy as np
 
-    table = bench.twin.truths.table(imu.name, optional=True)
+    table = truths.table(imu.name, optional=True)
     n = len(imu.array)
     truth = GyroTruth(
         k=np.array(table.quantities("k", "ratio", n, 0.0)),
@@ -269,8 +270,9 @@ def _truth(bench: Bench, imu: ImuConfig) -> GyroTruth:
 def _mounting(imu: ImuConfig) -> Mounting:
     if imu.array_name in MOUNTS_DEG:
         return mounted(MOUNTS_DEG[imu.array_name])
-    derived = along(imu.array.p.tolist())
-    return Mounting(imu.array.p, imu.array.j, imu.array.k) if imu.array_name == "explicit" else derived
+    # Explicit axes are what the bench file says, for the twin as for the estimator.
+    explicit = Mounting(imu.array.p, imu.array.j, imu.array.k)
+    return explicit if imu.array_name == "explicit" else along(imu.array.p.tolist())
 
 
 async def serve_twins(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import importlib.metadata
+import logging
 import os
 import signal
 import time
@@ -31,6 +32,8 @@ from station.script import Script
 from station.sequencer import Sequencer
 from station.snapshot import Snapshot
 from station.table_watch import check_axes, watch_table
+
+_log = logging.getLogger(__name__)
 
 _FLUSH_S = 0.25  # what a killed station loses, at most, beyond what was on its way
 _SYNC_S = 0.5
@@ -98,7 +101,7 @@ class Session:
             except DeviceError as error:
                 verdict = Verdict(Outcome.FAULT, str(error))
             except BaseExceptionGroup as group:
-                verdict = self._verdict_of(group)
+                verdict = _verdict_of(group)
             finally:
                 stop_error = await self._rest()
         if stop_error:
@@ -303,13 +306,6 @@ class Session:
             largest = max(largest, float(np.abs((x - batch.x) / sd).max()))
         return largest
 
-    def _verdict_of(self, group: BaseExceptionGroup[BaseException]) -> Verdict:
-        """Return the verdict for the first device error within a group; anything else is a defect and goes on."""
-        first = _first_device_error(group)
-        if first is None:
-            raise group
-        return Verdict(Outcome.FAULT, str(first))
-
     def _abort(self, name: str) -> None:
         if not self._reason:
             self._reason = f"stopped by {name} in phase {self._phase!r}"
@@ -325,12 +321,25 @@ class Session:
         return next(imu.config.name for imu in self._open.imus if source in imu.source.names)
 
 
-def _first_device_error(group: BaseExceptionGroup[BaseException]) -> DeviceError | None:
+def _verdict_of(group: BaseExceptionGroup[BaseException]) -> Verdict:
+    """Return the verdict for what ended the tasks: a device's error first, else a defect of the station."""
+    errors = list(_leaves(group))
+    for error in errors:
+        if isinstance(error, DeviceError):
+            return Verdict(Outcome.FAULT, str(error))
+    first = errors[0]
+    if isinstance(first, EstimatorError):
+        return Verdict(Outcome.FAULT, str(first))
+    _log.error("the run ended by a defect of the station", exc_info=first)
+    return Verdict(Outcome.ABORTED, f"defect of the station, please report it: {type(first).__name__}: {first}")
+
+
+def _leaves(group: BaseExceptionGroup[BaseException]) -> Iterator[BaseException]:
     for error in group.exceptions:
-        found = _first_device_error(error) if isinstance(error, BaseExceptionGroup) else error
-        if isinstance(found, DeviceError):
-            return found
-    return None
+        if isinstance(error, BaseExceptionGroup):
+            yield from _leaves(error)
+        else:
+            yield error
 
 
 def _attributes(bench: OpenBench, script: Script, seed: int) -> dict[str, Any]:

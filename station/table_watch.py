@@ -17,12 +17,8 @@ from drivers.seams import AxisState, Turntable
 Floats = NDArray[np.float64]
 
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
-
 _QUICK, _SLOW = 1.5, 4.0  # times the usual round trip: read again beyond the first, leave out beyond the second
-_TRIES = 3
-_ALWAYS_QUICK_NS = 1_000_000
-_QUICK, _SLOW = 1.5, 4.0  # times the usual round trip: read again beyond the first, leave out beyond the second
-_TRIES = 3
+_TRIES = 2
 _ALWAYS_QUICK_NS = 1_000_000
 _IDLE_EVERY = 4  # while an axis turns, another is looked at in every so many-th reading
 

@@ -27,6 +27,10 @@ class Table:
         self._data, self._path, self._text, self._file, self._error = dict(data), path, text, file, error
         self._known: list[str] = []
 
+    def again(self) -> Table:
+        """Return this table as it is now, for somebody else to take from."""
+        return Table(self._data, self._path, self._text, self._file, self._error)
+
     @classmethod
     def load(cls, path: Path, error: type[UsageError]) -> Table:
         """Read a file; the given error if it cannot be read or is no TOML."""

@@ -146,10 +146,9 @@ def test_a_value_that_does_not_fit_after_scaling_is_refused(kinco: DriveProfile)
         kinco["target_rate"].encode(2001.0, COUNTS)
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_value_that_is_not_finite_is_refused(kinco: DriveProfile, value: float) -> None:
+def test_a_value_that_is_no_number_is_refused(kinco: DriveProfile) -> None:
     with pytest.raises(ValueError, match="target_rate|NaN|finite"):
-        kinco["target_rate"].encode(value, COUNTS)
+        kinco["target_rate"].encode(math.nan, COUNTS)
 
 
 def written(folder: Path, text: str) -> str:
@@ -182,8 +181,6 @@ def test_a_profile_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
         ('word_order = "little"', 'word_order = "middle"', "word_order|middle"),
         ('word_order = "little"', "", "word_order"),
         ("address = 0x3200, ", "", "lacks or misspells 'address'"),
-        ("address = 0x3200", 'address = "status"', "status"),
-        ("method = 34", 'method = "index"', "index|method"),
         ('name = "Kinco FD/CD/JD"', "", "name"),
         ("[registers]", "[registers", "cannot be read"),
         ("[homing]", "[housing]", "homing"),

@@ -1,0 +1,116 @@
+"""Twins in one process, the station in another, real sockets and pseudo-terminals between them."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import kill
+import numpy as np
+import pytest
+from support import TABLE_1, TwinProcess, station
+from test_run import KEYS, SHORT_SCRIPT, bench_file
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX only")
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    path = tmp_path / "short.toml"
+    path.write_text(SHORT_SCRIPT)
+    return path
+
+
+def test_a_run_against_twins_in_another_process_at_ten_times_real_time(tmp_path: Path, short: Path) -> None:
+    bench = bench_file(tmp_path)
+    with TwinProcess("--scale", "10") as twin:
+        done = station(
+            "run", "--bench", bench, "--script", short, "--scale", "10", "--json", "-o", tmp_path / "r.h5",
+            *twin.options("table", "array"),
+        )  # fmt: skip
+    result = json.loads(done.stdout)
+    assert result["outcome"] in ("PASS", "FAIL"), result["reason"]
+    assert len(result["gyros"]) == 4
+    errors = [(g[key] - t) / g["sd"][key] for g in result["gyros"] for key, t in zip(KEYS, TABLE_1, strict=True)]
+    assert np.abs(errors).max() < 4
+
+
+def test_a_stim300_on_a_pseudo_terminal_is_calibrated_in_real_time_scaled(tmp_path: Path, short: Path) -> None:
+    with TwinProcess("--scale", "5") as twin:
+        done = station(
+            "run", "--bench", bench_file(tmp_path), "--script", short, "--scale", "5", "--json", "-o", tmp_path / "r.h5",
+            "--device", "stim300", *twin.options("table", "stim300"),
+        )  # fmt: skip
+    result = json.loads(done.stdout)
+    assert result["outcome"] in ("PASS", "FAIL"), result["reason"]
+    assert [g["name"] for g in result["gyros"]] == ["x", "y", "z"]
+    assert abs(result["gyros"][1]["k"] + 200e-6) < 4 * result["gyros"][1]["sd"]["k"]
+
+
+def test_a_killed_station_leaves_its_samples_and_a_table_that_stops_by_itself(tmp_path: Path) -> None:
+    script = tmp_path / "script.toml"
+    script.write_text(kill.SCRIPT)
+    with TwinProcess() as twin:
+        left = kill.kill_once(twin, tmp_path / "r.h5", script, after_s=5.0)
+    assert left.turning
+    assert left.missing_s <= 0.5
+    assert left.at_rest
+    assert left.outcome == "ABORTED"
+
+
+@contextmanager
+def babbling_server(seed: int) -> Iterator[int]:
+    """Serve random bytes to whoever connects; yield the port."""
+    chance = random.Random(seed)
+    server = socket.create_server(("127.0.0.1", 0))
+    ended = threading.Event()
+
+    def babble() -> None:
+        try:
+            connection, _ = server.accept()
+            with connection:
+                while not ended.wait(0.01):
+                    connection.sendall(chance.randbytes(500))
+        except OSError:
+            return
+
+    thread = threading.Thread(target=babble, daemon=True)
+    thread.start()
+    try:
+        yield server.getsockname()[1]
+    finally:
+        ended.set()
+        server.close()
+        thread.join(2)
+
+
+@pytest.mark.parametrize(("device", "options"), [("table", []), ("stim300", ["--device", "stim300"])])
+def test_garbage_on_a_link_ends_with_the_device_named_and_no_traceback(
+    tmp_path: Path, device: str, options: list[str]
+) -> None:
+    with babbling_server(1) as port:
+        done = station("run", "--link", f"{device}=tcp://127.0.0.1:{port}", *options, "--json", "-o", tmp_path / "r.h5")
+    result = json.loads(done.stdout)
+    assert done.returncode == 4
+    assert result["outcome"] == "FAULT"
+    assert result["reason"].startswith(f"{device}: ")
+    assert "Traceback" not in done.stderr
+
+
+def test_two_twins_cannot_share_a_port_and_the_second_says_so() -> None:
+    with TwinProcess() as twin:
+        done = station("twin", "--port", twin.links["table"].rsplit(":", 1)[1])
+    assert done.returncode == 4
+    assert "is the port free?" in done.stderr
+
+
+def test_help_needs_no_library(tmp_path: Path) -> None:
+    done = station("--help")
+    assert done.returncode == 0
+    assert "exit codes" in done.stdout
