@@ -81,7 +81,7 @@ def print_calibration(calibration: Calibration) -> None:
     for heading in ("k [ppm]", "b [deg/s]", "sigma_j [deg]", "sigma_k [deg]"):
         table.add_column(heading, justify="right")
         table.add_column("±", justify="right", style="dim")
-    table.add_column("ARW-like noise [deg/s]", justify="right")
+    table.add_column("noise [deg/s]", justify="right")
     scales = (1e6, math.degrees(1), math.degrees(1), math.degrees(1))
     formats = (".0f", ".5f", ".5f", ".5f")
     for gyro in calibration.gyros:

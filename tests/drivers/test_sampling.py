@@ -1,0 +1,186 @@
+"""Sample times: device counters, and regular sampling without one, from arrivals that are only ever late."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.sampling import CounterClock, RegularClock
+from drivers.seams import SourceCounts
+
+PERIOD_S = 0.01
+TICK_S, MODULUS, TICKS = 1 / 2000, 256, 16  # a STIM300 at 125 Hz: its counter wraps every 16 samples
+COUNTER_PERIOD_S = TICK_S * TICKS
+
+
+def ns(t_s: np.ndarray) -> np.ndarray:
+    return np.round(t_s * 1e9).astype(np.int64)
+
+
+def stamped(
+    samples: np.ndarray, arrival_s: np.ndarray, rows: int = 2
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, SourceCounts]:
+    """Feed samples of these numbers, a few rows at a time: kept (n,), kept samples, their times, the counts."""
+    clock = CounterClock(TICK_S, MODULUS, TICKS)
+    counter = samples * TICKS % MODULUS
+    parts = [
+        clock.stamp(counter[i : i + rows], ns(arrival_s[i : i + rows])) for i in range(0, len(samples), rows)
+    ]
+    kept = np.concatenate([keep for keep, _ in parts])
+    return kept, samples[kept], np.concatenate([t for _, t in parts]) * 1e-9, clock.counts
+
+
+def timed(
+    values: np.ndarray, arrival_s: np.ndarray, period_s: float = PERIOD_S
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, SourceCounts]:
+    """Feed samples one by one; return times, arrivals and values of those that came out, and the counts."""
+    counts = SourceCounts()
+    clock = RegularClock(period_s, counts)
+    parts = []
+    for value, arrival_ns in zip(values, ns(arrival_s), strict=True):
+        clock.add(int(arrival_ns), float(value), np.float64(value).tobytes())
+        parts.append(clock.ready())
+    parts.append(clock.ready(everything=True))
+    found = [part for part in parts if part is not None]
+    t_ns, arrival_ns, value = (np.concatenate([part[i] for part in found]) for i in range(3))
+    return t_ns * 1e-9, arrival_ns * 1e-9, value, counts
+
+
+def rms_s(t_s: np.ndarray, true_s: np.ndarray) -> float:
+    return float(np.sqrt(np.mean((t_s - true_s) ** 2)))
+
+
+@pytest.mark.parametrize("rows", [1, 3, 15])
+def test_a_counter_that_wraps_gives_even_times(rows: int) -> None:
+    samples = np.arange(1000)
+    true_s = 5 + samples * COUNTER_PERIOD_S
+    _, _, t_s, counts = stamped(samples, true_s, rows)
+    np.testing.assert_allclose(t_s, true_s, atol=2e-9)
+    assert counts == SourceCounts(samples=1000)
+
+
+@pytest.mark.parametrize("lost", [1, 3, 7, 15, 16, 17, 100, 1000])
+def test_a_gap_is_counted_and_what_follows_keeps_its_time(lost: int) -> None:
+    samples = np.delete(np.arange(3000), np.arange(1000, 1000 + lost))
+    true_s = samples * COUNTER_PERIOD_S
+    _, kept, t_s, counts = stamped(samples, true_s)
+    np.testing.assert_allclose(t_s, kept * COUNTER_PERIOD_S, atol=2e-9)
+    assert counts == SourceCounts(samples=3000 - lost, lost=lost)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5])
+def test_a_repeated_count_is_one_sample(rows: int) -> None:
+    samples = np.sort(np.concatenate([np.arange(1000), [500, 501, 900]]))
+    kept, found, t_s, counts = stamped(samples, samples * COUNTER_PERIOD_S, rows)
+    np.testing.assert_array_equal(found, np.arange(1000))
+    assert len(kept) == 1003
+    np.testing.assert_allclose(t_s, np.arange(1000) * COUNTER_PERIOD_S, atol=2e-9)
+    assert counts == SourceCounts(samples=1000, repeated=3)
+
+
+@pytest.mark.parametrize("drift", [50e-6, -50e-6])
+def test_counter_times_follow_a_drifting_device_beneath_one_sided_jitter(drift: float) -> None:
+    samples = np.arange(125 * 60)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        true_s = 1 + samples * COUNTER_PERIOD_S * (1 + drift)
+        _, _, t_s, counts = stamped(samples, np.sort(true_s + rng.uniform(0, 1e-3, len(samples))))
+        quarter = len(samples) // 4
+        assert rms_s(t_s[quarter:], true_s[quarter:]) < 0.2e-3
+        assert np.all(np.diff(t_s) > 0)
+        assert counts == SourceCounts(samples=len(samples))
+
+
+def test_a_counter_sample_that_comes_late_keeps_its_time_and_is_counted_late() -> None:
+    samples = np.arange(1000)
+    true_s = samples * COUNTER_PERIOD_S
+    arrival_s = true_s.copy()
+    arrival_s[600:608] = true_s[607]  # 56 ms late at the most, and all at once
+    _, _, t_s, counts = stamped(samples, arrival_s, 4)
+    np.testing.assert_allclose(t_s, true_s, atol=2e-9)
+    assert counts == SourceCounts(samples=1000, late=1)
+
+
+def test_a_clean_stream_without_counter_is_timed_exactly() -> None:
+    samples = np.arange(2000)
+    true_s = 3 + samples * PERIOD_S
+    t_s, arrival_s, value, counts = timed(samples, true_s)
+    np.testing.assert_allclose(t_s, true_s, atol=2e-9)
+    np.testing.assert_allclose(arrival_s, true_s, atol=2e-9)
+    np.testing.assert_array_equal(value, samples)
+    assert counts == SourceCounts(samples=2000)
+
+
+@pytest.mark.parametrize("drift", [0.0, 50e-6])
+def test_losses_are_counted_and_times_are_right_beneath_jitter(drift: float) -> None:
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        samples = np.flatnonzero(rng.random(6000) > 0.01)
+        true_s = 1 + samples * PERIOD_S * (1 + drift)
+        t_s, _, value, counts = timed(samples, true_s + rng.uniform(0, 1e-3, len(samples)))
+        missing = int(samples[-1]) + 1 - len(samples)
+        np.testing.assert_array_equal(value, samples)
+        assert counts.lost == pytest.approx(missing, rel=0.1)
+        assert counts.repeated == 0
+        assert rms_s(t_s, true_s) < 2e-3
+
+
+@pytest.mark.parametrize("repeat_delay_s", [0.0, 2e-3])
+def test_doubled_samples_are_dropped_and_counted(repeat_delay_s: float) -> None:
+    rng = np.random.default_rng(4)
+    doubled = rng.choice(np.arange(50, 3000), 20, replace=False)
+    samples = np.sort(np.concatenate([np.arange(3000), doubled]))
+    again = np.diff(samples, prepend=-1) == 0
+    arrival_s = (samples * PERIOD_S) + rng.uniform(0, 1e-3, 3000)[samples] + repeat_delay_s * again
+    t_s, _, value, counts = timed(samples, arrival_s)
+    np.testing.assert_array_equal(value, np.arange(3000))
+    assert rms_s(t_s, np.arange(3000) * PERIOD_S) < 0.5e-3
+    assert (counts.samples, counts.repeated, counts.lost) == (3000, 20, 0)
+
+
+def test_neighbours_that_are_equal_and_in_time_are_no_repeats() -> None:
+    rng = np.random.default_rng(5)
+    arrival_s = np.arange(3000) * PERIOD_S + rng.uniform(0, 1e-3, 3000)
+    *_, counts = timed(np.zeros(3000), arrival_s)
+    assert counts == SourceCounts(samples=3000)
+
+
+@pytest.mark.parametrize("stall_s", [0.1, 0.25, 1.0])
+def test_a_stall_with_catch_up_is_no_loss(stall_s: float) -> None:
+    true_s = np.arange(3000) * PERIOD_S
+    arrival_s = true_s.copy()
+    behind = arrival_s[1000] + stall_s + 0.004 * np.arange(2000)
+    arrival_s[1000:] = np.maximum(arrival_s[1000:], behind)
+    t_s, _, value, counts = timed(np.arange(3000), arrival_s)
+    np.testing.assert_allclose(t_s, true_s, atol=2e-9)
+    np.testing.assert_array_equal(value, np.arange(3000))
+    assert (counts.samples, counts.lost, counts.repeated) == (3000, 0, 0)
+    assert counts.late > 0
+
+
+def test_few_samples_are_held_back_and_all_come_out_in_the_end() -> None:
+    counts = SourceCounts()
+    clock = RegularClock(PERIOD_S, counts)
+    out = 0
+    for i in range(500):
+        clock.add(i * 10_000_000, float(i), bytes([i % 256]))
+        if clock.due and (ready := clock.ready()) is not None:
+            out += len(ready[0])
+        assert i + 1 - out <= 2 * RegularClock.HOLD
+    last = clock.ready(everything=True)
+    assert last is not None
+    assert out + len(last[0]) == counts.samples == 500
+    assert clock.ready(everything=True) is None
+
+
+def test_samples_are_not_held_for_ever_when_the_rhythm_does_not_come_back() -> None:
+    counts = SourceCounts()
+    clock = RegularClock(PERIOD_S, counts)
+    rng = np.random.default_rng(6)
+    arrival_ns = ns(np.cumsum(rng.uniform(0.001, 0.08, 2000)))
+    out = 0
+    for i, at in enumerate(arrival_ns):
+        clock.add(int(at), float(i), i.to_bytes(4))
+        ready = clock.ready()
+        out += 0 if ready is None else len(ready[0])
+        assert i + 1 - out <= RegularClock.MOST + RegularClock.HOLD
