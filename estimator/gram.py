@@ -17,6 +17,7 @@ from estimator.model import Prior, regressor_maps
 
 Floats = NDArray[np.float64]
 
+_LEAST_NOISE_RPS = 1e-9  # below any gyro; without noise at all the information has no inverse
 _CHUNK_ROWS = 4096  # 4096 x 8 columns stay in the second-level cache while they are multiplied
 
 
@@ -86,7 +87,7 @@ def solve(gram: Gram, array: SensorArray, prior: Prior, noise_rps: Floats | None
             least = np.linalg.lstsq(information[i], right[i], rcond=1e-13)[0]
             rest = squares[i] - right[i] @ least
             noise_rps[i] = np.sqrt(max(rest, 0.0) / max(gram.rows - 4, 1))
-        noise_rps = np.maximum(noise_rps, 1e-12)
+        noise_rps = np.maximum(noise_rps, _LEAST_NOISE_RPS)
     inverse_prior = np.diag(1 / prior.variances())
     scaled = information / (noise_rps**2)[:, None, None] + inverse_prior
     x = np.linalg.solve(scaled, (right / (noise_rps**2)[:, None])[..., None])[..., 0]
