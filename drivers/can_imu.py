@@ -51,8 +51,8 @@ class CanImu:
         except Exception as error:  # cantools has no common base for what a file can have wrong
             raise DeviceError(device, f"DBC file {dbc.name} cannot be read: {error}") from None
         self._nodes: dict[str, _Node] = {}
-        self._rates: dict[int, tuple[str, Any, str, float]] = {}
-        self._temperatures: dict[int, tuple[str, Any, str]] = {}
+        self._rates: dict[tuple[int, bool], tuple[str, Any, str, float]] = {}
+        self._temperatures: dict[tuple[int, bool], tuple[str, Any, str]] = {}
         for channel in channels:
             counts = SourceCounts()
             self._nodes[channel.name] = _Node(RegularClock(1 / rate_hz, counts), counts)
@@ -60,10 +60,10 @@ class CanImu:
             unit = str(message.get_signal_by_name(signal).unit)
             if unit not in _TO_RPS:
                 raise DeviceError(device, f"{channel.rate_signal} in {dbc.name} has unit {unit!r}, not deg/s or rad/s")
-            self._rates[message.frame_id] = (channel.name, message, signal, _TO_RPS[unit])
+            self._rates[_key(message)] = (channel.name, message, signal, _TO_RPS[unit])
             if channel.temperature_signal is not None:
                 message, signal = _lookup(device, database, dbc, channel.temperature_signal)
-                self._temperatures[message.frame_id] = (channel.name, message, signal)
+                self._temperatures[_key(message)] = (channel.name, message, signal)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -99,12 +99,12 @@ class CanImu:
         self._link.close()
 
     def _take(self, frame: Frame) -> None:
-        if (rate := self._rates.get(frame.identifier)) is not None:
+        if (rate := self._rates.get((frame.identifier, frame.extended))) is not None:
             name, message, signal, to_rps = rate
             node = self._nodes[name]
             if (value := _decoded(message, signal, frame, node)) is not None:
                 node.clock.add(frame.t_ns, value * to_rps, frame.data)
-        elif (temperature := self._temperatures.get(frame.identifier)) is not None:
+        elif (temperature := self._temperatures.get((frame.identifier, frame.extended))) is not None:
             name, message, signal = temperature
             if (value := _decoded(message, signal, frame, self._nodes[name])) is not None:
                 self._nodes[name].temperature_c = value
@@ -116,6 +116,11 @@ class CanImu:
             return None
         t_ns, arrival_ns, rate = ready
         return ImuBlock(t_ns, arrival_ns, rate[:, None], np.full(len(rate), node.temperature_c))
+
+
+def _key(message: Any) -> tuple[int, bool]:
+    """Return what tells a message: an 11-bit and a 29-bit id of the same number are two."""
+    return int(message.frame_id), bool(message.is_extended_frame)
 
 
 def _decoded(message: Any, signal: str, frame: Frame, node: _Node) -> float | None:

@@ -126,9 +126,11 @@ class ModbusTable:
         deadline = asyncio.get_running_loop().time() + _HOMING_LIMIT_S
         waiting = set(self._axes)
         while waiting:
-            for axis in sorted(waiting):
+            for axis in self._axes:  # also those at home: each drive watches for its master's silence by itself
                 word = int(await self._read(axis, "statusword"))
                 self._check_fault(axis, word)
+                if axis not in waiting:
+                    continue
                 if word & BIT_13:
                     raise DeviceRefused(self._device, f"axis {axis} reports a homing error")
                 if word & BIT_12 and word & TARGET_REACHED:

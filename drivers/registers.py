@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 PROFILE_FOLDER = Path(__file__).with_name("profiles")
 
@@ -35,6 +37,8 @@ class Register:
 
     def encode(self, value: float, counts_per_turn: int) -> list[int]:
         """Return the words of a value (turns, turns/s, turns/s2, or a plain number); ValueError if out of range."""
+        if not math.isfinite(value):
+            raise ValueError(f"{self.name} = {value} is not finite")
         raw = round(value * self.scale * counts_per_turn) if self.scale is not None else round(value)
         bits = _BITS[self.kind]
         low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if self.kind[0] == "i" else (0, (1 << bits) - 1)
@@ -110,11 +114,11 @@ def load_profile(name_or_path: str) -> DriveProfile:
     try:
         order = {"little": True, "big": False}[data["word_order"]]
         registers = {
-            key: Register(key, int(r["address"]), r["type"], order, r.get("scale"), r.get("unit", ""))
+            key: Register(key, int(r["address"]), r["type"], order, _scale(r), r.get("unit", ""))
             for key, r in data["registers"].items()
         }
         profile = DriveProfile(data["name"], registers, dict(data["commands"]), int(data["homing"]["method"]))
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ProfileError(f"drive profile {path} lacks or misspells {error}") from None
     missing = [r for r in REQUIRED_REGISTERS if r not in registers]
     missing += [c for c in REQUIRED_COMMANDS if c not in profile.commands]
@@ -127,3 +131,8 @@ def load_profile(name_or_path: str) -> DriveProfile:
                 f"types are {', '.join(_BITS)}, units {', '.join(u for u in _UNITS if u)}"
             )
     return profile
+
+
+def _scale(register: Mapping[str, Any]) -> float | None:
+    scale = register.get("scale")
+    return None if scale is None else float(scale)

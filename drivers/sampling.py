@@ -110,16 +110,17 @@ class CounterClock:
     def stamp(self, counter: Stamps, arrival_ns: Stamps) -> tuple[NDArray[np.bool_], Stamps]:
         """Return which samples are new (n,), and the times in ns of those.
 
-        Gaps longer than the counter's wrap are resolved by the arrival time.
+        Gaps longer than the counter's wrap are resolved by the arrival of the last sample: what was queued
+        comes together, and the last of it waited least.
         """
-        unwrapped = self._unwrap(counter, int(arrival_ns[0]))
-        before = np.concatenate([[self._last], unwrapped])
-        step = np.diff(before)
-        keep = step > 0
-        if self._last < 0:
-            keep[0], step[0] = True, self.ticks_per_sample
+        unwrapped = self._unwrap(counter, int(arrival_ns[-1]))
+        newest = np.maximum.accumulate(np.concatenate([[self._last], unwrapped]))[:-1]
+        keep = unwrapped > newest
+        step = (unwrapped - newest)[keep]
+        if self._last < 0 and len(step):
+            step[0] = self.ticks_per_sample
         self.counts.repeated += int(np.sum(~keep))
-        missing = np.round(step[keep] / self.ticks_per_sample).astype(int) - 1
+        missing = np.round(step / self.ticks_per_sample).astype(int) - 1
         self.counts.lost += int(np.maximum(missing, 0).sum())
         fresh = unwrapped[keep]
         if not len(fresh):
@@ -134,20 +135,17 @@ class CounterClock:
         self.counts.samples += len(fresh)
         return keep, t_ns
 
-    def _unwrap(self, counter: Stamps, arrival_ns: int) -> Stamps:
-        if self._last < 0:
-            first = int(counter[0])
-        else:
-            ahead = (int(counter[0]) - self._last) % self.modulus
-            expected = (arrival_ns - self._last_arrival_ns) * 1e-9 / self.tick_s
-            wraps = max(round((expected - ahead) / self.modulus), 0)
-            repeat = ahead > self.modulus - 2 * self.ticks_per_sample or ahead == 0
-            first = self._last + ahead + wraps * self.modulus
-            if repeat and expected < self.modulus / 2:  # the same sample, or one just before, once more
-                first = self._last + (ahead - self.modulus if ahead else 0)
-        step = np.diff(counter) % self.modulus
-        step = np.where(step > self.modulus // 2, step - self.modulus, step)
-        return np.concatenate([[first], first + np.cumsum(step)]).astype(np.int64)
+    def _unwrap(self, counter: Stamps, last_arrival_ns: int) -> Stamps:
+        """Return counts that go on over the wrap; a step just short of a whole wrap is one backwards."""
+        before = counter[:1] if self._last < 0 else np.array([self._last % self.modulus])
+        step = np.diff(np.concatenate([before, counter])) % self.modulus
+        step = np.where(step > self.modulus - 2 * self.ticks_per_sample, step - self.modulus, step)
+        start = int(counter[0]) if self._last < 0 else self._last
+        unwrapped = start + np.cumsum(step)
+        if self._last >= 0:
+            expected = self._last + (last_arrival_ns - self._last_arrival_ns) * 1e-9 / self.tick_s
+            unwrapped += self.modulus * max(round((expected - int(unwrapped[-1])) / self.modulus), 0)
+        return np.asarray(unwrapped, dtype=np.int64)
 
 
 class RegularClock:

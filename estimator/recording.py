@@ -247,6 +247,8 @@ def read_recording(path: Path, *, trusted: bool = False) -> Recording:
             return _read(path, file)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {_first_line(error)}") from None
+    except (AttributeError, TypeError, ValueError, KeyError) as error:  # a file made by hand can hold anything
+        raise RecordingError(f"{path} is not laid out as a recording: {_first_line(error)}") from None
 
 
 def _read(path: Path, file: Any) -> Recording:
@@ -316,6 +318,8 @@ def _read_reference(path: Path, file: Any) -> Reference:
         gimbals = check_gimbals([str(_plain(a)) for a in group.attrs.get("gimbals", axes)])
         if sorted(axes) != sorted(gimbals):
             raise RecordingError(f"{where}: attribute axes {axes} does not name the gimbals {list(gimbals)}")
+        if "t_ns" not in group:
+            raise RecordingError(f"{where} holds no readings: the run ended before its script began")
         order = [axes.index(g) for g in gimbals]
         t_ns = _column(where, group, "t_ns", 1, np.int64)
         angle = _column(where, group, "angle_rad", 2, np.float64)

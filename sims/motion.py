@@ -85,6 +85,9 @@ class AxisMotion:
         """Go to an angle and stay there: a trapezoid of rate, a triangle if the way is short."""
         acceleration = self._acceleration(acceleration_rps2)
         top = min(abs(rate_rps), self.max_rate_rps)
+        if top == 0.0:
+            self.stop(t_s, acceleration)
+            return
         start_angle, rate = self.at(t_s)
         self._start(t_s)
         now, here = t_s, start_angle

@@ -35,7 +35,7 @@ from station.table_watch import check_axes, watch_table
 
 _log = logging.getLogger(__name__)
 
-_FLUSH_S = 0.25  # what a killed station loses, at most, beyond what was on its way
+_FLUSH_S = 0.2  # what a killed station loses, at most, beyond what was on its way
 _SYNC_S = 0.5
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
@@ -223,7 +223,7 @@ class Session:
                 raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s")
 
     async def _keep_flushing(self) -> None:
-        """Hand rows to the operating system four times a second, and have it write them out twice a second.
+        """Hand rows to the operating system five times a second, and have it write them out twice a second.
 
         A simulated run needs no protection from a power cut. An fsync holds up whoever writes to the file, so
         it keeps to the host's time, however fast the loop's clock runs.

@@ -22,7 +22,7 @@ import h5py
 from pymodbus.client import AsyncModbusTcpClient
 from support import TwinProcess, command
 
-from estimator.recording import read_recording
+from estimator.recording import probe
 
 SCRIPT = """
 [[step]]
@@ -70,12 +70,13 @@ def kill_once(twin: TwinProcess, path: Path, script: Path, after_s: float) -> Ki
     run.kill()
     run.wait()
     turning = not table_at_rest(twin.links["table"])
-    recording = read_recording(path)  # through the probe: in a process of its own
+    probe(path)  # reads the whole file in a process of its own
     with h5py.File(path) as file:
-        zero = float(file.attrs["clock_zero_utc_s"])
-    missing = max(killed_at - (zero + data.t_ns[-1] * 1e-9) for data in recording.sources.values())
+        zero, outcome = float(file.attrs["clock_zero_utc_s"]), str(file.attrs["outcome"])
+        last_s = [len(source["rate_rps"]) and source["t_ns"][-1] * 1e-9 for source in file["imu"].values()]
+    missing = killed_at - (zero + min(last_s))
     time.sleep(WATCHDOG_AND_RAMP_S)
-    return Kill(after_s, turning, recording.attributes["outcome"], missing, table_at_rest(twin.links["table"]))
+    return Kill(after_s, turning, outcome, missing, table_at_rest(twin.links["table"]))
 
 
 def table_at_rest(link: str) -> bool:

@@ -29,7 +29,7 @@ Sent = tuple[float, int, bytes]
 
 
 def received(
-    frames: Sequence[Sent], channels: tuple[CanChannel, ...] = CHANNELS, *, remote: bool = False
+    frames: Sequence[Sent], channels: tuple[CanChannel, ...] = CHANNELS, *, remote: bool = False, extended: bool = False
 ) -> tuple[dict[str, list[ImuBlock]], dict[str, SourceCounts]]:
     """Send frames (instant in s, id, data) to a driver; return its blocks and counts by channel."""
 
@@ -50,7 +50,7 @@ def received(
             await asyncio.sleep(at - asyncio.get_running_loop().time())
             nodes.send(
                 can.Message(
-                    arbitration_id=identifier, data=data, is_extended_id=False, is_remote_frame=remote, dlc=len(data)
+                    arbitration_id=identifier, data=data, is_extended_id=extended, is_remote_frame=remote, dlc=len(data)
                 )
             )
         await asyncio.sleep(1.0)
@@ -119,7 +119,7 @@ def test_temperatures_are_unknown_until_the_first_is_told() -> None:
 
 @pytest.mark.parametrize("data", [b"", b"\x01", b"\x01\x02\x03", bytes(8)])
 def test_frames_of_a_wrong_length_are_counted_and_left_out(data: bytes) -> None:
-    frames = stream(RATE_1, [b"\xa0\x0f"] * 40) + [(0.1051, RATE_1, data), (0.2051, TEMPERATURE_1, data)]
+    frames = [*stream(RATE_1, [b"\xa0\x0f"] * 40), (0.1051, RATE_1, data), (0.2051, TEMPERATURE_1, data)]
     blocks, counts = received(sorted(frames))
     np.testing.assert_allclose(rates_dps(blocks["g1"]), np.full(40, 20.0), atol=1e-12)
     assert counts["g1"] == SourceCounts(samples=40, corrupt=2)
@@ -164,3 +164,9 @@ def test_a_dbc_that_cannot_be_read_is_refused(tmp_path: Path, text: str | None) 
         dbc.write_text(text)
     with pytest.raises(DeviceError, match=r"array: DBC file odd\.dbc cannot be read"):
         CanImu("array", CanLink("array", "memory", "nowhere", {}), dbc, CHANNELS, 100.0)
+
+
+def test_an_extended_frame_of_the_same_number_is_another_message() -> None:
+    bus_frames = [(0.01 * (i + 1), RATE_1, b"\xa0\x0f") for i in range(40)]
+    blocks, _ = received(bus_frames, extended=True)
+    assert not any(blocks.values())

@@ -23,9 +23,7 @@ def stamped(
     """Feed samples of these numbers, a few rows at a time: kept (n,), kept samples, their times, the counts."""
     clock = CounterClock(TICK_S, MODULUS, TICKS)
     counter = samples * TICKS % MODULUS
-    parts = [
-        clock.stamp(counter[i : i + rows], ns(arrival_s[i : i + rows])) for i in range(0, len(samples), rows)
-    ]
+    parts = [clock.stamp(counter[i : i + rows], ns(arrival_s[i : i + rows])) for i in range(0, len(samples), rows)]
     kept = np.concatenate([keep for keep, _ in parts])
     return kept, samples[kept], np.concatenate([t for _, t in parts]) * 1e-9, clock.counts
 
@@ -184,3 +182,32 @@ def test_samples_are_not_held_for_ever_when_the_rhythm_does_not_come_back() -> N
         ready = clock.ready()
         out += 0 if ready is None else len(ready[0])
         assert i + 1 - out <= RegularClock.MOST + RegularClock.HOLD
+
+
+@pytest.mark.parametrize("stall_s", [0.06, 0.15, 0.25, 1.0])
+def test_what_was_queued_in_a_stall_is_no_loss(stall_s: float) -> None:
+    clock = CounterClock(1 / 2000, 256, 16)  # 125 Hz, the counter wraps each 128 ms
+    period_s, count = 0.008, 2000
+    arrival_s = np.arange(count) * period_s
+    stalled = (arrival_s >= 8.0) & (arrival_s < 8.0 + stall_s)
+    arrival_s[stalled] = 8.0 + stall_s
+    times = []
+    i = 0
+    while i < count:
+        same = int(np.searchsorted(arrival_s, arrival_s[i], side="right"))
+        counter = (np.arange(i, same) * 16) % 256
+        _, t_ns = clock.stamp(counter, np.full(same - i, round(arrival_s[i] * 1e9)))
+        times.append(t_ns)
+        i = same
+    assert clock.counts.lost == 0
+    assert np.abs(np.concatenate(times) * 1e-9 - np.arange(count) * period_s).max() < 1e-3
+
+
+@pytest.mark.parametrize("missing", [7, 8, 10, 12])
+def test_a_gap_within_a_chunk_is_counted_and_does_not_run_backwards(missing: int) -> None:
+    clock = CounterClock(1 / 2000, 256, 16)
+    index = np.concatenate([np.arange(10), np.arange(10 + missing, 30)])
+    _, t_ns = clock.stamp((index * 16) % 256, np.full(len(index), round(index[-1] * 0.008e9)))
+    assert clock.counts.lost == missing
+    assert clock.counts.repeated == 0
+    assert np.all(np.diff(t_ns) > 0)

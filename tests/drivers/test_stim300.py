@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -168,7 +169,7 @@ def test_foreign_bytes_are_counted_and_the_datagrams_between_them_found(junk: li
     behind = encode(datagrams(0x94, 6, seed=99))
     decoder, found = Stim300Decoder(), []
     edges = [0, *sorted(cuts), len(stream)]
-    for start, stop in zip(edges, edges[1:], strict=False):
+    for start, stop in pairwise(edges):
         found += encoded(decoder.feed(stream[start:stop]))
     found += encoded(decoder.feed(behind))
     assert found[:-6] == wanted

@@ -99,9 +99,7 @@ def test_a_rate_that_is_off_in_scale_is_corrected_by_the_angles() -> None:
 def test_a_rate_readback_that_is_offset_is_corrected_by_the_angles() -> None:
     t_ns, angle, rate = readings()
     offset = np.array([0.003, -0.002, 0.001])
-    np.testing.assert_allclose(
-        fed(t_ns, angle, rate + offset).at(t_ns), fed(t_ns, angle, rate).at(t_ns), atol=1e-9
-    )
+    np.testing.assert_allclose(fed(t_ns, angle, rate + offset).at(t_ns), fed(t_ns, angle, rate).at(t_ns), atol=1e-9)
 
 
 def test_encoder_counts_cost_little() -> None:
