@@ -64,8 +64,10 @@ class Calibration:
     notes: tuple[str, ...]
 
 
-def calibrate(recording: Recording) -> Calibration:
+def calibrate(recording: Recording, *, innovations: bool = True) -> Calibration:
     """Return the batch estimate of every gyro under its data sheet's prior, the noise taken from the residual.
+
+    ``innovations`` also runs the filter over the rows, for their mean NIS; without, that is NaN.
 
     Raises RecordingError if a source has no samples that the reference covers.
     """
@@ -82,7 +84,7 @@ def calibrate(recording: Recording) -> Calibration:
         # The innovations need the noise that the batch estimate finds, so the rows are walked twice.
         live = LiveFilter(data.array, solution.noise_rps, prior)
         rows = 1 if isinstance(recording.reference, AttitudeReadings) else block_rows(data)
-        for part in observations(recording, source):
+        for part in observations(recording, source) if innovations else ():
             for start in range(0, len(part.w_rps) if part.weight is None else 0, rows):
                 live.update(part.w_rps[start : start + rows], part.y_rps[start : start + rows])
         samples += gram.rows * len(data.array)

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _KEEP_EVERY = 5  # states are kept every so many-th block
-_ROWS_AT_ONCE = 5  # table readings are taken in by handfuls: a quarter of a second at 20 Hz
+_ROWS_AT_ONCE = 20  # table readings are taken in by handfuls: a second at 20 Hz
 
 
 @dataclass(slots=True, eq=False)
@@ -59,11 +59,13 @@ class LiveSource:
         self._take_new()
         early = int(np.searchsorted(self._t, rates.starts_ns, side="left"))
         ready = int(np.searchsorted(self._t, rates.final_until_ns, side="right"))
-        start = early
-        while start < ready and (ready - start >= self._rows or everything):
-            stop = min(start + self._rows, ready)
-            self._update(rates.at(self._t[start:stop]), start, stop)
-            start = stop
+        whole = ready if everything else early + max(ready - early, 0) // self._rows * self._rows
+        if whole > early:
+            w = rates.at(self._t[early:whole])
+            for start in range(early, whole, self._rows):
+                stop = min(start + self._rows, whole)
+                self._update(w[start - early : stop - early], start, stop)
+        start = max(whole, early)
         if start:
             self._t, self._y = self._t[start:], self._y[start:]
 

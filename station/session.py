@@ -36,6 +36,7 @@ from station.table_watch import check_axes, watch_table
 _log = logging.getLogger(__name__)
 
 _FLUSH_S = 0.2  # what a killed station loses, at most, beyond what was on its way
+_FLUSH_SIMULATED_S = 2.0  # a simulated second lasts milliseconds
 _SYNC_S = 0.5
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
@@ -225,13 +226,14 @@ class Session:
     async def _keep_flushing(self) -> None:
         """Hand rows to the operating system five times a second, and have it write them out twice a second.
 
-        A simulated run needs no protection from a power cut. An fsync holds up whoever writes to the file, so
-        it keeps to the host's time, however fast the loop's clock runs.
+        A simulated run needs no protection from a power cut and is flushed less often. An fsync holds up whoever
+        writes to the file, so it keeps to the host's time, however fast the loop's clock runs.
         """
         loop = asyncio.get_running_loop()
         sync_due_s = loop.time()
+        every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S
         while True:
-            await asyncio.sleep(_FLUSH_S)
+            await asyncio.sleep(every_s)
             self._writer.flush()
             synced = self._sync is None or self._sync.done()
             if not is_virtual(loop) and synced and loop.time() >= sync_due_s:
@@ -286,7 +288,7 @@ class Session:
         self._live.finish()
         path = self._writer.path
         recording = read_recording(path, trusted=True)
-        calibration = replace(calibrate(recording), nis_mean=self._live.nis_mean)
+        calibration = replace(calibrate(recording, innovations=False), nis_mean=self._live.nis_mean)
         agreement = self._agreement(recording)
         write_calibration(path, calibration, {"live_batch_difference_sigma": agreement})
         for name, source in self._live.sources.items():

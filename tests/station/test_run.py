@@ -264,7 +264,10 @@ def test_ctrl_c_in_mid_run_leaves_the_table_at_rest_and_a_readable_file(tmp_path
         assert run.poll() is None
         time.sleep(0.05)  # another process: there is nothing to await
     run.send_signal(signal.SIGINT)
-    out, err = run.communicate(timeout=30)
+    try:
+        out, err = run.communicate(timeout=30)
+    finally:
+        run.kill()
     result = json.loads(out)
     assert run.returncode == 3
     assert result["outcome"] == "ABORTED"
