@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -56,12 +57,13 @@ class Progress:
             self._bar.refresh()
             self._bar.stop()
 
-    def show(self, snapshot: Snapshot) -> None:
-        """Show where the run is, not more often than a person can read."""
+    def show(self, look: Callable[[], Snapshot]) -> None:
+        """Show where the run is, not more often than a person can read; ``look`` is asked only then."""
         now = time.monotonic()
         if self._quiet or now - self._shown_at < _REFRESH_S:
             return
         self._shown_at = now
+        snapshot = look()
         detail = (
             f"{_clock(snapshot.remaining_s)} left   {snapshot.samples} samples, {snapshot.lost} lost   "
             f"NIS {snapshot.nis_mean:.2f}"

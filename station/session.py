@@ -67,7 +67,7 @@ class Session:
         seed: int = 0,
         reset_fault: bool = False,
         time_scale: float = 1.0,
-        on_progress: Callable[[Snapshot], None] = lambda snapshot: None,
+        on_progress: Callable[[Callable[[], Snapshot]], None] = lambda look: None,
     ) -> None:
         """Create the recording; nothing is opened yet. RecordingError if the file cannot be created."""
         config = bench.bench
@@ -196,7 +196,7 @@ class Session:
         self._live.add_row(t_ns, angle_rad, rate_rps)
         if self._sequencer is not None and self._phase != "finishing":
             self._phase = self._sequencer.label
-        self._on_progress(self.snapshot())
+        self._on_progress(self.snapshot)
 
     def _take_half_width(self, half_width_ns: int) -> None:
         self._half_width_ns = max(self._half_width_ns, half_width_ns)
