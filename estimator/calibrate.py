@@ -19,7 +19,9 @@ from estimator.reference import AttitudeReadings, BodyRates, RateReadings, Table
 Floats = NDArray[np.float64]
 
 BLOCK_S = 0.2
-"""Length of a block of the live filter, and of the means that an attitude reference is compared over."""
+"""Length of a block of the live filter."""
+MEAN_S = 0.1
+"""Length of the means over which an attitude reference is compared: a low pass of 10 Hz on both sides."""
 _CHUNK_ROWS = 65536
 CLUSTER_S = 5.0
 """Length over which residuals against a foreign reference may hang together without the sigma being wrong."""
@@ -122,11 +124,11 @@ def source_gram(recording: Recording, source: str) -> Gram:
     return gram
 
 
-def block_rows(data: ImuData) -> int:
-    """Return how many samples of this source make a block of the live filter."""
+def block_rows(data: ImuData, length_s: float = BLOCK_S) -> int:
+    """Return how many samples of this source make a block, by default of the live filter."""
     if len(data.t_ns) < 2:
         return 1
-    return max(round(BLOCK_S / (float(np.median(np.diff(data.t_ns))) * 1e-9)), 1)
+    return max(round(length_s / (float(np.median(np.diff(data.t_ns))) * 1e-9)), 1)
 
 
 def observations(recording: Recording, source: str) -> Iterator[Observations]:
@@ -194,7 +196,7 @@ def _means(data: ImuData, reference: RateReadings) -> Iterator[Observations]:
     """Yield means of both sides over blocks: differentiated attitudes are too noisy to compare by sample."""
     t_ns, rate = _usable(data)
     w = np.column_stack([np.interp(t_ns, reference.t_ns, reference.rate_rps[:, c]) for c in range(3)])
-    rows = block_rows(data)
+    rows = block_rows(data, MEAN_S)
     inside = (t_ns >= reference.t_ns[0]) & (t_ns <= reference.t_ns[-1])
     first = int(np.argmax(inside)) if inside.any() else 0
     count = int(inside.sum()) // rows
@@ -243,7 +245,7 @@ def _clustered(recording: Recording, source: str, solution: Solution, prior: Pri
     m = len(data.array)
     maps = regressor_maps(data.array)
     attitude = isinstance(recording.reference, AttitudeReadings)
-    row_s = BLOCK_S if attitude else BLOCK_S / block_rows(data)
+    row_s = MEAN_S if attitude else BLOCK_S / block_rows(data)
     rows = max(round(CLUSTER_S / row_s), 1)
     scores = []
     for part in observations(recording, source):

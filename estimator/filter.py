@@ -28,7 +28,7 @@ class LiveFilter:
     A block of rows is turned by an orthogonal transform (QR of [1, w]) before the update: its first row is the
     block mean times sqrt(rows), the others hold what the body rate did within the block. Nothing is lost, the
     noise stays white, and a 4 kHz source costs what a 100 Hz one does. The states are deviations from nominal
-    under a data-sheet prior, which is what keeps the covariance form exact (METHOD 2, Numerics).
+    under a data-sheet prior, which is what keeps the covariance form exact.
     """
 
     def __init__(self, array: SensorArray, noise_rps: Floats, prior: Prior) -> None:

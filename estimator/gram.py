@@ -2,7 +2,7 @@
 
 All gyros of a source share the regressors [1, w], so the products of the columns [1, w, y] are everything
 an estimate needs (sufficient statistics): one pass over the data, any number of gyros, sums of blocks and of
-recordings are sums of matrices, and the digits that a covariance filter loses are kept (METHOD 2, Numerics).
+recordings are sums of matrices, and the digits that a covariance filter loses are kept.
 """
 
 from __future__ import annotations

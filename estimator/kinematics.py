@@ -46,7 +46,7 @@ def body_rate(angles_rad: Floats, rates_rps: Floats, gimbals: Sequence[str], sit
     """Return the inertial rate of the body in body axes, shape (k, 3).
 
     ``angles_rad`` and ``rates_rps`` are (k, gimbals), columns ordered as ``gimbals``, outermost first. Each
-    gimbal adds its rate about its own axis after the frame has turned by its angle (METHOD 3). With a site,
+    gimbal adds its rate about its own axis after the frame has turned by its angle. With a site,
     Earth rate is what the outermost gimbal starts from; without one it is not in the result.
     """
     start = np.zeros(3) if site is None else site.earth_rate_rps()

@@ -93,11 +93,12 @@ def print_calibration(calibration: Calibration) -> None:
         table.add_row(*cells, f"{math.degrees(gyro.noise_rps):.4f}")
     console = _stdout()
     console.print(table)
-    console.print(
+    nis = (
         f"mean NIS {calibration.nis_mean:.3f} per degree of freedom (1 = the filter's sigmas are true), "
-        f"{calibration.samples} samples, {calibration.lost} lost",
-        highlight=False,
+        if np.isfinite(calibration.nis_mean)
+        else ""
     )
+    console.print(f"{nis}{calibration.samples} samples, {calibration.lost} lost", highlight=False)
     for note in calibration.notes:
         console.print(f"note: {note}", highlight=False)
 
