@@ -7,9 +7,11 @@ which is what survives a process that dies between two flushes.
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -30,6 +32,7 @@ Stamps = NDArray[np.int64]
 FORMAT = "turntable-recording"
 FORMAT_VERSION = 1
 PROBE_LIMIT_S = 60.0
+RESERVE_BYTES = 1_000_000
 TEXT_BYTES = 240
 
 UNITS = {
@@ -88,12 +91,12 @@ class RecordingWriter:
 
     def __init__(self, path: Path, attributes: Mapping[str, Any]) -> None:
         """Create the file; RecordingError if it exists or cannot be created."""
+        self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = h5py.File(path, "x")
         except (OSError, ValueError) as error:
             raise RecordingError(f"cannot create {path}: {_first_line(error)}") from None
-        self.path = path
         self._pending: dict[str, list[NDArray[Any]]] = {}
         self._datasets: dict[str, Any] = {}
         self._lengths: dict[str, int] = {}
@@ -133,7 +136,19 @@ class RecordingWriter:
         self.append(f"{group}/{field_name}", np.array([raw], dtype=f"S{TEXT_BYTES}"))
 
     def flush(self) -> None:
-        """Append what is pending and hand it to the operating system."""
+        """Append what is pending and hand it to the operating system.
+
+        Raises RecordingError, with what is pending given up, before the disk is full: a write that fails within
+        HDF5 can end the process, while the space kept back lets the file be closed whole.
+        """
+        wanted = sum(rows.nbytes for blocks in self._pending.values() for rows in blocks)
+        free = shutil.disk_usage(self.path.parent).free
+        if free < wanted + RESERVE_BYTES:
+            self._pending.clear()
+            raise RecordingError(
+                f"the disk of {self.path} is all but full ({free / 1e6:.1f} MB left): make room, or give another "
+                "place with --output"
+            )
         for path, blocks in self._pending.items():
             rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
             dataset = self._datasets.get(path)
@@ -157,7 +172,8 @@ class RecordingWriter:
     def close(self) -> None:
         """Flush and close; twice is once."""
         if self._file:
-            self.flush()
+            with suppress(RecordingError):  # the disk is full: keep what is there
+                self.flush()
             self._file.close()
 
 
