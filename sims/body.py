@@ -33,6 +33,7 @@ class Body:
         revision: Callable[[], int],
         latitude_rad: float,
         heading_rad: float,
+        earth_turns: bool = True,
     ) -> None:
         """Gimbals are named outermost first.
 
@@ -43,7 +44,7 @@ class Body:
         self._angles = angles
         self._revision_of_angles = revision
         # The pole, seen from a base with z up and x at the heading: turn east about up by the heading.
-        spin = 2 * math.pi / SIDEREAL_DAY_S
+        spin = 2 * math.pi / SIDEREAL_DAY_S if earth_turns else 0.0
         north, up = math.cos(latitude_rad), math.sin(latitude_rad)
         self._spin = spin
         self._pole = np.array([north * math.cos(heading_rad), north * math.sin(heading_rad), up])

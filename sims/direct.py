@@ -47,7 +47,7 @@ def direct_run(
     duration_s: float,
     mounting: Mounting,
     truth: GyroTruth,
-    seed: int,
+    seed: tuple[int, ...],
     *,
     gimbals: Sequence[str] = ("z", "y", "x"),
     latitude_rad: float = math.pi / 4,
@@ -55,6 +55,7 @@ def direct_run(
     rate_hz: float = 100.0,
     table_rate_hz: float = 20.0,
     counts_per_turn: int = 65536,
+    earth_turns: bool = True,
 ) -> DirectRun:
     """Return what a table that carries out these moves, and gyros on it, would report.
 
@@ -65,11 +66,10 @@ def direct_run(
         motion.keep_all()
     for move in moves:
         motions[move.axis].move(move.start_s, move.angle_rad, move.rate_rps, move.acceleration_rps2)
-    body = Body(gimbals, lambda axis, t: motions[axis].angles(t), lambda: 0, latitude_rad, heading_rad)
-    gyros = GyroArray(mounting, truth, body, rate_hz, (seed,))
+    body = Body(gimbals, lambda axis, t: motions[axis].angles(t), lambda: 0, latitude_rad, heading_rad, earth_turns)
+    gyros = GyroArray(mounting, truth, body, rate_hz, seed)
     t_s = np.arange(1, round(duration_s * rate_hz) + 1) / rate_hz
-    per_call = max(round(0.1 * rate_hz), 1)
-    output = np.vstack([gyros.sample(t_s[i : i + per_call]) for i in range(0, len(t_s), per_call)])
+    output = gyros.sample_all(t_s)
     table_s = np.arange(round(duration_s * table_rate_hz) + 2) / table_rate_hz
     count = 2 * math.pi / counts_per_turn
     angle = np.column_stack([np.round(motions[g].angles(table_s) / count) * count for g in gimbals])

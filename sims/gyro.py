@@ -14,6 +14,7 @@ from sims.geometry import Mounting
 Floats = NDArray[np.float64]
 
 _AHEAD_S = 0.1  # bias instability moves in steps of this, a tenth of its shortest time
+_ROWS_AT_ONCE = 1 << 16
 _CORRELATION_TIMES_S = np.array([1.0, 10.0, 100.0, 1000.0])
 # A decade-spaced sum of Gauss-Markov processes of equal variance s^2 has a flat Allan deviation of 0.775 s;
 # bias instability B is the one whose floor is 0.664 B (IEEE Std 952, Annex C).
@@ -33,6 +34,7 @@ class GyroTruth:
     temperature_c: float = 25.0
     warming_c: float = 2.0
     warming_time_s: float = 300.0
+    rate_random_walk_rps_rts: float = 0.0
 
 
 class GyroArray:
@@ -50,6 +52,7 @@ class GyroArray:
         m = len(mounting.p)
         self._wander_rps = _SHARE * truth.bias_instability_rps
         self._wander = self._random.standard_normal((len(_CORRELATION_TIMES_S), m))
+        self._walk_rps = np.zeros(m)
         self._period_s = 1 / rate_hz
         self._decays: dict[int, tuple[Floats, Floats]] = {}
         self._per_call = 0
@@ -71,20 +74,41 @@ class GyroArray:
         self._ahead, self._ahead_noise, self._ahead_t = self._ahead[n:], self._ahead_noise[n:], self._ahead_t[n:]
         return np.asarray(out)
 
+    def sample_all(self, t_s: Floats) -> Floats:
+        """Return the outputs (n, m) in rad/s at all instants of a run whose motion is known from the start."""
+        steps = max(round(_AHEAD_S / self._period_s), 1)
+        wander = np.repeat([self._step_wander(steps) for _ in range(-(-len(t_s) // steps))], steps, axis=0)
+        out = np.empty((len(t_s), len(self._truth.k)))
+        for start in range(0, len(t_s), _ROWS_AT_ONCE):  # attitudes take many times the room of outputs
+            stop = min(start + _ROWS_AT_ONCE, len(t_s))
+            white = self._white_rps * self._random.standard_normal((stop - start, out.shape[1]))
+            out[start:stop] = self._true_output(t_s[start:stop]) - wander[start:stop] - white
+        return out
+
     def _look_ahead(self, t_s: Floats) -> None:
         n = self._per_call = len(t_s)
         calls = max(round(_AHEAD_S / (n * self._period_s)), 1)
         self._ahead_t = (t_s + n * self._period_s * np.arange(calls)[:, None]).ravel()
         rows, m = len(self._ahead_t), len(self._truth.k)
-        keep, push = self._decay(rows)
-        self._wander = keep * self._wander + push * self._random.standard_normal(self._wander.shape)
-        wander = self._wander_rps * self._wander.sum(axis=0)
+        wander = self._step_wander(rows)
         self._ahead_noise = wander + self._white_rps * self._random.standard_normal((rows, m))
         self._work_out(self._ahead_t)
 
     def _work_out(self, t_s: Floats) -> None:
-        self._ahead = self._body.rate_rps(t_s) @ self._sensitivity.T - self._truth.b_rps
+        self._ahead = self._true_output(t_s)
         self._revision = self._body.revision
+
+    def _true_output(self, t_s: Floats) -> Floats:
+        return np.asarray(self._body.rate_rps(t_s) @ self._sensitivity.T - self._truth.b_rps)
+
+    def _step_wander(self, samples: int) -> Floats:
+        """Return what the bias has wandered to (m,) after this many more samples."""
+        keep, push = self._decay(samples)
+        self._wander = keep * self._wander + push * self._random.standard_normal(self._wander.shape)
+        if self._truth.rate_random_walk_rps_rts:
+            step_rps = self._truth.rate_random_walk_rps_rts * math.sqrt(samples * self._period_s)
+            self._walk_rps = self._walk_rps + step_rps * self._random.standard_normal(len(self._walk_rps))
+        return np.asarray(self._wander_rps * self._wander.sum(axis=0) + self._walk_rps)
 
     def _decay(self, samples: int) -> tuple[Floats, Floats]:
         """Return what the wander keeps over this many samples, and what is added to it."""

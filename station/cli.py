@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
 from station.errors import EXIT_ABORTED, EXIT_USAGE
+
+_MODULES = {
+    "run": "station.commands",
+    "twin": "station.commands",
+    "calibrate": "station.commands",
+    "import": "station.commands",
+}
+"""Where the function of each command is, by the command's name: ``command_NAME(arguments) -> exit code``."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -19,9 +28,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code: 0 pass, 1 fail, 2 wrong usage, 3 aborted, 4 device fault."""
     arguments = _parser().parse_args(argv)
     try:
-        from station import commands  # the libraries behind the commands cost a second: --help does without
-
-        return int(getattr(commands, f"command_{arguments.command}")(arguments))
+        # The libraries behind the commands cost a second: --help does without.
+        module = importlib.import_module(_MODULES[arguments.command])
+        return int(getattr(module, f"command_{arguments.command}")(arguments))
     except KeyboardInterrupt:
         print("station: stopped by Ctrl-C before anything moved", file=sys.stderr)
         return EXIT_ABORTED

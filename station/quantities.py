@@ -24,6 +24,7 @@ UNITS: dict[str, dict[str, float]] = {
     "frequency": {"Hz": 1.0, "kHz": 1e3},
     "ratio": {"1": 1.0, "ppm": 1e-6, "%": 1e-2},
     "angle random walk": {"rad/s/rtHz": 1.0, "deg/s/rtHz": _DEG, "deg/rth": _DEG / 60},
+    "rate random walk": {"rad/s/rts": 1.0, "deg/s/rts": _DEG, "deg/h/rth": _DEG / 3600 / 60},
     "temperature": {"degC": 1.0},
 }
 """Units by what they measure, each with its factor to SI."""

@@ -13,62 +13,40 @@ import numpy as np
 
 from estimator.array import SensorArray, tetrahedron
 from estimator.kinematics import Site
-from estimator.recording import ImuData, Recording
-from estimator.reference import TableReadings
-from sims.direct import TimedMove, direct_run
-from sims.geometry import MOUNTS_DEG, mounted
-from sims.gyro import GyroTruth
-from station.script import Move, Rest, Script, paper_script
+from estimator.recording import Recording
+from station.open_bench import DeviceTruth, simulate
+from station.script import Script, paper_script
 
-GIMBALS = ("z", "y", "x")
 SITE = Site(np.pi / 4, 0.0)
 TABLE_1 = np.array([0.005, np.radians(0.1), np.radians(0.1), np.radians(-0.1)])
 """The paper's true states of every gyro: k, b, sigma_j, sigma_k."""
-
-
-def truth(states: np.ndarray, arw_dps: float = 0.005, instability_dph: float = 0.0) -> GyroTruth:
-    """Return twin truths of states (n, 4)."""
-    return GyroTruth(*np.asarray(states).T, float(np.radians(arw_dps)), float(np.radians(instability_dph / 3600)))
-
-
-def timed(script: Script) -> list[TimedMove]:
-    """Return the moves of a script with the instants at which they begin."""
-    at, angles, moves = 0.0, dict.fromkeys(GIMBALS, 0.0), []
-    for step, duration in zip(script.steps, script.durations_s(), strict=True):
-        if not isinstance(step, Rest):
-            angles[step.axis] = step.angle_rad if isinstance(step, Move) else angles[step.axis] + step.turn_rad
-            moves.append(TimedMove(at, step.axis, angles[step.axis], abs(step.rate_rps), step.acceleration_rps2))
-        at += duration
-    return moves
 
 
 def direct_recording(
     seed: int,
     *,
     script: Script | None = None,
-    kind: str = "tetrahedron",
+    kind: str | None = "tetrahedron",
     array: SensorArray | None = None,
     states: np.ndarray | None = None,
     arw_dps: float = 0.005,
     instability_dph: float = 0.0,
+    walk_dph_rth: float = 0.0,
     rate_hz: float = 100.0,
 ) -> Recording:
     """Return a recording made straight from the physics of the twins."""
-    script, array = script or paper_script(), array or tetrahedron()
+    array = array or tetrahedron()
     states = np.tile(TABLE_1, (len(array), 1)) if states is None else states
-    run = direct_run(
-        timed(script),
-        script.duration_s,
-        mounted(MOUNTS_DEG[kind]),
-        truth(states, arw_dps, instability_dph),
-        seed,
-        gimbals=GIMBALS,
-        latitude_rad=SITE.latitude_rad,
-        heading_rad=SITE.heading_rad,
-        rate_hz=rate_hz,
+    device = DeviceTruth(
+        array,
+        states,
+        float(np.radians(arw_dps)),
+        float(np.radians(instability_dph / 3600)),
+        float(np.radians(walk_dph_rth / 3600 / 60)),
+        rate_hz,
+        kind=kind,
     )
-    reference = TableReadings(run.table_t_ns, run.angle_rad, run.rate_rps, GIMBALS)
-    return Recording({"array": ImuData(array, run.t_ns, run.output_rps)}, reference, SITE)
+    return simulate(script or paper_script(), {"array": device}, seed, site=SITE)
 
 
 def station(*arguments: str | Path, cwd: Path | None = None, timeout: float = 100) -> subprocess.CompletedProcess[str]:

@@ -44,7 +44,7 @@ def recorded(seed: int, axes: str = "xyz", *, states: np.ndarray = STATES, rate_
         duration,
         mounted(MOUNTS_DEG["tetrahedron"]),
         truth,
-        seed,
+        (seed,),
         gimbals=GIMBALS,
         latitude_rad=SITE.latitude_rad,
         heading_rad=SITE.heading_rad,

@@ -1,0 +1,138 @@
+"""Recordings made straight from the physics of the twins, without a wire: for studies and for planning."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array import SensorArray
+from estimator.kinematics import Site
+from estimator.model import Prior
+from estimator.recording import ImuData, Recording
+from estimator.reference import TableReadings
+from sims.direct import TimedMove, direct_run
+from sims.geometry import MOUNTS_DEG, Mounting, mounted
+from sims.gyro import GyroTruth
+from station.bench import Bench
+from station.open_bench.twins import mounting_of, truth_of
+from station.script import Move, Rest, Script
+
+Floats = NDArray[np.float64]
+
+GIMBALS = ("z", "y", "x")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceTruth:
+    """What a simulated device really is: its states (n, 4) as in ``estimator.model.STATES``, and its noise.
+
+    ``kind`` names a mounting that the twins know by themselves (triad, tetrahedron, dodecahedron); without it the
+    twin is mounted as the array says.
+    """
+
+    array: SensorArray
+    states: Floats
+    arw_rps_rthz: float
+    bias_instability_rps: float = 0.0
+    rate_random_walk_rps_rts: float = 0.0
+    rate_hz: float = 100.0
+    prior: Prior = field(default_factory=Prior)
+    kind: str | None = None
+
+
+def simulate(
+    script: Script,
+    devices: Mapping[str, DeviceTruth],
+    seed: int,
+    *,
+    site: Site | None,
+    gimbals: Sequence[str] = GIMBALS,
+    earth_turns: bool = True,
+) -> Recording:
+    """Return the recording of a script on a table with these devices, each one source of its name.
+
+    Without ``earth_turns`` the data hold no Earth rate. The recording carries the site if there is one.
+    """
+    mounts = {
+        name: (
+            mounted(MOUNTS_DEG[d.kind]) if d.kind else Mounting(d.array.p, d.array.j, d.array.k),
+            GyroTruth(
+                k=d.states[:, 0],
+                b_rps=d.states[:, 1],
+                sigma_j_rad=d.states[:, 2],
+                sigma_k_rad=d.states[:, 3],
+                arw_rps_rthz=d.arw_rps_rthz,
+                bias_instability_rps=d.bias_instability_rps,
+                rate_random_walk_rps_rts=d.rate_random_walk_rps_rts,
+            ),
+        )
+        for name, d in devices.items()
+    }
+    return _run(script, devices, mounts, seed, site, gimbals, earth_turns)
+
+
+def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
+    """Return the recording of a script on the twins of a bench, its used devices each as one source."""
+    truths = bench.twin.truths.again()
+    used = [imu for imu in bench.imus if imu.used]
+    devices = {
+        imu.name: DeviceTruth(
+            imu.array, np.zeros((len(imu.array), 4)), imu.arw_rps_rthz, rate_hz=imu.rate_hz, prior=imu.prior
+        )
+        for imu in used
+    }
+    mounts = {imu.name: (mounting_of(imu), truth_of(truths, imu)) for imu in used}
+    recording = _run(script, devices, mounts, seed, bench.site, bench.table.gimbals, True)
+    return replace(recording, attributes={"bench": bench.text, "seed": seed, "script": script.name})
+
+
+def _run(
+    script: Script,
+    devices: Mapping[str, DeviceTruth],
+    mounts: Mapping[str, tuple[Mounting, GyroTruth]],
+    seed: int,
+    site: Site | None,
+    gimbals: Sequence[str],
+    earth_turns: bool,
+) -> Recording:
+    moves = _timed(script)
+    latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
+    sources: dict[str, ImuData] = {}
+    reference: TableReadings | None = None
+    for index, (name, device) in enumerate(devices.items()):
+        mounting, truth = mounts[name]
+        run = direct_run(
+            moves,
+            script.duration_s,
+            mounting,
+            truth,
+            (seed, index),
+            gimbals=gimbals,
+            latitude_rad=latitude,
+            heading_rad=heading,
+            rate_hz=device.rate_hz,
+            earth_turns=earth_turns,
+        )
+        sources[name] = ImuData(device.array, run.t_ns, run.output_rps, prior=device.prior)
+        reference = TableReadings(run.table_t_ns, run.angle_rad, run.rate_rps, tuple(gimbals))
+    if reference is None:
+        raise ValueError("a simulation needs one device or more")
+    return Recording(sources, reference, site)
+
+
+def _timed(script: Script) -> list[TimedMove]:
+    """Return the moves of a script with the instants at which they begin."""
+    at: float = 0.0
+    angles: dict[str, float] = {}
+    moves = []
+    for step, duration in zip(script.steps, script.durations_s(), strict=True):
+        if not isinstance(step, Rest):
+            here = angles.get(step.axis, 0.0)
+            angles[step.axis] = step.angle_rad if isinstance(step, Move) else here + step.turn_rad
+            moves.append(TimedMove(at, step.axis, angles[step.axis], abs(step.rate_rps), step.acceleration_rps2))
+        at += duration
+    return moves
