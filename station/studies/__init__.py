@@ -1,0 +1,1 @@
+"""Studies over seeds: the paper reproduced, its method beside others on the same data."""
