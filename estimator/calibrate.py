@@ -9,14 +9,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array import SensorArray
+from estimator.blocks import Blocks, BlockSums
+from estimator.budget import Contribution, table_budget
+from estimator.coloured import (
+    FEWEST_BLOCKS,
+    GridFit,
+    NoiseFound,
+    NoiseGrid,
+    Part,
+    coarse,
+    combine,
+    fit_grids,
+    weights,
+)
 from estimator.errors import RecordingError
 from estimator.filter import LiveFilter
 from estimator.gram import Gram, Solution, solve
+from estimator.health import Excluded, usable
 from estimator.model import Prior, decode, regressor_maps
+from estimator.parity import GyroParity, parity
 from estimator.recording import ImuData, Recording
 from estimator.reference import AttitudeReadings, BodyRates, RateReadings, TableReadings, Turns, rates_from_attitude
 
 Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
 
 BLOCK_S = 0.2
 """Length of a block of the live filter."""
@@ -27,27 +43,39 @@ CLUSTER_S = 5.0
 """Length over which residuals against a foreign reference may hang together without the sigma being wrong."""
 _FEWEST_CLUSTERS = 8
 _COLOURED = 2.0  # sigmas that grow by more than this are told
+REST_RPS = float(np.radians(0.05))
+REST_S = 5.0
 _UNSEEN = 0.5  # a posterior sigma above this share of the prior's: the run did not show the state
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
-    """Rows of body rate (rows, 3) and output (rows, m); ``weight`` is 1 / noise relative to other rows."""
+    """Rows of body rate (rows, 3) and output (rows, m), with their instants where they are samples.
+
+    ``weight`` is 1 / noise relative to other rows.
+    """
 
     w_rps: Floats
     y_rps: Floats
     weight: Floats | None = None
+    t_ns: Stamps | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroCalibration:
-    """States of one gyro [k, b_rps, sigma_j_rad, sigma_k_rad], their covariance, the noise of one sample."""
+    """States of one gyro [k, b_rps, sigma_j_rad, sigma_k_rad], their covariance, the noise of one sample.
+
+    ``covariance`` holds everything; ``budget`` is what it is the sum of: type A, from the scatter of the data, and
+    type B, from the table's stated uncertainty. ``noise`` is what the data say of the noise, where they do.
+    """
 
     name: str
     source: str
     states: Floats
     covariance: Floats
     noise_rps: float
+    budget: tuple[Contribution, ...] = ()
+    noise: NoiseFound | None = None
 
     @property
     def sd(self) -> Floats:
@@ -57,27 +85,151 @@ class GyroCalibration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """What one recording says of its gyros. ``samples`` counts gyro samples used, ``lost`` those missing."""
+    """What one recording says of its gyros. ``samples`` counts gyro samples used, ``lost`` those missing.
+
+    ``excluded`` are gyros that could not be estimated; ``parity`` is what the gyros of redundant devices say of
+    each other.
+    """
 
     gyros: tuple[GyroCalibration, ...]
     nis_mean: float
     samples: int
     lost: int
     notes: tuple[str, ...]
+    excluded: tuple[Excluded, ...] = ()
+    parity: tuple[GyroParity, ...] = ()
 
 
 def calibrate(recording: Recording, *, innovations: bool = True) -> Calibration:
-    """Return the batch estimate of every gyro under its data sheet's prior, the noise taken from the residual.
+    """Return the batch estimate of every gyro under its data sheet's prior, the noise taken from the data.
 
-    ``innovations`` also runs the filter over the rows, for their mean NIS; without, that is NaN.
+    Against a table the noise may be coloured (``estimator.coloured``); against foreign references sigmas come from
+    clusters of residuals. ``innovations`` also gives the mean NIS, else that is NaN.
 
-    Raises RecordingError if a source has no samples that the reference covers.
+    Raises RecordingError if a source has no samples that the reference covers, or no gyro can be estimated.
     """
+    notes: list[str] = []
+    excluded: list[Excluded] = []
+    sources: list[tuple[str, ImuData]] = []
+    for source, data in recording.sources.items():
+        found = usable(data, fine=isinstance(recording.reference, TableReadings))
+        notes.extend(found.notes)
+        excluded.extend(found.excluded)
+        sources.extend((source, part) for part in found.parts)
+    if not sources:
+        reasons = "; ".join(f"{e.name}: {e.reason}" for e in excluded)
+        raise RecordingError(f"{recording.name}: no gyro of it can be estimated: {reasons}")
+    notes.extend(f"{e.name} is not estimated: {e.reason}; the others are" for e in excluded)
+    if isinstance(recording.reference, TableReadings):
+        result = _against_table(recording, sources, innovations)
+    else:
+        result = _against_foreign(recording, sources, innovations)
+    order = [name for data in recording.sources.values() for name in data.array.names]
+    return Calibration(
+        tuple(sorted(result.gyros, key=lambda gyro: order.index(gyro.name))),
+        result.nis_mean,
+        result.samples,
+        sum(data.lost * len(data.array) for data in recording.sources.values()),
+        (*notes, *result.notes),
+        tuple(excluded),
+        result.parity,
+    )
+
+
+def _against_table(recording: Recording, sources: list[tuple[str, ImuData]], innovations: bool) -> Calibration:
+    blocks = [source_blocks(recording, data) for _, data in sources]
+    for (source, data), own in zip(sources, blocks, strict=True):
+        _enough(recording, source, data, int(own.rows.sum()))
+    notes = motion_notes(recording)
+    span_s = max(float(b.t_s[-1] - b.t_s[0]) + b.length_s for b in blocks)
+    gyros: list[GyroCalibration] = []
+    checks: list[GyroParity] = []
+    squares, dof = 0.0, 0
+    for device in dict.fromkeys(data.device for _, data in sources):
+        members = [n for n, (_, data) in enumerate(sources) if data.device == device]
+        merged = [coarse(blocks[n]) for n in members]
+        fits = _device_fits(merged, [sources[n][1] for n in members], span_s)
+        for n, fit, weight in zip(members, fits, weights(fits), strict=True):
+            source, data = sources[n]
+            x, covariances, noise = combine(fit, weight)
+            sample = _sample_noise_of(blocks[n], data.array, x)
+            arw = np.array([found.mean.arw for found in noise])
+            table = table_budget(recording.reference, recording.site, data.array, data.prior, arw)  # type: ignore[arg-type]
+            for i, name in enumerate(data.array.names):
+                kinds = (Contribution("noise", covariances[i]), *table[i])
+                states, covariance = decode(x[i], np.sum([c.covariance for c in kinds], axis=0))
+                budget = tuple(Contribution(c.name, decode(x[i], c.covariance)[1]) for c in kinds)
+                gyros.append(GyroCalibration(name, source, states, covariance, sample[i], budget, noise[i]))
+                notes.extend(_unseen(name, covariances[i], data.prior))
+            if innovations:
+                chi, count = _block_squares(blocks[n], data.array, x, sample)
+                squares, dof = squares + chi, dof + count
+        own_gyros = gyros[len(gyros) - sum(len(sources[n][1].array) for n in members) :]
+        checks += parity(
+            [sources[n][1].array for n in members],
+            merged,
+            np.array([g.states for g in own_gyros]),
+            [g.noise.mean for g in own_gyros if g.noise],
+        )
+    samples = sum(int(b.rows.sum()) * b.z_rps.shape[1] for b in blocks)
+    nis = squares / dof if dof else float("nan")
+    return Calibration(tuple(gyros), nis, samples, 0, (*notes, *_parity_notes(checks)), (), tuple(checks))
+
+
+def _device_fits(merged: list[Blocks], data: list[ImuData], span_s: float) -> list[GridFit]:
+    parts = [Part(b, d.array, d.prior) for b, d in zip(merged, data, strict=True)]
+    long_enough = min(len(b.index) for b in merged) >= FEWEST_BLOCKS
+    grid = NoiseGrid.over(span_s, data[0].noise) if long_enough else NoiseGrid.white()
+    return fit_grids(parts, grid)
+
+
+def source_blocks(recording: Recording, data: ImuData, length_s: float = BLOCK_S) -> Blocks:
+    """Return the rows of one source against the table, summed by block from the first reading of the table."""
+    reference = recording.reference
+    if not isinstance(reference, TableReadings):
+        raise TypeError("blocks are of recordings against a table")
+    t_ns = data.t_ns
+    period_s = float(np.median(np.diff(t_ns))) * 1e-9 if len(t_ns) > 1 else length_s
+    sums = BlockSums(len(data.array), int(reference.t_ns[0]), length_s, period_s)
+    for part in _table_rows(recording, data):
+        sums.add(part.t_ns, part.w_rps, part.y_rps - part.w_rps @ data.array.p.T)  # type: ignore[arg-type]
+    return sums.blocks()
+
+
+def _enough(recording: Recording, source: str, data: ImuData, rows: int) -> None:
+    if rows < 8:
+        raise RecordingError(
+            f"{recording.name}: source {source} has {len(data.t_ns)} samples, of which {rows} lie within the "
+            "reference: too few to estimate four states a gyro"
+        )
+
+
+def _sample_noise_of(blocks: Blocks, array: SensorArray, x: Floats) -> Floats:
+    """Return the scatter of single samples within blocks (m,), in rad/s, about the states x (m, 4)."""
+    maps = regressor_maps(array)[:, :, 1:]
+    rows = max(int(blocks.rows.sum()) - len(blocks.rows), 1)
+    slopes = np.einsum("mi,mij->mj", x, maps)
+    squares = np.empty(len(array))
+    for i, slope in enumerate(slopes):
+        weights_of = np.concatenate([-slope, np.eye(len(array))[i]])
+        squares[i] = weights_of @ blocks.within @ weights_of
+    return np.sqrt(np.maximum(squares / rows, 1e-30))
+
+
+def _block_squares(blocks: Blocks, array: SensorArray, x: Floats, noise_rps: Floats) -> tuple[float, int]:
+    """Return the squares of block means about the estimate, over those of white noise, and their number."""
+    regressors = np.column_stack([np.ones(len(blocks.index)), blocks.w_rps])
+    rest = blocks.z_rps - np.einsum("rj,mij,mi->rm", regressors, regressor_maps(array), x)
+    squares = float(np.sum(blocks.rows[:, None] * (rest / noise_rps) ** 2))
+    return squares, max(rest.size - 4 * len(array), 0)
+
+
+def _against_foreign(recording: Recording, sources: list[tuple[str, ImuData]], innovations: bool) -> Calibration:
     gyros: list[GyroCalibration] = []
     notes: list[str] = []
     nis_sum, nis_dof, samples = 0.0, 0, 0
-    for source, data in recording.sources.items():
-        gram, prior = source_gram(recording, source), data.prior
+    for source, data in sources:
+        gram, prior = _gram(recording, source, data), data.prior
         noise = None
         if isinstance(recording.reference, Turns):  # a few rows: their doubt is stated, not found
             # The rows are weighted by the noise of the worst channel, so that is what the noise is relative to.
@@ -86,7 +238,7 @@ def calibrate(recording: Recording, *, innovations: bool = True) -> Calibration:
         # The innovations need the noise that the batch estimate finds, so the rows are walked twice.
         live = LiveFilter(data.array, solution.noise_rps, prior)
         rows = 1 if isinstance(recording.reference, AttitudeReadings) else block_rows(data)
-        for part in observations(recording, source) if innovations else ():
+        for part in _rows(recording, data) if innovations else ():
             for start in range(0, len(part.w_rps) if part.weight is None else 0, rows):
                 live.update(part.w_rps[start : start + rows], part.y_rps[start : start + rows])
         samples += gram.rows * len(data.array)
@@ -94,33 +246,33 @@ def calibrate(recording: Recording, *, innovations: bool = True) -> Calibration:
         nis_dof += live.nis_dof
         covariances = solution.covariance
         if isinstance(recording.reference, (AttitudeReadings, RateReadings)):
-            covariances, coloured = _clustered(recording, source, solution, prior)
+            covariances, coloured = _clustered(recording, source, data, solution, prior)
             notes.extend(coloured)
         for i, name in enumerate(data.array.names):
             states, covariance = decode(solution.x[i], covariances[i])
-            gyros.append(GyroCalibration(name, source, states, covariance, float(solution.noise_rps[i])))
+            budget = (Contribution("noise", covariance),)
+            gyros.append(GyroCalibration(name, source, states, covariance, float(solution.noise_rps[i]), budget))
             notes.extend(_unseen(name, covariances[i], prior))
-    lost = sum(data.lost * len(data.array) for data in recording.sources.values())
     nis_mean = nis_sum / nis_dof if nis_dof else float("nan")
-    return Calibration(tuple(gyros), nis_mean, samples, lost, tuple(notes))
+    return Calibration(tuple(gyros), nis_mean, samples, 0, tuple(notes))
 
 
 def source_gram(recording: Recording, source: str) -> Gram:
     """Return the Gram matrix of one source over all rows that the reference covers."""
-    data = recording.sources[source]
+    return _gram(recording, source, recording.sources[source])
+
+
+def _gram(recording: Recording, source: str, data: ImuData) -> Gram:
     gram = Gram.empty(len(data.array))
-    for part in observations(recording, source):
+    for part in _rows(recording, data):
         gram += Gram.of(part.w_rps, part.y_rps, part.weight)
     if isinstance(recording.reference, Turns) and gram.rows < 4:
         raise RecordingError(
             f"{recording.name}: {gram.rows} of {len(recording.reference.sd_rad)} turns hold samples of {source}: "
             "four states a gyro need four turns or rests at the least"
         )
-    if not isinstance(recording.reference, Turns) and gram.rows < 8:
-        raise RecordingError(
-            f"{recording.name}: source {source} has {len(data.t_ns)} samples, of which {gram.rows} lie within the "
-            "reference: too few to estimate four states a gyro"
-        )
+    if not isinstance(recording.reference, Turns):
+        _enough(recording, source, data, gram.rows)
     return gram
 
 
@@ -133,38 +285,112 @@ def block_rows(data: ImuData, length_s: float = BLOCK_S) -> int:
 
 def observations(recording: Recording, source: str) -> Iterator[Observations]:
     """Yield rows of body rate and output of one source, in parts of bounded size, in order of time."""
-    data = recording.sources[source]
+    yield from _rows(recording, recording.sources[source])
+
+
+def _rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
     reference = recording.reference
-    if isinstance(reference, AttitudeReadings):
-        yield from _means(data, rates_from_attitude(reference))
-        return
-    if isinstance(reference, Turns):
-        yield _segments(data, reference)
-        return
-    t_ns, rate = _usable(data)
-    if isinstance(reference, RateReadings):
-        known = np.isfinite(reference.rate_rps).all(axis=1)
-        reference = RateReadings(reference.t_ns[known], reference.rate_rps[known])
-        if not known.any():
-            return
     if isinstance(reference, TableReadings):
-        rates = BodyRates(reference.gimbals, recording.site)
-        rates.add(reference.t_ns, reference.angle_rad, reference.rate_rps)
-        rates.finish()
-        inside = (t_ns >= rates.starts_ns) & (t_ns <= rates.final_until_ns)
+        yield from _table_rows(recording, data)
+    elif isinstance(reference, RateReadings):
+        yield from _rate_rows(reference, data)
+    elif isinstance(reference, AttitudeReadings):
+        yield from _means(data, rates_from_attitude(reference))
     else:
-        inside = (t_ns >= reference.t_ns[0]) & (t_ns <= reference.t_ns[-1])
-    t_ns, rate = t_ns[inside], rate[inside]
-    block = block_rows(data)
-    chunk = max(_CHUNK_ROWS // block, 1) * block  # whole blocks, so that a replay is cut as the live run was
-    for start in range(0, len(t_ns), chunk):
-        t = t_ns[start : start + chunk]
-        if isinstance(reference, TableReadings):
-            w = rates.at(t)
-        else:
-            w = np.column_stack([np.interp(t, reference.t_ns, reference.rate_rps[:, c]) for c in range(3)])
+        yield _segments(data, reference)
+
+
+def _table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
+    reference = recording.reference
+    if not isinstance(reference, TableReadings):
+        raise TypeError("rows against a table need one")
+    rates = BodyRates(reference.gimbals, recording.site)
+    rates.add(reference.t_ns, reference.angle_rad, reference.rate_rps)
+    rates.finish()
+    t_ns, rate = _inside(data, rates.starts_ns, rates.final_until_ns)
+    for start, stop in _chunks(data, len(t_ns)):
+        t = t_ns[start:stop]
+        w = rates.at(t)
         known = np.isfinite(w).all(axis=1)
-        yield Observations(w[known], rate[start : start + chunk][known])
+        if known.all():
+            yield Observations(w, rate[start:stop], None, t)
+        else:
+            yield Observations(w[known], rate[start:stop][known], None, t[known])
+
+
+def _rate_rows(reference: RateReadings, data: ImuData) -> Iterator[Observations]:
+    known = np.isfinite(reference.rate_rps).all(axis=1)
+    if not known.any():
+        return
+    at, rates = reference.t_ns[known], reference.rate_rps[known]
+    t_ns, rate = _inside(data, int(at[0]), int(at[-1]))
+    for start, stop in _chunks(data, len(t_ns)):
+        t = t_ns[start:stop]
+        w = np.column_stack([np.interp(t, at, rates[:, c]) for c in range(3)])
+        yield Observations(w, rate[start:stop], None, t)
+
+
+def _inside(data: ImuData, first_ns: int, last_ns: int) -> tuple[Stamps, Floats]:
+    t_ns, rate = _usable(data)
+    start, stop = np.searchsorted(t_ns, first_ns, side="left"), np.searchsorted(t_ns, last_ns, side="right")
+    return t_ns[start:stop], rate[start:stop]
+
+
+def _chunks(data: ImuData, rows: int) -> Iterator[tuple[int, int]]:
+    """Yield bounds of parts of whole blocks, so that a replay is cut as the live run was."""
+    block = block_rows(data)
+    chunk = max(_CHUNK_ROWS // block, 1) * block
+    for start in range(0, rows, chunk):
+        yield start, min(start + chunk, rows)
+
+
+def rest_spans(reference: TableReadings) -> list[tuple[int, int]]:
+    """Return the spans (first, last) in ns of five seconds and more in which no axis of the table moves."""
+    still = (np.abs(reference.rate_rps) < REST_RPS).all(axis=1)
+    edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))
+    spans = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    found = [(int(reference.t_ns[a]), int(reference.t_ns[b - 1])) for a, b in spans]
+    return [(a, b) for a, b in found if b - a >= REST_S * 1e9]
+
+
+def motion_notes(recording: Recording) -> list[str]:
+    """Return what the motion of a recording leaves unseen, in words."""
+    reference = recording.reference
+    if not isinstance(reference, TableReadings):
+        return []
+    moving = [
+        axis
+        for axis, rate in zip(reference.gimbals, reference.rate_rps.T, strict=True)
+        if np.abs(rate).max(initial=0.0) > 10 * REST_RPS
+    ]
+    notes = []
+    if not moving:
+        notes.append(
+            "the table does not move in this recording: only the bias can be estimated (Earth rate taken off if the "
+            "site is known); scale factor error and misalignments need turns about three axes"
+        )
+    elif len(moving) < 3:
+        notes.append(
+            f"the table turns about {' and '.join(sorted(moving))} only: of each gyro the bias and its sensitivity to "
+            "such turns can be estimated, not k, sigma_j and sigma_k each by itself; turn about all three axes"
+        )
+    if moving and not rest_spans(reference):
+        notes.append(
+            f"there is no rest of {REST_S:g} s in this recording: the noise is taken from the residual in motion "
+            "alone; begin or end the script with a rest"
+        )
+    return notes
+
+
+def _parity_notes(checks: list[GyroParity]) -> list[str]:
+    suspects = [check for check in checks if check.suspect]
+    if not suspects:
+        return []
+    worst = max(suspects, key=lambda check: check.worst_sigma)
+    where = f"{worst.worst_sigma:.0f} sigma at {worst.worst_t_s:.0f} s"
+    if worst.told_apart:
+        return [f"{worst.name} disagrees with the other gyros of its device (parity {where}): check it"]
+    return [f"the gyros {', '.join(c.name for c in suspects)} disagree (parity {where}): one of them is wrong"]
 
 
 def sample_noise(data: ImuData) -> Floats:
@@ -184,8 +410,10 @@ def _quantum(rate_rps: Floats) -> Floats:
 
 
 def _usable(data: ImuData) -> tuple[NDArray[np.int64], Floats]:
-    finite = np.isfinite(data.rate_rps).all(axis=1)
-    t_ns, rate = data.t_ns[finite], data.rate_rps[finite]
+    t_ns, rate = data.t_ns, data.rate_rps
+    finite = np.isfinite(rate).all(axis=1)
+    if not finite.all():
+        t_ns, rate = t_ns[finite], rate[finite]
     if np.any(np.diff(t_ns) <= 0):
         order = np.argsort(t_ns, kind="stable")
         t_ns, rate = t_ns[order], rate[order]
@@ -234,21 +462,22 @@ def _segments(data: ImuData, turns: Turns) -> Observations:
     return Observations(np.array(w), np.array(y), np.array(weight))
 
 
-def _clustered(recording: Recording, source: str, solution: Solution, prior: Prior) -> tuple[Floats, list[str]]:
+def _clustered(
+    recording: Recording, source: str, data: ImuData, solution: Solution, prior: Prior
+) -> tuple[Floats, list[str]]:
     """Return covariances (m, 4, 4) that hold for residuals correlated within clusters of 5 s, and notes.
 
     Another instrument's errors (its filter, its delay, lost markers) are no white noise. The scores of a
     cluster are summed before they are squared (Liang, Zeger 1986), so what hangs together within it counts as
     one. No direction gets less than the white-noise covariance.
     """
-    data = recording.sources[source]
     m = len(data.array)
     maps = regressor_maps(data.array)
     attitude = isinstance(recording.reference, AttitudeReadings)
     row_s = MEAN_S if attitude else BLOCK_S / block_rows(data)
     rows = max(round(CLUSTER_S / row_s), 1)
     scores = []
-    for part in observations(recording, source):
+    for part in _rows(recording, data):
         regressors = np.column_stack([np.ones(len(part.w_rps)), part.w_rps])
         rest = part.y_rps - part.w_rps @ data.array.p.T
         rest -= np.einsum("rj,mij,mi->rm", regressors, maps, solution.x)
@@ -282,14 +511,3 @@ def _unseen(name: str, covariance: Floats, prior: Prior) -> list[str]:
         for label, r in zip(labels, ratio, strict=True)
         if r > _UNSEEN
     ]
-
-
-def array_of(recording: Recording) -> SensorArray:
-    """Return all channels of a recording as one array, in the order of its sources."""
-    parts = [data.array for data in recording.sources.values()]
-    return SensorArray(
-        tuple(name for part in parts for name in part.names),
-        np.vstack([part.p for part in parts]),
-        np.vstack([part.j for part in parts]),
-        np.vstack([part.k for part in parts]),
-    )

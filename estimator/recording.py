@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,7 +24,15 @@ from estimator.array import SensorArray, sensor_array
 from estimator.errors import GeometryError, RecordingError
 from estimator.kinematics import Site, check_gimbals
 from estimator.model import Prior
-from estimator.reference import AttitudeReadings, RateReadings, Reference, TableReadings, Turns
+from estimator.noise import NoiseModel
+from estimator.reference import (
+    AttitudeReadings,
+    RateReadings,
+    Reference,
+    TableReadings,
+    TableUncertainty,
+    Turns,
+)
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -54,7 +62,10 @@ UNITS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuData:
-    """Samples of one source: instants (n,), rates (n, m), and what else it gave; ``lost`` counts what it lost."""
+    """Samples of one source: instants (n,), rates (n, m), and what else it gave; ``lost`` counts what it lost.
+
+    ``prior`` and ``noise`` are the data sheet's; ``device`` names what the source is a part of.
+    """
 
     array: SensorArray
     t_ns: Stamps
@@ -64,6 +75,8 @@ class ImuData:
     counter: Stamps | None = None
     lost: int = 0
     prior: Prior = field(default_factory=Prior)
+    noise: NoiseModel | None = None
+    device: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,9 +121,11 @@ class RecordingWriter:
         """Set attributes of the file."""
         self._file.attrs.update(attributes)
 
-    def add_table(self, gimbals: tuple[str, ...]) -> None:
+    def add_table(self, gimbals: tuple[str, ...], uncertainty: TableUncertainty | None = None) -> None:
         """Declare the table: its columns are its gimbals, outermost first."""
         group = self._file.require_group("table")
+        if uncertainty is not None:
+            group.attrs.update({f"u_{key}": value for key, value in asdict(uncertainty).items()})
         group.attrs["axes"] = list(gimbals)
         group.attrs["gimbals"] = list(gimbals)
 
@@ -191,7 +206,7 @@ def write_recording(path: Path, recording: Recording) -> None:
         reference = recording.reference
         names: tuple[str, ...]
         if isinstance(reference, TableReadings):
-            writer.add_table(reference.gimbals)
+            writer.add_table(reference.gimbals, reference.uncertainty)
             root, names = "table", ("t_ns", "angle_rad", "rate_rps")
         elif isinstance(reference, RateReadings):
             root, names = "reference", ("t_ns", "rate_rps")
@@ -202,13 +217,22 @@ def write_recording(path: Path, recording: Recording) -> None:
         for name in names:
             writer.append(f"{root}/{name}", getattr(reference, name))
         for source, data in recording.sources.items():
-            writer.add_source(source, data.array, data.prior, {"lost": data.lost})
+            writer.add_source(source, data.array, data.prior, _stated(data))
             for name in ("t_ns", "rate_rps", "temperature_c", "accel_mps2", "counter"):
                 values = getattr(data, name)
                 if values is not None:
                     writer.append(f"imu/{source}/{name}", values)
     finally:
         writer.close()
+
+
+def _stated(data: ImuData) -> dict[str, Any]:
+    attributes: dict[str, Any] = {"lost": data.lost}
+    if data.noise is not None:
+        attributes["noise"] = [data.noise.arw, data.noise.instability, data.noise.walk]
+    if data.device:
+        attributes["device"] = data.device
+    return attributes
 
 
 def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:
@@ -319,7 +343,10 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
         t_ns, rate = t_ns[:n], rate[:n]
     optional = {key: values[: len(t_ns)] for key, values in optional.items()}
     prior = Prior(*(float(v) for v in group.attrs["prior"])) if "prior" in group.attrs else Prior()
-    return ImuData(array, t_ns, rate, lost=int(group.attrs.get("lost", 0)), prior=prior, **cast(Any, optional))
+    noise = NoiseModel(*(float(v) for v in group.attrs["noise"])) if "noise" in group.attrs else None
+    device = str(_plain(group.attrs.get("device", "")))
+    lost = int(group.attrs.get("lost", 0))
+    return ImuData(array, t_ns, rate, lost=lost, prior=prior, noise=noise, device=device, **cast(Any, optional))
 
 
 def _axes(group: Any, key: str) -> Floats | None:
@@ -344,7 +371,9 @@ def _read_reference(path: Path, file: Any) -> Reference:
         if n < 2 or angle.shape[1] != len(axes) or rate.shape[1] != len(axes):
             raise RecordingError(f"{where} needs two rows or more and one column an axis")
         finite = np.isfinite(angle[:n]).all(axis=1) & np.isfinite(rate[:n]).all(axis=1)
-        return TableReadings(t_ns[:n][finite], angle[:n, order][finite], rate[:n, order][finite], gimbals)
+        keys = [f.name for f in fields(TableUncertainty) if f"u_{f.name}" in group.attrs]
+        stated = TableUncertainty(**{key: float(group.attrs[f"u_{key}"]) for key in keys}) if keys else None
+        return TableReadings(t_ns[:n][finite], angle[:n, order][finite], rate[:n, order][finite], gimbals, stated)
     if "reference" not in file:
         raise RecordingError(f"{path} has neither /table nor /reference: nothing says how the body turned")
     where, group = f"{path}: /reference", file["reference"]

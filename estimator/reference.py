@@ -23,6 +23,16 @@ ANCHOR_HALF_WINDOW_NS = 3_000_000_000
 """Half of the window over which the angles correct the rates."""
 
 
+@dataclass(frozen=True, slots=True)
+class TableUncertainty:
+    """Standard uncertainties of a table: rate (relative), wobble and orthogonality of its axes, time of readings."""
+
+    rate: float = 0.0
+    wobble_rad: float = 0.0
+    orthogonality_rad: float = 0.0
+    timing_s: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TableReadings:
     """Angles and rates (k, gimbals) that the table reported; columns as ``gimbals``, outermost first."""
@@ -31,6 +41,7 @@ class TableReadings:
     angle_rad: Floats
     rate_rps: Floats
     gimbals: tuple[str, ...]
+    uncertainty: TableUncertainty | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.calibrate import Calibration
 from estimator.model import STATES
@@ -12,8 +13,20 @@ from estimator.recording import write_results
 
 
 def write_calibration(path: Path, calibration: Calibration, attributes: dict[str, object] | None = None) -> None:
-    """Write /calibration: names, sources, states (n, 4), sd (n, 4), covariance (n, 4, 4), noise (n,)."""
+    """Write /calibration: names, sources, states (n, 4), sd (n, 4), covariance (n, 4, 4), noise of a sample (n,).
+
+    Of runs on a table also ``noise`` (n, 3) and what 95 % of the expectation lies below (n, 2), and ``budget`` (n,
+    contributions, 4): standard uncertainties that add in squares to ``sd``.
+    """
     gyros = calibration.gyros
+    found = [g.noise for g in gyros if g.noise is not None]
+    more: dict[str, NDArray[np.float64]] = {}
+    if len(found) == len(gyros):
+        more["noise"] = np.array([[n.mean.arw, n.mean.instability, n.mean.walk] for n in found])
+        more["noise_below"] = np.array([[n.instability_below, n.walk_below] for n in found])
+    names = [c.name for c in gyros[0].budget] if gyros else []
+    if names and all([c.name for c in g.budget] == names for g in gyros):
+        more["budget"] = np.array([[c.u for c in g.budget] for g in gyros])
     write_results(
         path,
         "calibration",
@@ -24,8 +37,12 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
             "sd": np.array([g.sd for g in gyros]),
             "covariance": np.array([g.covariance for g in gyros]),
             "noise_rps": np.array([g.noise_rps for g in gyros]),
+            **more,
         },
         {
+            "budget_names": names,
+            "noise_names": ["arw_rps_rthz", "instability_rps", "walk_rps_rts"],
+            "excluded": [f"{e.name}: {e.reason}" for e in calibration.excluded],
             "state_names": list(STATES),
             "nis_mean": calibration.nis_mean,
             "samples": calibration.samples,

@@ -14,6 +14,8 @@ from estimator.array import SensorArray, cone, dodecahedron, sensor_array, tetra
 from estimator.errors import GeometryError
 from estimator.kinematics import Site
 from estimator.model import Prior
+from estimator.noise import NoiseModel
+from estimator.reference import TableUncertainty
 from station.errors import BenchError
 from station.tables import Table
 
@@ -39,6 +41,7 @@ class TableConfig:
     poll_rate_hz: float
     timeout_s: float
     axes: Mapping[str, AxisConfig]
+    uncertainty: TableUncertainty | None
 
     @property
     def limits(self) -> dict[str, AxisLimits]:
@@ -61,9 +64,14 @@ class ImuConfig:
     rate_hz: float
     dbc: Path | None
     signals: tuple[tuple[str, str | None], ...]
-    arw_rps_rthz: float
+    noise: NoiseModel
     prior: Prior
     used: bool
+
+    @property
+    def arw_rps_rthz(self) -> float:
+        """Angle random walk that the data sheet states."""
+        return self.noise.arw
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +179,7 @@ def _table(table: Table, folder: Path) -> TableConfig:
         poll_rate_hz=table.quantity("poll_rate", "frequency", 20.0),
         timeout_s=table.quantity("timeout", "time", 0.2),
         axes={axis: _axis(table.table(axis)) for axis in gimbals},
+        uncertainty=_uncertainty(table.table("uncertainty")) if table.has("uncertainty") else None,
     )
     if not 1 <= config.poll_rate_hz <= 1000:
         raise table.fail("poll_rate", f"{config.poll_rate_hz:g} Hz; give 1 Hz to 1000 Hz")
@@ -178,6 +187,19 @@ def _table(table: Table, folder: Path) -> TableConfig:
         raise table.fail("timeout", "must be above zero")
     table.done()
     return config
+
+
+def _uncertainty(table: Table) -> TableUncertainty:
+    found = TableUncertainty(
+        rate=table.quantity("rate", "ratio", 0.0),
+        wobble_rad=table.quantity("wobble", "angle", 0.0),
+        orthogonality_rad=table.quantity("orthogonality", "angle", 0.0),
+        timing_s=table.quantity("timing", "time", 0.0),
+    )
+    if min(found.rate, found.wobble_rad, found.orthogonality_rad, found.timing_s) < 0:
+        raise table.fail(None, "a standard uncertainty is not negative")
+    table.done()
+    return found
 
 
 def _axis(table: Table) -> AxisConfig:
@@ -221,8 +243,12 @@ def _imu(table: Table, folder: Path) -> ImuConfig:
         b_rps=sheet.quantity("bias", "rate", math.radians(1.0)),
         sigma_rad=sheet.quantity("misalignment", "angle", 0.02),
     )
-    arw = sheet.quantity("arw", "angle random walk")
-    if min(prior.k, prior.b_rps, prior.sigma_rad, arw) <= 0:
+    noise = NoiseModel(
+        sheet.quantity("arw", "angle random walk"),
+        sheet.quantity("bias_instability", "rate", 0.0),
+        sheet.quantity("rate_random_walk", "rate random walk", 0.0),
+    )
+    if min(prior.k, prior.b_rps, prior.sigma_rad, noise.arw) <= 0 or min(noise.instability, noise.walk) < 0:
         raise sheet.fail(None, "every value must be above zero")
     sheet.done()
     config = ImuConfig(
@@ -234,7 +260,7 @@ def _imu(table: Table, folder: Path) -> ImuConfig:
         rate_hz,
         dbc,
         signals,
-        arw,
+        noise,
         prior,
         table.flag("used", True),
     )

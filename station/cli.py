@@ -1,20 +1,29 @@
-"""The command line: station run, twin, calibrate, import."""
+"""The command line: station run, twin, calibrate, import, study, plan."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
 from station.errors import EXIT_ABORTED, EXIT_USAGE
+from station.worker_pool import ONE_BLAS_THREAD
+
+# Matrices here are small: threads of the linear algebra library gain nothing, and on a busy machine they wait for
+# each other for seconds. It reads this when it is loaded.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
 
 _MODULES = {
     "run": "station.commands",
     "twin": "station.commands",
-    "calibrate": "station.commands",
+    "calibrate": "station.calibrate_command",
     "import": "station.commands",
+    "plan": "station.plan_command",
+    "study": "station.studies.command",
 }
 """Where the function of each command is, by the command's name: ``command_NAME(arguments) -> exit code``."""
 
@@ -27,6 +36,7 @@ class _Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code: 0 pass, 1 fail, 2 wrong usage, 3 aborted, 4 device fault."""
     arguments = _parser().parse_args(argv)
+    os.environ.update(ONE_BLAS_THREAD)  # before any command imports numpy
     try:
         # The libraries behind the commands cost a second: --help does without.
         module = importlib.import_module(_MODULES[arguments.command])
@@ -79,15 +89,19 @@ def _parser() -> argparse.ArgumentParser:
     calibrate = commands.add_parser(
         "calibrate",
         help="estimate the states of the gyros in recordings",
-        description="Estimate bias, scale factor error and misalignments of every gyro in each recording.",
+        description="Estimate bias, scale factor error and misalignments of every gyro in each recording,"
+        " several at once on all cores or on a Dask cluster.",
     )
-    calibrate.add_argument("recordings", nargs="+", metavar="RECORDING", help="recording (.h5)")
+    calibrate.add_argument(
+        "recordings", nargs="+", metavar="RECORDING", help="recording (.h5), or a folder: every .h5 in it and below"
+    )
     calibrate.add_argument(
         "--bench", metavar="FILE", help="bench file whose limits to judge by; default: the recording's"
     )
     calibrate.add_argument(
         "--write", action="store_true", help="write the result into the recording, group /calibration"
     )
+    _campaign_options(calibrate)
     calibrate.add_argument("--json", action="store_true", help="print each result as one JSON object, one a line")
 
     bring = commands.add_parser(
@@ -99,7 +113,108 @@ def _parser() -> argparse.ArgumentParser:
     bring.add_argument("data", nargs="+", metavar="DATA", help="data files; several become one recording")
     bring.add_argument("--output", "-o", metavar="FILE", required=True, help="recording to write")
     bring.add_argument("--json", action="store_true", help="print the result as one JSON object")
+
+    study = commands.add_parser(
+        "study",
+        help="run a comparison over many seeds",
+        description="Run a comparison on recordings made from the twins' physics, many seeds on all cores.",
+    )
+    studies = study.add_subparsers(dest="study", required=True, metavar="STUDY", parser_class=_Parser)
+    paper = studies.add_parser(
+        "paper",
+        help="the paper's experiment again, beside its Tables 2 and 3",
+        description="Run the paper's experiment to the letter and by this station's default, beside its own tables.",
+    )
+    _study_options(paper, seeds=200)
+    paper.add_argument("--plot", metavar="FILE", help="draw the convergence of every state (.png, .svg or .pdf)")
+    paper.add_argument("--output", "-o", metavar="FILE", help="write the curves and their recording (.h5)")
+    baselines = studies.add_parser(
+        "baselines",
+        help="other ways to calibrate, on the same data",
+        description="Run the methods that the paper names beside this station's: error, stated sigma, time, work.",
+    )
+    _study_options(baselines, seeds=20)
+    _plan_options(
+        commands.add_parser(
+            "plan",
+            help="say what a script will show, before anything moves",
+            description="Say what a script will show on a bench before anything moves: sigmas of the states, the"
+            " smallest effects that would be found, effects that look alike. Exit code 1 if a sigma that the bench"
+            " requires is not reached.",
+        )
+    )
     return parser
+
+
+def _plan_options(plan: argparse.ArgumentParser) -> None:
+    plan.add_argument("script", nargs="?", metavar="SCRIPT", help="script (.toml); default: the 360 s script")
+    plan.add_argument("--bench", metavar="FILE", help="bench file (.toml); default: the built-in twins")
+    plan.add_argument(
+        "--device", action="append", default=[], metavar="NAME", help="device under test to plan for; may be repeated"
+    )
+    plan.add_argument(
+        "--temperature-rise",
+        metavar="QUANTITY",
+        help='how much the gyros are taken to warm in an hour; default: "8 degC"',
+    )
+    plan.add_argument("--json", action="store_true", help="print the plan as one JSON object")
+    _improve_options(
+        plan.add_argument_group(
+            "a better script",
+            "--improve searches the scripts that the table can do for the least time to the sigmas that SCRIPT reaches,"
+            " and writes what it finds. Exit code 1 if they cannot be reached.",
+        )
+    )
+
+
+def _improve_options(better: argparse._ArgumentGroup) -> None:
+    better.add_argument("--improve", action="store_true", help="find a better script and write it")
+    better.add_argument(
+        "--output", "-o", metavar="FILE", help="script to write, a new file; default: improved.toml, or improved-2.toml"
+    )
+    better.add_argument(
+        "--for", dest="time_given", metavar="TIME", help='find the least sigmas in this time, for instance "150 s"'
+    )
+    better.add_argument(
+        "--criterion",
+        choices=("D", "A"),
+        default="D",
+        help="what is made small where time is left: D, the determinants of the covariances, or A, the mean of the"
+        " variances, each against what is required; default: D",
+    )
+    better.add_argument(
+        "--states",
+        metavar="LIST",
+        default="k,b,sigma",
+        help="states that count, of k, b, sigma, sigma_j and sigma_k; default: k,b,sigma",
+    )
+    better.add_argument(
+        "--sigmas",
+        choices=("script", "bench"),
+        default="script",
+        help="what is required: the sigmas that SCRIPT reaches, or those of the bench file ([limits], sd_...);"
+        " default: script",
+    )
+    better.add_argument(
+        "--margin",
+        metavar="SHARE",
+        default="2 %",
+        help='stay this much below, since the noise that a run finds scatters; default: "2 %%"',
+    )
+    better.add_argument(
+        "--rest", metavar="TIME", default="5 s", help='least rest at the beginning and at the end; default: "5 s"'
+    )
+    better.add_argument(
+        "--one-way",
+        action="store_true",
+        help="also take scripts that turn no axis back: shorter, but blind to scale factors that differ by direction",
+    )
+
+
+def _study_options(parser: argparse.ArgumentParser, *, seeds: int) -> None:
+    parser.add_argument("--seeds", type=_count, default=seeds, metavar="N", help=f"how many; default: {seeds}")
+    _campaign_options(parser)
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
 
 
 def _bench_options(parser: argparse.ArgumentParser) -> None:
@@ -117,10 +232,23 @@ def _bench_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=_seed, help="seed of the twins' noise, instead of the bench file's")
 
 
+def _campaign_options(parser: argparse.ArgumentParser) -> None:
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--jobs", type=_count, metavar="N", help="work in N processes; default: one a core")
+    where.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="work on the Dask cluster of this scheduler")
+
+
 def _positive(text: str) -> float:
     value = float(text)
     if not 0 < value < 1e4:
         raise argparse.ArgumentTypeError("must be above 0 and below 10000")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError("must be 1 or more")
     return value
 
 

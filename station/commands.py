@@ -12,19 +12,16 @@ from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from drivers.errors import DeviceError
-from estimator.calibrate import calibrate
 from estimator.errors import EstimatorError
-from estimator.recording import Recording, read_recording, write_recording
-from estimator.results import write_calibration
-from station.bench import Bench, Limits, load_bench, read_limits
-from station.errors import EXIT_USAGE, UsageError
+from estimator.recording import write_recording
+from station.bench import Bench, load_bench
+from station.errors import UsageError
 from station.loops import ScaledLoop, VirtualLoop
 from station.open_bench import needs_only_memory, open_bench, serve_twins, with_links
-from station.outcome import Outcome, Verdict, judge
-from station.printing import Progress, print_calibration, print_verdict, result_object
+from station.outcome import Outcome
+from station.printing import Progress, print_calibration, print_verdict, refuse, result_object
 from station.script import Script, check, load_script, paper_script
 from station.session import Result, Session
 
@@ -42,9 +39,9 @@ def command_run(arguments: argparse.Namespace) -> int:
         with asyncio.Runner(loop_factory=loop_factory) as runner:
             result = runner.run(_run(bench, script, path, scale, arguments.reset_fault, quiet=arguments.json))
     except (UsageError, EstimatorError) as error:
-        return _refuse(str(error), arguments.json)
+        return refuse(str(error), arguments.json)
     except DeviceError as error:
-        return _refuse(str(error), arguments.json, Outcome.FAULT)
+        return refuse(str(error), arguments.json, Outcome.FAULT)
     if arguments.json:
         print(json.dumps(result_object(result.verdict, str(result.recording), result.calibration)))
     else:
@@ -77,37 +74,10 @@ def command_twin(arguments: argparse.Namespace) -> int:
         with asyncio.Runner(loop_factory=partial(ScaledLoop, arguments.scale)) as runner:
             runner.run(serve())
     except (UsageError, EstimatorError) as error:
-        return _refuse(str(error), False)
+        return refuse(str(error), False)
     except (DeviceError, OSError) as error:
-        return _refuse(str(error), False, Outcome.FAULT)
+        return refuse(str(error), False, Outcome.FAULT)
     return 0
-
-
-def command_calibrate(arguments: argparse.Namespace) -> int:
-    """Estimate the gyros of each recording; the worst exit code of all."""
-    worst = 0
-    for name in arguments.recordings:
-        try:
-            recording = read_recording(Path(name))
-            limits = load_bench(Path(arguments.bench)).limits if arguments.bench else _own_limits(recording)
-            calibration = calibrate(recording)
-            verdict = (
-                judge(calibration, limits)
-                if limits
-                else Verdict(Outcome.PASS, "estimated; the recording carries no limits to judge by")
-            )
-            if arguments.write:
-                write_calibration(Path(name), calibration)
-        except (UsageError, EstimatorError) as error:
-            worst = max(worst, _refuse(str(error), arguments.json))
-            continue
-        if arguments.json:
-            print(json.dumps(result_object(verdict, name, calibration)))
-        else:
-            print_calibration(calibration)
-            print_verdict(verdict, Path(name))
-        worst = max(worst, verdict.outcome.exit_code)
-    return worst
 
 
 def command_import(arguments: argparse.Namespace) -> int:
@@ -120,7 +90,7 @@ def command_import(arguments: argparse.Namespace) -> int:
         imported = import_recording(read_mapping(Path(arguments.mapping)), [Path(d) for d in arguments.data])
         write_recording(output, imported.recording)
     except EstimatorError as error:
-        return _refuse(str(error), arguments.json)
+        return refuse(str(error), arguments.json)
     samples = {name: len(data.t_ns) for name, data in imported.recording.sources.items()}
     refused = [{"name": r.name, "reason": r.reason} for r in imported.refused]
     if arguments.json:
@@ -162,11 +132,6 @@ def _seeded(bench: Bench, seed: int | None) -> Bench:
     return bench if seed is None else replace(bench, twin=replace(bench.twin, seed=seed))
 
 
-def _own_limits(recording: Recording) -> Limits | None:
-    text = recording.attributes.get("bench")
-    return read_limits(str(text)) if text else None
-
-
 def _new_recording_path() -> Path:
     """Return a path that is free; a second run within a second gets a number."""
     stem = f"run-{datetime.now():%Y%m%d-%H%M%S}"
@@ -175,11 +140,3 @@ def _new_recording_path() -> Path:
         number += 1
         path = path.with_name(f"{stem}-{number}.h5")
     return path
-
-
-def _refuse(reason: str, as_json: bool, outcome: Outcome | None = None) -> int:
-    print(f"station: {reason}", file=sys.stderr)
-    if as_json:
-        empty: dict[str, Any] = {"outcome": outcome and str(outcome), "reason": reason, "recording": None}
-        print(json.dumps({**empty, "gyros": [], "nis_mean": None, "samples": 0, "lost": 0}))
-    return outcome.exit_code if outcome else EXIT_USAGE

@@ -37,7 +37,7 @@ class Verdict:
 
 def judge(calibration: Calibration, limits: Limits) -> Verdict:
     """Compare a calibration with the limits of its bench; the reason names every limit that is broken."""
-    broken: list[str] = []
+    broken = [f"{gyro.name} is not estimated: {gyro.reason}" for gyro in calibration.excluded]
     sizes = (limits.k, limits.b_rps, limits.sigma_rad, limits.sigma_rad)
     doubts = (limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad)
     units = ((1e6, "ppm"), (_DEG, "deg/s"), (_DEG, "deg"), (_DEG, "deg"))

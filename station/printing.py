@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import math
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as RichProgress
 from rich.table import Table
 
 from estimator.calibrate import Calibration
 from estimator.model import STATES
+from station.errors import EXIT_USAGE
 from station.outcome import Outcome, Verdict
 from station.snapshot import Snapshot
 
@@ -26,6 +31,13 @@ _COLOURS = {
     Outcome.FAIL: "bold red",
     Outcome.ABORTED: "bold yellow",
     Outcome.FAULT: "bold red",
+}
+_BUDGET_WORDS = {
+    "noise": "noise (type A)",
+    "rate": "table rate (type B)",
+    "wobble": "table wobble (type B)",
+    "orthogonality": "table orthogonality (type B)",
+    "timing": "table timing (type B)",
 }
 _PLAIN_EVERY = 0.1  # without a terminal: one line each tenth of the run
 
@@ -80,10 +92,10 @@ def print_calibration(calibration: Calibration) -> None:
     """Print the states of every gyro with their sigmas, in the units people use."""
     table = Table(title="States and their standard deviations", title_style="bold", title_justify="left")
     table.add_column("gyro")
-    for heading in ("k [ppm]", "b [deg/s]", "sigma_j [deg]", "sigma_k [deg]"):
+    for heading in ("k (ppm)", "b (deg/s)", "sigma_j (deg)", "sigma_k (deg)"):
         table.add_column(heading, justify="right")
         table.add_column("±", justify="right", style="dim")
-    table.add_column("noise [deg/s]", justify="right")
+    table.add_column("noise (deg/s)", justify="right")
     scales = (1e6, math.degrees(1), math.degrees(1), math.degrees(1))
     formats = (".0f", ".5f", ".5f", ".5f")
     for gyro in calibration.gyros:
@@ -93,6 +105,7 @@ def print_calibration(calibration: Calibration) -> None:
         table.add_row(*cells, f"{math.degrees(gyro.noise_rps):.4f}")
     console = _stdout()
     console.print(table)
+    _print_budget(console, calibration)
     nis = (
         f"mean NIS {calibration.nis_mean:.3f} per degree of freedom (1 = the filter's sigmas are true), "
         if np.isfinite(calibration.nis_mean)
@@ -103,11 +116,86 @@ def print_calibration(calibration: Calibration) -> None:
         console.print(f"note: {note}", highlight=False)
 
 
+def _print_budget(console: Console, calibration: Calibration) -> None:
+    """Print where the sigmas come from: noise and the table's own uncertainty, rms over the gyros."""
+    budgets = [{c.name: c.u for c in gyro.budget} for gyro in calibration.gyros]
+    names = list(budgets[0]) if budgets else []
+    if len(names) > 1 and all(list(budget) == names for budget in budgets):
+        table = Table(title="Uncertainty budget, rms over the gyros", title_style="bold", title_justify="left")
+        table.add_column("source")
+        for heading in ("k (ppm)", "b (deg/h)", "sigma_j (urad)", "sigma_k (urad)"):
+            table.add_column(heading, justify="right")
+        lines = {_BUDGET_WORDS.get(name, name): np.array([budget[name] for budget in budgets]) for name in names}
+        lines["combined"] = np.array([gyro.sd for gyro in calibration.gyros])
+        for name, u in lines.items():
+            rms = np.sqrt(np.mean(u**2, axis=0)) * (1e6, math.degrees(3600), 1e6, 1e6)
+            table.add_row(name, *map(_size, rms))
+        console.print(table)
+    found = [gyro.noise for gyro in calibration.gyros if gyro.noise is not None]
+    if found:
+        arw = math.degrees(np.mean([n.mean.arw for n in found]))
+        instability = math.degrees(np.mean([n.instability_below for n in found])) * 3600
+        walk = math.degrees(np.mean([n.walk_below for n in found])) * 3600 * 60
+        console.print(
+            f"noise found: angle random walk {arw:.3g} deg/s/rtHz, bias instability below {instability:.2g} deg/h, "
+            f"rate random walk below {walk:.2g} deg/h/rth (95 %)",
+            highlight=False,
+        )
+
+
+def _size(value: float) -> str:
+    return "< 0.01" if value < 0.01 else f"{value:.2g}" if value < 10 else f"{value:.0f}"
+
+
 def print_verdict(verdict: Verdict, recording: Path) -> None:
     """Print how it ended, why, and where the recording is."""
     console = _stdout()
     console.print(f"[{_COLOURS[verdict.outcome]}]{verdict.outcome}[/]  {verdict.reason}", highlight=False)
     console.print(f"recording: {recording}", highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True, slots=True)
+class OverviewLine:
+    """One recording among many. ``seen`` is the largest sigma of its states as a share of the data sheet's."""
+
+    recording: str
+    device: str
+    script: str
+    verdict: Verdict
+    nis_mean: float
+    seen: float
+
+
+def print_overview(lines: Sequence[OverviewLine], folder: str) -> None:
+    """Print one line a recording: what it is of, how it was judged, how well it shows its states, how true it is."""
+    table = Table(title=f"Recordings in {escape(folder)}", title_style="bold", title_justify="left")
+    for heading in ("recording", "device", "script"):
+        table.add_column(heading, overflow="fold")
+    table.add_column("outcome")
+    for heading in ("worst sigma / prior", "mean NIS"):
+        table.add_column(heading, justify="right")
+    table.add_column("reason", overflow="fold")
+    for line in lines:
+        outcome = line.verdict.outcome
+        table.add_row(
+            escape(line.recording),
+            escape(line.device),
+            escape(line.script),
+            f"[{_COLOURS[outcome]}]{outcome}[/]",
+            f"{line.seen:.2%}",
+            f"{line.nis_mean:.3f}" if np.isfinite(line.nis_mean) else "",
+            "" if outcome is Outcome.PASS else escape(line.verdict.reason),
+        )
+    _stdout().print(table)
+
+
+def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:
+    """Say on stderr why there is no result, and as JSON an empty one; return the exit code."""
+    print(f"station: {reason}", file=sys.stderr)
+    if as_json:
+        empty: dict[str, Any] = {"outcome": outcome and str(outcome), "reason": reason, "recording": recording}
+        print(json.dumps({**empty, "gyros": [], "nis_mean": None, "samples": 0, "lost": 0}))
+    return outcome.exit_code if outcome else EXIT_USAGE
 
 
 def result_object(verdict: Verdict, recording: str, calibration: Calibration | None) -> dict[str, Any]:
@@ -117,6 +205,15 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
             "name": gyro.name,
             **dict(zip(STATES, map(float, gyro.states), strict=True)),
             "sd": dict(zip(STATES, map(float, gyro.sd), strict=True)),
+            "budget": {c.name: dict(zip(STATES, map(float, c.u), strict=True)) for c in gyro.budget},
+            "noise": gyro.noise
+            and {
+                "arw_rps_rthz": gyro.noise.mean.arw,
+                "instability_rps": gyro.noise.mean.instability,
+                "instability_below_rps": gyro.noise.instability_below,
+                "walk_rps_rts": gyro.noise.mean.walk,
+                "walk_below_rps_rts": gyro.noise.walk_below,
+            },
         }
         for gyro in (calibration.gyros if calibration else ())
     ]
@@ -129,6 +226,11 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
         "nis_mean": nis,
         "samples": calibration.samples if calibration else 0,
         "lost": calibration.lost if calibration else 0,
+        "excluded": {e.name: e.reason for e in calibration.excluded} if calibration else {},
+        "parity": {
+            c.name: {"rms_sigma": c.rms_sigma, "worst_sigma": c.worst_sigma, "suspect": c.suspect}
+            for c in (calibration.parity if calibration else ())
+        },
     }
 
 

@@ -85,7 +85,7 @@ class Session:
         loop = asyncio.get_running_loop()
         if not is_virtual(loop):  # a simulated clock has no place in the day
             self._writer.set_attributes({"clock_zero_utc_s": time.time() - loop.time() / time_scale})
-        self._writer.add_table(config.table.gimbals)
+        self._writer.add_table(config.table.gimbals, config.table.uncertainty)
         for imu in bench.imus:
             self._add_sources(imu)
 
@@ -131,9 +131,9 @@ class Session:
         one_each = len(imu.source.names) == len(config.array)
         for i, name in enumerate(imu.source.names):
             array = config.array.select([i]) if one_each else config.array
-            self._writer.add_source(
-                name, array, config.prior, {"device": config.name, "rate_hz": config.rate_hz, "lost": 0}
-            )
+            noise = [config.noise.arw, config.noise.instability, config.noise.walk]
+            stated = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
+            self._writer.add_source(name, array, config.prior, stated)
             self._live.sources[name] = LiveSource(array, config.rate_hz, float(noise_rps), config.prior)
 
     async def _work(self) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from estimator.array import SensorArray
 from estimator.kinematics import Site
 from estimator.model import Prior
+from estimator.noise import NoiseModel
 from estimator.recording import ImuData, Recording
 from estimator.reference import TableReadings
 from sims.direct import TimedMove, direct_run
@@ -31,7 +32,7 @@ class DeviceTruth:
     """What a simulated device really is: its states (n, 4) as in ``estimator.model.STATES``, and its noise.
 
     ``kind`` names a mounting that the twins know by themselves (triad, tetrahedron, dodecahedron); without it the
-    twin is mounted as the array says.
+    twin is mounted as the array says. ``stated`` is the noise that the data sheet, and so the recording, states.
     """
 
     array: SensorArray
@@ -42,6 +43,7 @@ class DeviceTruth:
     rate_hz: float = 100.0
     prior: Prior = field(default_factory=Prior)
     kind: str | None = None
+    stated: NoiseModel | None = None
 
 
 def simulate(
@@ -81,12 +83,20 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
     used = [imu for imu in bench.imus if imu.used]
     devices = {
         imu.name: DeviceTruth(
-            imu.array, np.zeros((len(imu.array), 4)), imu.arw_rps_rthz, rate_hz=imu.rate_hz, prior=imu.prior
+            imu.array,
+            np.zeros((len(imu.array), 4)),
+            imu.arw_rps_rthz,
+            rate_hz=imu.rate_hz,
+            prior=imu.prior,
+            stated=imu.noise,
         )
         for imu in used
     }
     mounts = {imu.name: (mounting_of(imu), truth_of(truths, imu)) for imu in used}
     recording = _run(script, devices, mounts, seed, bench.site, bench.table.gimbals, True)
+    if isinstance(recording.reference, TableReadings):
+        reference = replace(recording.reference, uncertainty=bench.table.uncertainty)
+        recording = replace(recording, reference=reference)
     return replace(recording, attributes={"bench": bench.text, "seed": seed, "script": script.name})
 
 
@@ -117,7 +127,9 @@ def _run(
             rate_hz=device.rate_hz,
             earth_turns=earth_turns,
         )
-        sources[name] = ImuData(device.array, run.t_ns, run.output_rps, prior=device.prior)
+        sources[name] = ImuData(
+            device.array, run.t_ns, run.output_rps, prior=device.prior, noise=device.stated, device=name
+        )
         reference = TableReadings(run.table_t_ns, run.angle_rad, run.rate_rps, tuple(gimbals))
     if reference is None:
         raise ValueError("a simulation needs one device or more")

@@ -1,0 +1,87 @@
+"""What gyros on a table go through: all that the regressor of an effect may depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.kinematics import AXES, Site, body_rate, check_gimbals, into_body, specific_force
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conditions:
+    """Rows of an even grid of instants ``t_s`` (N,).
+
+    ``w_rps`` and ``wdot_rps2`` (N, 3): inertial rate of the body in body axes, and its derivative there.
+    ``angle_rad``, ``rate_rps``, ``acceleration_rps2`` (N, g): those of the ``gimbals``, outermost first.
+    ``specific_force_mps2`` (N, 3) in body axes; ``temperature_c`` (N,), None if it is not known. ``w_rps`` holds
+    Earth rate only where there is a ``site``.
+    """
+
+    t_s: Floats
+    w_rps: Floats
+    wdot_rps2: Floats
+    angle_rad: Floats
+    rate_rps: Floats
+    acceleration_rps2: Floats
+    gimbals: tuple[str, ...]
+    specific_force_mps2: Floats
+    temperature_c: Floats | None = None
+    site: Site | None = None
+
+    @property
+    def period_s(self) -> float:
+        """Spacing of the grid."""
+        return float(self.t_s[1] - self.t_s[0])
+
+    @classmethod
+    def on_table(
+        cls,
+        t_s: Floats,
+        angle_rad: Floats,
+        rate_rps: Floats,
+        acceleration_rps2: Floats,
+        gimbals: Sequence[str],
+        *,
+        temperature_c: Floats | None = None,
+        site: Site | None = None,
+    ) -> Conditions:
+        """Return what a motion of gimbals (N, g) puts a body through. Raises RecordingError for unknown gimbals."""
+        names = check_gimbals(gimbals)
+        return cls(
+            t_s,
+            body_rate(angle_rad, rate_rps, names, site),
+            body_acceleration(angle_rad, rate_rps, acceleration_rps2, names, site),
+            angle_rad,
+            rate_rps,
+            acceleration_rps2,
+            names,
+            specific_force(angle_rad, names),
+            temperature_c,
+            site,
+        )
+
+
+def body_acceleration(
+    angle_rad: Floats, rate_rps: Floats, acceleration_rps2: Floats, gimbals: Sequence[str], site: Site | None = None
+) -> Floats:
+    """Return the derivative (N, 3) of the body rate in body axes, rad/s2.
+
+    Through each gimbal with axis e, v becomes R' v + e rate, so its derivative becomes R' vdot - rate e x (R' v) +
+    e acceleration.
+    """
+    base = np.zeros(3) if site is None else site.earth_rate_rps()
+    v = np.tile(base, (len(angle_rad), 1))
+    vdot = np.zeros_like(v)
+    for column, axis in enumerate(gimbals):
+        e = np.eye(3)[AXES.index(axis)]
+        angle = angle_rad[:, [column]]
+        v, vdot = into_body(v, angle, axis), into_body(vdot, angle, axis)
+        vdot = vdot - rate_rps[:, [column]] * np.cross(e, v) + acceleration_rps2[:, [column]] * e
+        v = v + rate_rps[:, [column]] * e
+    return vdot

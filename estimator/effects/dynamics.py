@@ -1,0 +1,82 @@
+"""Effects of changing rates: delay, limited bandwidth, angular acceleration; and tones."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.conditions import Conditions
+from estimator.effects.effect import Axes, Effect, Parameter
+
+Floats = NDArray[np.float64]
+
+
+def latency() -> Effect:
+    """Return a delay of the gyros' stamps against the table's: -p . wdot, to first order in the delay."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        return -conditions.wdot_rps2 @ axes.p
+
+    return Effect(
+        "latency",
+        (Parameter("delay", "s", 0.02),),
+        shared=True,
+        shown_by="ramps",
+        confused_with=("acceleration_sensitivity", "bandwidth"),
+        regressors=columns,
+    )
+
+
+def bandwidth() -> Effect:
+    """Return what a first-order lag does beyond its delay: the second derivative of p . w.
+
+    A lag of time constant tau puts out u - tau u' + tau^2 u'' - ..., a delay of tau as much with tau^2 / 2: the
+    parameter is tau^2 / 2, good for tau below the spacing of the grid. Corners of the rate's ramps are as wide
+    as that spacing here, which makes the effect look smaller than faster samples would. Largest: 10 Hz, 16 ms.
+    """
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        return np.asarray(np.gradient(conditions.wdot_rps2 @ axes.p, conditions.period_s))
+
+    return Effect(
+        "bandwidth",
+        (Parameter("half the squared time constant", "s2", 0.5 * (1 / (2 * np.pi * 10.0)) ** 2),),
+        shared=False,
+        shown_by="steep ramps, sines",
+        confused_with=("latency",),
+        regressors=columns,
+    )
+
+
+def acceleration_sensitivity() -> Effect:
+    """Return what angular acceleration about the tilt axes adds: wdot along j and k. About p it looks like latency."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        return np.column_stack([conditions.wdot_rps2 @ axes.j, conditions.wdot_rps2 @ axes.k])
+
+    return Effect(
+        "acceleration_sensitivity",
+        (Parameter("about j", "s", 2e-3), Parameter("about k", "s", 2e-3)),
+        shared=False,
+        shown_by="ramps about axes across the sense axis",
+        confused_with=("latency",),
+        regressors=columns,
+    )
+
+
+def tone(frequency_hz: float) -> Effect:
+    """Return a vibration or an alias of the mains at a frequency: cosine and sine, up to 0.5 deg/s."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        phase = 2 * np.pi * frequency_hz * conditions.t_s
+        return np.column_stack([np.cos(phase), np.sin(phase)])
+
+    largest = float(np.radians(0.5))
+    return Effect(
+        "tone",
+        tuple(Parameter(f"{part} at {frequency_hz:g} Hz", "rad/s", largest) for part in ("cosine", "sine")),
+        shared=False,
+        shown_by="samples faster than twice its frequency",
+        confused_with=(),
+        regressors=columns,
+    )

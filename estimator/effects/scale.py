@@ -1,0 +1,62 @@
+"""Scale factors that depend on the rate itself; u = p . w is the rate about the sense axis."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.conditions import Conditions
+from estimator.effects.effect import Axes, Effect, Parameter
+
+Floats = NDArray[np.float64]
+
+
+def scale_asymmetry() -> Effect:
+    """Return a scale factor that differs between the directions by twice the parameter: abs(u).
+
+    Some 100 ppm in tactical, some 1000 ppm in automotive MEMS gyros.
+    """
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        return np.abs(conditions.w_rps @ axes.p)
+
+    return Effect(
+        "scale_asymmetry",
+        (Parameter("each direction", "1", 5e-3),),
+        shared=False,
+        shown_by="turns in both directions about each axis",
+        confused_with=("scale_quadratic",),
+        regressors=columns,
+    )
+
+
+def scale_quadratic() -> Effect:
+    """Return what grows with the square of the rate: u^2, up to 0.5 % of full scale at 400 deg/s."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        return np.asarray((conditions.w_rps @ axes.p) ** 2)
+
+    return Effect(
+        "scale_quadratic",
+        (Parameter("u^2", "1/(rad/s)", 1e-3),),
+        shared=False,
+        shown_by="three rates and more in each direction",
+        confused_with=("scale_asymmetry", "scale_cubic"),
+        regressors=columns,
+    )
+
+
+def scale_cubic() -> Effect:
+    """Return what grows with the cube of the rate: u^3, up to 1 % of full scale at 400 deg/s."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        return np.asarray((conditions.w_rps @ axes.p) ** 3)
+
+    return Effect(
+        "scale_cubic",
+        (Parameter("u^3", "1/(rad/s)2", 2e-4),),
+        shared=False,
+        shown_by="three rates and more in each direction",
+        confused_with=("scale_quadratic",),
+        regressors=columns,
+    )

@@ -1,0 +1,74 @@
+"""Effects of temperature. Without a temperature they are nothing: their columns are zero."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.conditions import Conditions
+from estimator.effects.effect import Axes, Effect, Parameter
+
+Floats = NDArray[np.float64]
+
+REFERENCE_C = 25.0
+"""Temperature at which data sheets state bias and scale factor."""
+
+
+def thermal_bias(reference_c: float = REFERENCE_C) -> Effect:
+    """Return the bias over temperature, linear and quadratic: up to 20 deg/s over 125 K (InvenSense MPU-6050)."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        rise = _above(conditions, reference_c)
+        return np.column_stack([rise, rise**2])
+
+    return Effect(
+        "thermal_bias",
+        (
+            Parameter("linear", "rad/s/K", float(np.radians(0.16))),
+            Parameter("quadratic", "rad/s/K2", float(np.radians(0.002))),
+        ),
+        shared=False,
+        shown_by="a temperature that rises and falls",
+        confused_with=("warm_up", "bias_drift", "thermal_gradient"),
+        regressors=columns,
+    )
+
+
+def thermal_scale(reference_c: float = REFERENCE_C) -> Effect:
+    """Return the scale factor over temperature: up to 500 ppm/K for uncompensated MEMS gyros."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        return _above(conditions, reference_c) * (conditions.w_rps @ axes.p)
+
+    return Effect(
+        "thermal_scale",
+        (Parameter("linear", "1/K", 5e-4),),
+        shared=False,
+        shown_by="one rate at several temperatures",
+        confused_with=("scale_asymmetry",),
+        regressors=columns,
+    )
+
+
+def thermal_gradient() -> Effect:
+    """Return what a changing temperature adds: up to 1 deg/s per K/min before the parts are evenly warm."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        if conditions.temperature_c is None:
+            return np.zeros(len(conditions.t_s))
+        return np.asarray(np.gradient(conditions.temperature_c, conditions.period_s))
+
+    return Effect(
+        "thermal_gradient",
+        (Parameter("per rate of change", "rad/s/(K/s)", float(np.radians(60.0))),),
+        shared=False,
+        shown_by="a temperature that changes at different rates",
+        confused_with=("warm_up", "bias_drift", "thermal_bias"),
+        regressors=columns,
+    )
+
+
+def _above(conditions: Conditions, reference_c: float) -> Floats:
+    if conditions.temperature_c is None:
+        return np.zeros(len(conditions.t_s))
+    return conditions.temperature_c - reference_c

@@ -1,0 +1,89 @@
+"""Noise of a gyro: angle random walk, bias instability, rate random walk; covariance of means, Allan deviation.
+
+Bias instability is flicker noise of two-sided density ``B^2 / (2 pi f)`` (IEEE Std 952, Annex C), whose Allan
+deviation is flat at 0.664 B. It is represented by Gauss-Markov processes spread evenly over the logarithm of the
+correlation time, each with variance ``B^2 / pi`` per unit of it, from a second to ten times the span looked at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_STEPS_A_DECADE = 2
+_SHORTEST_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """Angle random walk in rad/s/rtHz, bias instability in rad/s, rate random walk in rad/s/rts."""
+
+    arw: float
+    instability: float = 0.0
+    walk: float = 0.0
+
+    def allan_deviation(self, tau_s: Floats) -> Floats:
+        """Return the Allan deviation in rad/s at averaging times ``tau_s`` (IEEE Std 952, Annex C)."""
+        flicker = 2 * np.log(2) / np.pi * self.instability**2
+        return np.asarray(np.sqrt(self.arw**2 / tau_s + flicker + self.walk**2 * tau_s / 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeansCovariance:
+    """Covariance of means over blocks of one length, per unit of each kind of noise squared, each (B, B).
+
+    ``white`` is the diagonal (B,): one over the time that a block holds samples for.
+    """
+
+    white: Floats
+    flicker: Floats
+    walk: Floats
+
+    @classmethod
+    def of(cls, t_s: Floats, length_s: float, held_s: Floats) -> MeansCovariance:
+        """Return it for blocks centred at ``t_s`` (B,), of which samples cover ``held_s`` (B,)."""
+        lag = np.abs(t_s[:, None] - t_s[None, :])
+        same = np.eye(len(t_s), dtype=bool)
+        longest = 10 * max(float(t_s[-1] - t_s[0]), 10 * _SHORTEST_S)
+        count = int(np.ceil(np.log10(longest / _SHORTEST_S) * _STEPS_A_DECADE)) + 1
+        times = np.geomspace(_SHORTEST_S, longest, count)
+        variance = np.log(times[1] / times[0]) / np.pi
+        flicker = np.zeros_like(lag)
+        for time_s in times:
+            x = length_s / time_s
+            flicker += np.where(
+                same,
+                2 * (x - 1 + np.exp(-x)) / x**2,
+                2 * (np.cosh(x) - 1) / x**2 * np.exp(-np.maximum(lag, length_s) / time_s),
+            )
+        since = t_s - t_s[0]
+        return cls(1 / held_s, variance * flicker, np.minimum(since[:, None], since[None, :]))
+
+    def under(self, noise: NoiseModel) -> Floats:
+        """Return the covariance (B, B) in (rad/s)^2 under this noise."""
+        total = noise.instability**2 * self.flicker + noise.walk**2 * self.walk
+        total[np.diag_indices_from(total)] += noise.arw**2 * self.white
+        return total
+
+
+def allan_deviation(rate_rps: Floats, period_s: float, per_decade: int = 5) -> tuple[Floats, Floats]:
+    """Return averaging times (t,) and the overlapping Allan deviation (t, m) of rates (n, m) evenly sampled.
+
+    The times go up to a third of the span, where an estimate still rests on a few averages.
+    """
+    n = len(rate_rps)
+    if n < 9:
+        return np.empty(0), np.empty((0, rate_rps.shape[1]))
+    widths = np.unique(
+        np.round(np.logspace(0, np.log10(n // 3), max(int(np.log10(n // 3) * per_decade), 1) + 1)).astype(int)
+    )
+    angle = np.vstack([np.zeros((1, rate_rps.shape[1])), np.cumsum(rate_rps - rate_rps.mean(axis=0), axis=0)])
+    out = np.empty((len(widths), rate_rps.shape[1]))
+    for row, width in enumerate(widths):
+        second = angle[2 * width :] - 2 * angle[width:-width] + angle[: -2 * width]
+        out[row] = np.sqrt(0.5 * np.mean(second**2, axis=0)) / width
+    return widths * period_s, out

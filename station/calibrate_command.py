@@ -1,0 +1,163 @@
+"""station calibrate: estimates from recordings that are there, one or an archive of them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator.calibrate import Calibration, calibrate
+from estimator.errors import RecordingError
+from estimator.recording import Recording, read_recording
+from estimator.results import write_calibration
+from station.bench import Limits, load_bench, read_limits
+from station.campaigns import run_all
+from station.errors import UsageError
+from station.outcome import Outcome, Verdict, judge
+from station.printing import (
+    OverviewLine,
+    print_calibration,
+    print_overview,
+    print_verdict,
+    refuse,
+    result_object,
+)
+
+_IN_FULL = 5  # more recordings than this are printed a line each: a person compares them
+_KEPT = ("device", "devices", "script", "seed", "clock_zero_utc_s", "outcome", "reason")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimated:
+    """What one recording says, without its samples.
+
+    ``attributes`` are those of the recording that tell which device was measured, how and when. ``seen`` is the
+    largest sigma of all states as a share of what the data sheet promises.
+    """
+
+    calibration: Calibration
+    verdict: Verdict
+    attributes: Mapping[str, Any]
+    seen: float
+
+
+def command_calibrate(arguments: argparse.Namespace) -> int:
+    """Estimate the gyros of each recording; the worst exit code of all."""
+    try:
+        names = recordings_of(arguments.recordings)
+        limits = load_bench(Path(arguments.bench)).limits if arguments.bench else None
+        results, failures = run_all(
+            partial(estimate, limits=limits, write=arguments.write),
+            [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
+            label="calibrating",
+            scheduler=arguments.scheduler,
+            workers=arguments.jobs,
+            quiet=arguments.json or len(names) == 1,
+        )
+    except UsageError as error:
+        return refuse(str(error), arguments.json)
+    reasons = iter(failure.reason for failure in failures)  # in the order of the recordings, as the gaps are
+    ends = [(name, next(reasons) if found is None else found) for name, found in zip(names, results, strict=True)]
+    return _print_json(ends) if arguments.json else _print(ends)
+
+
+def recordings_of(arguments: Sequence[str]) -> list[str]:
+    """Return the recordings that are meant, each once: a folder means every .h5 in it and below, by name.
+
+    Raises UsageError for a folder without any.
+    """
+    found: dict[Path, str] = {}  # two processes must not write into one file
+    for argument in arguments:
+        path = Path(argument)
+        inside = sorted(str(p) for p in path.rglob("*.h5") if p.is_file()) if path.is_dir() else [argument]
+        if not inside:
+            raise UsageError(f"{argument} holds no recording (.h5)")
+        for name in inside:
+            found.setdefault(Path(name).resolve(), name)
+    return list(found.values())
+
+
+def estimate(name: str, *, limits: Limits | None, write: bool) -> Estimated:
+    """Estimate the gyros of one recording and judge them, by its own limits unless some are given.
+
+    Raises EstimatorError or UsageError for a recording that cannot be used, or not be written into.
+    """
+    recording = read_recording(Path(name))
+    limits = limits or _own_limits(recording)
+    calibration = calibrate(recording)
+    verdict = (
+        judge(calibration, limits)
+        if limits
+        else Verdict(Outcome.PASS, "estimated; the recording carries no limits to judge by")
+    )
+    if write:
+        try:
+            write_calibration(Path(name), calibration)
+        except OSError as error:
+            raise RecordingError(f"{name} cannot be written into: {error}") from None
+    attributes = {key: recording.attributes[key] for key in _KEPT if key in recording.attributes}
+    return Estimated(calibration, verdict, attributes, _worst_share(recording, calibration))
+
+
+def _own_limits(recording: Recording) -> Limits | None:
+    text = recording.attributes.get("bench")
+    return read_limits(str(text)) if text else None
+
+
+def _worst_share(recording: Recording, calibration: Calibration) -> float:
+    """Return the largest sigma of the gyros' states as a share of what the data sheet says."""
+    promised = {name: np.sqrt(data.prior.variances()) for name, data in recording.sources.items()}
+    return max(float((gyro.sd / promised[gyro.source]).max()) for gyro in calibration.gyros)
+
+
+def _print_json(ends: Sequence[tuple[str, Estimated | str]]) -> int:
+    worst = 0
+    for name, end in ends:
+        if isinstance(end, str):
+            worst = max(worst, refuse(end, True, recording=name))
+        else:
+            print(json.dumps(result_object(end.verdict, name, end.calibration)))
+            worst = max(worst, end.verdict.outcome.exit_code)
+    return worst
+
+
+def _print(ends: Sequence[tuple[str, Estimated | str]]) -> int:
+    judged = [(name, end) for name, end in ends if isinstance(end, Estimated)]
+    if len(ends) > _IN_FULL:
+        folder = os.path.commonpath([Path(name).absolute().parent for name, _ in ends])
+        print_overview([_overview_line(os.path.relpath(name, folder), end) for name, end in judged], folder)
+        counts = Counter(str(end.verdict.outcome) for _, end in judged)
+        counts["not estimated"] = len(ends) - len(judged)
+        print(f"{len(ends)} recordings: " + ", ".join(f"{count} {what}" for what, count in counts.items() if count))
+    else:
+        for name, end in judged:
+            print_calibration(end.calibration)
+            print_verdict(end.verdict, Path(name))
+    worst = max((end.verdict.outcome.exit_code for _, end in judged), default=0)
+    sys.stdout.flush()  # what failed comes last, wherever the two streams lead
+    failed = [(name, reason) for name, reason in ends if isinstance(reason, str)]
+    return max([worst, *(refuse(_named(name, reason), False) for name, reason in failed)])
+
+
+def _named(name: str, reason: str) -> str:
+    return reason if Path(name).name in reason else f"{name}: {reason}"
+
+
+def _overview_line(name: str, end: Estimated) -> OverviewLine:
+    carried = [str(device).partition(" (")[0] for device in end.attributes.get("devices", ())]
+    device = str(end.attributes.get("device", "")) or ", ".join(carried or _sources(end.calibration))
+    script = str(end.attributes.get("script", ""))
+    return OverviewLine(name, device, script, end.verdict, end.calibration.nis_mean, end.seen)
+
+
+def _sources(calibration: Calibration) -> list[str]:
+    return list(dict.fromkeys(gyro.source for gyro in calibration.gyros))

@@ -1,0 +1,137 @@
+"""station plan: what a script will show, before anything moves."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from estimator.errors import EstimatorError
+from estimator.model import STATES
+from estimator.planning import EffectForecast, Forecast
+from station.bench import load_bench
+from station.errors import UsageError
+from station.improve import improve
+from station.open_bench import with_links
+from station.outcome import Outcome
+from station.plan import TEMPERATURE_RISE_K, WARMING_TIME_S, Plan, make_plan
+from station.plan_printed import print_plan
+from station.printing import refuse
+from station.quantities import QuantityError, parse
+from station.script import Rest, Script, load_script, paper_script
+
+_PIPE_WIDTH = 120
+
+
+def command_plan(arguments: argparse.Namespace) -> int:
+    """Print what a script will show on a bench; 1 if it does not reach the sigmas that the bench requires."""
+    try:
+        bench = load_bench(Path(arguments.bench) if arguments.bench else None)
+        bench = with_links(bench, {}, arguments.device)
+        script = load_script(Path(arguments.script)) if arguments.script else paper_script()
+        if arguments.improve:
+            return improve(arguments, bench, script)
+        plan = make_plan(script, bench, temperature_rise_k=_rise(arguments.temperature_rise))
+    except (UsageError, EstimatorError) as error:
+        return refuse(str(error), arguments.json)
+    if arguments.json:
+        print(json.dumps(plan_object(plan)))
+    else:
+        console = Console()
+        print_plan(plan, console if console.is_terminal else Console(width=_PIPE_WIDTH))
+    return (Outcome.PASS if plan.reached.all() else Outcome.FAIL).exit_code
+
+
+def _rise(text: str | None) -> float:
+    if text is None:
+        return TEMPERATURE_RISE_K
+    try:
+        return parse(text, "temperature")
+    except QuantityError as error:
+        raise UsageError(f"--temperature-rise {error}") from None
+
+
+def plan_object(plan: Plan) -> dict[str, Any]:
+    """Return the plan as what --json prints, in SI; null for what is infinite."""
+    found = plan.forecast
+    return {
+        "script": plan.script.name,
+        "duration_s": plan.script.duration_s,
+        "steps": _steps(plan.script),
+        "reached": bool(plan.reached.all()),
+        "required": dict(zip(STATES, map(_finite, plan.required), strict=True)),
+        "gyros": [
+            {
+                "device": gyro.source,
+                "name": gyro.name,
+                "sd": _states(sd),
+                "sd_table": _states(table),
+                "reached": bool(reached.all()),
+                "unseen": [_states(direction) for direction in gyro.unseen],
+            }
+            for gyro, sd, table, reached in zip(found.gyros, plan.sd, plan.table_sd, plan.reached, strict=True)
+        ],
+        "steady_conditions": found.steady_conditions,
+        "saturated": found.saturated,
+        "effects": [_effect(forecast, found) for forecast in found.effects],
+        "alike": [
+            {
+                "effects": [pair.first, pair.second],
+                "correlation": pair.correlation,
+                "parameter": pair.parameter,
+                "gyro": None if pair.gyro is None else found.gyros[pair.gyro].name,
+            }
+            for pair in found.pairs
+        ],
+        "assumed": {"temperature_rise_k": plan.temperature_rise_k, "warming_time_s": WARMING_TIME_S},
+    }
+
+
+def _effect(forecast: EffectForecast, found: Forecast) -> dict[str, Any]:
+    names = ["all"] if forecast.effect.shared else [gyro.name for gyro in found.gyros]
+    return {
+        "name": forecast.effect.name,
+        "shared": forecast.effect.shared,
+        "shown_by": forecast.effect.shown_by,
+        "parameters": [
+            {
+                "name": parameter.name,
+                "unit": parameter.unit,
+                "largest": parameter.largest,
+                "smallest": dict(zip(names, map(_finite, forecast.smallest[i]), strict=True)),
+                "seen": bool(forecast.seen[i].all()),
+                "shift_of_largest": [
+                    {"gyro": gyro.name, **_states(shift), "sigmas": _states(sigmas)}
+                    for gyro, shift, sigmas in zip(
+                        found.gyros, forecast.shift[i], forecast.shift_sigmas[i], strict=True
+                    )
+                ],
+            }
+            for i, parameter in enumerate(forecast.effect.parameters)
+        ],
+    }
+
+
+def _steps(script: Script) -> list[dict[str, Any]]:
+    return [
+        {
+            "label": step.label,
+            "duration_s": duration_s,
+            "axis": None if isinstance(step, Rest) else step.axis,
+            "rate_rps": None if isinstance(step, Rest) else step.rate_rps,
+        }
+        for step, duration_s in zip(script.steps, script.durations_s(), strict=True)
+    ]
+
+
+def _states(values: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, float]:
+    return dict(zip(STATES, map(float, values), strict=True))
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

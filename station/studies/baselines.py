@@ -1,0 +1,247 @@
+"""The methods that the paper names, and ours, on recordings of the same gyros with the same noise and length.
+
+Least squares, the two observations of the table rates, the covariance filter and ours take the 360 s script. The two
+six-position methods need their own positions, and get scripts of the same 360 s.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array import SensorArray, tetrahedron
+from estimator.baselines import (
+    BaselineEstimate,
+    Position,
+    augmented_observation,
+    covariance_filter,
+    direct_observation,
+    least_squares,
+    six_position,
+    table_rates,
+    unseen_directions,
+)
+from estimator.calibrate import calibrate
+from estimator.model import Prior
+from estimator.recording import Recording
+from station.campaigns import Failure, run_all
+from station.errors import UsageError
+from station.script import Move, Rest, Rotate, Script, paper_script
+from station.studies.paper import MEMS_NOISE, our_recording, rows_of, source_of
+from station.studies.paper_text import RATE_DPS, SAMPLE_HZ, TABLE_1, from_si
+
+Floats = NDArray[np.float64]
+
+_DEG = math.pi / 180
+_TOTAL_S = 360.0
+_SETTLE_S = 0.5
+"""Left out at each end of a position: table readings within a ramp are interpolated."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What one method made of one recording: errors and stated sigmas (n, 4) in the paper's units, time, work."""
+
+    errors: Floats
+    sd: Floats
+    seconds: float
+    operations_a_sample: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MethodSummary:
+    """One method over all seeds: rms error, rms stated sigma and their ratio (4,), NaN where not seen."""
+
+    name: str
+    rms: Floats
+    stated: Floats
+    seconds: float
+    operations_a_sample: float
+
+    @property
+    def ratio(self) -> Floats:
+        """Rms error over stated sigma (4,); 1 for a sigma that is true."""
+        return self.rms / self.stated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BaselineStudy:
+    """All methods in the order they are shown, what the direct observation cannot see, and how many seeds ran."""
+
+    methods: tuple[MethodSummary, ...]
+    unseen: tuple[str, ...]
+    seeds: int
+    failures: tuple[Failure, ...]
+
+
+Method = Callable[[Recording], BaselineEstimate]
+
+
+def run_study(
+    seeds: int, *, scheduler: str | None = None, workers: int | None = None, quiet: bool = False
+) -> BaselineStudy:
+    """Run every method on this many seeds; UsageError if no seed came through."""
+    results, failures = run_all(
+        one_seed, range(seeds), label="baselines", scheduler=scheduler, workers=workers, quiet=quiet
+    )
+    outcomes = [result for result in results if result is not None]
+    if not outcomes:
+        raise UsageError(f"the study came to nothing: {failures[0].item}: {failures[0].reason}")
+    methods = tuple(_summary(name, [o[i] for o in outcomes]) for i, (name, _, _) in enumerate(METHODS))
+    return BaselineStudy(methods, tuple(direct_blind_spots(tetrahedron())), len(outcomes), tuple(failures))
+
+
+def one_seed(seed: int) -> list[Outcome]:
+    """Simulate the three scripts once and run every method on its own."""
+    import filterpy.kalman  # noqa: F401  its 0.8 s of import are no part of the time of a filter
+
+    recordings = {script.name: our_recording(MEMS_NOISE, seed, script) for script in _SCRIPTS}
+    return [_outcome(method, recordings[script.name]) for _, script, method in METHODS]
+
+
+def static_script() -> Script:
+    """Return six positions at rest, each body axis up and down once, in 360 s: the Earth is the only input."""
+    quarter = math.pi / 2
+    stops = (("y", 1), ("y", 2), ("y", 3), ("y", 4), ("x", 1), ("x", 3))
+    moves = [Move(axis, n * quarter, 20 * _DEG, 20 * _DEG, f"{axis} to {90 * n} deg") for axis, n in stops]
+    moving_s = sum(Script("moves", tuple(moves)).durations_s())
+    rest = Rest((_TOTAL_S - moving_s) / len(moves))
+    return Script("six-position-static", tuple(step for move in moves for step in (move, rest)))
+
+
+def rotation_script() -> Script:
+    """Return both directions about each axis at 20 deg/s, 60 s each, ramps of 6 s, each turning three whole turns."""
+    rate, acceleration = RATE_DPS * _DEG, RATE_DPS / 6 * _DEG
+    return Script(
+        "six-position-rotation",
+        tuple(
+            Rotate(axis, sign * rate, _TOTAL_S / 6, acceleration, f"{axis} at {sign * RATE_DPS:g} deg/s")
+            for axis in "xyz"
+            for sign in (1, -1)
+        ),
+    )
+
+
+def static_six_position(recording: Recording) -> BaselineEstimate:
+    """Six positions at rest, with Earth rate as the input: z up and down, x down and up, y up and down."""
+    rests = _steady(recording, static_script())
+    y90, y180, y270, y360, x90, x270 = rests
+    return six_position(((y360, y180), (y270, y90), (x90, x270)), source_of(recording).array)
+
+
+def rotating_six_position(recording: Recording) -> BaselineEstimate:
+    """Steady rotation both ways about each axis."""
+    steady = _steady(recording, rotation_script())
+    return six_position([(steady[i], steady[i + 1]) for i in (0, 2, 4)], source_of(recording).array)
+
+
+def direct_blind_spots(array: SensorArray) -> list[str]:
+    """Return the combinations of states that the three table rates do not show, in words.
+
+    A state x of the sum may grow by its coefficient times any number, all at once, and the rates stay as they are.
+    """
+    directions = unseen_directions(array, table_rates(array))
+    labels = (
+        "biases",
+        *(f"sensitivity of all gyros along body {axis}" for axis in "xyz"),
+    )
+    return [f"{labels[i % 4]}: {_combination(direction)}" for i, direction in enumerate(directions)]
+
+
+def _least_squares(recording: Recording) -> BaselineEstimate:
+    return least_squares(*rows_of(recording), source_of(recording).array)
+
+
+def _direct(recording: Recording) -> BaselineEstimate:
+    return direct_observation(*rows_of(recording), source_of(recording).array)
+
+
+def _augmented(recording: Recording) -> BaselineEstimate:
+    return augmented_observation(*rows_of(recording), source_of(recording).array)
+
+
+def _filter(recording: Recording) -> BaselineEstimate:
+    data = source_of(recording)
+    noise_rps = MEMS_NOISE.arw * math.sqrt(SAMPLE_HZ)
+    prior_sd = np.sqrt(Prior().variances())
+    return covariance_filter(*rows_of(recording), data.array, prior_sd, noise_rps, every=len(data.t_ns)).final()
+
+
+def _ours(recording: Recording) -> BaselineEstimate:
+    gyros = calibrate(recording, innovations=False).gyros
+    n, samples = len(gyros), len(source_of(recording).t_ns)
+    # Output error 6n, sums of [w, z] over blocks and of their products; what follows works on blocks, not samples.
+    operations = samples * (6 * n + (3 + n) + (3 + n) * (4 + n))
+    return BaselineEstimate(np.array([g.states for g in gyros]), np.array([g.sd for g in gyros]), operations)
+
+
+_SCRIPTS = (static_script(), rotation_script(), paper_script())
+METHODS: tuple[tuple[str, Script, Method], ...] = (
+    ("six positions, Earth rate as the input", _SCRIPTS[0], static_six_position),
+    ("six positions, rotation both ways", _SCRIPTS[1], rotating_six_position),
+    ("table rates observed directly", _SCRIPTS[2], _direct),
+    ("the same, null space augmented", _SCRIPTS[2], _augmented),
+    ("least squares", _SCRIPTS[2], _least_squares),
+    ("covariance filter, each sample", _SCRIPTS[2], _filter),
+    ("this station", _SCRIPTS[2], _ours),
+)
+"""Name, script and estimator of each method, in the order shown."""
+
+
+def _outcome(method: Method, recording: Recording) -> Outcome:
+    begun = time.perf_counter()
+    estimate = method(recording)
+    seconds = time.perf_counter() - begun
+    return Outcome(
+        from_si(estimate.states) - TABLE_1,
+        from_si(estimate.sd),
+        seconds,
+        estimate.operations / (_TOTAL_S * SAMPLE_HZ),
+    )
+
+
+def _summary(name: str, outcomes: Sequence[Outcome]) -> MethodSummary:
+    return MethodSummary(
+        name,
+        _rms([o.errors for o in outcomes]),
+        _rms([o.sd for o in outcomes]),
+        float(np.median([o.seconds for o in outcomes])),
+        outcomes[0].operations_a_sample,
+    )
+
+
+def _rms(values: Sequence[Floats]) -> Floats:
+    """Return the root of the mean square (4,) over seeds and gyros."""
+    return np.asarray(np.sqrt(np.mean(np.square(values), axis=(0, 1))))
+
+
+def _steady(recording: Recording, script: Script) -> list[Position]:
+    """Return the rows of each rest, or of each rotation between its ramps, in the order of the script."""
+    w_rps, y_rps = rows_of(recording)
+    t_s = np.arange(1, len(w_rps) + 1) / SAMPLE_HZ
+    begins_s = 0.0
+    positions = []
+    for step, duration_s in zip(script.steps, script.durations_s(), strict=True):
+        ramp_s = abs(step.rate_rps) / step.acceleration_rps2 if isinstance(step, Rotate) else 0.0
+        margin_s = ramp_s + _SETTLE_S
+        if not isinstance(step, Move):
+            inside = (t_s > begins_s + margin_s) & (t_s < begins_s + duration_s - margin_s)
+            positions.append(Position(w_rps[inside], y_rps[inside]))
+        begins_s += duration_s
+    return positions
+
+
+def _combination(direction: Floats) -> str:
+    """Return a direction (n, 4) of x = [k, b, s_j, s_k] as a sum, leaving out what has no share in it."""
+    terms = [
+        f"{value:+.2f} {name}{gyro + 1}"
+        for name, column in zip(("k", "b", "sigma_j", "sigma_k"), direction.T, strict=True)
+        for gyro, value in enumerate(column)
+        if abs(value) > 5e-3
+    ]
+    return " ".join(terms)

@@ -1,0 +1,82 @@
+"""The command `station study`: which study, what is checked before the long work, what is printed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from estimator.errors import EstimatorError
+from station.campaigns import Failure
+from station.errors import EXIT_USAGE, UsageError
+from station.studies import baselines, paper
+from station.studies.pictures import check_picture, draw_convergence
+from station.studies.printed import baselines_object, paper_object, print_baselines, print_paper
+
+EXIT_INCOMPLETE = 1
+
+
+def command_study(arguments: argparse.Namespace) -> int:
+    """Run a study; 0 if all of it ran, 1 if some seeds failed, 2 for wrong usage."""
+    try:
+        failures = _STUDIES[arguments.study](arguments)
+    except (UsageError, EstimatorError) as error:
+        print(f"station: {error}", file=sys.stderr)
+        return EXIT_USAGE
+    for failure in failures:
+        print(f"station: seed {failure.item} failed: {failure.reason}", file=sys.stderr)
+    return EXIT_INCOMPLETE if failures else 0
+
+
+def _paper(arguments: argparse.Namespace) -> tuple[Failure, ...]:
+    picture = Path(arguments.plot) if arguments.plot else None
+    output = Path(arguments.output) if arguments.output else None
+    if picture is not None:
+        check_picture(picture)
+    if output is not None:
+        _check_output(output)
+    study = paper.run_study(arguments.seeds, **_where(arguments))
+    if picture is not None or output is not None:
+        recording = paper.our_recording(paper.MEMS_NOISE, 0)
+        ours = paper.our_curve(recording)
+        if picture is not None:
+            draw_convergence(picture, ours, study.letter)
+        if output is not None:
+            paper.write_curves(output, recording, ours, study.letter)
+    if arguments.json:
+        _print_object({**paper_object(study), "plot": arguments.plot, "output": arguments.output})
+    else:
+        print_paper(study)
+        for name, path in (("picture", picture), ("curves", output)):
+            if path is not None:
+                print(f"{name}: {path}")
+    return study.failures
+
+
+def _check_output(path: Path) -> None:
+    if path.exists():
+        raise UsageError(f"--output {path} is there already: give another name")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"--output {path}: there is no directory {path.parent}")
+
+
+def _baselines(arguments: argparse.Namespace) -> tuple[Failure, ...]:
+    study = baselines.run_study(arguments.seeds, **_where(arguments))
+    if arguments.json:
+        _print_object(baselines_object(study))
+    else:
+        print_baselines(study)
+    return study.failures
+
+
+def _where(arguments: argparse.Namespace) -> dict[str, Any]:
+    return {"scheduler": arguments.scheduler, "workers": arguments.jobs, "quiet": arguments.json}
+
+
+def _print_object(value: dict[str, Any]) -> None:
+    print(json.dumps(value))
+
+
+_STUDIES = {"paper": _paper, "baselines": _baselines}

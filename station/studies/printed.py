@@ -1,0 +1,288 @@
+"""The studies as people read them, and as --json gives them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from estimator.array import tetrahedron_as_printed
+from station.studies.baselines import BaselineStudy
+from station.studies.paper import BARS_PERCENT, PaperStudy
+from station.studies.paper_text import NAMES, TABLE_1, TABLE_2, TABLE_3, UNITS, contradictions, errata, relative_percent
+
+Floats = NDArray[np.float64]
+
+_WIDTH = 120
+_GYROS = len(TABLE_2)
+_FORMATS = (".4f", ".1f", ".4f", ".4f")
+"""Of an error in b, k, sigma_j, sigma_k."""
+
+
+def print_paper(study: PaperStudy) -> None:
+    """Print the tables of the reproduction, what they show, and what is wrong with the paper's own."""
+    console = _stdout()
+    for table in (_table_2(study), _table_3(study), _headings(study), _mems(study)):
+        console.print(table)
+    _list(console, "What this shows", paper_findings(study))
+    _list(console, "The paper against itself", contradictions(study.bias_bound_dps))
+    _list(console, "Errata of its axes", errata(tetrahedron_as_printed()))
+
+
+def print_baselines(study: BaselineStudy) -> None:
+    """Print every method beside the others, and what the direct observation cannot see."""
+    console = _stdout()
+    for table in (_errors(study), _cost(study)):
+        console.print(table)
+    _list(console, "What the table rates alone do not show, however long they are watched", study.unseen)
+    _list(console, "What this shows", baseline_findings(study))
+
+
+def paper_findings(study: PaperStudy) -> list[str]:
+    """Return what the numbers of the reproduction say, in sentences."""
+    floor = relative_percent(study.noise_free.linear)[2:].mean()
+    decoded = relative_percent(study.noise_free.decoded)[2:].mean()
+    k_alone, k_noisy = (np.abs(e.linear[:, 1]).max() for e in (study.noise_free, study.clean))
+    earth = np.abs(np.array([e.linear for e in study.headings.values()]))
+    b, k = earth[:, :, 0], earth.mean(axis=1)[:, 1]
+    printed_b, printed_k = TABLE_2[:, 0], TABLE_2[:, 1]
+    ours = 100 * np.abs(study.ours / TABLE_1).max()
+    return [
+        f"The linear model has a floor of its own: it estimates (1 - k) sigma, so its sigma is {floor:.2f} % small "
+        "without any noise. Dividing by (1 - k) at the end keeps the product that it drops and leaves "
+        f"{decoded:.4f} %.",
+        f"Without noise and without Earth rate its k is right to {k_alone:.1g} ppm, with its noise to {k_noisy:.1g} "
+        f"ppm: the {printed_k.min():g} to {printed_k.max():g} ppm of Table 2 come from neither its linear model nor "
+        "its noise.",
+        f"Earth rate in the data but not in the model leaves bias errors of {b.min():.4f} to {b.max():.4f} deg/s, by "
+        f"gyro and heading, {b.mean(axis=1).min():.4f} to {b.mean(axis=1).max():.4f} as the mean of four. Table 2 has "
+        f"{printed_b.min():.4f} to {printed_b.max():.4f}, {printed_b.mean():.4f} in the mean: it is of that size.",
+        f"The same Earth rate puts k wrong by {k.min():.0f} to {k.max():.0f} ppm in the mean of four, where Table 2 "
+        f"has {printed_k.mean():.1f}. So it can explain the bias errors, but not them and the scale factors together.",
+        f"The paper's filter ends within {study.filter_apart_sd:.0e} of its sigmas of the batch form of the same "
+        "estimate, which stands for it with Earth rate and without noise.",
+        f"Our default at the paper's noise is within {ours:.4f} % of every state of every gyro. What is left comes "
+        "from the counts of the table's encoders, not from the gyros.",
+    ]
+
+
+def baseline_findings(study: BaselineStudy) -> list[str]:
+    """Return what the comparison says, in sentences."""
+    static, rotating, _, augmented, squares, kalman, ours = study.methods
+    alike = np.abs(augmented.rms / squares.rms - 1).max()
+    return [
+        f"With Earth rate as the only input the rms error of k is {static.rms[1]:,.0f} ppm for a set value of 5000, of "
+        f"sigma_j {static.rms[2]:.1f} deg for 0.1: hopeless with MEMS gyros. Their bias it finds as well as the "
+        "others.",
+        f"Null-space augmentation and least squares agree to {alike:.0e} of their error: an invertible transform of "
+        "the outputs holds the same information.",
+        f"The covariance filter needs {kalman.operations_a_sample:,.0f} operations a sample where the sums of this "
+        f"station need {ours.operations_a_sample:,.0f}.",
+        f"In b, where bias instability tells most, the error is {squares.ratio[0]:.1f} times what least squares "
+        f"states, {kalman.ratio[0]:.1f} times what the filter states and {rotating.ratio[0]:.1f} times what the "
+        f"rotations state: they take the noise for white. It is {ours.ratio[0]:.1f} times what this "
+        "station states, which finds the noise first; that is where its time goes.",
+        f"Rotation both ways and the 360 s script are two experiments: k {rotating.rms[1]:.0f} and {ours.rms[1]:.0f} "
+        f"ppm, sigma_j {rotating.rms[2]:.4f} and {ours.rms[2]:.4f} deg. Where the rotations do better, that is the "
+        "script: the paper's stands still for 135 of its 360 s and turns each axis one way only.",
+        f"The table rates alone determine {4 * _GYROS - len(study.unseen)} of {4 * _GYROS} combinations, and no single "
+        "state.",
+        "Operations are counted from the dimensions: one multiplication, addition or division each, sums of products "
+        "by their upper half, the filter's equations dense as they stand; what does not grow with the samples is left "
+        "out.",
+    ]
+
+
+def paper_object(study: PaperStudy) -> dict[str, Any]:
+    """Return the reproduction as what --json prints; errors by gyro, in the units given."""
+    return {
+        "study": "paper",
+        "states": list(NAMES),
+        "units": list(UNITS),
+        "paper": {"table_2": TABLE_2.tolist(), "table_3_percent": TABLE_3.tolist()},
+        "letter": {
+            "without_earth": study.clean.linear.tolist(),
+            "without_earth_decoded": study.clean.decoded.tolist(),
+            "without_noise": study.noise_free.linear.tolist(),
+            "without_noise_decoded": study.noise_free.decoded.tolist(),
+            "by_heading_deg": {str(heading): e.linear.tolist() for heading, e in study.headings.items()},
+        },
+        "ours_at_paper_noise": study.ours.tolist(),
+        "ours_at_mems_noise": {
+            "seeds": study.seeds,
+            "mean_relative_percent": study.mems_percent.tolist(),
+            "bound_percent": study.mems_bound_percent.tolist(),
+            "bar_percent": BARS_PERCENT.tolist(),
+        },
+        "findings": paper_findings(study),
+        "contradictions": contradictions(study.bias_bound_dps),
+        "errata": errata(tetrahedron_as_printed()),
+        "filter_apart_sd": study.filter_apart_sd,
+        "failed": _failed(study),
+    }
+
+
+def baselines_object(study: BaselineStudy) -> dict[str, Any]:
+    """Return the comparison as what --json prints; null where a method does not see a state."""
+    return {
+        "study": "baselines",
+        "states": list(NAMES),
+        "units": list(UNITS),
+        "seeds": study.seeds,
+        "methods": [
+            {
+                "name": method.name,
+                "rms_error": _nullable(method.rms),
+                "rms_stated_sigma": _nullable(method.stated),
+                "error_over_sigma": _nullable(method.ratio),
+                "seconds": method.seconds,
+                "operations_a_sample": method.operations_a_sample,
+            }
+            for method in study.methods
+        ],
+        "not_seen_directly": list(study.unseen),
+        "findings": baseline_findings(study),
+        "failed": _failed(study),
+    }
+
+
+def _table_2(study: PaperStudy) -> Table:
+    table = _table("Errors at the end, beside the paper's Table 2")
+    table.add_column("state")
+    table.add_column("gyro")
+    for heading in (
+        "paper",
+        "to the letter, no Earth rate",
+        "to the letter, Earth rate in data,\nleast to most by heading",
+        "our default,\nthe paper's noise",
+    ):
+        table.add_column(heading, justify="right")
+    earth = np.abs(np.array([e.linear for e in study.headings.values()]))
+    for state, (name, unit, form) in enumerate(zip(NAMES, UNITS, _FORMATS, strict=True)):
+        for gyro in range(_GYROS):
+            low, high = earth[:, gyro, state].min(), earth[:, gyro, state].max()
+            table.add_row(
+                f"{name}, {unit}" if gyro == 0 else "",
+                str(gyro + 1),
+                format(TABLE_2[gyro, state], form),
+                format(abs(study.clean.linear[gyro, state]), form),
+                f"{low:{form}} to {high:{form}}",
+                _small(abs(study.ours[gyro, state])),
+                end_section=gyro == _GYROS - 1,
+            )
+    return table
+
+
+def _table_3(study: PaperStudy) -> Table:
+    table = _table("Mean relative errors in percent, beside the paper's Table 3")
+    table.add_column("state")
+    earth = relative_percent(np.array([e.linear for e in study.headings.values()]))
+    columns = (
+        ("paper,\nTable 3", TABLE_3),
+        ("paper,\nTable 2 / Table 1", relative_percent(TABLE_2)),
+        ("to the letter", relative_percent(study.clean.linear)),
+        ("the same,\nno noise", relative_percent(study.noise_free.linear)),
+        ("the same,\ndecoded exactly", relative_percent(study.clean.decoded)),
+        ("to the letter,\nEarth rate in data", earth),
+        ("our default", relative_percent(study.ours)),
+    )
+    for heading, _ in columns:
+        table.add_column(heading, justify="right")
+    for state, name in enumerate(NAMES):
+        table.add_row(name, *(_small(values[state], 3) for _, values in columns))
+    return table
+
+
+def _headings(study: PaperStudy) -> Table:
+    table = _table("To the letter, Earth rate at 45 deg latitude in the data and not in the model")
+    table.add_column("heading, deg", justify="right")
+    for gyro in range(_GYROS):
+        table.add_column(f"b{gyro + 1}", justify="right")
+    for name, unit in zip(NAMES, UNITS, strict=True):
+        table.add_column(f"mean {name}, {unit}", justify="right")
+    for heading, errors in study.headings.items():
+        table.add_row(str(heading), *_heading_cells(errors.linear))
+    table.add_section()
+    table.add_row("Table 2", *_heading_cells(TABLE_2))
+    return table
+
+
+def _heading_cells(errors: Floats) -> Iterable[str]:
+    means = np.abs(errors).mean(axis=0)
+    yield from (f"{b:.4f}" for b in errors[:, 0])
+    yield from (format(mean, form) for mean, form in zip(means, _FORMATS, strict=True))
+
+
+def _mems(study: PaperStudy) -> Table:
+    table = _table(
+        f"Our default, mean relative error in percent over {study.seeds} seeds\n"
+        "(0.005 deg/s/rtHz, bias instability 2 deg/h)"
+    )
+    for heading in ("state", "error", "Cramer-Rao bound", "error / bound", "bar"):
+        table.add_column(heading, justify="left" if heading == "state" else "right")
+    for name, error, least, bar in zip(NAMES, study.mems_percent, study.mems_bound_percent, BARS_PERCENT, strict=True):
+        table.add_row(name, f"{error:.2f}", f"{least:.2f}", f"{error / least:.2f}", f"{bar:.1f}")
+    return table
+
+
+def _errors(study: BaselineStudy) -> Table:
+    table = _table(f"Rms error over {study.seeds} seeds and four gyros (stated sigma; rms error / stated sigma)")
+    table.add_column("method")
+    for name, unit in zip(NAMES, UNITS, strict=True):
+        table.add_column(f"{name}, {unit}", justify="right")
+    for method in study.methods:
+        cells = [
+            "not seen" if np.isnan(rms) else f"{_number(rms, form)}\n({_number(stated, form)}; {ratio:.2f})"
+            for rms, stated, ratio, form in zip(method.rms, method.stated, method.ratio, _FORMATS, strict=True)
+        ]
+        table.add_row(method.name, *cells, end_section=True)
+    return table
+
+
+def _cost(study: BaselineStudy) -> Table:
+    table = _table("What it costs: 360 s of four gyros at 100 Hz, from the recording to the states")
+    table.add_column("method")
+    table.add_column("wall time, ms", justify="right")
+    table.add_column("operations a sample", justify="right")
+    for method in study.methods:
+        table.add_row(method.name, f"{1e3 * method.seconds:,.0f}", f"{method.operations_a_sample:,.0f}")
+    return table
+
+
+def _table(title: str) -> Table:
+    return Table(title=title, title_style="bold", title_justify="left")
+
+
+def _list(console: Console, title: str, lines: Sequence[str]) -> None:
+    console.print(f"\n[bold]{title}[/]")
+    for line in lines:
+        console.print(f"- {line}", highlight=False, markup=False)
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if value < 1000 else f"{value:,.0f}"
+
+
+def _small(value: float, digits: int = 2) -> str:
+    """Return a number as people write it, down to where it is as good as nothing."""
+    if value < 1e-9:
+        return "0"
+    return f"{value:.{digits}g}" if value >= 1e-3 else f"{value:.0e}"
+
+
+def _nullable(values: Floats) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def _failed(study: PaperStudy | BaselineStudy) -> list[dict[str, str]]:
+    return [{"seed": failure.item, "reason": failure.reason} for failure in study.failures]
+
+
+def _stdout() -> Console:
+    console = Console()
+    # A pipe has no width of its own, and a table cut to 80 columns loses its numbers.
+    return console if console.is_terminal else Console(width=_WIDTH)

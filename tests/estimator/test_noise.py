@@ -1,0 +1,64 @@
+"""Noise: its Allan deviation, and what the estimate makes of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support import TABLE_1, direct_recording
+
+from estimator.calibrate import Calibration, calibrate
+from estimator.noise import MeansCovariance, NoiseModel, allan_deviation
+
+DPH = np.pi / 180 / 3600
+
+
+@pytest.mark.filterwarnings("ignore")  # what allantools imports warns of its own
+def test_the_overlapping_allan_deviation_is_that_of_allantools() -> None:
+    import allantools
+
+    rate = np.cumsum(np.random.default_rng(1).standard_normal((5000, 2)), axis=0)
+    tau_s, deviation = allan_deviation(rate, 0.01)
+    for channel in range(2):
+        theirs, wanted, _, _ = allantools.oadev(rate[:, channel], rate=100.0, data_type="freq", taus=tau_s)
+        np.testing.assert_allclose(theirs, tau_s, rtol=1e-12)
+        np.testing.assert_allclose(deviation[:, channel], wanted, rtol=1e-9)
+
+
+def test_the_covariance_of_means_has_the_allan_deviation_of_its_model() -> None:
+    noise = NoiseModel(arw=0.3, instability=1.0, walk=0.01)
+    length_s, n = 20.0, 200
+    t_s = (np.arange(n) + 0.5) * length_s
+    covariance = MeansCovariance.of(t_s, length_s, np.full(n, length_s)).under(noise)
+    difference = np.eye(n - 1, n, 1) - np.eye(n - 1, n)
+    found = np.sqrt(0.5 * np.mean(np.diag(difference @ covariance @ difference.T)))
+    # The walk is taken at the middle of each mean, and flicker noise ends at a second: a little is left open.
+    assert found == pytest.approx(float(noise.allan_deviation(np.array([length_s]))[0]), rel=0.06)
+
+
+def noisy(seed: int, instability_dph: float, walk_dph_rth: float = 0.0) -> Calibration:
+    return calibrate(direct_recording(seed, instability_dph=instability_dph, walk_dph_rth=walk_dph_rth))
+
+
+def test_bias_instability_is_found_and_told_from_white_noise() -> None:
+    quiet, wandering = noisy(1, 0.0), noisy(1, 10.0)
+    for gyro in quiet.gyros:
+        assert gyro.noise is not None
+        assert gyro.noise.instability_below < 6 * DPH
+        assert gyro.noise.mean.arw == pytest.approx(np.radians(0.005), rel=0.15)
+    found = [gyro.noise.mean.instability / DPH for gyro in wandering.gyros if gyro.noise]
+    assert np.median(found) == pytest.approx(10, rel=0.4)
+    for calm, loud in zip(quiet.gyros, wandering.gyros, strict=True):
+        assert np.all(loud.sd > 1.5 * calm.sd)
+
+
+def coverage(seeds: int, instability_dph: float, walk_dph_rth: float) -> float:
+    inside = []
+    for seed in range(seeds):
+        gyros = noisy(seed, instability_dph, walk_dph_rth).gyros
+        inside += [np.abs(gyro.states - TABLE_1) < 1.96 * gyro.sd for gyro in gyros]
+    return float(np.mean(inside))
+
+
+def test_intervals_hold_under_coloured_noise() -> None:
+    # 128 intervals, those of one gyro hanging together: five hundredths of doubt.
+    assert coverage(8, 10.0, 10.0) > 0.86

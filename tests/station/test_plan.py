@@ -1,0 +1,205 @@
+"""station plan: what it says, and whether that comes true."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from plan import spread_over_predicted
+
+from sims.motion import AxisMotion
+from station.axis_profile import profile_lines
+from station.bench import default_bench_text, load_bench
+from station.cli import main
+from station.planned import planned_motion
+from station.script import Move, Rest, Rotate, Script, paper_script
+
+DEG = np.pi / 180
+
+X_ONLY = """
+name = "x only"
+[[step]]
+kind = "rest"
+duration = "20 s"
+[[step]]
+kind = "rotate"
+axis = "x"
+rate = "20 deg/s"
+duration = "40 s"
+"""
+
+
+def planned(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+    """Return exit code, stdout and stderr of station plan."""
+    code = main(["plan", *map(str, arguments)])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def effects_of(text: str) -> dict[str, Any]:
+    return {effect["name"]: effect for effect in json.loads(text)["effects"]}
+
+
+def write(folder: Path, text: str, name: str = "script.toml") -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def test_of_the_paper_s_script_it_says_that_asymmetry_cannot_be_seen_and_what_it_corrupts(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    code, text, _ = planned(capsys)
+    assert code == 0
+    row = next(line for line in text.splitlines() if line.startswith("│ scale asymmetry"))
+    assert "cannot be seen" in row
+    start = text.index("scale asymmetry, each direction, 5000 ppm; needed to see it: turns in both directions")
+    corrupted = text[start:].splitlines()[1:4]
+    assert corrupted[0].strip().startswith("k of gyro1 +5000 (")
+    assert all(f"gyro{n}" in corrupted[0] for n in (1, 2, 3, 4))
+    assert [line.split()[0] for line in corrupted] == ["k", "sigma_j", "sigma_k"]
+    assert "saturated: 4 steady conditions" in text
+    assert text.splitlines()[-1].startswith("OK")
+
+
+def test_json_holds_in_si_what_a_person_reads(capsys: pytest.CaptureFixture[str]) -> None:
+    code, text, _ = planned(capsys, "--json")
+    found = json.loads(text)
+    assert code == 0
+    assert found["duration_s"] == pytest.approx(360)
+    assert found["saturated"]
+    assert found["reached"]
+    assert [gyro["name"] for gyro in found["gyros"]] == ["gyro1", "gyro2", "gyro3", "gyro4"]
+    assert all(30e-6 < gyro["sd"]["k"] < found["required"]["k"] for gyro in found["gyros"])
+    asymmetry = effects_of(text)["scale_asymmetry"]["parameters"][0]
+    assert not asymmetry["seen"]
+    assert asymmetry["shift_of_largest"][0]["k"] == pytest.approx(asymmetry["largest"], rel=0.01)
+    assert ["earth_rate", "g_sensitivity"] in [pair["effects"] for pair in found["alike"]]
+
+
+def test_a_warmer_run_shows_smaller_thermal_effects(capsys: pytest.CaptureFixture[str]) -> None:
+    sizes = []
+    for rise in ("4 degC", "16 degC"):
+        _, text, _ = planned(capsys, "--json", "--temperature-rise", rise)
+        sizes.append(effects_of(text)["thermal_bias"]["parameters"][0]["smallest"]["gyro1"])
+    assert sizes[0] == pytest.approx(4 * sizes[1])
+
+
+def test_a_script_that_leaves_states_unseen_names_them_and_fails(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, text, _ = planned(capsys, write(tmp_path, X_ONLY))
+    assert code == 1
+    assert "unobservable: gyro1: k; sigma_j" in text
+    assert "unobservable: gyro2: k + 2.83 sigma_k; sigma_j" in text
+    assert "NOT REACHED k, sigma_j" in text
+
+
+def test_a_bench_that_requires_more_is_not_reached(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    bench = default_bench_text().replace('sd_bias = "5 deg/h"', 'sd_bias = "1 deg/h"')
+    code, text, _ = planned(capsys, "--bench", write(tmp_path, bench, "bench.toml"))
+    assert code == 1
+    assert text.count("NOT REACHED b") == 4
+
+
+def test_several_devices_are_planned_together(capsys: pytest.CaptureFixture[str]) -> None:
+    _, both, _ = planned(capsys, "--json", "--device", "array", "--device", "stim300")
+    _, one, _ = planned(capsys, "--json", "--device", "array")
+    assert {gyro["device"] for gyro in json.loads(both)["gyros"]} == {"array", "stim300"}
+    # Latency is shared by all gyros: the better ones of the second device show less of it.
+    latency = [effects_of(text)["latency"]["parameters"][0]["smallest"]["all"] for text in (both, one)]
+    assert latency[0] < 0.7 * latency[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("name = ", "script.toml"),
+        (X_ONLY.replace("20 deg/s", "200 deg/s"), "200 deg/s is beyond axis x's limit of 100 deg/s"),
+    ],
+)
+def test_what_cannot_be_read_or_done_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, says: str
+) -> None:
+    code, _, error = planned(capsys, write(tmp_path, text))
+    assert code == 2
+    assert says in error
+
+
+def test_a_temperature_rise_without_a_unit_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, error = planned(capsys, "--temperature-rise", "8")
+    assert code == 2
+    assert "degC" in error
+
+
+def turn(axis: str, rate_dps: float, duration_s: float) -> Rotate:
+    return Rotate(axis, rate_dps * DEG, duration_s, 20 * DEG, "")
+
+
+def moves() -> Script:
+    steps = (
+        Rest(3.3),
+        Move("x", 30 * DEG, 10 * DEG, 5 * DEG, "a trapezoid"),
+        turn("x", -20, 10),
+        Move("z", -1 * DEG, 50 * DEG, 20 * DEG, "too short for its rate"),
+        turn("z", 7, 6.01),
+        Move("x", 0.0, 100 * DEG, 50 * DEG, "home"),
+        Rest(2),
+    )
+    return Script("moves", steps)
+
+
+def test_the_planned_motion_is_the_one_that_the_twin_of_the_table_makes() -> None:
+    script = moves()
+    planned_x = planned_motion(script, ("z", "y", "x"), 0.01)
+    for column, axis in enumerate("zyx"):
+        twin, at_s, target = AxisMotion(0.0, 10.0, 10.0), 0.0, 0.0
+        twin.keep_all()
+        for step, duration_s in zip(script.steps, script.durations_s(), strict=True):
+            if not isinstance(step, Rest) and step.axis == axis:
+                target = step.angle_rad if isinstance(step, Move) else target + step.turn_rad
+                twin.move(at_s, target, step.rate_rps, step.acceleration_rps2)
+            at_s += duration_s
+        assert np.allclose(planned_x.angle_rad[:, column], twin.angles(planned_x.t_s), rtol=0, atol=1e-12)
+        rates = [twin.at(float(t))[1] for t in planned_x.t_s]
+        assert np.allclose(planned_x.rate_rps[:, column], rates, rtol=0, atol=1e-12)
+    assert planned_x.angle_rad[-1, 2] == 0.0
+
+
+def test_planned_accelerations_are_those_of_the_ramps() -> None:
+    motion = planned_motion(moves(), ("z", "y", "x"), 0.001)
+    numeric = np.gradient(motion.rate_rps, 0.001, axis=0)
+    corner = np.abs(np.diff(motion.acceleration_rps2, axis=0, prepend=0, append=0)).max(axis=1) > 0
+    smooth = ~(corner[:-1] | corner[1:])
+    assert smooth.mean() > 0.99
+    assert np.allclose(motion.acceleration_rps2[smooth], numeric[smooth], atol=1e-8)
+
+
+def test_the_profile_draws_both_directions_within_the_width_of_the_terminal() -> None:
+    script = Script("both", (Rest(10), turn("x", 20, 20), turn("x", -40, 20), turn("z", 5, 20), Rest(10)))
+    lines = profile_lines(planned_motion(script, ("z", "y", "x")), 80)
+    assert [line.split()[0] for line in lines[:4]] == ["x", "-40", "y", "z"]  # only x has a row for turning back
+    assert all(len(line) <= 80 for line in lines)
+    forward, back = (set(np.flatnonzero([c in "▁▂▃▄▅▆▇█▔▀" for c in line])) for line in lines[:2])
+    assert forward
+    assert back
+    assert max(forward) <= min(back)
+    assert "█" not in lines[0]  # 20 of 40 deg/s is half the height
+
+
+def check_spread(runs: int, doubt: float) -> None:
+    ratios = spread_over_predicted(runs, load_bench(None), paper_script(), quiet=True)
+    assert np.all(np.abs(ratios - 1) < doubt), ratios
+
+
+def test_the_spread_of_a_few_runs_is_about_as_predicted() -> None:
+    check_spread(12, 4 / np.sqrt(2 * 4 * 11))  # four sigmas of the chi-square over 4 gyros
+
+
+@pytest.mark.full
+@pytest.mark.timeout(1200)
+def test_the_spread_of_300_runs_is_as_predicted_within_5_percent() -> None:
+    check_spread(300, 0.05)  # of which 2 % is the doubt of the spread itself
