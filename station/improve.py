@@ -21,7 +21,7 @@ from estimator.budget import table_budget
 from estimator.calibrate import BLOCK_S
 from estimator.kinematics import body_rate
 from estimator.model import STATES, regressor_maps
-from estimator.planning import weighed
+from estimator.planning import UNSEEN, weighed
 from estimator.reference import TableReadings
 from station.bench import Bench, ImuConfig
 from station.errors import UsageError
@@ -146,7 +146,7 @@ def predicted(script: Script, bench: Bench) -> Floats:
 def _gentle_rps2(bench: Bench) -> float:
     """Return the acceleration at which the corners of a ramp, missed between two readings, are lost in the noise.
 
-    A rate interpolated over a corner at a share f of the time h between two readings misses the angle a h^2 f (1 - f) / 2,
+    A rate interpolated over a corner at a share f of the time h between readings, misses an angle a h^2 f (1 - f) / 2,
     for any f in the mean square a h^2 / sqrt(120); the noise is that of one block of the live filter.
     """
     noise_rad = min(imu.noise.arw for imu in _used(bench)) * math.sqrt(BLOCK_S)
@@ -170,10 +170,16 @@ def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Want
         row = np.array([limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad])
         sd = np.tile(row, (sum(len(imu.array) for imu in _used(bench)), 1))
     else:
-        sd = make_plan(script, bench, effects=()).sd
+        plan = make_plan(script, bench, effects=())
+        promised = np.array([gyro.prior_sd for gyro in plan.forecast.gyros])
+        sd = np.where(plan.sd > UNSEEN * promised, np.inf, plan.sd)  # what it does not show, it does not reach
     sd = np.where(np.isin(np.arange(4), columns), sd * (1 - margin), np.inf)
     if not np.isfinite(sd).any():
-        raise UsageError("nothing to reach: the bench requires none of these sigmas ([limits], sd_...)")
+        raise UsageError(
+            "nothing to reach: the bench requires none of these sigmas ([limits], sd_...)"
+            if arguments.sigmas == "bench"
+            else f"nothing to reach: {script.name} shows none of these states"
+        )
     total_s = None if arguments.time_given is None else _quantity(arguments, "time_given", "time")
     if total_s is not None and not 0 < total_s <= LONGEST_S:
         raise UsageError(f"--for {arguments.time_given}: give a time above 0 s and up to {LONGEST_S / 3600:g} h")
