@@ -74,6 +74,8 @@ class GyroCalibration:
     states: Floats
     covariance: Floats
     noise_rps: float
+    p: Floats
+    device: str
     budget: tuple[Contribution, ...] = ()
     noise: NoiseFound | None = None
 
@@ -159,7 +161,11 @@ def _against_table(recording: Recording, sources: list[tuple[str, ImuData]], inn
                 kinds = (Contribution("noise", covariances[i]), *table[i])
                 states, covariance = decode(x[i], np.sum([c.covariance for c in kinds], axis=0))
                 budget = tuple(Contribution(c.name, decode(x[i], c.covariance)[1]) for c in kinds)
-                gyros.append(GyroCalibration(name, source, states, covariance, sample[i], budget, noise[i]))
+                gyros.append(
+                    GyroCalibration(
+                        name, source, states, covariance, sample[i], data.array.p[i], device, budget, noise[i]
+                    )
+                )
                 notes.extend(_unseen(name, covariances[i], data.prior))
             if innovations:
                 chi, count = _block_squares(blocks[n], data.array, x, sample)
@@ -251,7 +257,8 @@ def _against_foreign(recording: Recording, sources: list[tuple[str, ImuData]], i
         for i, name in enumerate(data.array.names):
             states, covariance = decode(solution.x[i], covariances[i])
             budget = (Contribution("noise", covariance),)
-            gyros.append(GyroCalibration(name, source, states, covariance, float(solution.noise_rps[i]), budget))
+            one = float(solution.noise_rps[i])
+            gyros.append(GyroCalibration(name, source, states, covariance, one, data.array.p[i], data.device, budget))
             notes.extend(_unseen(name, covariances[i], prior))
     nis_mean = nis_sum / nis_dof if nis_dof else float("nan")
     return Calibration(tuple(gyros), nis_mean, samples, 0, tuple(notes))

@@ -18,6 +18,7 @@ import numpy as np
 from estimator.calibrate import Calibration, calibrate
 from estimator.errors import RecordingError
 from estimator.recording import Recording, read_recording
+from estimator.repeatability import Repeatability, repeatability, same_device
 from estimator.results import write_calibration
 from station.bench import Limits, load_bench, read_limits
 from station.campaigns import run_all
@@ -27,8 +28,10 @@ from station.printing import (
     OverviewLine,
     print_calibration,
     print_overview,
+    print_repeatability,
     print_verdict,
     refuse,
+    repeatability_object,
     result_object,
 )
 
@@ -121,11 +124,15 @@ def _worst_share(recording: Recording, calibration: Calibration) -> float:
 
 def _print_json(ends: Sequence[tuple[str, Estimated | str]]) -> int:
     worst = 0
+    devices = {runs[-1][0]: runs for runs in _devices(ends) if len(runs) > 1}
     for name, end in ends:
         if isinstance(end, str):
             worst = max(worst, refuse(end, True, recording=name))
         else:
-            print(json.dumps(result_object(end.verdict, name, end.calibration)))
+            result = result_object(end.verdict, name, end.calibration)
+            if name in devices:  # the last run of a device carries how it repeats
+                result["repeatability"] = repeatability_object(_repeats(devices[name]))
+            print(json.dumps(result))
             worst = max(worst, end.verdict.outcome.exit_code)
     return worst
 
@@ -142,10 +149,38 @@ def _print(ends: Sequence[tuple[str, Estimated | str]]) -> int:
         for name, end in judged:
             print_calibration(end.calibration)
             print_verdict(end.verdict, Path(name))
+    devices = _devices(ends)
+    for runs in devices:
+        if len(runs) > 1:
+            print_repeatability(_repeats(runs), runs[0][1].calibration.gyros[0].device)
+    if len(devices) > 1:
+        kinds = "; ".join(", ".join(g.name for g in runs[0][1].calibration.gyros) for runs in devices)
+        print(f"note: {len(devices)} different devices or arrays ({kinds}): runs are compared within each only")
     worst = max((end.verdict.outcome.exit_code for _, end in judged), default=0)
     sys.stdout.flush()  # what failed comes last, wherever the two streams lead
     failed = [(name, reason) for name, reason in ends if isinstance(reason, str)]
     return max([worst, *(refuse(_named(name, reason), False) for name, reason in failed)])
+
+
+def _devices(ends: Sequence[tuple[str, Estimated | str]]) -> list[list[tuple[str, Estimated]]]:
+    """Return the estimated recordings by device: the same name if it has one, the same gyros along the same axes."""
+    groups: list[list[tuple[str, Estimated]]] = []
+    for name, end in ends:
+        if isinstance(end, str):
+            continue
+        gyros = end.calibration.gyros
+        for group in groups:
+            other = group[0][1].calibration.gyros
+            if other[0].device == gyros[0].device and same_device(other, gyros):
+                group.append((name, end))
+                break
+        else:
+            groups.append([(name, end)])
+    return groups
+
+
+def _repeats(runs: Sequence[tuple[str, Estimated]]) -> list[Repeatability]:
+    return repeatability([end.calibration.gyros for _, end in runs])
 
 
 def _named(name: str, reason: str) -> str:

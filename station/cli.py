@@ -72,6 +72,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="F",
         help="run F times as fast as real time, with twins only; default: virtual time if every link is twin:, else 1",
     )
+    run.add_argument(
+        "--end-early",
+        action="store_true",
+        help="stop when every sigma that the bench requires ([limits], sd_...) is reached and the residual is clean",
+    )
     run.add_argument("--reset-fault", action="store_true", help="clear faults of the table before enabling it")
     run.add_argument("--json", action="store_true", help="print the result as one JSON object")
 

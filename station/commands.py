@@ -17,6 +17,7 @@ from drivers.errors import DeviceError
 from estimator.errors import EstimatorError
 from estimator.recording import write_recording
 from station.bench import Bench, load_bench
+from station.early_end import check_early_end
 from station.errors import UsageError
 from station.loops import ScaledLoop, VirtualLoop
 from station.open_bench import needs_only_memory, open_bench, serve_twins, with_links
@@ -32,19 +33,24 @@ def command_run(arguments: argparse.Namespace) -> int:
         bench = _chosen_bench(arguments)
         script = load_script(Path(arguments.script)) if arguments.script else paper_script()
         check(script, bench.table.limits)
+        if arguments.end_early:
+            check_early_end(bench)
         virtual = needs_only_memory(bench) and arguments.scale is None
         scale = 1.0 if virtual else arguments.scale or 1.0
         path = Path(arguments.output) if arguments.output else _new_recording_path()
         loop_factory = VirtualLoop if virtual else partial(ScaledLoop, scale)
         with asyncio.Runner(loop_factory=loop_factory) as runner:
-            result = runner.run(_run(bench, script, path, scale, arguments.reset_fault, quiet=arguments.json))
+            result = runner.run(_run(bench, script, path, scale, arguments))
     except (UsageError, EstimatorError) as error:
         return refuse(str(error), arguments.json)
     except DeviceError as error:
         return refuse(str(error), arguments.json, Outcome.FAULT)
     if arguments.json:
-        print(json.dumps(result_object(result.verdict, str(result.recording), result.calibration)))
+        found = result_object(result.verdict, str(result.recording), result.calibration)
+        print(json.dumps({**found, "ended_early": result.ended_early or None}))
     else:
+        if result.ended_early:
+            print(f"ended early {result.ended_early}")
         if result.calibration is not None:
             print_calibration(result.calibration)
         print_verdict(result.verdict, result.recording)
@@ -102,15 +108,16 @@ def command_import(arguments: argparse.Namespace) -> int:
     return 0
 
 
-async def _run(bench: Bench, script: Script, path: Path, scale: float, reset_fault: bool, *, quiet: bool) -> Result:
+async def _run(bench: Bench, script: Script, path: Path, scale: float, arguments: argparse.Namespace) -> Result:
     async with open_bench(bench, time_scale=scale) as opened:
-        with Progress(quiet) as progress:
+        with Progress(arguments.json) as progress:
             session = Session(
                 opened,
                 script,
                 path,
                 seed=bench.twin.seed,
-                reset_fault=reset_fault,
+                reset_fault=arguments.reset_fault,
+                end_early=arguments.end_early,
                 time_scale=scale,
                 on_progress=progress.show,
             )

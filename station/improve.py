@@ -123,7 +123,8 @@ def predicted(script: Script, bench: Bench) -> Floats:
 
     They are those of ``station.plan.make_plan``, without the effects that it adds.
     """
-    motion = planned_motion(script, bench.table.gimbals, max(_PERIOD_S, script.duration_s / _MOST_ROWS))
+    period_s = max(_PERIOD_S, script.duration_s / _MOST_ROWS)
+    motion = planned_motion(script, bench.table.gimbals, period_s)
     w = body_rate(motion.angle_rad, motion.rate_rps, motion.gimbals, bench.site)
     columns = np.column_stack([np.ones(len(w)), w])
     readings = TableReadings(
@@ -136,7 +137,7 @@ def predicted(script: Script, bench: Bench) -> Floats:
     covariances = []
     for imu in _used(bench):
         maps, arw = regressor_maps(imu.array), np.full(len(imu.array), imu.noise.arw)
-        seen = weighed(columns, motion.t_s, script.duration_s / len(w), imu.noise)
+        seen = weighed(columns, motion.t_s, period_s, imu.noise)
         own = np.linalg.inv(maps @ seen @ maps.transpose(0, 2, 1) + np.diag(1 / imu.prior.variances()))
         for covariance, parts in zip(own, table_budget(readings, bench.site, imu.array, imu.prior, arw), strict=True):
             covariances.append(covariance + sum(part.covariance for part in parts))

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from drivers.seams import ImuBlock
 from estimator.array import SensorArray
+from estimator.blocks import Blocks, BlockSums
 from estimator.calibrate import BLOCK_S
 from estimator.filter import LiveFilter
 from estimator.kinematics import Site
 from estimator.model import Prior, decode
-from estimator.reference import BodyRates
+from estimator.reference import BodyRates, TableReadings, TableUncertainty
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -46,6 +47,9 @@ class LiveSource:
         self.filter = LiveFilter(array, self.noise_rps, prior)
         self.history = History()
         self._rows = max(round(BLOCK_S * rate_hz), 1)
+        self._period_s = 1 / rate_hz
+        self._keeps_blocks = False
+        self._sums: BlockSums | None = None
         self._t: Stamps = np.empty(0, dtype=np.int64)
         self._y: Floats = np.empty((0, len(array)))
         self._new: list[ImuBlock] = []
@@ -62,6 +66,8 @@ class LiveSource:
         whole = ready if everything else early + max(ready - early, 0) // self._rows * self._rows
         if whole > early:
             w = rates.at(self._t[early:whole])
+            if self._keeps_blocks:
+                self._sum(rates.starts_ns, w, self._t[early:whole], self._y[early:whole])
             for start in range(early, whole, self._rows):
                 stop = min(start + self._rows, whole)
                 self._update(w[start - early : stop - early], start, stop)
@@ -74,6 +80,19 @@ class LiveSource:
         x, p = self.filter.state()
         pairs = [decode(xi, pi) for xi, pi in zip(x, p, strict=True)]
         return np.array([s for s, _ in pairs]), np.array([np.sqrt(np.diag(c)) for _, c in pairs])
+
+    def keep_blocks(self) -> None:
+        """Sum the rows by block from now on, for estimates under coloured noise."""
+        self._keeps_blocks = True
+
+    def blocks(self) -> Blocks:
+        """Return the blocks of the rows used so far; none before the first, or if they are not kept."""
+        return (self._sums or BlockSums(len(self.array), 0, BLOCK_S, self._period_s)).blocks()
+
+    def _sum(self, origin_ns: int, w: Floats, t_ns: Stamps, y: Floats) -> None:
+        self._sums = self._sums or BlockSums(len(self.array), origin_ns, BLOCK_S, self._period_s)
+        known = np.isfinite(w).all(axis=1)
+        self._sums.add(t_ns[known], w[known], y[known] - w[known] @ self.array.p.T)
 
     def _take_new(self) -> None:
         """Join what has come; samples that the device calls invalid (NaN) are left out."""
@@ -111,10 +130,27 @@ class LiveEstimate:
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
         self._rows: list[tuple[int, Floats, Floats]] = []
+        self._gimbals = gimbals
+        self._kept_rows: list[tuple[int, Floats, Floats]] | None = None
+
+    def keep_blocks(self) -> None:
+        """Keep from now on what estimates under coloured noise need: sums of rows by block, readings of the table."""
+        self._kept_rows = []
+        for source in self.sources.values():
+            source.keep_blocks()
+
+    def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
+        """Return the readings of the table that have been kept."""
+        t_ns, angle, rate = zip(*(self._kept_rows or ()), strict=True)
+        return TableReadings(
+            np.array(t_ns, dtype=np.int64), np.array(angle), np.array(rate), self._gimbals, uncertainty
+        )
 
     def add_row(self, t_ns: int, angle_rad: Floats, rate_rps: Floats) -> None:
         """Take in one row of table readings; now and then use the samples that they cover."""
         self._rows.append((t_ns, angle_rad, rate_rps))
+        if self._kept_rows is not None:
+            self._kept_rows.append((t_ns, angle_rad, rate_rps))
         if len(self._rows) >= _ROWS_AT_ONCE:
             self._take_rows()
             for source in self.sources.values():

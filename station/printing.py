@@ -21,6 +21,7 @@ from rich.table import Table
 
 from estimator.calibrate import Calibration
 from estimator.model import STATES
+from estimator.repeatability import Repeatability
 from station.errors import EXIT_USAGE
 from station.outcome import Outcome, Verdict
 from station.snapshot import Snapshot
@@ -141,6 +142,55 @@ def _print_budget(console: Console, calibration: Calibration) -> None:
             f"rate random walk below {walk:.2g} deg/h/rth (95 %)",
             highlight=False,
         )
+
+
+def print_repeatability(repeats: Sequence[Repeatability], device: str) -> None:
+    """Print how the states of a device scatter over its runs, beside the scatter that their sigmas promise."""
+    if not repeats:
+        return
+    title = (
+        f"Repeatability{' of ' + device if device else ''} over {repeats[0].runs} runs: scatter (expected from noise)"
+    )
+    table = Table()
+    table.add_column("gyro")
+    for heading in ("k (ppm)", "b (deg/h)", "sigma_j (urad)", "sigma_k (urad)"):
+        table.add_column(heading, justify="right")
+    scales = np.array([1e6, math.degrees(3600), 1e6, 1e6])
+    for gyro in repeats:
+        pairs = zip(gyro.scatter * scales, gyro.expected * scales, gyro.differs, strict=True)
+        table.add_row(gyro.name, *(f"{_size(s)} ({_size(e)}){' !' if d else ''}" for s, e, d in pairs))
+    console = _stdout()
+    console.print(title, style="bold", highlight=False)
+    console.print(table)
+    for gyro in repeats:
+        for name, between, scale, unit, differs in zip(
+            ("k", "b", "sigma_j", "sigma_k"),
+            gyro.between,
+            scales,
+            ("ppm", "deg/h", "urad", "urad"),
+            gyro.differs,
+            strict=True,
+        ):
+            if differs:
+                console.print(
+                    f"! {name} of {gyro.name} differs between runs by {_size(between * scale)} {unit} beyond its noise",
+                    highlight=False,
+                )
+
+
+def repeatability_object(repeats: Sequence[Repeatability]) -> list[dict[str, Any]]:
+    """Return the repeatability as what --json prints: by gyro the runs and, by state, the figures in SI."""
+    return [
+        {
+            "name": gyro.name,
+            "runs": gyro.runs,
+            **{
+                key: dict(zip(STATES, getattr(gyro, key).tolist(), strict=True))
+                for key in ("mean", "scatter", "expected", "between", "differs")
+            },
+        }
+        for gyro in repeats
+    ]
 
 
 def _size(value: float) -> str:

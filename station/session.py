@@ -24,6 +24,7 @@ from estimator.errors import EstimatorError
 from estimator.gram import solve
 from estimator.recording import Recording, RecordingWriter, read_recording, write_attributes, write_results
 from estimator.results import write_calibration
+from station.early_end import EarlyEnd
 from station.live import LiveEstimate, LiveSource
 from station.loops import is_virtual
 from station.open_bench import OpenBench, OpenImu
@@ -53,6 +54,8 @@ class Result:
     calibration: Calibration | None
     agreement: float
     """Largest difference between the live filter and the batch estimate, in sigmas, under the same noise."""
+    ended_early: str = ""
+    """When and why the script was not run to its end."""
 
 
 class Session:
@@ -66,6 +69,7 @@ class Session:
         *,
         seed: int = 0,
         reset_fault: bool = False,
+        end_early: bool = False,
         time_scale: float = 1.0,
         on_progress: Callable[[Callable[[], Snapshot]], None] = lambda look: None,
     ) -> None:
@@ -88,6 +92,11 @@ class Session:
         self._writer.add_table(config.table.gimbals, config.table.uncertainty)
         for imu in bench.imus:
             self._add_sources(imu)
+        self._ended_early = ""
+        self._early_end: EarlyEnd | None = None
+        if end_early:
+            configs = {name: imu.config for imu in bench.imus for name in imu.source.names}
+            self._early_end = EarlyEnd(config, configs, self._live, time_scale)
 
     async def run(self) -> Result:
         """Run to the end. Whatever happens, the table is brought to rest and the recording is closed."""
@@ -166,10 +175,26 @@ class Session:
             )
             services.append(group.create_task(watch))
             self._event("script begins")
-            await sequencer.run()
+            if self._early_end is None:
+                await sequencer.run()
+            else:
+                await self._run_until_enough(group, sequencer, self._early_end)
             self._phase = "finishing"
             for service in services:
                 service.cancel()
+
+    async def _run_until_enough(self, group: asyncio.TaskGroup, sequencer: Sequencer, early_end: EarlyEnd) -> None:
+        """Run the script to its end, or until enough has been seen: the table is then still to be stopped."""
+        script, enough = group.create_task(sequencer.run()), group.create_task(early_end.wait())
+        await asyncio.wait((script, enough), return_when=asyncio.FIRST_COMPLETED)
+        if not script.done() and enough.done() and not enough.cancelled() and enough.exception() is None:
+            now_s = asyncio.get_running_loop().time()
+            done_s, left_s = sequencer.times_s(now_s)
+            where = f"after {done_s:.1f} s of {done_s + left_s:.1f} s, in step {sequencer.label!r}"
+            self._ended_early = f"{where}: {enough.result()}"
+            self._event(f"ended early {where}: enough seen")
+        script.cancel()
+        enough.cancel()
 
     async def _acquire(self, imu: OpenImu) -> None:
         async for name, block in imu.source.blocks():
@@ -269,6 +294,8 @@ class Session:
                     name, {key: getattr(counts, key) for key in ("lost", "repeated", "late", "corrupt")}
                 )
         self._writer.set_attributes({"table_read_half_width_ns": self._half_width_ns})
+        if self._ended_early:
+            self._writer.set_attributes({"ended_early": self._ended_early})
         if self._sync is not None:
             with suppress(OSError):
                 await self._sync
@@ -281,7 +308,7 @@ class Session:
             except EstimatorError as error:
                 verdict = Verdict(Outcome.FAIL, str(error))
         write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
-        return Result(verdict, self._writer.path, calibration, agreement)
+        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early)
 
     def _estimate(self) -> tuple[Calibration, float]:
         """Return the batch estimate from the recorded samples, and how far the live filter is from it."""

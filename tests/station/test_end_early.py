@@ -1,0 +1,102 @@
+"""A run that ends when it has shown enough."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from station.bench import default_bench_text
+from station.cli import main
+
+TURNS = "".join(
+    f"""
+[[step]]
+kind = "rotate"
+axis = "{axis}"
+rate = "{sign}40 deg/s"
+duration = "8 s"
+acceleration = "20 deg/s2"
+"""
+    for axis in "zyx"
+    for sign in ("", "-")
+)
+REST = '\n[[step]]\nkind = "rest"\nduration = "{} s"\n'
+
+
+@pytest.fixture
+def script(tmp_path: Path) -> str:
+    """A script whose turns show enough long before its end."""
+    return script_file(tmp_path, REST.format(10) + TURNS + TURNS + REST.format(100))
+
+
+def script_file(folder: Path, steps: str) -> str:
+    """Write a script."""
+    path = folder / "script.toml"
+    path.write_text(steps, encoding="utf-8")
+    return str(path)
+
+
+def bench_file(folder: Path, old: str, new: str) -> str:
+    """Write the built-in bench with another text in it."""
+    text = default_bench_text()
+    assert old in text
+    path = folder / "bench.toml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    return str(path)
+
+
+def test_a_run_ends_once_every_sigma_is_reached_and_says_so(
+    script: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = tmp_path / "first.h5", tmp_path / "second.h5"
+    assert main(["run", "--script", script, "--end-early", "-o", str(first)]) == 0
+    printed = capsys.readouterr().out
+    assert main(["run", "--script", script, "--end-early", "-o", str(second), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert "ended early after" in printed
+    assert "PASS" in printed
+    assert first.read_bytes() == second.read_bytes()  # virtual time: the same instant each time
+    sd = np.array([list(gyro["sd"].values()) for gyro in result["gyros"]])
+    assert (sd <= [100e-6, np.radians(5 / 3600), 100e-6, 100e-6]).all()
+    with h5py.File(first) as file:
+        why = str(file.attrs["ended_early"])
+        events = [text.decode() for text in file["events/text"][:]]
+        ended_s = file["events/t_ns"][-1] * 1e-9
+    assert why == result["ended_early"]
+    assert "every required sigma is reached" in why
+    assert "mean NIS" in why
+    assert [event.split(" after")[0] for event in events] == ["script begins", "ended early", "table at rest"]
+    assert 40 < ended_s < 130
+
+
+def test_a_run_that_never_shows_enough_goes_to_its_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    script = script_file(tmp_path, REST.format(10) + TURNS + REST.format(10))
+    bench = bench_file(tmp_path, 'sd_bias = "5 deg/h"', 'sd_bias = "0.5 deg/h"')
+    output = tmp_path / "run.h5"
+    assert main(["run", "--bench", bench, "--script", script, "--end-early", "-o", str(output), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["ended_early"] is None
+    with h5py.File(output) as file:
+        assert "ended_early" not in file.attrs
+        assert len(file["steps/label"]) == 8
+
+
+def test_a_residual_that_is_not_clean_keeps_the_run_going(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    script = script_file(tmp_path, REST.format(10) + TURNS + REST.format(25))
+    bench = bench_file(tmp_path, "nis_high = 1.2", "nis_high = 0.85")
+    assert (
+        main(["run", "--bench", bench, "--script", script, "--end-early", "-o", str(tmp_path / "r.h5"), "--json"]) == 1
+    )
+    assert json.loads(capsys.readouterr().out)["ended_early"] is None
+
+
+def test_a_bench_that_requires_no_sigma_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = "".join(line for line in default_bench_text().splitlines(keepends=True) if not line.startswith("sd_"))
+    path = tmp_path / "bench.toml"
+    path.write_text(text, encoding="utf-8")
+    assert main(["run", "--bench", str(path), "--end-early", "-o", str(tmp_path / "r.h5")]) == 2
+    assert "requires no sigmas" in capsys.readouterr().err
+    assert not (tmp_path / "r.h5").exists()
