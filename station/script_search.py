@@ -141,7 +141,7 @@ class Search:
     def longest(self) -> Script:
         """Return a script of about LONGEST_S that turns about everything again and again: more time brings no more."""
         ways = ways_of(self.gimbals, (0.0, _QUARTER))
-        cycles = 8 * _CYCLES[-1]
+        cycles = _CYCLES[-1]
         turn_s = LONGEST_S / (2 * cycles * len(ways))
         return self._shape(ways).again(cycles).script(np.array([turn_s] * len(ways) + [self.rest_s]), "longest")
 

@@ -74,7 +74,7 @@ def test_a_run_ends_once_every_sigma_is_reached_and_says_so(
 
 
 def test_a_run_that_never_shows_enough_goes_to_its_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    script = script_file(tmp_path, REST.format(10) + TURNS + REST.format(10))
+    script = script_file(tmp_path, REST.format(5) + TURNS + REST.format(5))
     bench = bench_file(tmp_path, 'sd_bias = "5 deg/h"', 'sd_bias = "0.5 deg/h"')
     output = tmp_path / "run.h5"
     assert main(["run", "--bench", bench, "--script", script, "--end-early", "-o", str(output), "--json"]) == 1
@@ -85,7 +85,7 @@ def test_a_run_that_never_shows_enough_goes_to_its_end(tmp_path: Path, capsys: p
 
 
 def test_a_residual_that_is_not_clean_keeps_the_run_going(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    script = script_file(tmp_path, REST.format(10) + TURNS + REST.format(25))
+    script = script_file(tmp_path, REST.format(5) + TURNS + REST.format(15))
     bench = bench_file(tmp_path, "nis_high = 1.2", "nis_high = 0.85")
     assert (
         main(["run", "--bench", bench, "--script", script, "--end-early", "-o", str(tmp_path / "r.h5"), "--json"]) == 1
