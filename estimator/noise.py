@@ -7,6 +7,7 @@ correlation time, each with variance ``B^2 / pi`` per unit of it, from a second 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ Floats = NDArray[np.float64]
 
 _STEPS_A_DECADE = 2
 _SHORTEST_S = 1.0
+_FEWEST_SAMPLES = 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,15 +77,44 @@ def allan_deviation(rate_rps: Floats, period_s: float, per_decade: int = 5) -> t
 
     The times go up to a third of the span, where an estimate still rests on a few averages.
     """
-    n = len(rate_rps)
-    if n < 9:
-        return np.empty(0), np.empty((0, rate_rps.shape[1]))
+    return allan_deviation_of_parts([rate_rps], period_s, per_decade)
+
+
+def allan_deviation_of_parts(
+    parts_rps: Sequence[Floats], period_s: float, per_decade: int = 5
+) -> tuple[Floats, Floats]:
+    """Return the same from stretches (n, m) that do not follow on each other; each counts by its differences."""
+    longest = max((len(part) for part in parts_rps), default=0)
+    if longest < _FEWEST_SAMPLES:
+        return np.empty(0), np.empty((0, parts_rps[0].shape[1] if parts_rps else 0))
+    last = longest // 3
     widths = np.unique(
-        np.round(np.logspace(0, np.log10(n // 3), max(int(np.log10(n // 3) * per_decade), 1) + 1)).astype(int)
+        np.round(np.logspace(0, np.log10(last), max(int(np.log10(last) * per_decade), 1) + 1)).astype(int)
     )
-    angle = np.vstack([np.zeros((1, rate_rps.shape[1])), np.cumsum(rate_rps - rate_rps.mean(axis=0), axis=0)])
-    out = np.empty((len(widths), rate_rps.shape[1]))
-    for row, width in enumerate(widths):
-        second = angle[2 * width :] - 2 * angle[width:-width] + angle[: -2 * width]
-        out[row] = np.sqrt(0.5 * np.mean(second**2, axis=0)) / width
-    return widths * period_s, out
+    squares = np.zeros((len(widths), parts_rps[0].shape[1]))
+    counts = np.zeros((len(widths), 1))
+    for rate_rps in parts_rps:
+        angle = np.vstack([np.zeros((1, rate_rps.shape[1])), np.cumsum(rate_rps - rate_rps.mean(axis=0), axis=0)])
+        for row, width in enumerate(widths[3 * widths <= len(rate_rps)]):
+            second = angle[2 * width :] - 2 * angle[width:-width] + angle[: -2 * width]
+            squares[row] += 0.5 * np.sum(second**2, axis=0) / width**2
+            counts[row] += len(second)
+    return widths * period_s, np.sqrt(squares / counts)
+
+
+def identify(tau_s: Floats, deviation_rps: Floats, span_s: float) -> list[NoiseModel]:
+    """Return the noise of each gyro whose Allan deviation (t, m), of ``span_s`` in all, was measured.
+
+    The three terms of the Allan variance are fitted, none below zero. A point counts by its number of independent
+    averages, ``span / tau``. What the span is too short for comes out as zero or as chance would have it.
+    """
+    from scipy.optimize import nnls
+
+    shapes = np.column_stack([1 / tau_s, np.full_like(tau_s, 2 * np.log(2) / np.pi), tau_s / 3])
+    found = []
+    for variance in deviation_rps.T**2:
+        weight = np.sqrt(span_s / tau_s) / variance
+        scale = np.linalg.norm(shapes * weight[:, None], axis=0)
+        parts, _ = nnls(shapes * weight[:, None] / scale, variance * weight)
+        found.append(NoiseModel(*(float(part) for part in np.sqrt(parts / scale))))
+    return found

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array import SensorArray
-from estimator.calibrate import BLOCK_S
 from estimator.coloured import MOST_BLOCKS
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.kinematics import body_rate
 from estimator.model import Prior, regressor_maps
 from estimator.noise import MeansCovariance, NoiseModel
+from estimator.rows import BLOCK_S
 
 Floats = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.calibrate import GyroCalibration
+from estimator.calibration import GyroCalibration
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.calibrate import Calibration
+from estimator.calibration import Calibration
 from estimator.model import STATES
 from estimator.recording import write_results
 
@@ -16,7 +16,9 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
     """Write /calibration: names, sources, states (n, 4), sd (n, 4), covariance (n, 4, 4), noise of a sample (n,).
 
     Of runs on a table also ``noise`` (n, 3) and what 95 % of the expectation lies below (n, 2), and ``budget`` (n,
-    contributions, 4): standard uncertainties that add in squares to ``sd``.
+    contributions, 4): standard uncertainties that add in squares to ``sd``. If the table rested, also the Allan
+    deviation then, ``allan_deviation_rps`` (n, t) at ``allan_tau_s`` (n, t), NaN beyond the last, and the noise it
+    tells of, ``rest_noise`` (n, 3).
     """
     gyros = calibration.gyros
     found = [g.noise for g in gyros if g.noise is not None]
@@ -24,6 +26,13 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
     if len(found) == len(gyros):
         more["noise"] = np.array([[n.mean.arw, n.mean.instability, n.mean.walk] for n in found])
         more["noise_below"] = np.array([[n.instability_below, n.walk_below] for n in found])
+    rests = [g.rest for g in gyros if g.rest is not None]
+    if len(rests) == len(gyros):
+        longest = max(len(rest.tau_s) for rest in rests)
+        more["rest_noise"] = np.array([[r.noise.arw, r.noise.instability, r.noise.walk] for r in rests])
+        for key in ("tau_s", "deviation_rps"):
+            curves = [getattr(rest, key) for rest in rests]
+            more[f"allan_{key}"] = np.array([np.pad(c, (0, longest - len(c)), constant_values=np.nan) for c in curves])
     names = [c.name for c in gyros[0].budget] if gyros else []
     if names and all([c.name for c in g.budget] == names for g in gyros):
         more["budget"] = np.array([[c.u for c in g.budget] for g in gyros])

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from estimator.calibrate import Calibration, calibrate
+from estimator.calibrate import calibrate
+from estimator.calibration import Calibration
 from estimator.errors import RecordingError
 from estimator.recording import Recording, read_recording
 from estimator.repeatability import Repeatability, repeatability, same_device

@@ -18,11 +18,11 @@ from rich.console import Console
 from rich.table import Table
 
 from estimator.budget import table_budget
-from estimator.calibrate import BLOCK_S
 from estimator.kinematics import body_rate
 from estimator.model import STATES, regressor_maps
 from estimator.planning import UNSEEN, weighed
 from estimator.reference import TableReadings
+from estimator.rows import BLOCK_S
 from station.bench import Bench, ImuConfig
 from station.errors import UsageError
 from station.outcome import Outcome

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from drivers.seams import ImuBlock
 from estimator.array import SensorArray
 from estimator.blocks import Blocks, BlockSums
-from estimator.calibrate import BLOCK_S
 from estimator.filter import LiveFilter
 from estimator.kinematics import Site
 from estimator.model import Prior, decode
 from estimator.reference import BodyRates, TableReadings, TableUncertainty
+from estimator.rows import BLOCK_S
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from estimator.calibrate import Calibration
+from estimator.calibration import Calibration
 from station.bench import Limits
 
 _DEG = 180 / np.pi

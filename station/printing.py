@@ -19,9 +19,10 @@ from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as RichProgress
 from rich.table import Table
 
-from estimator.calibrate import Calibration
+from estimator.calibration import Calibration
 from estimator.model import STATES
 from estimator.repeatability import Repeatability
+from estimator.rests import RestNoise
 from station.errors import EXIT_USAGE
 from station.outcome import Outcome, Verdict
 from station.snapshot import Snapshot
@@ -142,6 +143,22 @@ def _print_budget(console: Console, calibration: Calibration) -> None:
             f"rate random walk below {walk:.2g} deg/h/rth (95 %)",
             highlight=False,
         )
+    rests = [gyro.rest for gyro in calibration.gyros if gyro.rest is not None]
+    if rests:
+        arw = math.degrees(np.mean([rest.noise.arw for rest in rests]))
+        console.print(
+            f"at rest alone, {np.mean([rest.span_s for rest in rests]):.0f} s: angle random walk {arw:.3g} "
+            f"deg/s/rtHz, least Allan deviation {_lowest(rests)}",
+            highlight=False,
+        )
+
+
+def _lowest(rests: Sequence[RestNoise]) -> str:
+    """Return where the mean Allan deviation of the gyros is least, in words."""
+    shortest = min(rests, key=lambda rest: len(rest.tau_s))
+    mean = np.mean([rest.deviation_rps[: len(shortest.tau_s)] for rest in rests], axis=0)
+    least = int(np.argmin(mean))
+    return f"{math.degrees(mean[least]) * 3600:.2g} deg/h at {shortest.tau_s[least]:.0f} s"
 
 
 def print_repeatability(repeats: Sequence[Repeatability], device: str) -> None:

@@ -19,11 +19,13 @@ import numpy as np
 
 from drivers.errors import DeviceError, LinkLost
 from drivers.seams import ImuBlock
-from estimator.calibrate import Calibration, calibrate, source_gram
+from estimator.calibrate import calibrate
+from estimator.calibration import Calibration
 from estimator.errors import EstimatorError
 from estimator.gram import solve
 from estimator.recording import Recording, RecordingWriter, read_recording, write_attributes, write_results
 from estimator.results import write_calibration
+from estimator.rows import gram_of
 from station.early_end import EarlyEnd
 from station.live import LiveEstimate, LiveSource
 from station.loops import is_virtual
@@ -329,7 +331,9 @@ class Session:
     def _agreement(self, recording: Recording) -> float:
         largest = 0.0
         for name, source in self._live.sources.items():
-            batch = solve(source_gram(recording, name), source.array, source.prior, source.noise_rps)
+            batch = solve(
+                gram_of(recording, name, recording.sources[name]), source.array, source.prior, source.noise_rps
+            )
             x, _ = source.filter.state()
             sd = np.sqrt(np.diagonal(batch.covariance, axis1=1, axis2=2))
             largest = max(largest, float(np.abs((x - batch.x) / sd).max()))

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from estimator.array import SensorArray, tetrahedron, tetrahedron_as_printed
 from estimator.baselines import FilterRun, bound, covariance_filter
-from estimator.calibrate import BLOCK_S, block_rows, calibrate, observations
+from estimator.calibrate import calibrate
 from estimator.filter import LiveFilter
 from estimator.gram import Gram, solve
 from estimator.kinematics import Site
 from estimator.model import Prior, decode
 from estimator.recording import ImuData, Recording, write_recording, write_results
 from estimator.reference import RateReadings
+from estimator.rows import BLOCK_S, block_rows, observations
 from station.campaigns import Failure, run_all
 from station.errors import UsageError
 from station.open_bench.simulate import DeviceTruth, simulate

@@ -23,9 +23,10 @@ import numpy as np
 from support import TABLE_1, direct_recording, station
 
 from estimator.array import SensorArray, cone, dodecahedron, sensor_array, tetrahedron, triad
-from estimator.calibrate import calibrate, source_gram
+from estimator.calibrate import calibrate
 from estimator.gram import solve
 from estimator.model import decode
+from estimator.rows import gram_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +66,7 @@ def one(seed: int, name: str = "tetrahedron", instability_dph: float = 0.0, walk
     calibration = calibrate(recording)
     data = recording.sources["array"]
     true_noise = np.full(len(data.array), np.radians(0.005) * 10)  # ARW times the root of 100 Hz
-    known = solve(source_gram(recording, "array"), data.array, data.prior, true_noise)
+    known = solve(gram_of(recording, "array", data), data.array, data.prior, true_noise)
     bound = [np.sqrt(np.diag(decode(x, p)[1])) for x, p in zip(known.x, known.covariance, strict=True)]
     return Seed(
         np.array([g.states - TABLE_1 for g in calibration.gyros]),

@@ -20,9 +20,9 @@ import numpy as np
 from support import command, direct_recording
 
 from estimator.array import SensorArray, tetrahedron, triad
-from estimator.calibrate import observations
 from estimator.gram import Gram, solve
 from estimator.model import Prior, regressor_maps
+from estimator.rows import observations
 from station.bench import default_bench_text
 
 

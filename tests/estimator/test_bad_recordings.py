@@ -9,7 +9,8 @@ import pytest
 from support import TABLE_1, direct_recording
 
 from estimator.array import dodecahedron
-from estimator.calibrate import Calibration, calibrate
+from estimator.calibrate import calibrate
+from estimator.calibration import Calibration
 from estimator.recording import Recording
 from station.script import Rest, Rotate, Script
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from estimator.array import tetrahedron
-from estimator.calibrate import Calibration, calibrate
+from estimator.calibrate import calibrate
+from estimator.calibration import Calibration
 from estimator.errors import RecordingError
 from estimator.kinematics import Site
 from estimator.model import predicted_output

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.calibrate import Calibration, calibrate
+from estimator.calibrate import calibrate
+from estimator.calibration import Calibration
 from estimator.errors import RecordingError
 from estimator.importing import SOURCE, Imported, import_recording
 from estimator.mapping import read_mapping

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from support import TABLE_1, direct_recording
 
-from estimator.calibrate import Calibration, calibrate
-from estimator.noise import MeansCovariance, NoiseModel, allan_deviation
+from estimator.calibrate import calibrate
+from estimator.calibration import Calibration
+from estimator.noise import MeansCovariance, NoiseModel, allan_deviation, identify
 
 DPH = np.pi / 180 / 3600
 
@@ -33,6 +34,18 @@ def test_the_covariance_of_means_has_the_allan_deviation_of_its_model() -> None:
     found = np.sqrt(0.5 * np.mean(np.diag(difference @ covariance @ difference.T)))
     # The walk is taken at the middle of each mean, and flicker noise ends at a second: a little is left open.
     assert found == pytest.approx(float(noise.allan_deviation(np.array([length_s]))[0]), rel=0.06)
+
+
+def test_rests_alone_tell_the_random_walk_and_a_long_one_the_rest() -> None:
+    calm = noisy(1, 0.0)
+    for gyro in calm.gyros:
+        assert gyro.rest is not None
+        assert gyro.rest.span_s == pytest.approx(90, abs=2)
+        assert gyro.rest.noise.arw == pytest.approx(np.radians(0.005), rel=0.05)
+    true = NoiseModel(arw=0.3, instability=0.05, walk=0.002)
+    tau_s = np.geomspace(0.1, 20000, 25)
+    found = identify(tau_s, true.allan_deviation(tau_s)[:, None], 60000.0)[0]
+    assert (found.arw, found.instability, found.walk) == pytest.approx((0.3, 0.05, 0.002), rel=1e-6)
 
 
 def noisy(seed: int, instability_dph: float, walk_dph_rth: float = 0.0) -> Calibration:

@@ -10,7 +10,8 @@ import pytest
 from support import TABLE_1, direct_recording, station
 
 from estimator.array import triad
-from estimator.calibrate import GyroCalibration, calibrate
+from estimator.calibrate import calibrate
+from estimator.calibration import GyroCalibration
 from estimator.recording import write_recording
 from estimator.repeatability import repeatability, same_device
 

@@ -1,0 +1,73 @@
+"""What a recording says of its gyros: values, without the way they were found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.budget import Contribution
+from estimator.coloured import NoiseFound
+from estimator.health import Excluded
+from estimator.model import Prior
+from estimator.parity import GyroParity
+from estimator.rests import RestNoise
+
+Floats = NDArray[np.float64]
+
+_UNSEEN = 0.5  # a posterior sigma above this share of the prior's: the run did not show the state
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroCalibration:
+    """States of one gyro [k, b_rps, sigma_j_rad, sigma_k_rad], their covariance, the noise of one sample.
+
+    ``covariance`` holds everything; ``budget`` is what it is the sum of: type A, from the scatter of the data, and
+    type B, from the table's stated uncertainty. ``noise`` is what the data say of the noise, where they do, and
+    ``rest`` what the rests of the table alone say of it.
+    """
+
+    name: str
+    source: str
+    states: Floats
+    covariance: Floats
+    noise_rps: float
+    p: Floats
+    device: str
+    budget: tuple[Contribution, ...] = ()
+    noise: NoiseFound | None = None
+    rest: RestNoise | None = None
+
+    @property
+    def sd(self) -> Floats:
+        """Standard deviations of the states (4,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """What one recording says of its gyros. ``samples`` counts gyro samples used, ``lost`` those missing.
+
+    ``excluded`` are gyros that could not be estimated; ``parity`` is what the gyros of redundant devices say of
+    each other.
+    """
+
+    gyros: tuple[GyroCalibration, ...]
+    nis_mean: float
+    samples: int
+    lost: int
+    notes: tuple[str, ...]
+    excluded: tuple[Excluded, ...] = ()
+    parity: tuple[GyroParity, ...] = ()
+
+
+def unseen_notes(name: str, covariance: Floats, prior: Prior) -> list[str]:
+    """Return which states of a gyro its covariance (4, 4) says were not seen, in words."""
+    ratio = np.sqrt(np.diag(covariance) / prior.variances())
+    labels = ("scale factor error k", "bias b", "misalignment sigma_j", "misalignment sigma_k")
+    return [
+        f"{name}: {label} is not seen by this run (its sigma is {r:.0%} of what the data sheet says)"
+        for label, r in zip(labels, ratio, strict=True)
+        if r > _UNSEEN
+    ]

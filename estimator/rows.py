@@ -1,0 +1,211 @@
+"""Rows of body rate and output, which everything is estimated from: of a table, a rate, an attitude or turns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.blocks import Blocks, BlockSums
+from estimator.errors import RecordingError
+from estimator.gram import Gram
+from estimator.recording import ImuData, Recording
+from estimator.reference import AttitudeReadings, BodyRates, RateReadings, TableReadings, Turns, rates_from_attitude
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+BLOCK_S = 0.2
+"""Length of a block of the live filter."""
+MEAN_S = 0.1
+"""Length of the means over which an attitude reference is compared: a low pass of 10 Hz on both sides."""
+_CHUNK_ROWS = 65536
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """Rows of body rate (rows, 3) and output (rows, m), with their instants where they are samples.
+
+    ``weight`` is 1 / noise relative to other rows.
+    """
+
+    w_rps: Floats
+    y_rps: Floats
+    weight: Floats | None = None
+    t_ns: Stamps | None = None
+
+
+def block_rows(data: ImuData, length_s: float = BLOCK_S) -> int:
+    """Return how many samples of this source make a block, by default of the live filter."""
+    if len(data.t_ns) < 2:
+        return 1
+    return max(round(length_s / (float(np.median(np.diff(data.t_ns))) * 1e-9)), 1)
+
+
+def observations(recording: Recording, source: str) -> Iterator[Observations]:
+    """Yield rows of body rate and output of one source, in parts of bounded size, in order of time."""
+    yield from rows_of(recording, recording.sources[source])
+
+
+def rows_of(recording: Recording, data: ImuData) -> Iterator[Observations]:
+    reference = recording.reference
+    if isinstance(reference, TableReadings):
+        yield from table_rows(recording, data)
+    elif isinstance(reference, RateReadings):
+        yield from _rate_rows(reference, data)
+    elif isinstance(reference, AttitudeReadings):
+        yield from _means(data, rates_from_attitude(reference))
+    else:
+        yield _segments(data, reference)
+
+
+def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
+    reference = recording.reference
+    if not isinstance(reference, TableReadings):
+        raise TypeError("rows against a table need one")
+    rates = BodyRates(reference.gimbals, recording.site)
+    rates.add(reference.t_ns, reference.angle_rad, reference.rate_rps)
+    rates.finish()
+    t_ns, rate = _inside(data, rates.starts_ns, rates.final_until_ns)
+    for start, stop in _chunks(data, len(t_ns)):
+        t = t_ns[start:stop]
+        w = rates.at(t)
+        known = np.isfinite(w).all(axis=1)
+        if known.all():
+            yield Observations(w, rate[start:stop], None, t)
+        else:
+            yield Observations(w[known], rate[start:stop][known], None, t[known])
+
+
+def source_blocks(recording: Recording, data: ImuData, length_s: float = BLOCK_S) -> Blocks:
+    """Return the rows of one source against the table, summed by block from the first reading of the table."""
+    reference = recording.reference
+    if not isinstance(reference, TableReadings):
+        raise TypeError("blocks are of recordings against a table")
+    t_ns = data.t_ns
+    period_s = float(np.median(np.diff(t_ns))) * 1e-9 if len(t_ns) > 1 else length_s
+    sums = BlockSums(len(data.array), int(reference.t_ns[0]), length_s, period_s)
+    for part in table_rows(recording, data):
+        sums.add(part.t_ns, part.w_rps, part.y_rps - part.w_rps @ data.array.p.T)  # type: ignore[arg-type]
+    return sums.blocks()
+
+
+def _rate_rows(reference: RateReadings, data: ImuData) -> Iterator[Observations]:
+    known = np.isfinite(reference.rate_rps).all(axis=1)
+    if not known.any():
+        return
+    at, rates = reference.t_ns[known], reference.rate_rps[known]
+    t_ns, rate = _inside(data, int(at[0]), int(at[-1]))
+    for start, stop in _chunks(data, len(t_ns)):
+        t = t_ns[start:stop]
+        w = np.column_stack([np.interp(t, at, rates[:, c]) for c in range(3)])
+        yield Observations(w, rate[start:stop], None, t)
+
+
+def _inside(data: ImuData, first_ns: int, last_ns: int) -> tuple[Stamps, Floats]:
+    t_ns, rate = _in_order(data)
+    start, stop = np.searchsorted(t_ns, first_ns, side="left"), np.searchsorted(t_ns, last_ns, side="right")
+    return t_ns[start:stop], rate[start:stop]
+
+
+def _chunks(data: ImuData, rows: int) -> Iterator[tuple[int, int]]:
+    """Yield bounds of parts of whole blocks, so that a replay is cut as the live run was."""
+    block = block_rows(data)
+    chunk = max(_CHUNK_ROWS // block, 1) * block
+    for start in range(0, rows, chunk):
+        yield start, min(start + chunk, rows)
+
+
+def sample_noise(data: ImuData) -> Floats:
+    """Return the white noise of one sample of each channel (m,), from differences of neighbours."""
+    # Median of |N(0, 2 s^2)| is 0.954 s; the quantum is the floor for data rounded so that most do not differ.
+    rate = _in_order(data)[1]
+    quantum = _quantum(rate)
+    floor = np.where(np.isfinite(quantum), quantum, 1e-9) / np.sqrt(12)
+    return np.asarray(np.maximum(np.median(np.abs(np.diff(rate, axis=0)), axis=0) / 0.954, floor))
+
+
+def _quantum(rate_rps: Floats) -> Floats:
+    """Return the smallest step between neighbouring samples of each channel (m,); infinite if all are equal."""
+    steps = np.abs(np.diff(rate_rps, axis=0))
+    # Differences of the same two decimals differ in their last binary digits: 1e-9 rad/s is no step.
+    return np.array([float(column[column > 1e-9].min(initial=np.inf)) for column in steps.T])
+
+
+def _in_order(data: ImuData) -> tuple[NDArray[np.int64], Floats]:
+    t_ns, rate = data.t_ns, data.rate_rps
+    finite = np.isfinite(rate).all(axis=1)
+    if not finite.all():
+        t_ns, rate = t_ns[finite], rate[finite]
+    if np.any(np.diff(t_ns) <= 0):
+        order = np.argsort(t_ns, kind="stable")
+        t_ns, rate = t_ns[order], rate[order]
+    return t_ns, rate
+
+
+def _means(data: ImuData, reference: RateReadings) -> Iterator[Observations]:
+    """Yield means of both sides over blocks: differentiated attitudes are too noisy to compare by sample."""
+    t_ns, rate = _in_order(data)
+    w = np.column_stack([np.interp(t_ns, reference.t_ns, reference.rate_rps[:, c]) for c in range(3)])
+    rows = block_rows(data, MEAN_S)
+    inside = (t_ns >= reference.t_ns[0]) & (t_ns <= reference.t_ns[-1])
+    first = int(np.argmax(inside)) if inside.any() else 0
+    count = int(inside.sum()) // rows
+    if not count:
+        return
+    w_mean = w[first : first + count * rows].reshape(count, rows, 3).mean(axis=1)
+    y_mean = rate[first : first + count * rows].reshape(count, rows, -1).mean(axis=1)
+    whole = np.isfinite(w_mean).all(axis=1)
+    yield Observations(w_mean[whole], y_mean[whole])
+
+
+def _segments(data: ImuData, turns: Turns) -> Observations:
+    """Return one row a segment: mean rate from the angle turned, mean output, weight from the doubt of both.
+
+    The mean is over time, not over samples: foreign samples may be unevenly spaced.
+    """
+    t_ns, rate = _in_order(data)
+    white, quantum = float(sample_noise(data).max()), _quantum(rate)
+    w, y, weight = [], [], []
+    for start, end, turn, sd in zip(turns.t_start_ns, turns.t_end_ns, turns.turn_rad, turns.sd_rad, strict=True):
+        inside = (t_ns >= start) & (t_ns <= end)
+        n = int(inside.sum())
+        if n < 2:
+            continue
+        t_s, part = (t_ns[inside] - start) * 1e-9, rate[inside]
+        length_s = float(t_s[-1] - t_s[0])
+        w.append(turn / length_s)
+        y.append(np.trapezoid(part, t_s, axis=0) / length_s)
+        # Samples that hardly leave one count do not average: their mean is good to the count, however many.
+        stuck = np.where(np.isfinite(quantum) & (part.std(axis=0) < quantum / 2), quantum / np.sqrt(12), 0.0)
+        # Noise of one sample relative to the noise of this mean.
+        weight.append(white / np.sqrt(white**2 / n + (sd / length_s) ** 2 + float(stuck.max()) ** 2))
+    if not w:
+        return Observations(np.empty((0, 3)), np.empty((0, len(data.array))), np.empty(0))
+    return Observations(np.array(w), np.array(y), np.array(weight))
+
+
+def enough(recording: Recording, source: str, data: ImuData, rows: int) -> None:
+    """Raise RecordingError if so few rows of a source are within the reference that nothing can be estimated."""
+    if rows < 8:
+        raise RecordingError(
+            f"{recording.name}: source {source} has {len(data.t_ns)} samples, of which {rows} lie within the "
+            "reference: too few to estimate four states a gyro"
+        )
+
+
+def gram_of(recording: Recording, source: str, data: ImuData) -> Gram:
+    """Return the Gram matrix of one source over all rows that the reference covers."""
+    gram = Gram.empty(len(data.array))
+    for part in rows_of(recording, data):
+        gram += Gram.of(part.w_rps, part.y_rps, part.weight)
+    if isinstance(recording.reference, Turns) and gram.rows < 4:
+        raise RecordingError(
+            f"{recording.name}: {gram.rows} of {len(recording.reference.sd_rad)} turns hold samples of {source}: "
+            "four states a gyro need four turns or rests at the least"
+        )
+    if not isinstance(recording.reference, Turns):
+        enough(recording, source, data, gram.rows)
+    return gram
