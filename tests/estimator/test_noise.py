@@ -40,7 +40,7 @@ def test_rests_alone_tell_the_random_walk_and_a_long_one_the_rest() -> None:
     calm = noisy(1, 0.0)
     for gyro in calm.gyros:
         assert gyro.rest is not None
-        assert gyro.rest.span_s == pytest.approx(90, abs=2)
+        assert gyro.rest.span_s == pytest.approx(135, abs=2)
         assert gyro.rest.noise.arw == pytest.approx(np.radians(0.005), rel=0.05)
     true = NoiseModel(arw=0.3, instability=0.05, walk=0.002)
     tau_s = np.geomspace(0.1, 20000, 25)
