@@ -165,20 +165,25 @@ class BodyRates:
 
         Rows are NaN where readings are far apart and disagree on what happened between them.
         """
+        angle, rate = self.gimbals_at(t_ns)
+        w = body_rate(angle, rate, self._gimbals, self._site)
+        ends = np.searchsorted(self._times.all[: len(self._refined)], t_ns, side="left")
+        w[~self._known.all[ends]] = np.nan
+        return w
+
+    def gimbals_at(self, t_ns: Stamps) -> tuple[Floats, Floats]:
+        """Return angles and rates (rows, gimbals) at instants in order; beyond the readings, those of the last one."""
         n = len(self._refined)
         times = self._times.all[:n]
-        first = max(int(np.searchsorted(times, t_ns[0], side="right")) - 1, 0)
-        last = min(int(np.searchsorted(times, t_ns[-1], side="left")) + 1, n)
+        first = min(max(int(np.searchsorted(times, t_ns[0], side="right")) - 1, 0), n - 1)
+        last = max(min(int(np.searchsorted(times, t_ns[-1], side="left")) + 1, n), first + 1)
         known = times[first:last]
         origin = int(known[0])
         at_s, known_s = (t_ns - origin) * 1e-9, (known - origin) * 1e-9
         columns = range(len(self._gimbals))
         angle = np.column_stack([np.interp(at_s, known_s, self._angle.all[first:last, c]) for c in columns])
         rate = np.column_stack([np.interp(at_s, known_s, self._refined.all[first:last, c]) for c in columns])
-        w = body_rate(angle, rate, self._gimbals, self._site)
-        ends = np.searchsorted(times, t_ns, side="left")
-        w[~self._known.all[ends]] = np.nan
-        return w
+        return angle, rate
 
     def _unwrapped(self, angle_rad: Floats, summed: Floats) -> Floats:
         """Return angles without whole-turn jumps: the summed rate says which turn it is."""

@@ -10,7 +10,7 @@ from estimator.effects.effect import Effect
 from estimator.effects.scale import scale_asymmetry, scale_cubic, scale_quadratic
 from estimator.effects.site import earth_rate, g_sensitivity
 from estimator.effects.table import table_axes, table_harmonic, table_rate
-from estimator.effects.thermal import thermal_bias, thermal_gradient, thermal_scale
+from estimator.effects.thermal import thermal_bias, thermal_bias_quadratic, thermal_gradient, thermal_scale
 
 HARMONICS = (1, 2, 4)
 """Orders of the table's angles that bearings, balance and magnets make."""
@@ -24,6 +24,7 @@ def catalogue(gimbals: Sequence[str], duration_s: float) -> tuple[Effect, ...]:
         earth_rate(),
         g_sensitivity(),
         thermal_bias(),
+        thermal_bias_quadratic(),
         thermal_scale(),
         thermal_gradient(),
         bias_drift(),

@@ -19,8 +19,8 @@ class Conditions:
 
     ``w_rps`` and ``wdot_rps2`` (N, 3): inertial rate of the body in body axes, and its derivative there.
     ``angle_rad``, ``rate_rps``, ``acceleration_rps2`` (N, g): those of the ``gimbals``, outermost first.
-    ``specific_force_mps2`` (N, 3) in body axes; ``temperature_c`` (N,), None if it is not known. ``w_rps`` holds
-    Earth rate only where there is a ``site``.
+    ``specific_force_mps2`` (N, 3) in body axes, NaN if it is not known; ``temperature_c`` (N,), None if it is not known.
+    Without a table there are no ``gimbals``. ``w_rps`` holds Earth rate only where there is a ``site``.
     """
 
     t_s: Floats
@@ -33,6 +33,16 @@ class Conditions:
     specific_force_mps2: Floats
     temperature_c: Floats | None = None
     site: Site | None = None
+
+    @property
+    def offers(self) -> frozenset[str]:
+        """What effects may need and this holds: "gimbals", "specific force", "temperature"."""
+        held = {
+            "gimbals": bool(self.gimbals),
+            "specific force": bool(np.isfinite(self.specific_force_mps2).all()),
+            "temperature": self.temperature_c is not None,
+        }
+        return frozenset(name for name, there in held.items() if there)
 
     @property
     def period_s(self) -> float:

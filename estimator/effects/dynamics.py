@@ -27,23 +27,23 @@ def latency() -> Effect:
     )
 
 
-def bandwidth() -> Effect:
-    """Return what a first-order lag does beyond its delay: the second derivative of p . w.
+def bandwidth(tau_s: float = 0.004) -> Effect:
+    """Return a first-order lag, each gyro its own: -u' + tau u'' per second of the time constant, u = p . w.
 
-    A lag of time constant tau puts out u - tau u' + tau^2 u'' - ..., a delay of tau as much with tau^2 / 2: the
-    parameter is tau^2 / 2, good for tau below the spacing of the grid. Corners of the rate's ramps are as wide
-    as that spacing here, which makes the effect look smaller than faster samples would. Largest: 10 Hz, 16 ms.
+    A lag of time constant T puts out u - T u' + T^2 u'' - ...; ``tau_s`` is the T for which the second term is right.
+    Beside a delay only that term differs, so the two look alike on ramps. Largest: 10 Hz, 16 ms.
     """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return np.asarray(np.gradient(conditions.wdot_rps2 @ axes.p, conditions.period_s))
+        slope = conditions.wdot_rps2 @ axes.p
+        return np.asarray(-slope + tau_s * np.gradient(slope, conditions.period_s))
 
     return Effect(
         "bandwidth",
-        (Parameter("half the squared time constant", "s2", 0.5 * (1 / (2 * np.pi * 10.0)) ** 2),),
+        (Parameter("time constant", "s", 1 / (2 * np.pi * 10.0)),),
         shared=False,
         shown_by="steep ramps, sines",
-        confused_with=("latency",),
+        confused_with=("latency", "acceleration_sensitivity"),
         regressors=columns,
     )
 

@@ -43,7 +43,8 @@ class Effect:
 
     ``shared``: one set of parameters for all gyros (a cause in the table, the site or the clock), not one a gyro.
     ``shown_by`` says what excites it, ``confused_with`` names effects that look alike in many runs.
-    ``regressors`` gives the columns of one gyro, (N, parameters).
+    ``regressors`` gives the columns of one gyro, (N, parameters). ``needs`` names what a recording must hold for them
+    beside rates: "temperature", "gimbals" (angles of the table's axes), "specific force".
     """
 
     name: str
@@ -52,6 +53,7 @@ class Effect:
     shown_by: str
     confused_with: tuple[str, ...]
     regressors: Callable[[Conditions, Axes], Floats]
+    needs: frozenset[str] = frozenset()
 
     def columns(self, conditions: Conditions, array: SensorArray, gyro: int) -> Floats:
         """Return the regressors (N, parameters) of gyro number ``gyro``: rad/s per unit of each parameter."""

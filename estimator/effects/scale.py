@@ -31,14 +31,14 @@ def scale_asymmetry() -> Effect:
 
 
 def scale_quadratic() -> Effect:
-    """Return what grows with the square of the rate: u^2, up to 0.5 % of full scale at 400 deg/s."""
+    """Return what grows with the square of the rate: u^2, up to 1 % of full scale at 30 deg/s."""
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
         return np.asarray((conditions.w_rps @ axes.p) ** 2)
 
     return Effect(
         "scale_quadratic",
-        (Parameter("u^2", "1/(rad/s)", 1e-3),),
+        (Parameter("u^2", "1/(rad/s)", 2e-2),),
         shared=False,
         shown_by="three rates and more in each direction",
         confused_with=("scale_asymmetry", "scale_cubic"),
@@ -47,14 +47,14 @@ def scale_quadratic() -> Effect:
 
 
 def scale_cubic() -> Effect:
-    """Return what grows with the cube of the rate: u^3, up to 1 % of full scale at 400 deg/s."""
+    """Return what grows with the cube of the rate: u^3, up to 1 % of full scale at 30 deg/s."""
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
         return np.asarray((conditions.w_rps @ axes.p) ** 3)
 
     return Effect(
         "scale_cubic",
-        (Parameter("u^3", "1/(rad/s)2", 2e-4),),
+        (Parameter("u^3", "1/(rad/s)2", 3e-2),),
         shared=False,
         shown_by="three rates and more in each direction",
         confused_with=("scale_quadratic",),

@@ -29,6 +29,7 @@ def earth_rate() -> Effect:
         shown_by="tilts and turns, which change how it lies in the body",
         confused_with=("g_sensitivity", "table_harmonic_1"),
         regressors=columns,
+        needs=frozenset({"gimbals"}),
     )
 
 
@@ -49,4 +50,5 @@ def g_sensitivity() -> Effect:
         shown_by="turns about horizontal axes, tilted rests",
         confused_with=("earth_rate", "table_harmonic_1"),
         regressors=columns,
+        needs=frozenset({"specific force"}),
     )

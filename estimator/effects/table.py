@@ -14,24 +14,29 @@ from estimator.kinematics import AXES, into_body
 Floats = NDArray[np.float64]
 
 
-def table_harmonic(gimbals: Sequence[str], order: int) -> Effect:
-    """Return wobble or magnetic pick-up: cosine and sine of ``order`` times the angle of each axis, a gyro its own.
+def table_harmonic(gimbals: Sequence[str], order: int, of: Sequence[str] | None = None) -> Effect:
+    """Return wobble or magnetic pick-up: cosine and sine of ``order`` times the angle of axes, a gyro its own.
+
+    ``of`` names the axes, by default all ``gimbals``.
 
     Up to 0.05 deg/s: 0.5 gauss at 0.1 deg/s/gauss.
     """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        turned = order * conditions.angle_rad
+        turned = order * conditions.angle_rad[:, chosen]
         return np.stack([np.cos(turned), np.sin(turned)], axis=2)  # (N, g, 2), in the order of the parameters
 
     largest = float(np.radians(0.05))
+    names = list(gimbals if of is None else of)
+    chosen = [list(gimbals).index(axis) for axis in names]
     return Effect(
         f"table_harmonic_{order}",
-        tuple(Parameter(f"{part} of {axis}", "rad/s", largest) for axis in gimbals for part in ("cosine", "sine")),
+        tuple(Parameter(f"{part} of {axis}", "rad/s", largest) for axis in names for part in ("cosine", "sine")),
         shared=False,
         shown_by="full turns about each axis",
         confused_with=("g_sensitivity", "earth_rate") if order == 1 else (),
         regressors=columns,
+        needs=frozenset({"gimbals"}),
     )
 
 
@@ -56,6 +61,7 @@ def table_axes(gimbals: Sequence[str]) -> Effect:
         shown_by="turns about an axis with the axes within it at different angles; another mounting",
         confused_with=(),
         regressors=columns,
+        needs=frozenset({"gimbals"}),
     )
 
 
@@ -73,6 +79,7 @@ def table_rate(gimbals: Sequence[str]) -> Effect:
         shown_by="another table, counted turns",
         confused_with=(),
         regressors=columns,
+        needs=frozenset({"gimbals"}),
     )
 
 

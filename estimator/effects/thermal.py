@@ -10,27 +10,42 @@ from estimator.effects.effect import Axes, Effect, Parameter
 
 Floats = NDArray[np.float64]
 
+_NEEDS = frozenset({"temperature"})
 REFERENCE_C = 25.0
 """Temperature at which data sheets state bias and scale factor."""
 
 
 def thermal_bias(reference_c: float = REFERENCE_C) -> Effect:
-    """Return the bias over temperature, linear and quadratic: up to 20 deg/s over 125 K (InvenSense MPU-6050)."""
+    """Return a bias in proportion to temperature: up to 20 deg/s over 125 K (InvenSense MPU-6050)."""
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        rise = _above(conditions, reference_c)
-        return np.column_stack([rise, rise**2])
+        return _above(conditions, reference_c)
 
     return Effect(
         "thermal_bias",
-        (
-            Parameter("linear", "rad/s/K", float(np.radians(0.16))),
-            Parameter("quadratic", "rad/s/K2", float(np.radians(0.002))),
-        ),
+        (Parameter("linear", "rad/s/K", float(np.radians(0.16))),),
         shared=False,
         shown_by="a temperature that rises and falls",
         confused_with=("warm_up", "bias_drift", "thermal_gradient"),
         regressors=columns,
+        needs=_NEEDS,
+    )
+
+
+def thermal_bias_quadratic(reference_c: float = REFERENCE_C) -> Effect:
+    """Return what the bias grows by with the square of temperature: up to 8 deg/s at 65 K from the reference."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        return np.asarray(_above(conditions, reference_c) ** 2)
+
+    return Effect(
+        "thermal_bias_quadratic",
+        (Parameter("quadratic", "rad/s/K2", float(np.radians(0.002))),),
+        shared=False,
+        shown_by="three temperatures and more, far apart",
+        confused_with=("thermal_bias", "warm_up"),
+        regressors=columns,
+        needs=_NEEDS,
     )
 
 
@@ -47,6 +62,7 @@ def thermal_scale(reference_c: float = REFERENCE_C) -> Effect:
         shown_by="one rate at several temperatures",
         confused_with=("scale_asymmetry",),
         regressors=columns,
+        needs=_NEEDS,
     )
 
 
@@ -65,6 +81,7 @@ def thermal_gradient() -> Effect:
         shown_by="a temperature that changes at different rates",
         confused_with=("warm_up", "bias_drift", "thermal_bias"),
         regressors=columns,
+        needs=_NEEDS,
     )
 
 

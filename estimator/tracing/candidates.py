@@ -1,0 +1,253 @@
+"""What is tried: the effects of the catalogue, and general dependences that stand for what is not in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.conditions import Conditions
+from estimator.effects.drift import bias_drift, bias_step, warm_up
+from estimator.effects.dynamics import acceleration_sensitivity, bandwidth, latency
+from estimator.effects.effect import Axes, Effect, Parameter
+from estimator.effects.scale import scale_asymmetry, scale_cubic, scale_quadratic
+from estimator.effects.site import earth_rate, g_sensitivity
+from estimator.effects.table import table_axes, table_harmonic
+from estimator.effects.thermal import thermal_bias, thermal_bias_quadratic, thermal_gradient, thermal_scale
+from estimator.kinematics import AXES, GRAVITY_MPS2, into_body
+from estimator.tracing.runs import Run
+
+Floats = NDArray[np.float64]
+
+HARMONICS = (1, 2, 4)
+_OTHER_ORDERS = (3, 5, 6)
+_PICKED_UP = float(np.radians(0.5))
+_LAGS_S = (15.0, 40.0, 120.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """Something to try. ``name`` is unique, ``effect`` what it is called in results.
+
+    ``depends_on`` is set for general dependences: they prove that something is there, not what. ``theta`` holds the
+    value of what is not linear, ``of`` makes the effect anew for another; ``start`` (and ``run`` for a step) lists where to
+    begin looking. ``log_prior`` is the logarithm of its share of the expectation.
+    """
+
+    name: str
+    effect: Effect
+    log_prior: float
+    depends_on: str = ""
+    theta: float | None = None
+    of: Callable[[float], Effect] | None = None
+    start: Floats | None = None
+    run: int | None = None
+    log_tries: float = 0.0
+
+    @property
+    def called(self) -> str:
+        """Name of the effect in results: that of its kind."""
+        return self.effect.name.split(":")[0]
+
+    @property
+    def largest(self) -> Floats:
+        """Largest plausible size of each parameter (p,)."""
+        return np.array([p.largest for p in self.effect.parameters])
+
+    def columns(self, run: Run, number: int, gyro: int) -> Floats:
+        """Return the scaled columns (b, p) of gyro ``gyro`` of run ``number``."""
+        if self.run is not None and number != self.run:
+            b = len(run.t_s)
+            return np.full((b, 1), float(number > self.run)) * self.largest
+        return run.columns(self.effect, gyro) * self.largest
+
+
+def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]:
+    """Return all that can be tried on these runs, and what cannot, with the reason."""
+    offers = frozenset.intersection(*(run.grid.offers for run in runs))
+    gimbals = runs[0].grid.gimbals
+    span_s = max(float(run.t_s[-1] - run.t_s[0]) for run in runs)
+    left_out: dict[str, str] = {}
+    listed = [c for c in _catalogue(runs, gimbals, span_s)]
+    chosen = []
+    for candidate in listed:
+        missing = candidate.effect.needs - offers
+        if missing:
+            left_out[candidate.called] = f"the recordings hold no {' and no '.join(sorted(missing))}"
+        else:
+            chosen.append(candidate)
+    if "temperature" in offers:
+        spread = max(float(np.ptp(run.grid.temperature_c)) for run in runs if run.grid.temperature_c is not None)
+        if spread < 0.05:
+            for candidate in [c for c in chosen if "temperature" in c.effect.needs]:
+                chosen.remove(candidate)
+                left_out[candidate.called] = "the temperature does not change"
+    count = len({c.called for c in chosen})
+    of_kind = {c.called: sum(o.called == c.called for o in chosen) for c in chosen}
+    chosen = [replace(c, log_prior=-np.log(count) - np.log(of_kind[c.called])) for c in chosen]
+    return [*chosen, *_general(offers, gimbals, count)], left_out
+
+
+def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> list[Candidate]:
+    plain = [
+        earth_rate(),
+        g_sensitivity(),
+        thermal_bias(),
+        thermal_bias_quadratic(),
+        thermal_scale(),
+        thermal_gradient(),
+        bias_drift(),
+        scale_asymmetry(),
+        scale_quadratic(),
+        scale_cubic(),
+        latency(),
+        bandwidth(),
+        acceleration_sensitivity(),
+    ]
+    found = [Candidate(effect.name, effect, 0.0) for effect in plain]
+    if gimbals:
+        found.append(Candidate("table_axes", table_axes(gimbals), 0.0))
+        for order in HARMONICS:
+            for axis in gimbals:
+                effect = replace(table_harmonic(gimbals, order, (axis,)), name="table_harmonic")
+                parameters = tuple(
+                    Parameter(f"{part} of {order} {axis}", "rad/s", p.largest)
+                    for part, p in zip(("cosine", "sine"), effect.parameters, strict=True)
+                )
+                found.append(Candidate(f"table_harmonic {order} {axis}", replace(effect, parameters=parameters), 0.0))
+    else:
+        for name in ("table_axes", "table_harmonic"):
+            needing = replace(latency(), name=name, needs=frozenset({"gimbals"}))
+            found.append(Candidate(name, needing, 0.0))
+    taus = np.geomspace(8.0, max(span_s / 1.5, 20.0), 10)
+    found.append(
+        Candidate("warm_up", warm_up(float(taus[4])), 0.0, theta=float(taus[4]), of=warm_up, start=taus, log_tries=1.5)
+    )
+    for number, run in enumerate(runs):
+        times = np.arange(run.t_s[0] + 4.0, run.t_s[-1] - 4.0, 3.0)
+        if len(times):
+            found.append(
+                Candidate(
+                    f"bias_step {number}",
+                    bias_step(float(times[len(times) // 2])),
+                    0.0,
+                    theta=float(times[len(times) // 2]),
+                    of=bias_step,
+                    start=times,
+                    run=number,
+                    log_tries=float(np.log(len(times))),
+                )
+            )
+    return found
+
+
+def _general(offers: frozenset[str], gimbals: tuple[str, ...], count: int) -> list[Candidate]:
+    kinds: list[tuple[str, Effect]] = [
+        ("rate", _own("rate", _of_rate, 5)),
+        ("direction", _own("direction", _of_direction, 2)),
+        ("acceleration", _own("acceleration", _of_acceleration, 4)),
+        ("time", _own("time", _of_time, 4)),
+    ]
+    if "temperature" in offers:
+        kinds.append(("temperature", _own("temperature", _of_temperature, 4)))
+    if "specific force" in offers:
+        kinds.append(("gravity", _own("gravity", _of_gravity, 5)))
+    if gimbals:
+        kinds.append(("direction", _own("direction of the axes", _of_axis_direction, len(gimbals))))
+    found = [
+        Candidate(f"general: {effect.name}", effect, -np.log(count) - np.log(3 * len(kinds)), depends_on=kind)
+        for kind, effect in kinds
+    ]
+    angles: list[tuple[str, Effect]] = []
+    for axis_number, axis in enumerate(gimbals):
+        for order in _OTHER_ORDERS:
+            angles.append((f"angle {order} {axis}", replace(table_harmonic(gimbals, order, (axis,)), name="angle")))
+        for order in range(1, 7):
+            angles.append((f"encoder {order} {axis}", _encoder(gimbals, axis_number, order)))
+    prior = -np.log(count) - np.log(3 * max(len(angles), 1))
+    return found + [Candidate(f"general: {name}", effect, prior, depends_on="angle") for name, effect in angles]
+
+
+def _own(name: str, columns: Callable[[Conditions, Axes], Floats], count: int) -> Effect:
+    parameters = tuple(Parameter(str(n + 1), "rad/s", _PICKED_UP) for n in range(count))
+    return Effect(name, parameters, shared=False, shown_by="", confused_with=(), regressors=columns)
+
+
+def _encoder(gimbals: tuple[str, ...], column: int, order: int) -> Effect:
+    """Return an error of the table's angle reading: it makes the reported rate wrong in proportion to the rate."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        unit = np.zeros((len(conditions.t_s), 3))
+        unit[:, AXES.index(gimbals[column])] = conditions.rate_rps[:, column]
+        part = into_body(unit, conditions.angle_rad[:, column + 1 :], gimbals[column + 1 :]) @ axes.p
+        turned = order * conditions.angle_rad[:, column]
+        return np.column_stack([part * np.cos(turned), part * np.sin(turned)])
+
+    parameters = tuple(Parameter(part, "1", 0.01) for part in ("cosine", "sine"))
+    return Effect("angle", parameters, shared=True, shown_by="", confused_with=(), regressors=columns)
+
+
+def _rate(conditions: Conditions, axes: Axes) -> tuple[Floats, float]:
+    u = conditions.w_rps @ axes.p
+    return u, max(float(np.abs(conditions.w_rps).max()), 1e-9)
+
+
+def _of_rate(conditions: Conditions, axes: Axes) -> Floats:
+    u, top = _rate(conditions, axes)
+    x = u / top
+    still = np.exp(-0.5 * (x / 0.02) ** 2)
+    return np.column_stack([np.abs(x), x**2, x**3, x**4, still])
+
+
+def _last_sign(values: Floats, limit: float) -> Floats:
+    """Return the sign of the last value beyond a limit, 0 before the first."""
+    sign = np.where(np.abs(values) > limit, np.sign(values), 0.0)
+    last = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign)), -1))
+    return np.asarray(np.where(last >= 0, sign[np.maximum(last, 0)], 0.0))
+
+
+def _of_direction(conditions: Conditions, axes: Axes) -> Floats:
+    u, top = _rate(conditions, axes)
+    last = _last_sign(u, 0.05 * top)
+    return np.column_stack([last, last * (np.abs(u) < 0.02 * top)])
+
+
+def _of_axis_direction(conditions: Conditions, axes: Axes) -> Floats:
+    top = max(float(np.abs(conditions.rate_rps).max(initial=0.0)), 1e-9)
+    return np.column_stack([_last_sign(column, 0.05 * top) for column in conditions.rate_rps.T])
+
+
+def _of_acceleration(conditions: Conditions, axes: Axes) -> Floats:
+    u, top = _rate(conditions, axes)
+    slope = conditions.wdot_rps2 @ axes.p
+    steep = max(float(np.abs(conditions.wdot_rps2).max()), 1e-9)
+    size = np.abs(conditions.wdot_rps2).max(axis=1) / steep
+    x, a = u / top, slope / steep
+    return np.column_stack([np.abs(a), a * np.abs(x), x * size, size])
+
+
+def _of_time(conditions: Conditions, axes: Axes) -> Floats:
+    x = 2 * (conditions.t_s - conditions.t_s[0]) / max(float(np.ptp(conditions.t_s)), 1e-9) - 1
+    return np.column_stack([np.polynomial.legendre.Legendre.basis(n)(x) for n in (1, 2, 3, 4)])
+
+
+def _of_temperature(conditions: Conditions, axes: Axes) -> Floats:
+    if conditions.temperature_c is None:
+        return np.zeros((len(conditions.t_s), 4))
+    rise = conditions.temperature_c - 25.0
+    from scipy.signal import lfilter
+
+    lags = []
+    for lag_s in _LAGS_S:
+        keep = np.exp(-conditions.period_s / lag_s)
+        slow, _ = lfilter([1 - keep], [1, -keep], rise - rise[0], zi=[0.0])
+        lags.append((slow - (rise - rise[0])) / 10)
+    return np.column_stack([*lags, (rise / 20) ** 3])
+
+
+def _of_gravity(conditions: Conditions, axes: Axes) -> Floats:
+    f = conditions.specific_force_mps2 / GRAVITY_MPS2
+    x, y, z = f.T
+    return np.column_stack([x * y, y * z, z * x, x * x - y * y, z * z])

@@ -1,0 +1,200 @@
+"""How probable recordings are under a set of effects: the marginal likelihood, over all noise models at once.
+
+Everything is linear and Gaussian given the noise: states under the data sheet's prior, parameters of effects under a
+prior of mean zero whose scale, the same for all parameters of an effect, is some share of the largest plausible size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.tracing.spectra import GyroSpectra, NoiseShapes, Z
+
+Floats = NDArray[np.float64]
+
+SCALES = np.array([10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001])
+"""Scales of an effect's parameters, as shares of the largest plausible size; none is preferred."""
+_STATES = slice(0, 4)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Term:
+    """An effect in a model: where its columns are (scaled to the largest plausible size), its prior scale."""
+
+    name: str
+    columns: tuple[int, ...]
+    shared: bool
+    scale: float = 1.0
+    log_tries: float = 0.0
+
+    def scaled(self, scale: float) -> Term:
+        """Return the same with another scale."""
+        return Term(self.name, self.columns, self.shared, scale, self.log_tries)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """Estimate under a set of terms.
+
+    By gyro ``own`` (c,) and ``own_covariance`` (c, c) of [states, own terms]; ``shared`` (h,) and its covariance;
+    ``cross`` (c, h) covariance of both. ``weight`` (G,) of each noise model.
+    """
+
+    own: list[Floats]
+    own_covariance: list[Floats]
+    shared: Floats
+    shared_covariance: Floats
+    cross: list[Floats]
+    weight: Floats
+
+
+def log_mean(values: Floats, log_weights: Floats | None = None) -> float:
+    """Return the logarithm of the mean of exponentials, or of the weighted sum."""
+    values = values + (log_weights if log_weights is not None else -np.log(len(values)))
+    top = float(values.max())
+    return top + float(np.log(np.exp(values - top).sum()))
+
+
+class Evidence:
+    """The products of all columns of every gyro under every noise model, and what follows from them."""
+
+    def __init__(self, gyros: Sequence[GyroSpectra], shapes: NoiseShapes, parts: Sequence[int] | None = None) -> None:
+        """``parts``: runs to use, by default all."""
+        self.gyros, self.shapes = list(gyros), shapes
+        keep = [[n for n, s in enumerate(g.stretches) if parts is None or s.run in parts] for g in gyros]
+        self._keep = [part for part in keep if part]
+        self.gyros = [g for g, part in zip(gyros, keep, strict=True) if part]
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Take in columns that were added to the gyros since."""
+        self.noise_log = np.zeros(len(self.shapes))
+        self.grams: list[Floats] = []
+        for gyro, keep in zip(self.gyros, self._keep, strict=True):
+            densities = [self.shapes.density(gyro.stretches[n]) for n in keep]
+            part = GyroSpectra(
+                gyro.name,
+                gyro.prior,
+                gyro.arw,
+                [gyro.stretches[n] for n in keep],
+                [],
+                [gyro.products[n] for n in keep],
+            )
+            self.grams.append(part.gram(densities))
+            for n, density in zip(keep, densities, strict=True):
+                self.noise_log -= 0.5 * np.log(density) @ gyro.stretches[n].counts
+
+    def of(self, terms: Sequence[Term]) -> float:
+        """Return the log evidence of a set of terms, over all noise models."""
+        return log_mean(self.by_noise(terms), self.shapes.log_prior)
+
+    def by_noise(self, terms: Sequence[Term]) -> Floats:
+        """Return the log evidence (G,) of a set of terms under each noise model."""
+        return Base(self, [term for term in terms if not term.shared]).by_noise([t for t in terms if t.shared])
+
+    def posterior(self, terms: Sequence[Term]) -> Posterior:
+        """Return the estimate of states and effects, the mean over the noise models that matter."""
+        weight = self.by_noise(terms) + self.shapes.log_prior
+        weight = np.exp(weight - weight.max())
+        weight /= weight.sum()
+        matter = np.flatnonzero(weight > 1e-4)
+        weight = weight[matter] / weight[matter].sum()
+        own, shared = _split(terms)
+        own_columns = [*range(4), *(c for t in own for c in t.columns)]
+        shared_columns = [c for t in shared for c in t.columns]
+        h = len(shared_columns)
+        shared_precision = np.diag(_precision(shared))
+        total = np.zeros((len(matter), h + 1, h + 1))
+        kept = []
+        for gyro, gram in zip(self.gyros, self.grams, strict=True):
+            precision = np.diag(np.concatenate([1 / gyro.prior, _precision(own)]))
+            inner = np.linalg.inv(gram[np.ix_(matter, own_columns, own_columns)] + precision)
+            across = gram[np.ix_(matter, own_columns, [*shared_columns, Z])]
+            gain = inner @ across
+            rest = gram[np.ix_(matter, [*shared_columns, Z], [*shared_columns, Z])]
+            total += rest - across.transpose(0, 2, 1) @ gain
+            kept.append((inner, gain))
+        shared_covariance = np.linalg.inv(total[:, :h, :h] + shared_precision)
+        shared_mean = (shared_covariance @ total[:, :h, h:])[..., 0]
+        mean_shared = weight @ shared_mean
+        result = Posterior([], [], mean_shared, np.zeros((h, h)), [], weight)
+        offset = shared_mean - mean_shared
+        covariance = np.einsum("g,gij->ij", weight, shared_covariance + offset[:, :, None] * offset[:, None, :])
+        result.shared_covariance[:] = covariance
+        for inner, gain in kept:
+            slope = gain[:, :, :h]
+            x = gain[:, :, h] - np.einsum("gij,gj->gi", slope, shared_mean)
+            mean = weight @ x
+            spread = x - mean
+            total_own = inner + slope @ shared_covariance @ slope.transpose(0, 2, 1)
+            result.own.append(mean)
+            result.own_covariance.append(
+                np.einsum("g,gij->ij", weight, total_own + spread[:, :, None] * spread[:, None, :])
+            )
+            both = -slope @ shared_covariance + spread[:, :, None] * offset[:, None, :]
+            result.cross.append(np.einsum("g,gij->ij", weight, both))
+        return result
+
+
+class Base:
+    """States and own terms eliminated once, so that each further term costs little."""
+
+    def __init__(self, evidence: Evidence, own: Sequence[Term]) -> None:
+        """``own``: terms that each gyro has to itself."""
+        self._evidence = evidence
+        columns = [*range(4), *(c for t in own for c in t.columns)]
+        self._log = np.array(evidence.noise_log)
+        self.reduced: list[Floats] = []
+        for gyro, gram in zip(evidence.gyros, evidence.grams, strict=True):
+            precision = np.concatenate([1 / gyro.prior, _precision(own)])
+            block = gram[:, columns][:, :, columns] + np.diag(precision)
+            across = gram[:, columns, :]
+            self.reduced.append(gram - across.transpose(0, 2, 1) @ np.linalg.solve(block, across))
+            self._log += 0.5 * np.log(precision).sum() - 0.5 * np.linalg.slogdet(block)[1]
+
+    def by_noise(self, shared: Sequence[Term], own: Term | None = None) -> Floats:
+        """Return the log evidence (G,) with these shared terms, and one more own term."""
+        h_columns = [c for t in shared for c in t.columns]
+        rest = [*h_columns, Z]
+        log = np.array(self._log)
+        total = np.zeros((len(log), len(rest), len(rest)))
+        for reduced in self.reduced:
+            part = reduced[:, rest][:, :, rest]
+            if own is not None:
+                precision = _precision([own])
+                block = reduced[:, own.columns][:, :, own.columns] + np.diag(precision)
+                across = reduced[:, own.columns][:, :, rest]
+                part = part - across.transpose(0, 2, 1) @ np.linalg.solve(block, across)
+                log += 0.5 * np.log(precision).sum() - 0.5 * np.linalg.slogdet(block)[1]
+            total += part
+        square = total[:, -1, -1]
+        if h_columns:
+            precision = _precision(shared)
+            block = total[:, :-1, :-1] + np.diag(precision)
+            right = total[:, :-1, -1:]
+            square = square - np.sum(right * np.linalg.solve(block, right), axis=(1, 2))
+            log += 0.5 * np.log(precision).sum() - 0.5 * np.linalg.slogdet(block)[1]
+        return np.asarray(log - 0.5 * square)
+
+    def with_term(self, shared: Sequence[Term], term: Term) -> tuple[float, Term]:
+        """Return the log evidence with one more term, over its scales, and the term at its most probable scale."""
+        prior = self._evidence.shapes.log_prior
+        values = []
+        for scale in SCALES:
+            scaled = term.scaled(float(scale))
+            by_noise = self.by_noise([*shared, scaled]) if term.shared else self.by_noise(shared, scaled)
+            values.append(log_mean(by_noise, prior))
+        best = int(np.argmax(values))
+        return log_mean(np.array(values)) - term.log_tries, term.scaled(float(SCALES[best]))
+
+
+def _split(terms: Sequence[Term]) -> tuple[list[Term], list[Term]]:
+    return [t for t in terms if not t.shared], [t for t in terms if t.shared]
+
+
+def _precision(terms: Sequence[Term]) -> Floats:
+    return np.array([1 / t.scale**2 for t in terms for _ in t.columns])

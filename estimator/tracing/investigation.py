@@ -1,0 +1,164 @@
+"""What an investigation ends with: values, without the way they were found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import EstimatorError
+
+Floats = NDArray[np.float64]
+
+
+class InvestigationError(EstimatorError):
+    """Recordings that cannot be investigated together, or at all; the message says why and what to do."""
+
+
+class Finding(StrEnum):
+    """How an investigation ends."""
+
+    NOTHING = "nothing to add"
+    ADDED = "added"
+    CANNOT_TELL = "cannot tell"
+    UNEXPLAINED = "unexplained"
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """One number of an effect in SI units, its standard deviation, its unit."""
+
+    value: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Added:
+    """An effect that was added: which gyros show it, how probable it is, its parameters.
+
+    Parameters of an effect that each gyro has to itself are named "gyro1 linear", those that all share "delay".
+    """
+
+    effect: str
+    gyros: tuple[str, ...]
+    probability: float
+    parameters: Mapping[str, Value]
+
+
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """Structure of the residual that no effect explains: what it depends on, its share of the residual's power."""
+
+    depends_on: str
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Error of the compensated rate: rms and largest (rad/s), share of its 95 % intervals that hold (0 to 1)."""
+
+    rms_rps: float
+    max_rps: float
+    coverage95: float
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseErrors:
+    """Mean error of one gyro over a rest, a ramp or a steady rate of a run: before, after, its noise; rad/s."""
+
+    run: str
+    start_s: float
+    end_s: float
+    rate_dps: float
+    kind: str
+    before_rps: float
+    after_rps: float
+    noise_rps: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroErrors:
+    """One gyro before and after; ``moved`` (4,): by how many of their old sigmas its states moved."""
+
+    name: str
+    before: Errors
+    after: Errors
+    phases: tuple[PhaseErrors, ...]
+    states_before: Floats
+    states_after: Floats
+    moved: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Improvement:
+    """Error before over error after, and its 95 % interval by block bootstrap."""
+
+    ratio: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelStep:
+    """One model of the chain: its effects, its log evidence beside the first model's, its errors where judged."""
+
+    effects: tuple[str, ...]
+    log_evidence: float
+    errors: Errors
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suspect:
+    """An effect that was tried: probability that it is what the first model lacks most, and why it was left out."""
+
+    effect: str
+    log_evidence: float
+    probability: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualView:
+    """What pictures of one gyro need: residual before and after over time, and its spectrum; all of one run.
+
+    ``t_s``, ``before_rps``, ``after_rps``, ``rate_rps``, ``noise_rps`` are (b,) block means; ``frequency_hz`` and the
+    two densities (f,).
+    """
+
+    run: str
+    gyro: str
+    verification: bool
+    t_s: Floats
+    rate_rps: Floats
+    temperature_c: Floats | None
+    before_rps: Floats
+    after_rps: Floats
+    noise_rps: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Investigation:
+    """Everything that an investigation says. ``in_sample``: no verification run was given.
+
+    ``rivals``: sets of effects that these recordings cannot tell apart. ``models``: the chain from the first model
+    to the last. ``left_out``: effects that could not be tried, with the reason.
+    """
+
+    finding: Finding
+    reason: str
+    added: tuple[Added, ...]
+    rivals: tuple[tuple[str, ...], ...]
+    unexplained: Unexplained | None
+    before: Errors
+    after: Errors
+    improvement: Improvement | None
+    in_sample: bool
+    gyros: tuple[GyroErrors, ...]
+    models: tuple[ModelStep, ...]
+    suspects: tuple[Suspect, ...]
+    left_out: Mapping[str, str]
+    notes: tuple[str, ...]
+    views: tuple[ResidualView, ...] = field(default=(), repr=False)

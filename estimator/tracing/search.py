@@ -1,0 +1,347 @@
+"""Which effects a model lacks: one is added at a time, and each is tried to be removed or exchanged again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.tracing.candidates import Candidate
+from estimator.tracing.evidence import Base, Evidence, Term
+from estimator.tracing.runs import Run
+from estimator.tracing.spectra import GyroSpectra, cosines
+from estimator.tracing.tones import ToneFound, find_tone, samples_of, tone_columns, tone_effect, without_tone
+
+Floats = NDArray[np.float64]
+
+CERTAIN = 0.95
+"""Posterior probability from which an effect counts as found."""
+_SET = 0.99  # rivals are as many as share this probability
+_ROUNDS = 12
+_STOP_LOG_PRIOR = 0.0  # nothing more: as likely as all effects together, several times over
+_REFINE = 18
+_TONE = "tone"
+_MOST_TONES = 3
+_GOLDEN = (np.sqrt(5) - 1) / 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """One effect of the model found: its candidate, its term, how probable it is, what could stand in its place."""
+
+    candidate: Candidate
+    term: Term
+    probability: float
+    rivals: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What a search ends with. ``first``: log evidence and probability of each candidate beside the bare model."""
+
+    choices: tuple[Choice, ...]
+    log_evidence: tuple[float, ...]
+    first: tuple[tuple[Candidate, float, float], ...]
+
+    @property
+    def terms(self) -> list[Term]:
+        """Terms of the model."""
+        return [choice.term for choice in self.choices]
+
+
+class Search:
+    """A search among candidates on the spectra of some runs."""
+
+    def __init__(self, runs: Sequence[Run], spectra: Sequence[GyroSpectra], evidence: Evidence) -> None:
+        """Begin with no candidates: ``add`` brings them in."""
+        self._runs, self._spectra, self.evidence = list(runs), list(spectra), evidence
+        self._known: dict[str, tuple[Candidate, Term]] = {}
+        self._samples = [samples_of(run) for run in runs]
+        self._tones: list[tuple[Choice, ToneFound]] = []
+
+    def add(self, candidates: Sequence[Candidate]) -> None:
+        """Bring in candidates: their columns are worked out for every gyro."""
+        start = self._spectra[0].columns[0].shape[1]
+        for spectra in self._spectra:
+            spectra.add(self._columns(spectra, candidates))
+        for candidate in candidates:
+            p = len(candidate.effect.parameters)
+            term = Term(
+                candidate.name,
+                tuple(range(start, start + p)),
+                candidate.effect.shared,
+                log_tries=candidate.log_tries,
+            )
+            self._known[candidate.name] = (candidate, term)
+            start += p
+        self.evidence.refresh()
+
+    def run(self, most: int, progress: Callable[[float], None] | None = None) -> Found:
+        """Return the most probable model of at most so many effects."""
+        chosen: list[str] = []
+        terms: dict[str, Term] = {}
+        first: tuple[tuple[Candidate, float, float], ...] = ()
+        chain = [self.evidence.of([])]
+        heard = 0.0
+        for turn in range(_ROUNDS):
+            model = self._model(terms[name] for name in chosen)
+            self._refine(model, chosen)
+            scores = self._scores(model, chosen)
+            stop = self.evidence.of(model) + _STOP_LOG_PRIOR
+            tone = self._tone(model)
+            options = {name: score for name, (score, _) in scores.items()}
+            if tone is not None:
+                options[_TONE] = stop + tone.log_evidence + max(c.log_prior for c, _ in self._known.values())
+            total = float(np.logaddexp.reduce([stop, *options.values()]))
+            if not first:
+                first = self._first(options, chain[0], total, tone)
+            best = max(options, key=lambda name: options[name], default=None)
+            if progress is not None:
+                progress((turn + 1) / (most + 2))
+            full = len(chosen) + len(self._tones) >= most
+            if best is None or np.exp(stop - total) > 1 - CERTAIN or full:
+                break
+            if best == _TONE:
+                assert tone is not None
+                heard += tone.log_evidence
+                self._samples = without_tone(tone, self._runs, self._samples, self._slow(model))
+                self._take(tone, float(np.exp(options[_TONE] - total)))
+            else:
+                chosen.append(best)
+                terms[best] = scores[best][1]
+            chosen, terms = self._settle(chosen, terms)
+            chain.append(self.evidence.of(self._model(terms[name] for name in chosen)) + heard)
+        choices = [*(self._judge(name, chosen, terms) for name in chosen), *(choice for choice, _ in self._tones)]
+        return Found(tuple(choices), tuple(chain), first)
+
+    def _model(self, terms: Iterable[Term]) -> list[Term]:
+        return [*terms, *(choice.term for choice, _ in self._tones)]
+
+    def _tone(self, model: Sequence[Term]) -> ToneFound | None:
+        """Return the strongest line beside a model."""
+        if len(self._tones) >= _MOST_TONES:
+            return None
+        return find_tone(self._runs, self._samples, self._slow(model))
+
+    def _slow(self, model: Sequence[Term]) -> list[Floats]:
+        """Return what a model says of the blocks of each run (b, m), but for its tones, which samples are rid of."""
+        posterior = self.evidence.posterior(model)
+        tones = [choice.term.name for choice, _ in self._tones]
+        own = [(c, t.name not in tones) for t in model if not t.shared for c in t.columns]
+        shared = [c for t in model if t.shared for c in t.columns]
+        keep = np.array([True] * 4 + [slow for _, slow in own] + [True] * len(shared))
+        predicted = [np.zeros(run.z_rps.shape) for run in self._runs]
+        for gyro, mean in zip(self.evidence.gyros, posterior.own, strict=True):
+            columns = self._time_columns(gyro, [*range(4), *(c for c, _ in own), *shared])
+            whole = np.concatenate([mean, posterior.shared]) * keep
+            for stretch, part in zip(gyro.stretches, columns, strict=True):
+                run = self._runs[stretch.run]
+                predicted[stretch.run][stretch.blocks, run.array.names.index(gyro.name)] = part @ whole
+        return predicted
+
+    def _time_columns(self, gyro: GyroSpectra, columns: Sequence[int]) -> list[Floats]:
+        """Return columns of each stretch back in the time domain, in rad/s."""
+        from scipy.fft import idct
+
+        return [
+            np.asarray(idct(part[:, columns], axis=0, norm="ortho")) * (gyro.arw / np.sqrt(stretch.length_s))
+            for part, stretch in zip(gyro.columns, gyro.stretches, strict=True)
+        ]
+
+    def _take(self, tone: ToneFound, probability: float) -> None:
+        """Add a tone: its columns are the means of its samples over blocks, of each run by itself if not locked."""
+        effect = tone_effect(tone.frequency_hz)
+        start = self._spectra[0].columns[0].shape[1]
+        width = 2 if tone.locked else 2 * len(self._runs)
+        largest = effect.parameters[0].largest
+        for gyro in self._spectra:
+            parts = []
+            for stretch in gyro.stretches:
+                run = self._runs[stretch.run]
+                waves = tone_columns(tone.frequency_hz, run, self._samples[stretch.run]) * run.weight[:, None] * largest
+                whole = np.zeros((len(run.t_s), width))
+                at = 0 if tone.locked else 2 * stretch.run
+                whole[:, at : at + 2] = waves
+                parts.append(whole[stretch.blocks])
+            gyro.add(parts)
+        self.evidence.refresh()
+        candidate = Candidate(
+            f"{_TONE} {tone.frequency_hz:.4f} Hz",
+            effect,
+            0.0,
+            theta=tone.frequency_hz,
+            of=tone_effect,
+            log_tries=0.0 if tone.locked else 1.0,
+        )
+        term = Term(candidate.name, tuple(range(start, start + width)), False, 0.3)
+        self._tones.append((Choice(candidate, term, probability, (_TONE,)), tone))
+
+    def _scores(self, terms: Sequence[Term], chosen: Sequence[str]) -> dict[str, tuple[float, Term]]:
+        """Return for each candidate not chosen its log evidence with its prior, and its term at its best scale."""
+        shared = [t for t in terms if t.shared]
+        base = Base(self.evidence, [t for t in terms if not t.shared])
+        found = {}
+        for name, (candidate, term) in self._known.items():
+            if name not in chosen:
+                value, scaled = base.with_term(shared, term)
+                found[name] = (value + candidate.log_prior, scaled)
+        return found
+
+    def _first(
+        self, options: dict[str, float], bare: float, total: float, tone: ToneFound | None
+    ) -> tuple[tuple[Candidate, float, float], ...]:
+        listed = []
+        for name, score in options.items():
+            if name == _TONE:
+                assert tone is not None
+                candidate = Candidate(_TONE, tone_effect(tone.frequency_hz), 0.0)
+            else:
+                candidate = self._known[name][0]
+            listed.append((candidate, score - bare, float(np.exp(score - total))))
+        return tuple(sorted(listed, key=lambda item: -item[2]))
+
+    def _settle(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
+        """Try to remove and to exchange each effect, until nothing makes the model more probable."""
+        for _ in range(_ROUNDS):
+            changed = False
+            for name in list(chosen):
+                others = [other for other in chosen if other != name]
+                kept = self._model(terms[other] for other in others)
+                scores = self._scores(kept, others)
+                without = self.evidence.of(kept) + _STOP_LOG_PRIOR
+                best = max(scores, key=lambda n: scores[n][0])
+                terms[name] = scores[name][1]
+                if without > scores[best][0]:
+                    chosen, changed = others, True
+                    break
+                if best != name and scores[best][0] > scores[name][0] + 0.1:
+                    chosen = [best if n == name else n for n in chosen]
+                    terms[best] = scores[best][1]
+                    changed = True
+                    break
+            if not changed:
+                break
+        return chosen, terms
+
+    def _judge(self, name: str, chosen: Sequence[str], terms: dict[str, Term]) -> Choice:
+        others = [other for other in chosen if other != name]
+        kept = self._model(terms[other] for other in others)
+        scores = self._scores(kept, others)
+        values = {other: score for other, (score, _) in scores.items()}
+        values[""] = self.evidence.of(kept) + _STOP_LOG_PRIOR
+        total = np.logaddexp.reduce(list(values.values()))
+        shares: dict[str, float] = {}
+        candidate = self._known[name][0]
+        for other, value in values.items():
+            label = self._label(other)
+            shares[label] = shares.get(label, 0.0) + float(np.exp(value - total))
+        order = sorted(shares, key=lambda label: -shares[label])
+        rivals, sum_of = [], 0.0
+        for label in order:
+            if sum_of >= _SET:
+                break
+            rivals.append(label)
+            sum_of += shares[label]
+        return Choice(candidate, scores[name][1], shares[self._label(name)], tuple(rivals))
+
+    def _label(self, name: str) -> str:
+        if not name:
+            return "nothing"
+        candidate = self._known[name][0]
+        return f"depends on {candidate.depends_on}" if candidate.depends_on else candidate.called
+
+    def _columns(self, spectra: GyroSpectra, candidates: Sequence[Candidate]) -> list[Floats]:
+        whole: dict[int, Floats] = {}
+        parts = []
+        for stretch in spectra.stretches:
+            if stretch.run not in whole:
+                run = self._runs[stretch.run]
+                gyro = run.array.names.index(spectra.name)
+                columns = [candidate.columns(run, stretch.run, gyro) for candidate in candidates]
+                whole[stretch.run] = np.hstack(columns) * run.weight[:, None]
+            parts.append(whole[stretch.run][stretch.blocks])
+        return parts
+
+    def _refine(self, terms: Sequence[Term], chosen: Sequence[str]) -> None:
+        """Look for the most telling time constants and instants beside the effects chosen so far."""
+        open_ones = [c for c, _ in self._known.values() if c.of is not None and c.name not in chosen]
+        if not open_ones:
+            return
+        scan = _Scan(self._runs, self._spectra, self.evidence, terms)
+        renewed = []
+        for candidate in open_ones:
+            if candidate.start is None or candidate.of is None:
+                continue
+            gains = [scan.gain(_at(candidate, theta)) for theta in candidate.start.tolist()]
+            best = int(np.argmax(gains))
+            low = candidate.start[max(best - 1, 0)]
+            high = candidate.start[min(best + 1, len(candidate.start) - 1)]
+            theta = _golden(lambda value, c=candidate: scan.gain(_at(c, value)), float(low), float(high))  # type: ignore[misc]
+            if scan.gain(_at(candidate, theta)) < gains[best]:
+                theta = float(candidate.start[best])
+            renewed.append(_at(candidate, theta))
+        self.add(renewed)
+
+
+def _at(candidate: Candidate, theta: float) -> Candidate:
+    assert candidate.of is not None
+    return replace(candidate, effect=candidate.of(theta), theta=theta)
+
+
+def _golden(function: Callable[[float], float], low: float, high: float) -> float:
+    """Return where a function with one maximum between two points is largest."""
+    a, b = low, high
+    c, d = b - _GOLDEN * (b - a), a + _GOLDEN * (b - a)
+    fc, fd = function(c), function(d)
+    for _ in range(_REFINE):
+        if fc > fd:
+            b, d, fd = d, c, fc
+            c = b - _GOLDEN * (b - a)
+            fc = function(c)
+        else:
+            a, c, fc = c, d, fd
+            d = a + _GOLDEN * (b - a)
+            fd = function(d)
+    return 0.5 * (a + b)
+
+
+class _Scan:
+    """What is left of each gyro beside a model, whitened: how much an effect would take of it."""
+
+    def __init__(
+        self, runs: Sequence[Run], spectra: Sequence[GyroSpectra], evidence: Evidence, terms: Sequence[Term]
+    ) -> None:
+        weight = evidence.by_noise(terms) + evidence.shapes.log_prior
+        best = int(np.argmax(weight))
+        columns = [*range(4), *(c for t in terms for c in t.columns)]
+        self._runs, self._spectra = runs, spectra
+        self._roots, self._bases, self._rest = [], [], []
+        for gyro in spectra:
+            root = np.concatenate(
+                [np.sqrt(s.length_s / evidence.shapes.density(s)[best][s.band]) for s in gyro.stretches]
+            ) / gyro.arw
+            lengths = np.concatenate([np.full(len(s.band), s.length_s) for s in gyro.stretches])
+            whole = np.vstack(gyro.columns) * (root * gyro.arw / np.sqrt(lengths))[:, None]
+            basis, _ = np.linalg.qr(whole[:, columns])
+            z = whole[:, 4]
+            self._roots.append(root)
+            self._bases.append(basis)
+            self._rest.append(z - basis @ (basis.T @ z))
+
+    def gain(self, candidate: Candidate) -> float:
+        """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
+        total = 0.0
+        for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
+            parts = []
+            for stretch in gyro.stretches:
+                run = self._runs[stretch.run]
+                columns = candidate.columns(run, stretch.run, run.array.names.index(gyro.name))
+                parts.append(cosines((columns * run.weight[:, None])[stretch.blocks]))
+            new = np.vstack(parts) * root[:, None]
+            new = new - basis @ (basis.T @ new)
+            own = new.T @ new
+            right = new.T @ rest
+            total += 0.5 * float(right @ np.linalg.solve(own + 1e-6 * np.eye(len(own)), right))
+        return total

@@ -1,0 +1,200 @@
+"""Tones: vibrations and aliases of unknown frequency, looked for in the samples themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.dynamics import tone
+from estimator.effects.effect import Effect
+from estimator.recording import Recording
+from estimator.rows import observations
+from estimator.tracing.evidence import SCALES, log_mean
+from estimator.tracing.runs import Run
+
+Floats = NDArray[np.float64]
+
+_LOWEST_HZ = 0.05  # below it a tone is told from slow effects by them, not by its line
+_FLOOR_BINS = 60  # the noise about a line is the median over so many frequencies to each side
+_STEPS = 40
+_GOLDEN = (np.sqrt(5) - 1) / 2
+_FEWEST_CYCLES = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Samples of one run: instants (n,), output errors (n, m) and body rates (n, 3)."""
+
+    t_s: Floats
+    z_rps: Floats
+    w_rps: Floats
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToneFound:
+    """A line: its frequency, whether its phase is the same in all runs, and how much it tells.
+
+    ``log_evidence`` is beside no tone, the search among frequencies taken off.
+    """
+
+    frequency_hz: float
+    locked: bool
+    log_evidence: float
+
+
+def samples_of(run: Run) -> Samples:
+    """Return the samples of a run that its reference covers."""
+    recording = Recording({"it": run.data}, run.recording.reference, run.recording.site, path=run.recording.path)
+    t, z, w = [np.empty(0)], [np.empty((0, len(run.array)))], [np.empty((0, 3))]
+    for part in observations(recording, "it"):
+        if part.t_ns is not None:
+            t.append(part.t_ns * 1e-9)
+            z.append(part.y_rps - part.w_rps @ run.array.p.T)
+            w.append(part.w_rps)
+    return Samples(np.concatenate(t), np.vstack(z), np.vstack(w), run.array.names)
+
+
+def tone_columns(frequency_hz: float, run: Run, samples: Samples) -> Floats:
+    """Return the means over the blocks of a run (b, 2) of a cosine and a sine, over its samples as they fell."""
+    start_s = run.t_s[0] - 0.5 * run.length_s
+    number = np.floor((samples.t_s - start_s) / run.length_s + 1e-9).astype(np.intp)
+    block = np.round((run.t_s - run.t_s[0]) / run.length_s).astype(np.intp)
+    inside = (number >= 0) & (number <= block[-1])
+    counts = np.bincount(number[inside], minlength=block[-1] + 1)
+    phase = 2 * np.pi * frequency_hz * samples.t_s[inside]
+    sums = [np.bincount(number[inside], f(phase), minlength=block[-1] + 1) for f in (np.cos, np.sin)]
+    return np.column_stack(sums)[block] / np.maximum(counts[block], 1)[:, None]
+
+
+def tone_effect(frequency_hz: float) -> Effect:
+    """Return the catalogue's tone at a frequency."""
+    return tone(frequency_hz)
+
+
+def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFound | None:
+    """Return the strongest line beside a model; ``predicted`` (b, m) is what the model says of each run's blocks."""
+    rests = [
+        s.z_rps - np.column_stack([np.interp(s.t_s, run.t_s, column) for column in p.T])
+        for run, s, p in zip(runs, samples, predicted, strict=True)
+    ]
+    even = [_evened(s.t_s, rest) for s, rest in zip(samples, rests, strict=True)]
+    longest = max((len(values) for values, _ in even), default=0)
+    if longest < 256:
+        return None
+    period_s = min(period for _, period in even)
+    size = 2 << int(np.ceil(np.log2(longest)))
+    hz = np.fft.rfftfreq(size, period_s)
+    total = np.zeros(len(hz))
+    floors: list[Floats] = []
+    for values, period in even:
+        if abs(period / period_s - 1) > 1e-3:
+            return None  # sources of different rates: each would need its own grid of frequencies
+        power = np.abs(np.fft.rfft(values - values.mean(axis=0), size, axis=0)) ** 2 / len(values)
+        floor = _floor(power)
+        floors.append(floor)
+        total += (power / floor).sum(axis=1)
+    span_s = longest * period_s
+    usable = (hz > max(_LOWEST_HZ, _FEWEST_CYCLES / span_s)) & (hz < 0.98 * hz[-1])
+    if not usable.any():
+        return None
+    peak = int(np.flatnonzero(usable)[np.argmax(total[usable])])
+    width = 1 / span_s
+    variances = [floor[peak] for floor in floors]
+
+    def gain(frequency: float, locked: bool) -> tuple[float, list[float], list[float]]:
+        return _gain(frequency, samples, rests, variances, locked)
+
+    best: ToneFound | None = None
+    tries = float(np.log(usable.sum() / 2))
+    for locked in (True, False):
+        frequency = _peak(lambda f, way=locked: gain(f, way)[0], hz[peak] - width, hz[peak] + width)  # type: ignore[misc]
+        _, squares, information = gain(frequency, locked)
+        value = _log_evidence(np.array(squares), np.array(information)) - tries - (0.0 if locked else 1.0)
+        if best is None or value > best.log_evidence:
+            best = ToneFound(frequency, locked, value)
+    return best
+
+
+def without_tone(
+    found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]
+) -> list[Samples]:
+    """Return the samples less the tone that fits them best beside a model, as ``find_tone`` takes it."""
+    sums: dict[tuple[str, int], tuple[complex, float]] = {}
+    for number, (run, s, p) in enumerate(zip(runs, samples, predicted, strict=True)):
+        rest = s.z_rps - np.column_stack([np.interp(s.t_s, run.t_s, column) for column in p.T])
+        turning = np.exp(-2j * np.pi * found.frequency_hz * s.t_s) @ rest
+        for i, name in enumerate(s.names):
+            key = name, 0 if found.locked else number
+            total, count = sums.get(key, (0j, 0.0))
+            sums[key] = total + turning[i], count + 0.5 * len(s.t_s)
+    cleaned = []
+    for number, s in enumerate(samples):
+        wave = np.exp(2j * np.pi * found.frequency_hz * s.t_s)
+        keys = [(name, 0 if found.locked else number) for name in s.names]
+        fit = np.column_stack([(sums[key][0] / sums[key][1] * wave).real for key in keys])
+        cleaned.append(Samples(s.t_s, s.z_rps - fit, s.w_rps, s.names))
+    return cleaned
+
+
+def _evened(t_s: Floats, values: Floats) -> tuple[Floats, float]:
+    """Return values on an even grid: where samples are missing, zero."""
+    period_s = float(np.median(np.diff(t_s)))
+    number = np.round((t_s - t_s[0]) / period_s).astype(np.intp)
+    out = np.zeros((int(number[-1]) + 1, values.shape[1]))
+    out[number] = values
+    return out, period_s
+
+
+def _floor(power: Floats) -> Floats:
+    """Return the noise at each frequency (f, m): the median about it, as the mean of what is exponentially spread."""
+    from scipy.ndimage import median_filter
+
+    coarse = median_filter(power[::4], size=(2 * _FLOOR_BINS // 2 + 1, 1), mode="nearest")
+    at = np.arange(len(power)) / 4
+    known = np.arange(len(coarse))
+    return np.column_stack([np.interp(at, known, c) for c in coarse.T]) / np.log(2) + 1e-30
+
+
+def _gain(
+    frequency: float, samples: Sequence[Samples], rests: Sequence[Floats], variances: Sequence[Floats], locked: bool
+) -> tuple[float, list[float], list[float]]:
+    """Return what a tone takes of the squares in all, and by amplitude its squares and its information."""
+    sums: dict[tuple[str, int], tuple[complex, float]] = {}
+    for number, (s, rest, variance) in enumerate(zip(samples, rests, variances, strict=True)):
+        turning = np.exp(-2j * np.pi * frequency * s.t_s) @ rest
+        for i, name in enumerate(s.names):
+            key = name, 0 if locked else number
+            total, information = sums.get(key, (0j, 0.0))
+            sums[key] = total + turning[i] / variance[i], information + 0.5 * len(s.t_s) / variance[i]
+    squares = [abs(total) ** 2 / information for total, information in sums.values()]
+    return 0.5 * sum(squares), squares, [information for _, information in sums.values()]
+
+
+def _peak(function: object, low: float, high: float) -> float:
+    """Return the frequency of the highest point: a fine grid, then golden sections about its best."""
+    assert callable(function)
+    grid = np.linspace(low, high, _STEPS)
+    values = [function(f) for f in grid.tolist()]
+    best = int(np.argmax(values))
+    a, b = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _STEPS - 1)])
+    for _ in range(25):
+        c, d = b - _GOLDEN * (b - a), a + _GOLDEN * (b - a)
+        if function(c) > function(d):
+            b = d
+        else:
+            a = c
+    return 0.5 * (a + b)
+
+
+def _log_evidence(squares: Floats, information: Floats) -> float:
+    """Return the evidence of amplitudes, cosine and sine each, over the scales of their prior."""
+    largest = tone(1.0).parameters[0].largest
+    values = []
+    for scale in SCALES:
+        told = information * (scale * largest) ** 2
+        values.append(float(np.sum(0.5 * squares * told / (1 + told) - np.log1p(told))))
+    return log_mean(np.array(values))
