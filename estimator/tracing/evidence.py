@@ -96,11 +96,18 @@ class Evidence:
         """Return the log evidence (G,) of a set of terms under each noise model."""
         return Base(self, [term for term in terms if not term.shared]).by_noise([t for t in terms if t.shared])
 
-    def posterior(self, terms: Sequence[Term]) -> Posterior:
-        """Return the estimate of states and effects, the mean over the noise models that matter."""
-        weight = self.by_noise(terms) + self.shapes.log_prior
-        weight = np.exp(weight - weight.max())
-        weight /= weight.sum()
+    def noise_weight(self, terms: Sequence[Term]) -> Floats:
+        """Return how probable each noise model is (G,) beside a set of terms."""
+        log = self.by_noise(terms) + self.shapes.log_prior
+        weight = np.exp(log - log.max())
+        return np.asarray(weight / weight.sum())
+
+    def posterior(self, terms: Sequence[Term], weight: Floats | None = None) -> Posterior:
+        """Return the estimate of states and effects, the mean over the noise models that matter.
+
+        ``weight`` (G,) of the noise models, by default as the recordings say beside these terms.
+        """
+        weight = self.noise_weight(terms) if weight is None else weight
         matter = np.flatnonzero(weight > 1e-4)
         weight = weight[matter] / weight[matter].sum()
         own, shared = _split(terms)

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import EstimatorError
+
+if TYPE_CHECKING:
+    from estimator.tracing.augmented import Augmented
 
 Floats = NDArray[np.float64]
 
@@ -144,7 +148,7 @@ class Investigation:
     """Everything that an investigation says. ``in_sample``: no verification run was given.
 
     ``rivals``: sets of effects that these recordings cannot tell apart. ``models``: the chain from the first model
-    to the last. ``left_out``: effects that could not be tried, with the reason.
+    to the last; ``model`` is the last itself. ``left_out``: effects that could not be tried, with the reason.
     """
 
     finding: Finding
@@ -162,3 +166,4 @@ class Investigation:
     left_out: Mapping[str, str]
     notes: tuple[str, ...]
     views: tuple[ResidualView, ...] = field(default=(), repr=False)
+    model: Augmented | None = field(default=None, repr=False)

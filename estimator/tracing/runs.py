@@ -82,8 +82,10 @@ class Run:
         return [slice(int(a), int(b)) for a, b in zip(starts[:-1], starts[1:], strict=True)]
 
 
-def runs_of(recording: Recording) -> tuple[list[Run], list[str]]:
+def runs_of(recording: Recording, block_s: float = BLOCK_S) -> tuple[list[Run], list[str]]:
     """Return the sources of a recording that can be traced, and notes on what was left out.
+
+    Blocks last ``block_s``, longer in long recordings.
 
     Raises InvestigationError if there is nothing to trace in it.
     """
@@ -100,7 +102,7 @@ def runs_of(recording: Recording) -> tuple[list[Run], list[str]]:
         notes += [f"{recording.name}: {note}" for note in found.notes]
         notes += [f"{recording.name}: {e.name} is left out: {e.reason}" for e in found.excluded]
         for number, part in enumerate(found.parts):
-            run = _run(recording, source if not number else f"{source} ({number + 1})", part)
+            run = _run(recording, source if not number else f"{source} ({number + 1})", part, block_s)
             if run is not None:
                 runs.append(run)
     if not runs:
@@ -111,8 +113,8 @@ def runs_of(recording: Recording) -> tuple[list[Run], list[str]]:
     return runs, notes
 
 
-def _run(recording: Recording, source: str, data: ImuData) -> Run | None:
-    blocks = _blocks(recording, data)
+def _run(recording: Recording, source: str, data: ImuData, block_s: float) -> Run | None:
+    blocks = _blocks(recording, data, block_s)
     if len(blocks.index) < _FEWEST_BLOCKS:
         return None
     index, where = _even(blocks)
@@ -151,12 +153,13 @@ def _origin_ns(recording: Recording, data: ImuData) -> int:
     return int(reference.t_ns[0]) if isinstance(reference, TableReadings) else int(data.t_ns[0])
 
 
-def _blocks(recording: Recording, data: ImuData) -> Blocks:
+def _blocks(recording: Recording, data: ImuData, block_s: float) -> Blocks:
     span_s = float(data.t_ns[-1] - data.t_ns[0]) * 1e-9 if len(data.t_ns) > 1 else 0.0
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9 if len(data.t_ns) > 1 else 1.0
     if isinstance(recording.reference, AttitudeReadings):
         period_s = max(period_s, MEAN_S)
-    length_s = max(BLOCK_S, period_s, np.ceil(span_s / _MOST_BLOCKS / 0.1) * 0.1)
+    most = _MOST_BLOCKS * max(BLOCK_S / block_s, 1.0)
+    length_s = max(block_s, period_s, np.ceil(span_s / most / 0.1 - 1e-9) * 0.1 if span_s > most * block_s else 0.0)
     sums = BlockSums(len(data.array), _origin_ns(recording, data), length_s, period_s)
     part_of = Recording({"it": data}, recording.reference, recording.site, path=recording.path)
     for part in observations(part_of, "it"):

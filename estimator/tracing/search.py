@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from estimator.tracing.candidates import Candidate
 from estimator.tracing.evidence import Base, Evidence, Term
+from estimator.tracing.investigation import InvestigationError
 from estimator.tracing.runs import Run
 from estimator.tracing.spectra import GyroSpectra, cosines
 from estimator.tracing.tones import ToneFound, find_tone, samples_of, tone_columns, tone_effect, without_tone
@@ -35,6 +36,7 @@ class Choice:
     term: Term
     probability: float
     rivals: tuple[str, ...]
+    theta_sd: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,6 +226,52 @@ class Search:
             if not changed:
                 break
         return chosen, terms
+
+    def best_of(self, effect: str, chosen: Sequence[Choice]) -> Choice:
+        """Return the most probable of the candidates that are called so, beside those chosen."""
+        model = self._model(c.term for c in chosen if c.candidate.called != _TONE)
+        if effect == _TONE:
+            tone = self._tone(model)
+            if tone is None:
+                raise InvestigationError("no tone can be looked for in these recordings")
+            self._samples = without_tone(tone, self._runs, self._samples, self._slow(model))
+            self._take(tone, 1.0)
+            return self._tones[-1][0]
+        self._refine(model, [c.candidate.name for c in chosen])
+        scores = self._scores(model, [c.candidate.name for c in chosen])
+        named = [name for name in scores if self._known[name][0].called == effect]
+        if not named:
+            raise InvestigationError(f"the catalogue holds no effect {effect} for these recordings")
+        best = max(named, key=lambda name: scores[name][0])
+        return Choice(self._known[best][0], scores[best][1], 1.0, (effect,))
+
+    def rescaled(self, choices: Sequence[Choice]) -> list[Choice]:
+        """Return the same choices, the prior scale of each as is most probable beside the others."""
+        done = list(choices)
+        for n, choice in enumerate(done):
+            if choice.candidate.called == _TONE:
+                continue
+            others = [c.term for m, c in enumerate(done) if m != n]
+            base = Base(self.evidence, [t for t in others if not t.shared])
+            _, term = base.with_term([t for t in others if t.shared], choice.term)
+            done[n] = replace(choice, term=term)
+        return done
+
+    def sharpness(self, choice: Choice, terms: Sequence[Term]) -> float:
+        """Return the standard deviation of what is not linear in an effect, beside the other terms."""
+        candidate = choice.candidate
+        if candidate.of is None or candidate.theta is None or candidate.start is None:
+            return 0.0
+        scan = _Scan(self._runs, self._spectra, self.evidence, [t for t in terms if t.name != candidate.name])
+        top = scan.gain(candidate)
+        step = 0.02 * candidate.theta
+        while step < candidate.theta:
+            sides = [scan.gain(_at(candidate, candidate.theta + sign * step)) for sign in (-1, 1)]
+            fall = top - 0.5 * sum(sides)
+            if fall > 0.5:
+                return float(step / np.sqrt(2 * fall))
+            step *= 2
+        return float(candidate.theta)
 
     def _judge(self, name: str, chosen: Sequence[str], terms: dict[str, Term]) -> Choice:
         others = [other for other in chosen if other != name]

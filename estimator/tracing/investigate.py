@@ -1,0 +1,406 @@
+"""Closing the loop on recordings: residual, cause, better model, and the error before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.recording import Recording
+from estimator.tracing.augmented import TONE, Augmented, Part
+from estimator.tracing.candidates import Candidate, candidates_of
+from estimator.tracing.evidence import Evidence, Term
+from estimator.tracing.investigation import (
+    Added,
+    Errors,
+    Finding,
+    Investigation,
+    InvestigationError,
+    ModelStep,
+    Suspect,
+    Unexplained,
+    Value,
+)
+from estimator.tracing.runs import BLOCK_S, Run, runs_of, same_devices
+from estimator.tracing.search import CERTAIN, Choice, Found, Search
+from estimator.tracing.spectra import GyroSpectra, NoiseShapes, gyro_spectra
+from estimator.tracing.verification import Judged, judge, phases_of
+
+Floats = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+_SURPRISED = 8.0
+"""Sigmas by which the error on a verification run exceeds chance before a verdict is taken back."""
+_SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
+_FOLDS = 5
+_TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
+_SHARED_SETS = 0.99
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Traced:
+    """What was found on some runs, and all that it was found with."""
+
+    runs: list[Run]
+    spectra: list[GyroSpectra]
+    search: Search
+    found: Found
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the gyros."""
+        return [gyro.name for gyro in self.spectra]
+
+
+def investigate(
+    recordings: Sequence[Recording],
+    verification: Sequence[Recording] = (),
+    *,
+    most_effects: int = 4,
+    progress: Progress | None = None,
+) -> Investigation:
+    """Return what the model of the gyros in ``recordings`` lacks, and the error before and after on ``verification``.
+
+    Without verification recordings the errors are in-sample, cross-validated by step.
+
+    Raises InvestigationError if the recordings are not of the same gyros, or hold too little.
+    """
+    tell = progress or (lambda share, what: None)
+    tell(0.0, "reading")
+    runs, notes = _all_runs(recordings)
+    held_back, more = _all_runs(verification) if verification else ([], [])
+    notes += more
+    _same(recordings, verification)
+    tell(0.1, "residual")
+    traced, left_out = _trace(runs, most_effects, lambda share: tell(0.1 + 0.6 * share, "tracing"))
+    tell(0.75, "before and after")
+    return _conclude(traced, held_back, left_out, notes, most_effects, verification)
+
+
+def fit_known(recordings: Sequence[Recording], effects: Sequence[str]) -> Augmented:
+    """Return the model with these effects of the catalogue, estimated on all recordings without asking whether they are.
+
+    Of effects that come in several kinds (a harmonic's axis and order, the run of a step) the most telling one is taken.
+
+    Raises InvestigationError for an effect that the catalogue does not hold or the recordings cannot show.
+    """
+    runs, _ = _all_runs(recordings)
+    traced, left_out = _prepared(runs)
+    choices: list[Choice] = []
+    for effect in effects:
+        if effect in left_out:
+            raise InvestigationError(f"{effect} cannot be estimated: {left_out[effect]}")
+        choices.append(traced.search.best_of(effect, choices))
+    choices = traced.search.rescaled(choices)
+    return _model(traced, choices, traced.search.evidence.noise_weight([c.term for c in choices]))
+
+
+def _all_runs(recordings: Sequence[Recording]) -> tuple[list[Run], list[str]]:
+    runs: list[Run] = []
+    notes: list[str] = []
+    for recording in recordings:
+        own, said = runs_of(recording)
+        runs += own
+        notes += said
+    return runs, notes
+
+
+def _same(recordings: Sequence[Recording], verification: Sequence[Recording]) -> None:
+    first = runs_of(recordings[0])[0]
+    for other in [*recordings[1:], *verification]:
+        difference = same_devices(first, runs_of(other)[0])
+        if difference:
+            kind = "verification run" if other in verification else "recording"
+            raise InvestigationError(
+                f"{other.name} is of another device than {recordings[0].name}: {difference}; give a {kind} of the same gyros"
+            )
+
+
+def _trace(
+    runs: Sequence[Run], most: int, tell: Callable[[float], None] | None = None
+) -> tuple[Traced, dict[str, str]]:
+    traced, left_out = _prepared(runs)
+    return replace(traced, found=traced.search.run(most, tell)), left_out
+
+
+def _prepared(runs: Sequence[Run]) -> tuple[Traced, dict[str, str]]:
+    spectra = gyro_spectra(runs)
+    span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
+    search = Search(runs, spectra, Evidence(spectra, NoiseShapes.over(span_s)))
+    candidates, left_out = candidates_of(runs)
+    search.add(candidates)
+    return Traced(list(runs), spectra, search, Found((), (), ())), left_out
+
+
+def _conclude(
+    traced: Traced,
+    held_back: Sequence[Run],
+    left_out: dict[str, str],
+    notes: list[str],
+    most: int,
+    verification: Sequence[Recording],
+) -> Investigation:
+    choices = traced.found.choices
+    general = [c for c in choices if c.candidate.depends_on]
+    certain = [c for c in choices if not c.candidate.depends_on and c.probability >= CERTAIN]
+    doubtful = [c for c in choices if not c.candidate.depends_on and c.probability < CERTAIN]
+    weight = traced.search.evidence.noise_weight([c.term for c in choices])
+    before = _model(traced, [], weight)
+    after = _model(traced, certain, weight)
+    whole = _model(traced, [*certain, *doubtful], weight) if doubtful else after
+    judged = _judged(traced, held_back, before, after, verification, certain)
+    rivals = [tuple(r for r in c.rivals if r != "nothing" and not r.startswith("depends")) for c in doubtful]
+    rivals = [names for names in rivals if len(names) > 1] or ([r for r in rivals if r])
+    unexplained = _unexplained(traced, general, weight) if general else None
+    if doubtful:
+        finding = Finding.CANNOT_TELL
+        reason = "these recordings cannot tell apart " + "; nor ".join(" and ".join(names) for names in rivals)
+    elif general:
+        finding = Finding.UNEXPLAINED
+        reason = f"the residual depends on {general[0].candidate.depends_on}, and no effect of the catalogue explains it"
+    elif certain:
+        finding, reason = Finding.ADDED, "added " + ", ".join(c.candidate.called for c in certain)
+    else:
+        finding, reason = Finding.NOTHING, "the residual is that of the noise"
+    if held_back and finding in (Finding.NOTHING, Finding.ADDED) and judged.surprise > _SURPRISED:
+        finding, reason, rivals, unexplained = _taken_back(traced, held_back, most, certain)
+    models = [ModelStep((), 0.0, judged.before)]
+    if certain:
+        called = tuple(c.candidate.called for c in certain)
+        models.append(ModelStep(called, traced.found.log_evidence[-1] - traced.found.log_evidence[0], judged.after))
+    if doubtful:
+        called = tuple(c.candidate.called for c in [*certain, *doubtful])
+        errors = _judged(traced, held_back, before, whole, verification, [*certain, *doubtful]).after
+        models.append(ModelStep(called, traced.found.log_evidence[-1] - traced.found.log_evidence[0], errors))
+    for choice in certain:
+        if choice.candidate.name.startswith(TONE) and len(choice.term.columns) > 2:
+            notes.append(
+                f"the tone at {choice.candidate.theta:.3f} Hz has another phase in each run: it is known, but cannot be "
+                "taken off the rates of another run"
+            )
+    return Investigation(
+        finding,
+        reason,
+        tuple(_added(traced, choice, after, weight) for choice in certain),
+        tuple(rivals),
+        unexplained,
+        judged.before,
+        judged.after,
+        judged.improvement,
+        not held_back,
+        judged.gyros,
+        tuple(models),
+        _suspects(traced.found),
+        left_out,
+        tuple(notes),
+        judged.views,
+        after,
+    )
+
+
+def _model(traced: Traced, choices: Sequence[Choice], weight: Floats) -> Augmented:
+    evidence = traced.search.evidence
+    posterior = evidence.posterior([c.term for c in choices], weight)
+    shapes = evidence.shapes
+    return Augmented.of(
+        traced.names,
+        posterior,
+        [Part(c.candidate, c.term) for c in choices],
+        np.array([gyro.prior for gyro in traced.spectra]),
+        np.array([gyro.arw for gyro in traced.spectra]),
+        (float(np.sqrt(weight @ shapes.instability**2)), float(np.sqrt(weight @ shapes.walk**2))),
+    )
+
+
+def _judged(
+    traced: Traced,
+    held_back: Sequence[Run],
+    before: Augmented,
+    after: Augmented,
+    verification: Sequence[Recording],
+    choices: Sequence[Choice],
+) -> Judged:
+    if not held_back:
+        return _cross_validated(traced, before, after, choices)
+    tones = [c.candidate.theta for c in choices if c.candidate.name.startswith(TONE) and c.candidate.theta]
+    fine_s = min([BLOCK_S, *(1 / (_TONE_BLOCKS * hz) for hz in tones)])
+    runs: list[Run] = list(held_back)
+    if fine_s < BLOCK_S:
+        runs = [run for recording in verification for run in runs_of(recording, fine_s)[0]]
+    return judge(runs, len(traced.runs), before, after, held_back=True)
+
+
+def _cross_validated(traced: Traced, before: Augmented, after: Augmented, choices: Sequence[Choice]) -> Judged:
+    """Return errors on each fifth of the steps of models fitted to the others, the noise as found on all."""
+    if not choices:
+        return judge(traced.runs, 0, before, after, held_back=False)
+    # The models are those of all the data; errors by step hold what a fit without that step would have said.
+    folds = [_fold(traced, choices, number) for number in range(_FOLDS)]
+    judged = [judge(runs, 0, old, new, held_back=False) for runs, old, new in folds]
+    whole = judge(traced.runs, 0, before, after, held_back=False)
+    return replace(
+        whole,
+        before=_mean([j.before for j in judged]),
+        after=_mean([j.after for j in judged]),
+    )
+
+
+def _mean(errors: Sequence[Errors]) -> Errors:
+    known = [e for e in errors if np.isfinite(e.rms_rps)]
+    return Errors(
+        float(np.sqrt(np.mean([e.rms_rps**2 for e in known]))),
+        max(e.max_rps for e in known),
+        float(np.mean([e.coverage95 for e in known])),
+    )
+
+
+def _fold(traced: Traced, choices: Sequence[Choice], number: int) -> tuple[list[Run], Augmented, Augmented]:
+    """Return the runs with only a fold's steps left in, and the models of the other steps."""
+    kept, held = [], []
+    count = 0
+    for run in traced.runs:
+        inside = np.zeros(len(run.t_s), dtype=np.bool_)
+        for phase in phases_of(run):
+            inside[phase.blocks] = count % _FOLDS == number
+            count += 1
+        kept.append(replace(run, weight=run.weight * ~inside))
+        held.append(replace(run, weight=run.weight * inside))
+    spectra = gyro_spectra(kept)
+    for gyro in spectra:
+        gyro.add([np.zeros((part.shape[0], 0)) for part in gyro.columns])
+    terms: list[Term] = []
+    start = 5
+    full = _model(traced, choices, traced.search.evidence.noise_weight([c.term for c in choices]))
+    for part in full.parts:
+        width = len(part.term.columns)
+        terms.append(replace(part.term, columns=tuple(range(start, start + width))))
+        start += width
+    for gyro in spectra:
+        parts = []
+        whole: dict[int, Floats] = {}
+        for stretch in gyro.stretches:
+            if stretch.run not in whole:
+                run = kept[stretch.run]
+                columns = full.columns(run, stretch.run, run.array.names.index(gyro.name))[:, 4:]
+                whole[stretch.run] = columns * run.weight[:, None]
+            parts.append(whole[stretch.run][stretch.blocks])
+        gyro.add(parts)
+    evidence = Evidence(spectra, traced.search.evidence.shapes)
+    weight = traced.search.evidence.noise_weight([c.term for c in choices])
+    noise = (full.instability, full.walk)
+    models = [
+        Augmented.of(
+            [gyro.name for gyro in spectra],
+            evidence.posterior(chosen, weight),
+            parts_of,
+            full.prior,
+            full.arw,
+            noise,
+        )
+        for chosen, parts_of in (([], []), (terms, list(full.parts)))
+    ]
+    return held, models[0], models[1]
+
+
+def _added(traced: Traced, choice: Choice, model: Augmented, weight: Floats) -> Added:
+    number = [part.candidate.name for part in model.parts].index(choice.candidate.name)
+    where = model.slice_of(number)
+    effect, shared = choice.candidate.effect, choice.term.shared
+    parameters: dict[str, Value] = {}
+    shown = []
+    for g, name in enumerate(model.names):
+        mean, sd = model.mean[g, where], np.sqrt(np.diag(model.covariance[g, where, where]))
+        if np.any(np.abs(mean) > _SHOWN * sd):
+            shown.append(name)
+        if shared and g:
+            continue
+        for i, (value, doubt) in enumerate(zip(mean, sd, strict=True)):
+            parameter = effect.parameters[i % len(effect.parameters)]
+            size = parameter.largest
+            label = parameter.name if shared else f"{name} {parameter.name}"
+            if i >= len(effect.parameters):
+                label += f" in run {i // len(effect.parameters) + 1}"
+            parameters[label] = Value(float(value * size), float(doubt * size), parameter.unit)
+    theta = choice.candidate.theta
+    if theta is not None and choice.candidate.start is not None:
+        sd = traced.search.sharpness(choice, traced.found.terms)
+        what = {"warm_up": "time constant", "bias_step": "instant"}.get(choice.candidate.called, "value")
+        parameters[what] = Value(float(theta), sd, "s")
+    elif theta is not None:
+        parameters["frequency"] = Value(float(theta), _tone_sd(traced, model, where), "Hz")
+    gyros = tuple(model.names) if shared else tuple(shown or model.names)
+    return Added(choice.candidate.called, gyros, choice.probability, parameters)
+
+
+def _tone_sd(traced: Traced, model: Augmented, where: slice) -> float:
+    """Return the standard deviation of a tone's frequency: sqrt(6) / (pi T) over its amplitude in sigmas."""
+    span_s = max(float(run.t_s[-1] - run.t_s[0]) for run in traced.runs)
+    told = sum(
+        float(m[where] @ np.linalg.solve(c[where, where], m[where]))
+        for m, c in zip(model.mean, model.covariance, strict=True)
+    )
+    return float(np.sqrt(6) / (np.pi * span_s * np.sqrt(max(told, 1.0))))
+
+
+def _unexplained(traced: Traced, general: Sequence[Choice], weight: Floats) -> Unexplained:
+    """Return what the residual depends on, and the share of its power beyond the noise that this takes up."""
+    terms = traced.found.terms
+    without = [t for t in terms if t.name not in {c.candidate.name for c in general}]
+    power_with, power_without = _power(traced, terms, weight), _power(traced, without, weight)
+    blocks = sum(len(s.band) for gyro in traced.spectra for s in gyro.stretches)
+    share = 1 - max(power_with - blocks, 0.0) / max(power_without - blocks, 1e-9)
+    return Unexplained(general[0].candidate.depends_on, float(np.clip(share, 0.0, 1.0)))
+
+
+def _power(traced: Traced, terms: Sequence[Term], weight: Floats) -> float:
+    """Return the squares left beside a model, over the white noise."""
+    posterior = traced.search.evidence.posterior(terms, weight)
+    own = [c for t in terms if not t.shared for c in t.columns]
+    shared = [c for t in terms if t.shared for c in t.columns]
+    total = 0.0
+    for gyro, mean in zip(traced.search.evidence.gyros, posterior.own, strict=True):
+        whole = np.concatenate([mean, posterior.shared])
+        for part in gyro.columns:
+            rest = part[:, 4] - part[:, [*range(4), *own, *shared]] @ whole
+            total += float(rest @ rest)
+    return total
+
+
+def _taken_back(
+    traced: Traced, held_back: Sequence[Run], most: int, certain: Sequence[Choice]
+) -> tuple[Finding, str, list[tuple[str, ...]], Unexplained | None]:
+    """Return the verdict where the verification shows an error that the other recordings could not show.
+
+    What would explain it is looked for with the verification runs among the rest, to be named, not to be added.
+    """
+    wider, _ = _trace([*traced.runs, *held_back], most)
+    known = {c.candidate.called for c in certain}
+    extra = [c for c in wider.found.choices if c.candidate.called not in known]
+    named = [c for c in extra if not c.candidate.depends_on]
+    said = "the verification run shows an error that the other recordings cannot show"
+    if named:
+        rivals = [tuple(r for r in c.rivals if r != "nothing" and not r.startswith("depends")) for c in named]
+        return (
+            Finding.CANNOT_TELL,
+            f"{said}; it would fit {', '.join(c.candidate.called for c in named)}, which a run of its own must prove",
+            [r for r in rivals if r],
+            None,
+        )
+    if extra:
+        weight = wider.search.evidence.noise_weight(wider.found.terms)
+        return Finding.UNEXPLAINED, said, [], _unexplained(wider, extra, weight)
+    return Finding.UNEXPLAINED, said, [], Unexplained("time", 0.0)
+
+
+def _suspects(found: Found) -> tuple[Suspect, ...]:
+    best: dict[str, Suspect] = {}
+    for candidate, log_evidence, probability in found.first:
+        name = f"depends on {candidate.depends_on}" if candidate.depends_on else candidate.called
+        old = best.get(name)
+        if old is None:
+            best[name] = Suspect(name, log_evidence, probability)
+        else:
+            best[name] = Suspect(name, max(old.log_evidence, log_evidence), old.probability + probability)
+    return tuple(sorted(best.values(), key=lambda s: -s.probability))

@@ -1,0 +1,265 @@
+"""The error before and after, on runs used neither to fit nor to choose.
+
+A run is divided into phases: rests, ramps, steady rates. In each, what is left of a gyro's output error beside a model is
+projected on its mean and on the direction in which the two models differ; the rest of it is noise to both. These
+projections say how wrong the compensated rate is in that phase, and whether its interval holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.model import decode
+from estimator.tracing.augmented import Augmented
+from estimator.tracing.investigation import Errors, GyroErrors, Improvement, PhaseErrors, ResidualView
+from estimator.tracing.runs import Run
+
+Floats = NDArray[np.float64]
+
+_PIECE_S = 5.0  # without a table: phases of this length
+_RAMP_SHARE = 0.02  # of the steepest acceleration of a run: what counts as a ramp
+_FEWEST = 2
+_RESAMPLED = 400
+_LONG = 30.0
+_DIRECTION = 1e-3  # share of a direction that must be left beside the mean to count as another
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """Blocks of a run during which one thing went on."""
+
+    blocks: slice
+    kind: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """Errors over all gyros, by gyro, the improvement, and what pictures need; ``surprise`` in sigmas of chance."""
+
+    before: Errors
+    after: Errors
+    improvement: Improvement | None
+    gyros: tuple[GyroErrors, ...]
+    views: tuple[ResidualView, ...]
+    surprise: float
+
+
+@dataclass(slots=True, eq=False)
+class _Sums:
+    """Of one phase and gyro: squares of the projections, noise and doubt in them, blocks; before and after."""
+
+    gyro: str
+    squares: tuple[float, float]
+    noise: float
+    doubt: tuple[float, float]
+    blocks: int
+    inside: tuple[list[bool], list[bool]]
+    largest: tuple[float, float]
+    chi: float
+    dof: int
+
+
+def phases_of(run: Run) -> list[Phase]:
+    """Return the phases of a run in order."""
+    grid = run.grid
+    if grid.gimbals:
+        steep = np.abs(run.fold(np.abs(grid.acceleration_rps2))).max(axis=1)
+        top = np.abs(run.fold(np.abs(grid.rate_rps))).max(axis=1)
+        ramp = steep > _RAMP_SHARE * max(float(steep.max()), 1e-9)
+        ramp &= steep > 1e-4
+        turning = top > 0.01 * max(float(top.max()), 1e-9)
+        rates = np.round(run.fold(grid.rate_rps) / max(0.02 * float(top.max()), 1e-9))
+        kind = np.where(ramp, 1, np.where(turning, 2, 0))
+        key = np.column_stack([kind, np.where((kind == 2)[:, None], rates, 0), run.stretch])
+        edges = np.flatnonzero(np.any(np.diff(key, axis=0) != 0, axis=1)) + 1
+    else:
+        count = max(round(_PIECE_S / run.length_s), 1)
+        edges = np.arange(count, len(run.t_s), count)
+        kind = np.full(len(run.t_s), 3)
+    bounds = [0, *edges.tolist(), len(run.t_s)]
+    names = ("rest", "ramp", "steady", "piece")
+    found = [Phase(slice(a, b), names[int(kind[a])]) for a, b in zip(bounds[:-1], bounds[1:], strict=True) if b > a]
+    least = {"rest": 5, "steady": 5, "piece": 5, "ramp": 1}
+    return [p for p in found if p.blocks.stop - p.blocks.start >= least[p.kind]]
+
+
+def judge(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, held_back: bool) -> Judged:
+    """Return the errors of two models on runs, of which the first has this number among all."""
+    sums: list[tuple[int, int, _Sums]] = []
+    phases: dict[str, list[PhaseErrors]] = {name: [] for name in after.names}
+    views = []
+    for number, run in enumerate(runs):
+        parts = phases_of(run)
+        weights = run.weight > 0
+        for i, name in enumerate(run.array.names):
+            if name not in after.names:
+                continue
+            g = after.names.index(name)
+            said_before, columns_before = before.predict(run, first + number, i)
+            said_after, columns_after = after.predict(run, first + number, i)
+            sigma = float(after.arw[g]) / np.sqrt(run.length_s)
+            for p, phase in enumerate(parts):
+                keep = np.flatnonzero(weights[phase.blocks]) + phase.blocks.start
+                if len(keep) < 1:
+                    continue
+                basis = _basis(said_after[keep] - said_before[keep], sigma)
+                noise = _noise(after, g, basis, run, len(keep), sigma)
+                rests = [run.z_rps[keep, i] - said[keep] for said in (said_before, said_after)]
+                scores = [basis.T @ rest for rest in rests]
+                doubts = [
+                    np.einsum("ij,jk,ik->i", basis.T @ c[keep], m.covariance[g], basis.T @ c[keep])
+                    for c, m in ((columns_before, before), (columns_after, after))
+                ]
+                judged = slice(-1, None)  # the direction in which the models differ, or the mean if they do not
+                inside = [
+                    (np.abs(s[judged]) < 1.96 * np.sqrt(noise[judged] + d[judged])).tolist()
+                    for s, d in zip(scores, doubts, strict=True)
+                ]
+                chi = float((scores[1][judged] ** 2 / (noise + doubts[1])[judged]).sum())
+                fits = [basis @ s for s in scores]
+                mean_noise = float(np.sqrt(noise[0] / len(keep)))
+                spread = [
+                    float(np.mean(np.einsum("ij,jk,ik->i", c[keep], m.covariance[g], c[keep])))
+                    for c, m in ((columns_before, before), (columns_after, after))
+                ]
+                sums.append(
+                    (
+                        number,
+                        p,
+                        _Sums(
+                            name,
+                            (float(scores[0] @ scores[0]), float(scores[1] @ scores[1])),
+                            float(noise.sum()),
+                            (spread[0], spread[1]),
+                            len(keep),
+                            (inside[0], inside[1]),
+                            (float(np.abs(fits[0]).max()), float(np.abs(fits[1]).max())),
+                            chi,
+                            1,
+                        ),
+                    )
+                )
+                u = run.w_rps[keep] @ run.array.p[i]
+                phases[name].append(
+                    PhaseErrors(
+                        run.name,
+                        float(run.t_s[keep[0]] - 0.5 * run.length_s),
+                        float(run.t_s[keep[-1]] + 0.5 * run.length_s),
+                        float(np.degrees(u.mean())),
+                        phase.kind,
+                        float(rests[0].mean()),
+                        float(rests[1].mean()),
+                        mean_noise,
+                    )
+                )
+            temperature = run.grid.temperature_c
+            views.append(
+                ResidualView(
+                    run.name,
+                    name,
+                    held_back,
+                    run.t_s,
+                    run.w_rps @ run.array.p[i],
+                    None if temperature is None else run.fold(temperature)[:, 0],
+                    run.z_rps[:, i] - said_before,
+                    run.z_rps[:, i] - said_after,
+                    sigma,
+                )
+            )
+    everything = [s for _, _, s in sums]
+    gyros = tuple(
+        _gyro(name, before, after, [s for s in everything if s.gyro == name], phases[name])
+        for name in after.names
+        if any(s.gyro == name for s in everything)
+    )
+    chi, dof = sum(s.chi for s in everything), sum(s.dof for s in everything)
+    surprise = (chi - dof) / np.sqrt(2 * max(dof, 1))
+    return Judged(
+        _errors(everything, 0),
+        _errors(everything, 1),
+        _improvement(sums) if after.parts else None,
+        gyros,
+        tuple(views),
+        float(surprise),
+    )
+
+
+def _basis(difference: Floats, sigma: float) -> Floats:
+    """Return orthonormal directions (b, 1 or 2): the mean, and what else the models differ in."""
+    n = len(difference)
+    mean = np.full((n, 1), 1 / np.sqrt(n))
+    other = difference - difference.mean()
+    size = float(np.linalg.norm(other))
+    if n < _FEWEST + 1 or size < _DIRECTION * sigma:
+        return mean
+    # Where the difference is nearly constant its mean is what tells; where it changes sign, its shape.
+    if abs(float(difference.mean())) * np.sqrt(n) > size:
+        return np.column_stack([other / size, mean])
+    return np.column_stack([mean, other / size])
+
+
+def _noise(model: Augmented, g: int, basis: Floats, run: Run, blocks: int, sigma: float) -> Floats:
+    """Return the variance of each projection: white noise, and what the bias wanders about where it was known."""
+    white = np.full(basis.shape[1], sigma**2)
+    arw = float(model.arw[g])
+    length_s = blocks * run.length_s
+    span_s = float(run.t_s[-1] - run.t_s[0]) + run.length_s
+    # Flicker noise of all times longer than the phase, up to many runs: the bias was found in others.
+    flicker = model.instability**2 * np.log(10 + _LONG * span_s / max(length_s, run.length_s)) / np.pi
+    wander = arw**2 * (flicker + model.walk**2 * span_s / 3)
+    return np.asarray(white + wander * basis.sum(axis=0) ** 2)
+
+
+def _errors(sums: Sequence[_Sums], which: int) -> Errors:
+    if not sums:
+        return Errors(float("nan"), float("nan"), float("nan"))
+    squares = np.array([s.squares[which] for s in sums])
+    noise = np.array([s.noise for s in sums])
+    blocks = np.array([s.blocks for s in sums])
+    doubt = np.array([s.doubt[which] * s.blocks for s in sums])
+    # Of the squares, noise is taken off; the error is never said to be less than the model's own doubt.
+    mean = max(float((squares - noise).sum()), float(doubt.sum())) / float(blocks.sum())
+    inside = [held for s in sums for held in s.inside[which]]
+    return Errors(float(np.sqrt(mean)), max(s.largest[which] for s in sums), float(np.mean(inside)))
+
+
+def _improvement(sums: Sequence[tuple[int, int, _Sums]]) -> Improvement | None:
+    """Return rms before over rms after, and its interval from phases drawn again, all gyros together."""
+    keys = sorted({(number, p) for number, p, _ in sums})
+    grouped = {key: [s for number, p, s in sums if (number, p) == key] for key in keys}
+    totals = np.array(
+        [
+            [
+                sum(s.squares[0] - s.noise for s in grouped[key]),
+                sum(s.squares[1] - s.noise for s in grouped[key]),
+                sum(s.doubt[0] * s.blocks for s in grouped[key]),
+                sum(s.doubt[1] * s.blocks for s in grouped[key]),
+            ]
+            for key in keys
+        ]
+    )
+    if len(keys) < 4:
+        return None
+
+    def ratio(rows: Floats) -> float:
+        a, b, c, d = rows.sum(axis=0)
+        return float(np.sqrt(max(a, c) / max(b, d, 1e-30)))
+
+    random = np.random.default_rng(0)  # the same figures for the same recordings
+    drawn = [ratio(totals[random.integers(0, len(keys), len(keys))]) for _ in range(_RESAMPLED)]
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return Improvement(ratio(totals), float(low), float(high))
+
+
+def _gyro(
+    name: str, before: Augmented, after: Augmented, sums: Sequence[_Sums], phases: Sequence[PhaseErrors]
+) -> GyroErrors:
+    g = after.names.index(name)
+    old, old_covariance = decode(before.mean[g, :4], before.covariance[g, :4, :4])
+    new, _ = decode(after.mean[g, :4], after.covariance[g, :4, :4])
+    moved = (new - old) / np.sqrt(np.diag(old_covariance))
+    return GyroErrors(name, _errors(sums, 0), _errors(sums, 1), tuple(phases), old, new, np.asarray(moved))

@@ -1,0 +1,253 @@
+"""How often the station finds what twins were given and it was not told: power, false alarms, error against an oracle.
+
+Each case is three recordings of one device, made from the physics (the 360 s script, exploration, verification), with an
+effect that only the twin knows. Signs and sizes vary by gyro and seed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array import tetrahedron
+from estimator.kinematics import Site
+from estimator.recording import Recording
+from estimator.tracing.augmented import Augmented
+from estimator.tracing.investigate import fit_known, investigate
+from estimator.tracing.investigation import Investigation
+from estimator.tracing.runs import runs_of
+from station.campaigns import Failure, run_all
+from station.loop_scripts import exploration_script, verification_script
+from station.open_bench import DeviceTruth, Hidden, simulate
+from station.script import Script, paper_script
+
+Floats = NDArray[np.float64]
+
+RISE_C = 8.0
+SITE = Site(math.pi / 4, 0.0)
+STATES = np.tile([0.005, math.radians(0.1), math.radians(0.1), math.radians(-0.1)], (4, 1))
+AXES = "zyx"
+CLEAN = "nothing"
+KNOWN = (
+    "thermal_bias",
+    "g_sensitivity",
+    "scale_asymmetry",
+    "scale_cubic",
+    "latency",
+    "warm_up",
+    "bias_drift",
+    "table_harmonic",
+    "tone",
+    "acceleration_sensitivity",
+    "thermal_scale",
+    "earth_rate",
+)
+UNKNOWN: Mapping[str, frozenset[str]] = {
+    "hysteresis": frozenset({"direction"}),
+    "rate_dependent_delay": frozenset({"acceleration"}),
+    "motor_current_gain": frozenset({"acceleration"}),
+    "encoder_eccentricity": frozenset({"angle"}),
+    "thermal_lag": frozenset({"temperature"}),
+}
+"""Effects that are not in the catalogue, and what the residual depends on."""
+EQUIVALENT: Mapping[str, frozenset[str]] = {
+    "thermal_lag": frozenset({"thermal_bias", "thermal_gradient", "warm_up"}),
+    "motor_current_gain": frozenset({"scale_asymmetry", "latency", "bandwidth", "acceleration_sensitivity"}),
+}
+"""Effects of the catalogue that say the same physics in other words: a lagging bias is a bias with its gradient."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What the twin is given: effects by name, their size over that of the issue's list, noise; and the seed."""
+
+    effects: tuple[str, ...]
+    size: float
+    seed: int
+    instability_dph: float = 2.0
+    walk_dph_rth: float = 0.0
+    shape: str = "exponential"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ended:
+    """What came of a case. ``error``, ``oracle``, ``bare`` are true rms errors on the verification run, rad/s."""
+
+    case: Case
+    finding: str
+    added: tuple[tuple[str, float], ...]
+    rivals: tuple[tuple[str, ...], ...]
+    depends_on: str
+    error: float
+    oracle: float
+    bare: float
+    coverage_before: float
+    coverage_after: float
+    surprise: float
+
+    @property
+    def exact(self) -> bool:
+        """Whether just what is there was named."""
+        return sorted(name for name, _ in self.added) == sorted(self.case.effects) and self.finding == "added"
+
+    @property
+    def among_rivals(self) -> bool:
+        """Whether it was said that causes cannot be told apart, the true ones among them or found."""
+        named = {name for names in self.rivals for name in names} | {name for name, _ in self.added}
+        return self.finding == "cannot tell" and set(self.case.effects) <= named
+
+    @property
+    def wrong(self) -> bool:
+        """Whether something that is not there was named as certain."""
+        return any(name not in self.case.effects for name, _ in self.added)
+
+
+def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "exponential") -> Hidden:
+    """Return what the twin is given: size 1 is that of METHOD 3, gyros from 0.5 to 1.5 of it with either sign."""
+    random = np.random.default_rng([seed, 4711])
+    tables: dict[str, Any] = {"temperature": {"rise": f"{RISE_C} degC", **_SHAPES[shape]}}
+
+    def each(value: float, unit: str, n: int = 4) -> list[str]:
+        sizes = value * size * random.uniform(0.5, 1.5, n) * random.choice([-1.0, 1.0], n)
+        return [f"{one:.9g} {unit}" for one in sizes]
+
+    for effect in effects:
+        match effect:
+            case "thermal_bias":
+                tables[effect] = {"linear": each(0.005, "deg/s/degC")}
+            case "g_sensitivity":
+                tables[effect] = {axis: each(0.02, "deg/s/g") for axis in "xyz"}
+            case "scale_asymmetry":
+                tables[effect] = {"size": each(2000, "ppm")}
+            case "scale_quadratic":
+                tables[effect] = {"size": each(100, "ppm/(deg/s)")}
+            case "scale_cubic":
+                tables[effect] = {"size": each(4, "ppm/(deg/s)2")}
+            case "latency":
+                tables[effect] = {"delay": f"{4 * size * random.uniform(0.5, 1.5):.9g} ms"}
+            case "warm_up":
+                tables[effect] = {"size": each(0.03, "deg/s"), "time_constant": f"{random.uniform(45, 80):.9g} s"}
+            case "bias_drift":
+                tables[effect] = {"size": each(0.03, "deg/s"), "over": "330 s"}
+            case "table_harmonic":
+                axis, order = random.choice(list(AXES)), int(random.choice([1, 2, 4]))
+                turned = random.uniform(0, 2 * math.pi, 4)
+                tables[effect] = {
+                    "axis": str(axis),
+                    "order": order,
+                    "cosine": [f"{0.02 * size * math.cos(a):.9g} deg/s" for a in turned],
+                    "sine": [f"{0.02 * size * math.sin(a):.9g} deg/s" for a in turned],
+                }
+            case "tone":
+                tables[effect] = {
+                    "size": each(0.02, "deg/s"),
+                    "frequency": f"{random.uniform(0.3, 45):.9g} Hz",
+                    "phase": [f"{a:.9g} deg" for a in random.uniform(0, 360, 4)],
+                }
+            case "acceleration_sensitivity":
+                tables[effect] = {axis: each(0.003, "deg/s/(deg/s2)") for axis in "jk"}
+            case "thermal_scale":
+                tables[effect] = {"linear": each(200, "ppm/degC")}
+            case "bias_step":
+                tables[effect] = {"size": each(0.02, "deg/s"), "at": f"{random.uniform(60, 250):.9g} s"}
+            case "bandwidth":
+                tables[effect] = {"time_constant": [f"{abs(float(v.split()[0])):.9g} ms" for v in each(6, "ms")]}
+            case "table_axes":
+                tables[effect] = {"x_towards_y": f"{60 * size:.9g} arcsec"}
+            case "hysteresis":
+                tables[effect] = {"size": each(0.02, "deg/s")}
+            case "rate_dependent_delay":
+                tables[effect] = {"size": f"{300 * size * random.uniform(0.5, 1.5):.9g} us/(deg/s)"}
+            case "motor_current_gain":
+                tables[effect] = {"size": each(200, "ppm/(deg/s2)"), "friction": "0 deg/s2"}
+            case "encoder_eccentricity":
+                tables[effect] = {"size": f"{0.02 * size:.9g} deg", "order": 3, "axis": str(random.choice(list(AXES)))}
+            case "thermal_lag":
+                tables[effect] = {"linear": each(0.01, "deg/s/degC"), "lag": "40 s"}
+            case "earth_rate" | "nothing":
+                pass
+            case _:
+                raise ValueError(effect)
+    return Hidden.of(tables)
+
+
+_SHAPES: Mapping[str, dict[str, str]] = {
+    "exponential": {"time_constant": "250 s"},
+    "linear": {"shape": "linear", "over": "360 s"},
+    "cycle": {"shape": "cycle", "over": "300 s"},
+}
+
+
+def recordings_of(case: Case) -> tuple[Recording, Recording, Recording]:
+    """Return the calibration, exploration and verification recordings of a case."""
+    made = [_record(case, script, number) for number, script in enumerate(_scripts())]
+    return made[0], made[1], made[2]
+
+
+def _scripts() -> tuple[Script, Script, Script]:
+    return paper_script(), exploration_script(), verification_script()
+
+
+def _record(case: Case, script: Script, number: int, quiet: bool = False) -> Recording:
+    device = DeviceTruth(
+        tetrahedron(),
+        STATES,
+        math.radians(1e-7 if quiet else 0.005),
+        0.0 if quiet else math.radians(case.instability_dph / 3600),
+        0.0 if quiet else math.radians(case.walk_dph_rth / 3600 / 60),
+        kind="tetrahedron",
+    )
+    hidden = hidden_of(case.effects, case.size, case.seed, case.shape)
+    made = simulate(script, {"array": device}, 10 * case.seed + number, site=SITE, hidden=hidden)
+    return replace(made, site=None) if "earth_rate" in case.effects else made
+
+
+def end_of(case: Case) -> Ended:
+    """Return what the station finds in a case, and how wrong its compensated rates then truly are."""
+    calibration, exploration, verification = recordings_of(case)
+    found = investigate([calibration, exploration], [verification])
+    clean = _record(case, verification_script(), 2, quiet=True)
+    known = [e for e in case.effects if e in KNOWN]
+    oracle = fit_known([calibration, exploration], known)
+    bare = fit_known([calibration, exploration], [])
+    assert found.model is not None
+    return Ended(
+        case,
+        str(found.finding),
+        tuple((a.effect, a.probability) for a in found.added),
+        found.rivals,
+        found.unexplained.depends_on if found.unexplained else "",
+        true_error(found.model, clean),
+        true_error(oracle, clean),
+        true_error(bare, clean),
+        found.before.coverage95,
+        found.after.coverage95,
+        _surprise(found),
+    )
+
+
+def true_error(model: Augmented, clean: Recording) -> float:
+    """Return the rms over a recording without noise of what a model leaves of the output errors, rad/s."""
+    (run,) = runs_of(clean, 0.02)[0]  # short enough for tones
+    left = [run.z_rps[:, i] - model.predict(run, 99, i)[0] for i in range(len(run.array))]
+    return float(np.sqrt(np.mean(np.square(left))))
+
+
+def _surprise(found: Investigation) -> float:
+    return found.improvement.ratio if found.improvement else 1.0
+
+
+def run_cases(
+    cases: Sequence[Case], *, scheduler: str | None = None, workers: int | None = None, quiet: bool = False
+) -> tuple[list[Ended], tuple[Failure, ...]]:
+    """Return what came of each case, and the cases that failed."""
+    ended, failures = run_all(
+        partial(end_of), cases, label="cases", scheduler=scheduler, workers=workers, quiet=quiet, name_of=str
+    )
+    return [e for e in ended if e is not None], tuple(failures)
