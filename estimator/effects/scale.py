@@ -60,3 +60,20 @@ def scale_cubic() -> Effect:
         confused_with=("scale_quadratic",),
         regressors=columns,
     )
+
+
+def dead_band(width_rps: float) -> Effect:
+    """Return a gyro that does not answer rates within a band: -u where abs(u) is at most ``width_rps``."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        u = conditions.w_rps @ axes.p
+        return np.asarray(np.where(np.abs(u) <= width_rps, -u, 0.0))
+
+    return Effect(
+        "dead_band",
+        (Parameter("share of the rate that is lost", "1", 1.0),),
+        shared=False,
+        shown_by="slow turns and ramps through zero",
+        confused_with=("scale_asymmetry",),
+        regressors=columns,
+    )

@@ -35,8 +35,8 @@ class Part:
 class Augmented:
     """States and effects of the gyros ``names`` (n).
 
-    By gyro ``mean`` (n, c) and ``covariance`` (n, c, c) of [k, b, s_j, s_k, own effects, shared effects], the effects in
-    shares of their largest plausible size; ``parts`` in the order own, shared. ``prior`` (n, 4) is the data sheet's,
+    By gyro ``mean`` (n, c) and ``covariance`` (n, c, c) of [k, b, s_j, s_k, own effects, shared effects], the effects
+    in shares of their largest plausible size; ``parts`` in the order own, shared. ``prior`` (n, 4) is the data sheet's,
     ``arw`` (n,), ``instability``, ``walk``: the noise, the latter two over the angle random walk.
     """
 
@@ -90,7 +90,7 @@ class Augmented:
             if part.candidate.name.startswith(TONE):
                 columns.append(self._waves(part, run, number))
             else:
-                columns.append(part.candidate.columns(run, number, gyro))
+                columns.append(part.candidate.columns(run, gyro))
         return np.hstack(columns)
 
     def predict(self, run: Run, number: int, gyro: int) -> tuple[Floats, Floats]:

@@ -12,7 +12,7 @@ from estimator.effects.conditions import Conditions
 from estimator.effects.drift import bias_drift, bias_step, warm_up
 from estimator.effects.dynamics import acceleration_sensitivity, bandwidth, latency
 from estimator.effects.effect import Axes, Effect, Parameter
-from estimator.effects.scale import scale_asymmetry, scale_cubic, scale_quadratic
+from estimator.effects.scale import dead_band, scale_asymmetry, scale_cubic, scale_quadratic
 from estimator.effects.site import earth_rate, g_sensitivity
 from estimator.effects.table import table_axes, table_harmonic
 from estimator.effects.thermal import thermal_bias, thermal_bias_quadratic, thermal_gradient, thermal_scale
@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 
 HARMONICS = (1, 2, 4)
 _OTHER_ORDERS = (3, 5, 6)
+_HELD = 6.0  # log odds of the delay of held samples against another delay: that they are held is seen in them
 _PICKED_UP = float(np.radians(0.5))
 _LAGS_S = (15.0, 40.0, 120.0)
 
@@ -32,8 +33,8 @@ class Candidate:
     """Something to try. ``name`` is unique, ``effect`` what it is called in results.
 
     ``depends_on`` is set for general dependences: they prove that something is there, not what. ``theta`` holds the
-    value of what is not linear, ``of`` makes the effect anew for another; ``start`` (and ``run`` for a step) lists where to
-    begin looking. ``log_prior`` is the logarithm of its share of the expectation.
+    value of what is not linear, ``of`` makes the effect anew for another; ``start`` lists where to begin looking, and
+    ``run`` is the recording that a step is in. ``log_prior`` is the logarithm of its share of the expectation.
     """
 
     name: str
@@ -56,11 +57,10 @@ class Candidate:
         """Largest plausible size of each parameter (p,)."""
         return np.array([p.largest for p in self.effect.parameters])
 
-    def columns(self, run: Run, number: int, gyro: int) -> Floats:
-        """Return the scaled columns (b, p) of gyro ``gyro`` of run ``number``."""
-        if self.run is not None and number != self.run:
-            b = len(run.t_s)
-            return np.full((b, 1), float(number > self.run)) * self.largest
+    def columns(self, run: Run, gyro: int) -> Floats:
+        """Return the scaled columns (b, p) of gyro number ``gyro`` of a run. A step stays for all later recordings."""
+        if self.run is not None and run.order != self.run:
+            return np.full((len(run.t_s), 1), float(run.order > self.run)) * self.largest
         return run.columns(self.effect, gyro) * self.largest
 
 
@@ -70,7 +70,7 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
     gimbals = runs[0].grid.gimbals
     span_s = max(float(run.t_s[-1] - run.t_s[0]) for run in runs)
     left_out: dict[str, str] = {}
-    listed = [c for c in _catalogue(runs, gimbals, span_s)]
+    listed = _catalogue(runs, gimbals, span_s)
     chosen = []
     for candidate in listed:
         missing = candidate.effect.needs - offers
@@ -86,7 +86,7 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
                 left_out[candidate.called] = "the temperature does not change"
     count = len({c.called for c in chosen})
     of_kind = {c.called: sum(o.called == c.called for o in chosen) for c in chosen}
-    chosen = [replace(c, log_prior=-np.log(count) - np.log(of_kind[c.called])) for c in chosen]
+    chosen = [replace(c, log_prior=c.log_prior - np.log(count) - np.log(of_kind[c.called])) for c in chosen]
     return [*chosen, *_general(offers, gimbals, count)], left_out
 
 
@@ -107,6 +107,20 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
         acceleration_sensitivity(),
     ]
     found = [Candidate(effect.name, effect, 0.0) for effect in plain]
+    if any(run.held > 1 for run in runs):
+        found.append(Candidate("sample_hold", replace(latency(), name="sample_hold"), _HELD))
+    bands = np.radians(np.geomspace(0.01, 3.0, 12))
+    found.append(
+        Candidate(
+            "dead_band",
+            dead_band(float(bands[6])),
+            0.0,
+            theta=float(bands[6]),
+            of=dead_band,
+            start=bands,
+            log_tries=1.5,
+        )
+    )
     if gimbals:
         found.append(Candidate("table_axes", table_axes(gimbals), 0.0))
         for order in HARMONICS:
@@ -125,18 +139,18 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
     found.append(
         Candidate("warm_up", warm_up(float(taus[4])), 0.0, theta=float(taus[4]), of=warm_up, start=taus, log_tries=1.5)
     )
-    for number, run in enumerate(runs):
+    for run in {run.order: run for run in runs}.values():
         times = np.arange(run.t_s[0] + 4.0, run.t_s[-1] - 4.0, 3.0)
         if len(times):
             found.append(
                 Candidate(
-                    f"bias_step {number}",
+                    f"bias_step {run.order}",
                     bias_step(float(times[len(times) // 2])),
                     0.0,
                     theta=float(times[len(times) // 2]),
                     of=bias_step,
                     start=times,
-                    run=number,
+                    run=run.order,
                     log_tries=float(np.log(len(times))),
                 )
             )

@@ -16,6 +16,7 @@ from estimator.tracing.spectra import GyroSpectra, NoiseShapes, Z
 
 Floats = NDArray[np.float64]
 
+_MATTERS = 9.0  # natural logarithm of how much less probable than the best a noise model may be and still count
 SCALES = np.array([10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001])
 """Scales of an effect's parameters, as shares of the largest plausible size; none is preferred."""
 _STATES = slice(0, 4)
@@ -68,6 +69,16 @@ class Evidence:
         keep = [[n for n, s in enumerate(g.stretches) if parts is None or s.run in parts] for g in gyros]
         self._keep = [part for part in keep if part]
         self.gyros = [g for g, part in zip(gyros, keep, strict=True) if part]
+        self._all = shapes
+        self.refresh()
+
+    def narrow(self, models: Sequence[Sequence[Term]]) -> None:
+        """Keep the noise models that matter beside one of some sets of terms, and a few between them."""
+        keep = (self._all.walk == 0) & (self._all.turn_on == np.median(self._all.turn_on))
+        for terms in models:
+            log = self.by_noise(terms) + self.shapes.log_prior
+            keep |= log > log.max() - _MATTERS
+        self.shapes = self._all.select(keep)
         self.refresh()
 
     def refresh(self) -> None:
@@ -111,18 +122,18 @@ class Evidence:
         matter = np.flatnonzero(weight > 1e-4)
         weight = weight[matter] / weight[matter].sum()
         own, shared = _split(terms)
-        own_columns = [*range(4), *(c for t in own for c in t.columns)]
-        shared_columns = [c for t in shared for c in t.columns]
-        h = len(shared_columns)
+        own_columns = np.array([*range(4), *(c for t in own for c in t.columns)])
+        rest_columns = np.array([*(c for t in shared for c in t.columns), Z])
+        h = len(rest_columns) - 1
         shared_precision = np.diag(_precision(shared))
         total = np.zeros((len(matter), h + 1, h + 1))
         kept = []
         for gyro, gram in zip(self.gyros, self.grams, strict=True):
             precision = np.diag(np.concatenate([1 / gyro.prior, _precision(own)]))
             inner = np.linalg.inv(gram[np.ix_(matter, own_columns, own_columns)] + precision)
-            across = gram[np.ix_(matter, own_columns, [*shared_columns, Z])]
+            across = gram[np.ix_(matter, own_columns, rest_columns)]
             gain = inner @ across
-            rest = gram[np.ix_(matter, [*shared_columns, Z], [*shared_columns, Z])]
+            rest = gram[np.ix_(matter, rest_columns, rest_columns)]
             total += rest - across.transpose(0, 2, 1) @ gain
             kept.append((inner, gain))
         shared_covariance = np.linalg.inv(total[:, :h, :h] + shared_precision)

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from estimator.recording import Recording
 from estimator.tracing.augmented import TONE, Augmented, Part
-from estimator.tracing.candidates import Candidate, candidates_of
+from estimator.tracing.candidates import candidates_of
 from estimator.tracing.evidence import Evidence, Term
+from estimator.tracing.faults import Fault
 from estimator.tracing.investigation import (
     Added,
     Errors,
@@ -69,25 +70,25 @@ def investigate(
     """
     tell = progress or (lambda share, what: None)
     tell(0.0, "reading")
-    runs, notes = _all_runs(recordings)
-    held_back, more = _all_runs(verification) if verification else ([], [])
+    runs, notes, faults = _all_runs(recordings)
+    held_back, more, _ = _all_runs(verification, len(recordings))
     notes += more
-    _same(recordings, verification)
+    _same(recordings, verification, runs, held_back)
     tell(0.1, "residual")
     traced, left_out = _trace(runs, most_effects, lambda share: tell(0.1 + 0.6 * share, "tracing"))
     tell(0.75, "before and after")
-    return _conclude(traced, held_back, left_out, notes, most_effects, verification)
+    return _conclude(traced, held_back, left_out, notes, faults, most_effects, verification)
 
 
 def fit_known(recordings: Sequence[Recording], effects: Sequence[str]) -> Augmented:
-    """Return the model with these effects of the catalogue, estimated on all recordings without asking whether they are.
+    """Return the model with these effects of the catalogue, estimated on all recordings, whether they are there or not.
 
-    Of effects that come in several kinds (a harmonic's axis and order, the run of a step) the most telling one is taken.
+    Of effects that come in several kinds (a harmonic's axis and order) the most telling one is taken.
 
     Raises InvestigationError for an effect that the catalogue does not hold or the recordings cannot show.
     """
-    runs, _ = _all_runs(recordings)
-    traced, left_out = _prepared(runs)
+    runs = _all_runs(recordings)[0]
+    traced, left_out = _prepared(runs, effects)
     choices: list[Choice] = []
     for effect in effects:
         if effect in left_out:
@@ -97,24 +98,31 @@ def fit_known(recordings: Sequence[Recording], effects: Sequence[str]) -> Augmen
     return _model(traced, choices, traced.search.evidence.noise_weight([c.term for c in choices]))
 
 
-def _all_runs(recordings: Sequence[Recording]) -> tuple[list[Run], list[str]]:
+def _all_runs(
+    recordings: Sequence[Recording], first: int = 0, block_s: float = BLOCK_S
+) -> tuple[list[Run], list[str], list[Fault]]:
     runs: list[Run] = []
     notes: list[str] = []
-    for recording in recordings:
-        own, said = runs_of(recording)
+    faults: list[Fault] = []
+    for order, recording in enumerate(recordings, first):
+        own, said, found = runs_of(recording, block_s, order)
         runs += own
         notes += said
-    return runs, notes
+        faults += found
+    return runs, notes, faults
 
 
-def _same(recordings: Sequence[Recording], verification: Sequence[Recording]) -> None:
-    first = runs_of(recordings[0])[0]
-    for other in [*recordings[1:], *verification]:
-        difference = same_devices(first, runs_of(other)[0])
+def _same(
+    recordings: Sequence[Recording], verification: Sequence[Recording], runs: Sequence[Run], held_back: Sequence[Run]
+) -> None:
+    first = [run for run in runs if run.order == 0]
+    for order, other in enumerate([*recordings, *verification]):
+        difference = same_devices(first, [run for run in (*runs, *held_back) if run.order == order])
         if difference:
-            kind = "verification run" if other in verification else "recording"
+            kind = "recording" if order < len(recordings) else "verification run"
             raise InvestigationError(
-                f"{other.name} is of another device than {recordings[0].name}: {difference}; give a {kind} of the same gyros"
+                f"{other.name} is of another device than {recordings[0].name}: {difference}; "
+                f"give a {kind} of the same gyros"
             )
 
 
@@ -125,12 +133,12 @@ def _trace(
     return replace(traced, found=traced.search.run(most, tell)), left_out
 
 
-def _prepared(runs: Sequence[Run]) -> tuple[Traced, dict[str, str]]:
+def _prepared(runs: Sequence[Run], only: Sequence[str] | None = None) -> tuple[Traced, dict[str, str]]:
     spectra = gyro_spectra(runs)
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
     search = Search(runs, spectra, Evidence(spectra, NoiseShapes.over(span_s)))
     candidates, left_out = candidates_of(runs)
-    search.add(candidates)
+    search.add([c for c in candidates if only is None or c.called in only])
     return Traced(list(runs), spectra, search, Found((), (), ())), left_out
 
 
@@ -139,6 +147,7 @@ def _conclude(
     held_back: Sequence[Run],
     left_out: dict[str, str],
     notes: list[str],
+    faults: Sequence[Fault],
     most: int,
     verification: Sequence[Recording],
 ) -> Investigation:
@@ -159,9 +168,12 @@ def _conclude(
         reason = "these recordings cannot tell apart " + "; nor ".join(" and ".join(names) for names in rivals)
     elif general:
         finding = Finding.UNEXPLAINED
-        reason = f"the residual depends on {general[0].candidate.depends_on}, and no effect of the catalogue explains it"
-    elif certain:
-        finding, reason = Finding.ADDED, "added " + ", ".join(c.candidate.called for c in certain)
+        reason = (
+            f"the residual depends on {general[0].candidate.depends_on}, and no effect of the catalogue explains it"
+        )
+    elif certain or _faulty(faults):
+        names = [a.effect for a in _faulty(faults)] + [c.candidate.called for c in certain]
+        finding, reason = Finding.ADDED, "added " + ", ".join(names)
     else:
         finding, reason = Finding.NOTHING, "the residual is that of the noise"
     if held_back and finding in (Finding.NOTHING, Finding.ADDED) and judged.surprise > _SURPRISED:
@@ -177,13 +189,13 @@ def _conclude(
     for choice in certain:
         if choice.candidate.name.startswith(TONE) and len(choice.term.columns) > 2:
             notes.append(
-                f"the tone at {choice.candidate.theta:.3f} Hz has another phase in each run: it is known, but cannot be "
-                "taken off the rates of another run"
+                f"the tone at {choice.candidate.theta:.3f} Hz has another phase in each run: it is known, but cannot "
+                "be taken off the rates of another run"
             )
     return Investigation(
         finding,
         reason,
-        tuple(_added(traced, choice, after, weight) for choice in certain),
+        (*_faulty(faults), *(_added(traced, choice, after, weight) for choice in certain)),
         tuple(rivals),
         unexplained,
         judged.before,
@@ -198,6 +210,16 @@ def _conclude(
         judged.views,
         after,
     )
+
+
+def _faulty(faults: Sequence[Fault]) -> list[Added]:
+    """Return faults of the data as effects: they are seen in the samples, and what they spoil is left out."""
+    found = []
+    for kind in dict.fromkeys(fault.kind for fault in faults if fault.kind != "sample_hold"):
+        own = [fault for fault in faults if fault.kind == kind]
+        parameters = {f"{f.gyro} {name}": Value(value, 0.0, unit) for f in own for name, value, unit in f.values}
+        found.append(Added(kind, tuple(dict.fromkeys(f.gyro for f in own)), 1.0, parameters))
+    return found
 
 
 def _model(traced: Traced, choices: Sequence[Choice], weight: Floats) -> Augmented:
@@ -228,7 +250,7 @@ def _judged(
     fine_s = min([BLOCK_S, *(1 / (_TONE_BLOCKS * hz) for hz in tones)])
     runs: list[Run] = list(held_back)
     if fine_s < BLOCK_S:
-        runs = [run for recording in verification for run in runs_of(recording, fine_s)[0]]
+        runs = _all_runs(verification, held_back[0].order, fine_s)[0]
     return judge(runs, len(traced.runs), before, after, held_back=True)
 
 
@@ -311,12 +333,12 @@ def _added(traced: Traced, choice: Choice, model: Augmented, weight: Floats) -> 
     parameters: dict[str, Value] = {}
     shown = []
     for g, name in enumerate(model.names):
-        mean, sd = model.mean[g, where], np.sqrt(np.diag(model.covariance[g, where, where]))
-        if np.any(np.abs(mean) > _SHOWN * sd):
+        mean, doubts = model.mean[g, where], np.sqrt(np.diag(model.covariance[g, where, where]))
+        if np.any(np.abs(mean) > _SHOWN * doubts):
             shown.append(name)
         if shared and g:
             continue
-        for i, (value, doubt) in enumerate(zip(mean, sd, strict=True)):
+        for i, (value, doubt) in enumerate(zip(mean, doubts, strict=True)):
             parameter = effect.parameters[i % len(effect.parameters)]
             size = parameter.largest
             label = parameter.name if shared else f"{name} {parameter.name}"

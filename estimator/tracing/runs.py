@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from estimator.model import Prior, regressor_maps
 from estimator.recording import ImuData, Recording
 from estimator.reference import AttitudeReadings, BodyRates, TableReadings, Turns
 from estimator.rows import MEAN_S, observations
+from estimator.tracing.faults import Fault, held_samples, saturations, split_faulty, without_stuck
 from estimator.tracing.investigation import InvestigationError
 
 Floats = NDArray[np.float64]
@@ -36,10 +38,11 @@ _SMOOTH_S = 0.2  # accelerometers also feel vibration
 class Run:
     """One source of one recording, as means over blocks of ``length_s``.
 
-    ``t_s`` (b,) is the middle of each block on the recording's clock, ``w_rps`` (b, 3) and ``z_rps`` (b, m) are means of
-    body rate and output error, ``weight`` (b,) is 1, or 0 for blocks that hold too few samples. ``grid`` are the
+    ``t_s`` (b,) is the middle of each block on the recording's clock, ``w_rps`` (b, 3) and ``z_rps`` (b, m) are means
+    of body rate and output error, ``weight`` (b,) is 1, or 0 for blocks that hold too few samples. ``grid`` are the
     conditions at even instants, ``fold`` takes columns on that grid (N, c) to block means (b, c). ``stretch`` (b,)
-    numbers stretches without a gap; blocks are evenly spaced within each.
+    numbers stretches without a gap; blocks are evenly spaced within each. ``order`` is the number of the recording
+    among all that are looked at, ``held`` for how many samples each value is held.
     """
 
     name: str
@@ -55,6 +58,8 @@ class Run:
     fold: Callable[[Floats], Floats]
     recording: Recording
     period_s: float
+    order: int
+    held: int
 
     @property
     def array(self) -> SensorArray:
@@ -73,17 +78,17 @@ class Run:
     def state_columns(self) -> Floats:
         """Return the regressors (m, b, 4) of the states of every gyro."""
         one = np.column_stack([np.ones(len(self.t_s)), self.w_rps])
-        return np.einsum("bj,mij->mbi", one, regressor_maps(self.array))
+        return np.asarray(np.einsum("bj,mij->mbi", one, regressor_maps(self.array)))
 
     def stretches(self) -> list[slice]:
         """Return the blocks of each stretch."""
         edges = np.flatnonzero(np.diff(self.stretch)) + 1
         starts = np.concatenate([[0], edges, [len(self.stretch)]])
-        return [slice(int(a), int(b)) for a, b in zip(starts[:-1], starts[1:], strict=True)]
+        return [slice(int(a), int(b)) for a, b in pairwise(starts.tolist())]
 
 
-def runs_of(recording: Recording, block_s: float = BLOCK_S) -> tuple[list[Run], list[str]]:
-    """Return the sources of a recording that can be traced, and notes on what was left out.
+def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> tuple[list[Run], list[str], list[Fault]]:
+    """Return the sources of a recording that can be traced, notes on what was left out, and faults of the data.
 
     Blocks last ``block_s``, longer in long recordings.
 
@@ -97,12 +102,26 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S) -> tuple[list[Run], 
     fine = isinstance(recording.reference, TableReadings)
     runs: list[Run] = []
     notes: list[str] = []
-    for source, data in recording.sources.items():
+    faults: list[Fault] = []
+    names = [name for data in recording.sources.values() for name in data.array.names]
+    for source, original in recording.sources.items():
+        data = original
+        if len(set(names)) < len(names):
+            data = replace(data, array=replace(data.array, names=tuple(f"{source} {n}" for n in data.array.names)))
+        held = held_samples(data) if fine else 1
+        if held > 1:
+            values = (("samples", float(held), "1"), ("delay", _hold_delay_s(data, held), "s"))
+            faults += [Fault("sample_hold", name, values) for name in data.array.names]
+        elif fine:
+            data, stuck = without_stuck(data)
+            faults += stuck
         found = usable(data, fine=fine)
+        faults += saturations(found.notes, data)
         notes += [f"{recording.name}: {note}" for note in found.notes]
         notes += [f"{recording.name}: {e.name} is left out: {e.reason}" for e in found.excluded]
-        for number, part in enumerate(found.parts):
-            run = _run(recording, source if not number else f"{source} ({number + 1})", part, block_s)
+        for number, part in enumerate(p for whole in found.parts for p in split_faulty(whole)):
+            label = source if not number else f"{source} ({number + 1})"
+            run = _run(recording, label, part, block_s, order, held)
             if run is not None:
                 runs.append(run)
     if not runs:
@@ -110,10 +129,15 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S) -> tuple[list[Run], 
             f"{recording.name}: too little data: no source has {_FEWEST_BLOCKS * BLOCK_S:g} s of samples that the "
             "reference covers"
         )
-    return runs, notes
+    return runs, notes, faults
 
 
-def _run(recording: Recording, source: str, data: ImuData, block_s: float) -> Run | None:
+def _hold_delay_s(data: ImuData, held: int) -> float:
+    """Return by how much held samples lag on the average."""
+    return 0.5 * (held - 1) * float(np.median(np.diff(data.t_ns))) * 1e-9
+
+
+def _run(recording: Recording, source: str, data: ImuData, block_s: float, order: int, held: int) -> Run | None:
     blocks = _blocks(recording, data, block_s)
     if len(blocks.index) < _FEWEST_BLOCKS:
         return None
@@ -125,7 +149,7 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float) -> Ru
     w[where], z[where] = blocks.w_rps, blocks.z_rps
     weight[where[good]] = 1.0
     origin_s = _origin_ns(recording, data) * 1e-9
-    t_s = origin_s + (index + 0.5) * blocks.length_s
+    t_s = np.asarray(origin_s + (index + 0.5) * blocks.length_s, dtype=np.float64)
     steps = max(round(blocks.length_s / _GRID_S), 1)
     offsets = (np.arange(steps) + 0.5) / steps * blocks.length_s
     grid_s = (t_s[:, None] - 0.5 * blocks.length_s + offsets).ravel()
@@ -145,6 +169,8 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float) -> Ru
         lambda columns: columns.reshape(b, steps, -1).mean(axis=1),
         recording,
         blocks.period_s,
+        order,
+        held,
     )
 
 
@@ -182,7 +208,7 @@ def _conditions(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floa
     temperature = None
     if data.temperature_c is not None and np.isfinite(data.temperature_c).any():
         known = np.isfinite(data.temperature_c)
-        temperature = _smooth_temperature(data.t_ns[known] * 1e-9, data.temperature_c[known], grid_s)
+        temperature = _smooth_temperature(_seconds(data.t_ns[known]), data.temperature_c[known], grid_s)
     reference = recording.reference
     if isinstance(reference, TableReadings):
         angle, rate, acceleration = _gimbals(reference, grid_s)
@@ -200,6 +226,10 @@ def _conditions(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floa
     none = np.empty((len(grid_s), 0))
     force = _force(recording, data, grid_s)
     return Conditions(grid_s, w, wdot, none, none, none, (), force, temperature, recording.site)
+
+
+def _seconds(t_ns: Stamps) -> Floats:
+    return np.asarray(t_ns * 1e-9, dtype=np.float64)
 
 
 def _gimbals(reference: TableReadings, grid_s: Floats) -> tuple[Floats, Floats, Floats]:
@@ -269,4 +299,3 @@ def same_devices(first: Sequence[Run], other: Sequence[Run]) -> str:
     if all(devices) and devices[0] != devices[1]:
         return f"devices {', '.join(sorted(devices[0]))} and {', '.join(sorted(devices[1]))}"
     return ""
-

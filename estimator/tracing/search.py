@@ -23,6 +23,7 @@ _SET = 0.99  # rivals are as many as share this probability
 _ROUNDS = 12
 _STOP_LOG_PRIOR = 0.0  # nothing more: as likely as all effects together, several times over
 _REFINE = 18
+_RICH = 0.1  # scale of all effects at once, when it is asked what the noise may be
 _TONE = "tone"
 _MOST_TONES = 3
 _GOLDEN = (np.sqrt(5) - 1) / 2
@@ -62,9 +63,13 @@ class Search:
         self._known: dict[str, tuple[Candidate, Term]] = {}
         self._samples = [samples_of(run) for run in runs]
         self._tones: list[tuple[Choice, ToneFound]] = []
+        self._scored: dict[tuple[tuple[tuple[int, ...], float], ...], dict[str, tuple[float, Term]]] = {}
+        self._turned: dict[tuple[str, float, str], Floats] = {}
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Bring in candidates: their columns are worked out for every gyro."""
+        fresh = not self._known
+        self._scored.clear()
         start = self._spectra[0].columns[0].shape[1]
         for spectra in self._spectra:
             spectra.add(self._columns(spectra, candidates))
@@ -79,6 +84,9 @@ class Search:
             self._known[candidate.name] = (candidate, term)
             start += p
         self.evidence.refresh()
+        if fresh:
+            rich = [term.scaled(_RICH) for c, term in self._known.values() if not c.depends_on and not term.shared]
+            self.evidence.narrow([[], rich])
 
     def run(self, most: int, progress: Callable[[float], None] | None = None) -> Found:
         """Return the most probable model of at most so many effects."""
@@ -169,6 +177,7 @@ class Search:
                 parts.append(whole[stretch.blocks])
             gyro.add(parts)
         self.evidence.refresh()
+        self._scored.clear()
         candidate = Candidate(
             f"{_TONE} {tone.frequency_hz:.4f} Hz",
             effect,
@@ -182,11 +191,18 @@ class Search:
 
     def _scores(self, terms: Sequence[Term], chosen: Sequence[str]) -> dict[str, tuple[float, Term]]:
         """Return for each candidate not chosen its log evidence with its prior, and its term at its best scale."""
+        key = tuple((t.columns, t.scale) for t in terms)
+        if key not in self._scored:
+            self._scored[key] = self._score(terms)
+        return {name: score for name, score in self._scored[key].items() if name not in chosen}
+
+    def _score(self, terms: Sequence[Term]) -> dict[str, tuple[float, Term]]:
         shared = [t for t in terms if t.shared]
         base = Base(self.evidence, [t for t in terms if not t.shared])
         found = {}
+        taken = {t.name for t in terms}
         for name, (candidate, term) in self._known.items():
-            if name not in chosen:
+            if name not in taken:
                 value, scaled = base.with_term(shared, term)
                 found[name] = (value + candidate.log_prior, scaled)
         return found
@@ -262,7 +278,8 @@ class Search:
         candidate = choice.candidate
         if candidate.of is None or candidate.theta is None or candidate.start is None:
             return 0.0
-        scan = _Scan(self._runs, self._spectra, self.evidence, [t for t in terms if t.name != candidate.name])
+        others = [t for t in terms if t.name != candidate.name]
+        scan = _Scan(self._runs, self._spectra, self.evidence, others, {})
         top = scan.gain(candidate)
         step = 0.02 * candidate.theta
         while step < candidate.theta:
@@ -307,7 +324,7 @@ class Search:
             if stretch.run not in whole:
                 run = self._runs[stretch.run]
                 gyro = run.array.names.index(spectra.name)
-                columns = [candidate.columns(run, stretch.run, gyro) for candidate in candidates]
+                columns = [candidate.columns(run, gyro) for candidate in candidates]
                 whole[stretch.run] = np.hstack(columns) * run.weight[:, None]
             parts.append(whole[stretch.run][stretch.blocks])
         return parts
@@ -317,7 +334,7 @@ class Search:
         open_ones = [c for c, _ in self._known.values() if c.of is not None and c.name not in chosen]
         if not open_ones:
             return
-        scan = _Scan(self._runs, self._spectra, self.evidence, terms)
+        scan = _Scan(self._runs, self._spectra, self.evidence, terms, self._turned)
         renewed = []
         for candidate in open_ones:
             if candidate.start is None or candidate.of is None:
@@ -359,17 +376,25 @@ class _Scan:
     """What is left of each gyro beside a model, whitened: how much an effect would take of it."""
 
     def __init__(
-        self, runs: Sequence[Run], spectra: Sequence[GyroSpectra], evidence: Evidence, terms: Sequence[Term]
+        self,
+        runs: Sequence[Run],
+        spectra: Sequence[GyroSpectra],
+        evidence: Evidence,
+        terms: Sequence[Term],
+        turned: dict[tuple[str, float, str], Floats],
     ) -> None:
+        """``turned`` keeps the cosines of columns from one scan to the next."""
+        self._kept = turned
         weight = evidence.by_noise(terms) + evidence.shapes.log_prior
         best = int(np.argmax(weight))
         columns = [*range(4), *(c for t in terms for c in t.columns)]
         self._runs, self._spectra = runs, spectra
         self._roots, self._bases, self._rest = [], [], []
         for gyro in spectra:
-            root = np.concatenate(
-                [np.sqrt(s.length_s / evidence.shapes.density(s)[best][s.band]) for s in gyro.stretches]
-            ) / gyro.arw
+            root = (
+                np.concatenate([np.sqrt(s.length_s / evidence.shapes.density(s)[best][s.band]) for s in gyro.stretches])
+                / gyro.arw
+            )
             lengths = np.concatenate([np.full(len(s.band), s.length_s) for s in gyro.stretches])
             whole = np.vstack(gyro.columns) * (root * gyro.arw / np.sqrt(lengths))[:, None]
             basis, _ = np.linalg.qr(whole[:, columns])
@@ -378,16 +403,22 @@ class _Scan:
             self._bases.append(basis)
             self._rest.append(z - basis @ (basis.T @ z))
 
+    def _turn(self, candidate: Candidate, gyro: GyroSpectra) -> Floats:
+        key = candidate.name, float(candidate.theta or 0.0), gyro.name
+        if key not in self._kept:
+            parts = []
+            for stretch in gyro.stretches:
+                run = self._runs[stretch.run]
+                columns = candidate.columns(run, run.array.names.index(gyro.name))
+                parts.append(cosines((columns * run.weight[:, None])[stretch.blocks]))
+            self._kept[key] = np.vstack(parts)
+        return self._kept[key]
+
     def gain(self, candidate: Candidate) -> float:
         """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
         total = 0.0
         for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
-            parts = []
-            for stretch in gyro.stretches:
-                run = self._runs[stretch.run]
-                columns = candidate.columns(run, stretch.run, run.array.names.index(gyro.name))
-                parts.append(cosines((columns * run.weight[:, None])[stretch.blocks]))
-            new = np.vstack(parts) * root[:, None]
+            new = self._turn(candidate, gyro) * root[:, None]
             new = new - basis @ (basis.T @ new)
             own = new.T @ new
             right = new.T @ rest

@@ -76,10 +76,16 @@ class NoiseShapes:
         walk = np.concatenate([[0.0], np.geomspace(0.5, 40.0, 4) / span_s])
         turn_on = np.array([0.0, 0.5, 50.0])  # none beyond the wander, some, anything
         b, k, t = (part.ravel() for part in np.meshgrid(instability, walk, turn_on, indexing="ij"))
-        chance = np.where(b == 0, 0.4, 0.6 / 6) * np.where(k == 0, 0.6, 0.4 / 4) * np.array([0.45, 0.3, 0.25])[
-            np.searchsorted(turn_on, t)
-        ]
+        chance = (
+            np.where(b == 0, 0.4, 0.6 / 6)
+            * np.where(k == 0, 0.6, 0.4 / 4)
+            * np.array([0.45, 0.3, 0.25])[np.searchsorted(turn_on, t)]
+        )
         return cls(b, k, t, np.log(chance))
+
+    def select(self, keep: NDArray[np.bool_]) -> NoiseShapes:
+        """Return only these."""
+        return NoiseShapes(self.instability[keep], self.walk[keep], self.turn_on[keep], self.log_prior[keep])
 
     def density(self, stretch: Stretch) -> Floats:
         """Return the variance (G, bands) of a coefficient in each band over that of white noise."""
@@ -139,7 +145,7 @@ class GyroSpectra:
 
     def gram(self, densities: Sequence[Floats]) -> Floats:
         """Return the weighed products (G, c, c), summed over stretches of which the density (G, bands) is given."""
-        total = 0.0
+        total: Floats = np.zeros(())
         for products, density in zip(self.products, densities, strict=True):
             bands, c = products.shape[0], products.shape[1]
             total = total + (1 / density) @ products.reshape(bands, c * c)

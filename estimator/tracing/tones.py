@@ -19,7 +19,8 @@ Floats = NDArray[np.float64]
 
 _LOWEST_HZ = 0.05  # below it a tone is told from slow effects by them, not by its line
 _FLOOR_BINS = 60  # the noise about a line is the median over so many frequencies to each side
-_STEPS = 40
+_STEPS = 12
+_WORTH = 0.3
 _GOLDEN = (np.sqrt(5) - 1) / 2
 _FEWEST_CYCLES = 8
 
@@ -49,10 +50,11 @@ class ToneFound:
 def samples_of(run: Run) -> Samples:
     """Return the samples of a run that its reference covers."""
     recording = Recording({"it": run.data}, run.recording.reference, run.recording.site, path=run.recording.path)
-    t, z, w = [np.empty(0)], [np.empty((0, len(run.array)))], [np.empty((0, 3))]
+    t: list[Floats] = [np.empty(0)]
+    z, w = [np.empty((0, len(run.array)))], [np.empty((0, 3))]
     for part in observations(recording, "it"):
         if part.t_ns is not None:
-            t.append(part.t_ns * 1e-9)
+            t.append(np.asarray(part.t_ns * 1e-9, dtype=np.float64))
             z.append(part.y_rps - part.w_rps @ run.array.p.T)
             w.append(part.w_rps)
     return Samples(np.concatenate(t), np.vstack(z), np.vstack(w), run.array.names)
@@ -67,7 +69,7 @@ def tone_columns(frequency_hz: float, run: Run, samples: Samples) -> Floats:
     counts = np.bincount(number[inside], minlength=block[-1] + 1)
     phase = 2 * np.pi * frequency_hz * samples.t_s[inside]
     sums = [np.bincount(number[inside], f(phase), minlength=block[-1] + 1) for f in (np.cos, np.sin)]
-    return np.column_stack(sums)[block] / np.maximum(counts[block], 1)[:, None]
+    return np.asarray(np.column_stack(sums)[block] / np.maximum(counts[block], 1)[:, None])
 
 
 def tone_effect(frequency_hz: float) -> Effect:
@@ -102,6 +104,11 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
     if not usable.any():
         return None
     peak = int(np.flatnonzero(usable)[np.argmax(total[usable])])
+    from scipy.stats import gamma
+
+    amplitudes = sum(len(s.names) for s in samples)
+    if float(gamma.sf(total[peak], amplitudes)) * usable.sum() > _WORTH:
+        return None  # chance alone gives such a line: what follows costs more than the search for it
     width = 1 / span_s
     variances = [floor[peak] for floor in floors]
 
@@ -111,7 +118,7 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
     best: ToneFound | None = None
     tries = float(np.log(usable.sum() / 2))
     for locked in (True, False):
-        frequency = _peak(lambda f, way=locked: gain(f, way)[0], hz[peak] - width, hz[peak] + width)  # type: ignore[misc]
+        frequency = _peak(lambda f, way=locked: gain(f, way)[0], hz[peak] - width, hz[peak] + width)
         _, squares, information = gain(frequency, locked)
         value = _log_evidence(np.array(squares), np.array(information)) - tries - (0.0 if locked else 1.0)
         if best is None or value > best.log_evidence:
@@ -156,7 +163,7 @@ def _floor(power: Floats) -> Floats:
     coarse = median_filter(power[::4], size=(2 * _FLOOR_BINS // 2 + 1, 1), mode="nearest")
     at = np.arange(len(power)) / 4
     known = np.arange(len(coarse))
-    return np.column_stack([np.interp(at, known, c) for c in coarse.T]) / np.log(2) + 1e-30
+    return np.asarray(np.column_stack([np.interp(at, known, c) for c in coarse.T]) / np.log(2) + 1e-30)
 
 
 def _gain(
@@ -181,7 +188,7 @@ def _peak(function: object, low: float, high: float) -> float:
     values = [function(f) for f in grid.tolist()]
     best = int(np.argmax(values))
     a, b = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _STEPS - 1)])
-    for _ in range(25):
+    for _ in range(16):
         c, d = b - _GOLDEN * (b - a), a + _GOLDEN * (b - a)
         if function(c) > function(d):
             b = d

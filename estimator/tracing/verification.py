@@ -1,7 +1,7 @@
 """The error before and after, on runs used neither to fit nor to choose.
 
-A run is divided into phases: rests, ramps, steady rates. In each, what is left of a gyro's output error beside a model is
-projected on its mean and on the direction in which the two models differ; the rest of it is noise to both. These
+A run is divided into phases: rests, ramps, steady rates. In each, what is left of a gyro's output error beside a model
+is projected on its mean and on the direction in which the two models differ; the rest of it is noise to both. These
 projections say how wrong the compensated rate is in that phase, and whether its interval holds.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +83,7 @@ def phases_of(run: Run) -> list[Phase]:
         kind = np.full(len(run.t_s), 3)
     bounds = [0, *edges.tolist(), len(run.t_s)]
     names = ("rest", "ramp", "steady", "piece")
-    found = [Phase(slice(a, b), names[int(kind[a])]) for a, b in zip(bounds[:-1], bounds[1:], strict=True) if b > a]
+    found = [Phase(slice(a, b), names[int(kind[a])]) for a, b in pairwise(bounds) if b > a]
     least = {"rest": 5, "steady": 5, "piece": 5, "ramp": 1}
     return [p for p in found if p.blocks.stop - p.blocks.start >= least[p.kind]]
 

@@ -1,7 +1,7 @@
 """How often the station finds what twins were given and it was not told: power, false alarms, error against an oracle.
 
-Each case is three recordings of one device, made from the physics (the 360 s script, exploration, verification), with an
-effect that only the twin knows. Signs and sizes vary by gyro and seed.
+Each case is three recordings of one device, made from the physics (the 360 s script, exploration, verification), with
+an effect that only the twin knows. Signs and sizes vary by gyro and seed.
 """
 
 from __future__ import annotations
