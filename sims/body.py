@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,8 @@ _RIGHT = {
     "y": np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]], dtype=np.float64),
     "z": np.array([[0, 0, 0, 1], [0, 0, -1, 0], [0, 1, 0, 0], [-1, 0, 0, 0]], dtype=np.float64),
 }
-_ALL_RIGHT = np.hstack([_RIGHT[axis] for axis in "xyz"])
+_EACH_RIGHT = np.stack([_RIGHT[axis] for axis in "xyz"])
+_ALL_RIGHT = np.hstack(list(_EACH_RIGHT))
 
 
 class Body:
@@ -34,14 +35,18 @@ class Body:
         latitude_rad: float,
         heading_rad: float,
         earth_turns: bool = True,
+        directions: Mapping[str, Floats] | None = None,
     ) -> None:
         """Gimbals are named outermost first.
 
         ``angles(axis, t_s)`` gives an axis' true angles, now and to come by what it has been told; ``revision``
-        changes whenever it is told something else.
+        changes whenever it is told something else. ``directions`` are unit vectors (3,) of axes that at home are not
+        along the body axis they are named after.
         """
-        self._gimbals = tuple(gimbals)
+        self.gimbals = tuple(gimbals)
         self._angles = angles
+        tilted = {axis: np.tensordot(unit, _EACH_RIGHT, 1) for axis, unit in (directions or {}).items()}
+        self._right = {axis: tilted.get(axis, _RIGHT[axis]) for axis in gimbals}
         self._revision_of_angles = revision
         # The pole, seen from a base with z up and x at the heading: turn east about up by the heading.
         spin = 2 * math.pi / SIDEREAL_DAY_S if earth_turns else 0.0
@@ -63,13 +68,26 @@ class Body:
         half_turn = (before @ _ALL_RIGHT).reshape(n, 3, 4) @ after[:, :, None]
         return np.asarray(half_turn[:, :, 0] / _HALF_STEP_S)
 
+    def angle(self, axis: str, t_s: Floats) -> Floats:
+        """Return the true angle of an axis at each instant, (n,); 0 for an axis that is no gimbal."""
+        return self._angles(axis, t_s) if axis in self.gimbals else np.zeros(len(t_s))
+
+    def up(self, t_s: Floats) -> Floats:
+        """Return the unit vector up, which is the specific force at rest in g, in body axes at each instant, (n, 3)."""
+        w, x, y, z = self._turned(np.tile([1.0, 0.0, 0.0, 0.0], (len(t_s), 1)), t_s).T
+        return np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+
     def _attitude(self, t_s: Floats, origin_s: float) -> Floats:
         earth = 0.5 * self._spin * (t_s - origin_s)
         q = np.empty((len(t_s), 4))
         q[:, 0] = np.cos(earth)
         q[:, 1:] = np.sin(earth)[:, None] * self._pole
-        half = 0.5 * np.stack([self._angles(axis, t_s) for axis in self._gimbals])
+        return self._turned(q, t_s)
+
+    def _turned(self, q: Floats, t_s: Floats) -> Floats:
+        """Return attitudes (n, 4) turned by the gimbals."""
+        half = 0.5 * np.stack([self._angles(axis, t_s) for axis in self.gimbals])
         cos, sin = np.cos(half)[:, :, None], np.sin(half)[:, :, None]
-        for i, axis in enumerate(self._gimbals):
-            q = cos[i] * q + sin[i] * (q @ _RIGHT[axis])
+        for i, axis in enumerate(self.gimbals):
+            q = cos[i] * q + sin[i] * (q @ self._right[axis])
         return q

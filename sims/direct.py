@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 from sims.body import Body
 from sims.geometry import Mounting
 from sims.gyro import GyroArray, GyroTruth
+from sims.hidden.effects import Hidden
+from sims.hidden.table import TableFaults
 from sims.motion import AxisMotion
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _NO_LIMIT = 1e3
+_READ_EVERY_S, _TEMPERATURE_COUNT_C, _TEMPERATURE_NOISE_C = 1.0, 0.01, 0.005
+_OF_TEMPERATURE = 84  # a seed of its own, so that the gyros' noise does not depend on it
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +37,14 @@ class TimedMove:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DirectRun:
-    """Readings of the table (k, gimbals) and outputs of the gyros (n, m)."""
+    """Readings of the table (k, gimbals), outputs (n, m) and temperature readings (n,) of the gyros."""
 
     table_t_ns: Stamps
     angle_rad: Floats
     rate_rps: Floats
     t_ns: Stamps
     output_rps: Floats
+    temperature_c: Floats
 
 
 def direct_run(
@@ -56,25 +61,46 @@ def direct_run(
     table_rate_hz: float = 20.0,
     counts_per_turn: int = 65536,
     earth_turns: bool = True,
+    hidden: Hidden | None = None,
+    started_s: float = 0.0,
 ) -> DirectRun:
     """Return what a table that carries out these moves, and gyros on it, would report.
 
-    Angles are whole encoder counts; rates are exact, as a drive's own set-point is.
+    Angles are whole encoder counts; rates are exact, as a drive's own set-point is. The clock that temperature and
+    ``hidden`` effects follow stands at ``started_s`` when the run begins.
     """
+    table = hidden.table if hidden is not None else TableFaults()
     motions = {axis: AxisMotion(0.0, _NO_LIMIT, _NO_LIMIT) for axis in gimbals}
     for motion in motions.values():
         motion.keep_all()
     for move in moves:
         motions[move.axis].move(move.start_s, move.angle_rad, move.rate_rps, move.acceleration_rps2)
-    body = Body(gimbals, lambda axis, t: motions[axis].angles(t), lambda: 0, latitude_rad, heading_rad, earth_turns)
-    gyros = GyroArray(mounting, truth, body, rate_hz, seed)
+    body = Body(
+        gimbals,
+        lambda axis, t: table.true_angle(axis, motions[axis].angles(t)),
+        lambda: 0,
+        latitude_rad,
+        heading_rad,
+        earth_turns,
+        table.directions(gimbals),
+    )
+    gyros = GyroArray(mounting, truth, body, rate_hz, seed, hidden, started_s)
     t_s = np.arange(1, round(duration_s * rate_hz) + 1) / rate_hz
     output = gyros.sample_all(t_s)
     table_s = np.arange(round(duration_s * table_rate_hz) + 2) / table_rate_hz
     count = 2 * math.pi / counts_per_turn
     angle = np.column_stack([np.round(motions[g].angles(table_s) / count) * count for g in gimbals])
-    rate = np.column_stack([[motions[g].at(float(t))[1] for t in table_s] for g in gimbals])
-    return DirectRun(_ns(table_s), angle, rate, _ns(t_s), output)
+    rate = np.column_stack([motions[g].rates(table_s) for g in gimbals])
+    temperature = _read_temperature(gyros, t_s, (*seed, _OF_TEMPERATURE))
+    return DirectRun(_ns(table_s), angle, rate, _ns(t_s), output, temperature)
+
+
+def _read_temperature(gyros: GyroArray, t_s: Floats, seed: tuple[int, ...]) -> Floats:
+    """Return temperatures (n,) as a node tells them: read once a second, with a little noise, in whole counts."""
+    seconds, since = np.unique(np.floor(t_s / _READ_EVERY_S), return_inverse=True)
+    noise = _TEMPERATURE_NOISE_C * np.random.default_rng(seed).standard_normal(len(seconds))
+    read = gyros.temperatures_c(seconds * _READ_EVERY_S) + noise
+    return np.asarray((np.round(read / _TEMPERATURE_COUNT_C) * _TEMPERATURE_COUNT_C)[since])
 
 
 def _ns(t_s: Floats) -> Stamps:

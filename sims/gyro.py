@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 
 from sims.body import Body
 from sims.geometry import Mounting
+from sims.hidden.chain import GyroChain
+from sims.hidden.effects import Hidden
+from sims.hidden.scene import World
+from sims.hidden.temperature import Temperature
 
 Floats = NDArray[np.float64]
 
@@ -40,8 +44,20 @@ class GyroTruth:
 class GyroArray:
     """Rates that the gyros of one device put out, before its own quantisation."""
 
-    def __init__(self, mounting: Mounting, truth: GyroTruth, body: Body, rate_hz: float, seed: tuple[int, ...]) -> None:
-        """``seed`` makes the noise; the same seed gives the same samples."""
+    def __init__(
+        self,
+        mounting: Mounting,
+        truth: GyroTruth,
+        body: Body,
+        rate_hz: float,
+        seed: tuple[int, ...],
+        hidden: Hidden | None = None,
+        started_s: float = 0.0,
+    ) -> None:
+        """``seed`` makes the noise; the same seed gives the same samples.
+
+        The clock that temperature and hidden effects follow stood at ``started_s`` at the instant 0.
+        """
         self._truth = truth
         self._body = body
         tilt_j, tilt_k = truth.sigma_j_rad[:, None], truth.sigma_k_rad[:, None]
@@ -54,6 +70,15 @@ class GyroArray:
         self._wander = self._random.standard_normal((len(_CORRELATION_TIMES_S), m))
         self._walk_rps = np.zeros(m)
         self._period_s = 1 / rate_hz
+        self._started_s = started_s
+        self._temperature = (hidden and hidden.temperature) or Temperature(
+            truth.temperature_c, truth.warming_c, truth.warming_time_s
+        )
+        self._chain: GyroChain | None = None
+        if hidden is not None and hidden.of_gyros:
+            world = World(body, mounting, tilted, self._temperature, started_s)
+            self._chain = GyroChain(hidden.of_gyros, world, 1 - truth.k, self._period_s, seed)
+        self._been_t = np.empty(0)
         self._decays: dict[int, tuple[Floats, Floats]] = {}
         self._per_call = 0
         self._revision = -1
@@ -71,6 +96,9 @@ class GyroArray:
         elif self._body.revision != self._revision:
             self._work_out(self._ahead_t)
         out = self._ahead[:n] - self._ahead_noise[:n]
+        if self._chain is not None:
+            self._been_t = np.concatenate([self._been_t, self._ahead_t[:n]])
+            out = self._chain.put_out(self._ahead_t[:n], out)
         self._ahead, self._ahead_noise, self._ahead_t = self._ahead[n:], self._ahead_noise[n:], self._ahead_t[n:]
         return np.asarray(out)
 
@@ -82,8 +110,8 @@ class GyroArray:
         for start in range(0, len(t_s), _ROWS_AT_ONCE):  # attitudes take many times the room of outputs
             stop = min(start + _ROWS_AT_ONCE, len(t_s))
             white = self._white_rps * self._random.standard_normal((stop - start, out.shape[1]))
-            out[start:stop] = self._true_output(t_s[start:stop]) - wander[start:stop] - white
-        return out
+            out[start:stop] = self._true_output(t_s[start:stop], keep=True) - wander[start:stop] - white
+        return out if self._chain is None else self._chain.put_out(t_s, out)
 
     def _look_ahead(self, t_s: Floats) -> None:
         n = self._per_call = len(t_s)
@@ -95,10 +123,15 @@ class GyroArray:
         self._work_out(self._ahead_t)
 
     def _work_out(self, t_s: Floats) -> None:
-        self._ahead = self._true_output(t_s)
+        if self._chain is not None and self._chain.remembers and len(self._been_t):
+            self._chain.output(self._been_t, keep=True)  # what was worked out ahead may never have come
+        self._been_t = np.empty(0)
+        self._ahead = self._true_output(t_s, keep=False)
         self._revision = self._body.revision
 
-    def _true_output(self, t_s: Floats) -> Floats:
+    def _true_output(self, t_s: Floats, *, keep: bool) -> Floats:
+        if self._chain is not None:
+            return self._chain.output(t_s, keep=keep) - self._truth.b_rps
         return np.asarray(self._body.rate_rps(t_s) @ self._sensitivity.T - self._truth.b_rps)
 
     def _step_wander(self, samples: int) -> Floats:
@@ -119,5 +152,8 @@ class GyroArray:
 
     def temperature_c(self, t_s: float) -> float:
         """Return the temperature of the gyros."""
-        truth = self._truth
-        return truth.temperature_c + truth.warming_c * (1 - math.exp(-max(t_s, 0.0) / truth.warming_time_s))
+        return float(self.temperatures_c(np.array([t_s]))[0])
+
+    def temperatures_c(self, t_s: Floats) -> Floats:
+        """Return the temperature of the gyros at instants (n,)."""
+        return self._temperature.at(t_s + self._started_s)

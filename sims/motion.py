@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_KEEP_SEGMENTS = 16
+_KEEP_SEGMENTS = 64  # seconds of the past, which sensors with a delay look at
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +56,22 @@ class AxisMotion:
     def angles(self, t_s: Floats) -> Floats:
         """Return the angle at each instant (n,), in ascending order or not."""
         out = np.full(len(t_s), self._segments[0].angle_rad)
+        first_s = t_s.min()
         for segment, following in zip(self._segments, [*self._segments[1:], None], strict=True):
-            if segment.t_s == -math.inf or (following is not None and following.t_s <= t_s.min()):
+            if segment.t_s == -math.inf or (following is not None and following.t_s <= first_s):
                 continue
             dt = t_s - segment.t_s
             angle = segment.angle_rad + dt * (segment.rate_rps + 0.5 * segment.acceleration_rps2 * dt)
             out = np.where(dt >= 0, angle, out)
+        return np.asarray(out)
+
+    def rates(self, t_s: Floats) -> Floats:
+        """Return the rate at each instant (n,), in ascending order or not."""
+        out = np.full(len(t_s), self._segments[0].rate_rps)
+        for segment in self._segments:
+            if segment.t_s > -math.inf:
+                dt = t_s - segment.t_s
+                out = np.where(dt >= 0, segment.rate_rps + segment.acceleration_rps2 * dt, out)
         return np.asarray(out)
 
     def settled(self, t_s: float) -> bool:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sims.hidden.table import TableFaults
 from sims.motion import AxisMotion
 
 Floats = NDArray[np.float64]
@@ -25,10 +26,16 @@ class AxisData:
 
 
 class TableModel:
-    """Axes x, y, z as far as the table has them; angles are true angles from the mechanical home position."""
+    """Axes x, y, z as far as the table has them; angles are true angles from the mechanical home position.
 
-    def __init__(self, axes: Mapping[str, AxisData], clock: Callable[[], float]) -> None:
+    With ``faults`` an axis moves as its encoder sees it, and only ``angles`` are true.
+    """
+
+    def __init__(
+        self, axes: Mapping[str, AxisData], clock: Callable[[], float], faults: TableFaults | None = None
+    ) -> None:
         """Start at rest, each axis where it stands; ``clock`` gives seconds."""
+        self._faults = faults or TableFaults()
         self.clock = clock
         self.data = dict(axes)
         self.motion = {
@@ -42,7 +49,7 @@ class TableModel:
     def angles(self, axis: str, t_s: Floats) -> Floats:
         """Return the true angles of an axis; an axis that the table lacks stays at zero."""
         motion = self.motion.get(axis)
-        return np.zeros(len(t_s)) if motion is None else motion.angles(t_s)
+        return np.zeros(len(t_s)) if motion is None else self._faults.true_angle(axis, motion.angles(t_s))
 
     def revision(self) -> int:
         """Return a number that changes whenever an axis has been told something."""

@@ -91,11 +91,16 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class TwinConfig:
-    """What only twins read: seed, watchdog, and the table of truths, unread."""
+    """What only twins read: seed, watchdog, the table of truths, unread; what is hidden from the station.
+
+    Temperature and hidden effects follow a clock that stands at ``started_s`` when the loop's stands at 0.
+    """
 
     seed: int
     watchdog_s: float
     truths: Table
+    hidden: Path | None = None
+    started_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +138,7 @@ def load_bench(path: Path | None) -> Bench:
         table=_table(top.table("table"), folder),
         imus=tuple(_imu(t, folder) for t in top.tables("imu")),
         limits=_limits(top.table("limits", optional=True)),
-        twin=_twin(top.table("twin", optional=True)),
+        twin=_twin(top.table("twin", optional=True), folder),
     )
     top.done()
     names = [imu.name for imu in bench.imus]
@@ -220,7 +225,7 @@ def _axis(table: Table) -> AxisConfig:
 
 def _imu(table: Table, folder: Path) -> ImuConfig:
     name = table.string("name")
-    if name in ("table", "seed", "watchdog", "start", "fault"):
+    if name in ("table", "seed", "watchdog", "start", "fault", "hidden", "started"):
         raise table.fail("name", f"{name!r} means something else on a bench: take another name")
     protocol = table.string("protocol", one_of=("can", "stim300"))
     array_name, array = _array(table, name)
@@ -311,8 +316,10 @@ def _limits(table: Table) -> Limits:
     return limits
 
 
-def _twin(table: Table) -> TwinConfig:
+def _twin(table: Table, folder: Path) -> TwinConfig:
     seed = table.integer("seed", 0)
     if seed < 0:
         raise table.fail("seed", "must not be negative")
-    return TwinConfig(seed, table.quantity("watchdog", "time", 1.0), table)
+    watchdog_s = table.quantity("watchdog", "time", 1.0)
+    hidden = folder / table.string("hidden") if table.has("hidden") else None
+    return TwinConfig(seed, watchdog_s, table, hidden, table.quantity("started", "time", 0.0))

@@ -20,12 +20,13 @@ from drivers.seams import ByteLink, ImuSource, Turntable
 from drivers.stim300_imu import Stim300Imu
 from station.bench import Bench, ImuConfig
 from station.errors import BenchError
-from station.open_bench.simulate import DeviceTruth, simulate, simulate_bench
+from station.open_bench.simulate import DeviceTruth, Hidden, simulate, simulate_bench
 from station.open_bench.twins import Twins, serve_twins, wires
 
 __all__ = [
     "TWIN",
     "DeviceTruth",
+    "Hidden",
     "OpenBench",
     "OpenImu",
     "needs_only_memory",

@@ -18,9 +18,13 @@ from estimator.reference import TableReadings
 from sims.direct import TimedMove, direct_run
 from sims.geometry import MOUNTS_DEG, Mounting, mounted
 from sims.gyro import GyroTruth
+from sims.hidden import Hidden, HiddenError
 from station.bench import Bench
-from station.open_bench.twins import mounting_of, truth_of
+from station.errors import BenchError
+from station.open_bench.twins import hidden_of, mounting_of, truth_of
 from station.script import Move, Rest, Script
+
+__all__ = ["DeviceTruth", "Hidden", "simulate", "simulate_bench"]
 
 Floats = NDArray[np.float64]
 
@@ -54,10 +58,14 @@ def simulate(
     site: Site | None,
     gimbals: Sequence[str] = GIMBALS,
     earth_turns: bool = True,
+    hidden: Hidden | None = None,
+    started_s: float = 0.0,
 ) -> Recording:
     """Return the recording of a script on a table with these devices, each one source of its name.
 
-    Without ``earth_turns`` the data hold no Earth rate. The recording carries the site if there is one.
+    Without ``earth_turns`` the data hold no Earth rate. The recording carries the site if there is one, and nothing
+    of ``hidden``, which is what is wrong with devices and table. Its stamps begin at 0, when the clock that
+    temperature and hidden effects follow stands at ``started_s``: runs of one session follow each other.
     """
     mounts = {
         name: (
@@ -74,7 +82,7 @@ def simulate(
         )
         for name, d in devices.items()
     }
-    return _run(script, devices, mounts, seed, site, gimbals, earth_turns)
+    return _run(script, devices, mounts, seed, site, gimbals, earth_turns, hidden, started_s)
 
 
 def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
@@ -93,7 +101,11 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
         for imu in used
     }
     mounts = {imu.name: (mounting_of(imu), truth_of(truths, imu)) for imu in used}
-    recording = _run(script, devices, mounts, seed, bench.site, bench.table.gimbals, True)
+    hidden, started_s = hidden_of(bench), bench.twin.started_s
+    try:
+        recording = _run(script, devices, mounts, seed, bench.site, bench.table.gimbals, True, hidden, started_s)
+    except HiddenError as error:
+        raise BenchError(f"{bench.twin.hidden}: {error}") from None
     if isinstance(recording.reference, TableReadings):
         reference = replace(recording.reference, uncertainty=bench.table.uncertainty)
         recording = replace(recording, reference=reference)
@@ -108,6 +120,8 @@ def _run(
     site: Site | None,
     gimbals: Sequence[str],
     earth_turns: bool,
+    hidden: Hidden | None,
+    started_s: float,
 ) -> Recording:
     moves = _timed(script)
     latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
@@ -126,9 +140,17 @@ def _run(
             heading_rad=heading,
             rate_hz=device.rate_hz,
             earth_turns=earth_turns,
+            hidden=hidden.of_device(name) if hidden is not None else None,
+            started_s=started_s,
         )
         sources[name] = ImuData(
-            device.array, run.t_ns, run.output_rps, prior=device.prior, noise=device.stated, device=name
+            device.array,
+            run.t_ns,
+            run.output_rps,
+            temperature_c=run.temperature_c,
+            prior=device.prior,
+            noise=device.stated,
+            device=name,
         )
         reference = TableReadings(run.table_t_ns, run.angle_rad, run.rate_rps, tuple(gimbals))
     if reference is None:

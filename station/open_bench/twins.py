@@ -22,10 +22,13 @@ from sims.body import Body
 from sims.can_nodes import CanNodes
 from sims.geometry import MOUNTS_DEG, Mounting, along, mounted
 from sims.gyro import GyroArray, GyroTruth
+from sims.hidden import Hidden, HiddenError
+from sims.hidden.table import TableFaults
 from sims.modbus import modbus_server
 from sims.stim300_device import Stim300Device
 from sims.table import AxisData, TableModel
 from station.bench import Bench, ImuConfig
+from station.errors import BenchError
 from station.tables import Table
 
 wires = itertools.count(1)
@@ -44,10 +47,19 @@ class Twins:
             name: AxisData(axis.limits.rate_rps, axis.limits.acceleration_rps2, axis.counts_per_turn, angle)
             for (name, axis), angle in zip(bench.table.axes.items(), start, strict=True)
         }
-        self.table = TableModel(axes, loop.time)
+        self._hidden = hidden_of(bench)
+        faults = self._hidden.table if self._hidden is not None else TableFaults()
+        self.table = TableModel(axes, loop.time, faults)
         site = bench.site
         latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
-        self._body = Body(bench.table.gimbals, self.table.angles, self.table.revision, latitude, heading)
+        self._body = Body(
+            bench.table.gimbals,
+            self.table.angles,
+            self.table.revision,
+            latitude,
+            heading,
+            directions=faults.directions(bench.table.gimbals),
+        )
         self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
         self._read_faults(truths)
         truths.done()
@@ -70,9 +82,19 @@ class Twins:
 
     def gyros(self, imu: ImuConfig) -> GyroArray:
         index = [other.name for other in self._bench.imus].index(imu.name)
-        return GyroArray(
-            mounting_of(imu), self._truths[imu.name], self._body, imu.rate_hz, (self._bench.twin.seed, index)
-        )
+        twin = self._bench.twin
+        try:
+            return GyroArray(
+                mounting_of(imu),
+                self._truths[imu.name],
+                self._body,
+                imu.rate_hz,
+                (twin.seed, index),
+                self._hidden.of_device(imu.name) if self._hidden is not None else None,
+                twin.started_s,
+            )
+        except HiddenError as error:
+            raise BenchError(f"{twin.hidden}: {imu.name}: {error}") from None
 
     def serve_can(self, imu: ImuConfig, bus: can.BusABC) -> None:
         self._stack.callback(bus.shutdown)
@@ -103,6 +125,16 @@ class Twins:
         loop = asyncio.get_running_loop()
         handle = loop.call_at(loop.time() + at_s, self.table.trip, axis, "fault input")
         self._stack.callback(handle.cancel)
+
+
+def hidden_of(bench: Bench) -> Hidden | None:
+    """Return what is wrong with the twins of a bench; BenchError for a file that cannot be right."""
+    if bench.twin.hidden is None:
+        return None
+    try:
+        return Hidden.load(bench.twin.hidden)
+    except HiddenError as error:
+        raise BenchError(str(error)) from None
 
 
 def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:

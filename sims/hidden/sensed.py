@@ -1,0 +1,133 @@
+"""Effects that follow the motion: what a gyro senses beside its rate, and how its scale factor varies.
+
+Each gives what it adds to the output, (n, m) in rad/s, before the gyro's own low pass.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sims.hidden.fields import Each, choice, each, given, whole
+from sims.hidden.scene import Scene
+
+Floats = NDArray[np.float64]
+
+AXES = ("x", "y", "z")
+_STILL_RPS = 1e-6  # rates come from differences of angles
+
+
+class Sensed(ABC):
+    """An effect that follows the motion."""
+
+    @abstractmethod
+    def output(self, scene: Scene) -> Floats:
+        """Return what it adds (n, m), rad/s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScaleAsymmetry(Sensed):
+    """A scale factor that differs between the directions by twice ``size``."""
+
+    name: ClassVar[str] = "scale_asymmetry"
+    size: Each = field(metadata=each("ppm"))
+
+    def output(self, scene: Scene) -> Floats:
+        return np.asarray(self.size * np.abs(scene.u))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScaleQuadratic(Sensed):
+    """An output that grows with the square of the rate; ``size`` in s/rad."""
+
+    name: ClassVar[str] = "scale_quadratic"
+    size: Each = field(metadata=each("ppm/(deg/s)"))
+
+    def output(self, scene: Scene) -> Floats:
+        return np.asarray(self.size * scene.u**2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScaleCubic(Sensed):
+    """An output that grows with the cube of the rate; ``size`` in (s/rad)^2."""
+
+    name: ClassVar[str] = "scale_cubic"
+    size: Each = field(metadata=each("ppm/(deg/s)2"))
+
+    def output(self, scene: Scene) -> Floats:
+        return np.asarray(self.size * scene.u**3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThermalScale(Sensed):
+    """A scale factor in proportion to temperature; ``linear`` in 1/K."""
+
+    name: ClassVar[str] = "thermal_scale"
+    linear: Each = field(metadata=each("ppm/degC"))
+
+    def output(self, scene: Scene) -> Floats:
+        return np.asarray(self.linear * scene.warmth * scene.u)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotorCurrentGain(Sensed):
+    """A scale factor that follows the current of all motors: the supply gives way to it.
+
+    A motor's current is that of its acceleration and of its friction, stated as the acceleration (rad/s2) that
+    would need as much. ``size`` is the share per rad/s2.
+    """
+
+    name: ClassVar[str] = "motor_current_gain"
+    size: Each = field(metadata=each("ppm/(deg/s2)"))
+    friction: float = field(default=0.0, metadata=given("deg/s2"))
+
+    def output(self, scene: Scene) -> Floats:
+        rate, acceleration = scene.axes
+        turning = np.where(np.abs(rate) > _STILL_RPS, np.sign(rate), 0.0)
+        current = np.abs(acceleration + self.friction * turning).sum(axis=1, keepdims=True)
+        return np.asarray(self.size * current * scene.u)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GSensitivity(Sensed):
+    """A bias from gravity along the axes of the body; rad/s per g."""
+
+    name: ClassVar[str] = "g_sensitivity"
+    x: Each = field(default=0.0, metadata=each("deg/s/g"))
+    y: Each = field(default=0.0, metadata=each("deg/s/g"))
+    z: Each = field(default=0.0, metadata=each("deg/s/g"))
+
+    def output(self, scene: Scene) -> Floats:
+        return np.asarray(scene.up @ np.array([self.x, self.y, self.z]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AccelerationSensitivity(Sensed):
+    """What angular acceleration about the tilt axes j and k adds; rad/s per rad/s2."""
+
+    name: ClassVar[str] = "acceleration_sensitivity"
+    j: Each = field(default=0.0, metadata=each("deg/s/(deg/s2)"))
+    k: Each = field(default=0.0, metadata=each("deg/s/(deg/s2)"))
+
+    def output(self, scene: Scene) -> Floats:
+        mounting = scene.world.mounting
+        return np.asarray(self.j * (scene.acceleration @ mounting.j.T) + self.k * (scene.acceleration @ mounting.k.T))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TableHarmonic(Sensed):
+    """What goes round with an axis of the table: cosine and sine (rad/s) of ``order`` times its angle."""
+
+    name: ClassVar[str] = "table_harmonic"
+    axis: str = field(metadata=choice(AXES))
+    order: int = field(default=1, metadata=whole())
+    cosine: Each = field(default=0.0, metadata=each("deg/s"))
+    sine: Each = field(default=0.0, metadata=each("deg/s"))
+
+    def output(self, scene: Scene) -> Floats:
+        angle = self.order * scene.angle(self.axis)
+        return np.asarray(self.cosine * np.cos(angle) + self.sine * np.sin(angle))
