@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,23 +13,25 @@ from estimator.budget import Contribution, table_budget
 from estimator.calibration import Calibration, GyroCalibration, unseen_notes
 from estimator.coloured import FEWEST_BLOCKS, GridFit, NoiseGrid, Part, coarse, combine, fit_grids, weights
 from estimator.errors import RecordingError
-from estimator.foreign import against_foreign
+from estimator.foreign import against_foreign, at_rest, factor_notes, foreign_motion_notes
 from estimator.health import Excluded, usable
 from estimator.model import decode, regressor_maps
 from estimator.parity import GyroParity, parity
 from estimator.recording import ImuData, Recording
-from estimator.reference import TableReadings
+from estimator.reference import RateReadings, TableReadings
 from estimator.rests import RestNoise, motion_notes, rest_noise
-from estimator.rows import enough, source_blocks
+from estimator.rows import BLOCK_S, enough, source_blocks
 
 Floats = NDArray[np.float64]
+
+_BLOCK_ROWS = 4  # fewer samples do not tell their scatter
 
 
 def calibrate(recording: Recording, *, innovations: bool = True) -> Calibration:
     """Return the batch estimate of every gyro under its data sheet's prior, the noise taken from the data.
 
-    Against a table the noise may be coloured (``estimator.coloured``); against foreign references sigmas come from
-    clusters of residuals. ``innovations`` also gives the mean NIS, else that is NaN.
+    Against a table, or at rest, the noise may be coloured (``estimator.coloured``); against other foreign references
+    sigmas come from clusters of residuals. ``innovations`` also gives the mean NIS, else that is NaN.
 
     Raises RecordingError if a source has no samples that the reference covers, or no gyro can be estimated.
     """
@@ -43,7 +47,7 @@ def calibrate(recording: Recording, *, innovations: bool = True) -> Calibration:
         reasons = "; ".join(f"{e.name}: {e.reason}" for e in excluded)
         raise RecordingError(f"{recording.name}: no gyro of it can be estimated: {reasons}")
     notes.extend(f"{e.name} is not estimated: {e.reason}; the others are" for e in excluded)
-    if isinstance(recording.reference, TableReadings):
+    if isinstance(recording.reference, TableReadings) or at_rest(recording.reference):
         result = _against_table(recording, recording.reference, sources, innovations)
     else:
         result = against_foreign(recording, sources, innovations)
@@ -60,12 +64,14 @@ def calibrate(recording: Recording, *, innovations: bool = True) -> Calibration:
 
 
 def _against_table(
-    recording: Recording, reference: TableReadings, sources: list[tuple[str, ImuData]], innovations: bool
+    recording: Recording, reference: TableReadings | RateReadings, sources: list[tuple[str, ImuData]], innovations: bool
 ) -> Calibration:
-    blocks = [source_blocks(recording, data) for _, data in sources]
+    blocks = [source_blocks(recording, data, _block_s(data)) for _, data in sources]
     for (source, data), own in zip(sources, blocks, strict=True):
         enough(recording, source, data, int(own.rows.sum()))
-    notes = motion_notes(recording)
+    if isinstance(reference, RateReadings):  # at rest: Earth rate is taken off, too slow to tell k from other effects
+        blocks = [replace(own, w_rps=np.zeros_like(own.w_rps)) for own in blocks]
+    notes = [*motion_notes(recording), *foreign_motion_notes(recording)]
     span_s = max(float(b.t_s[-1] - b.t_s[0]) + b.length_s for b in blocks)
     gyros: list[GyroCalibration] = []
     checks: list[GyroParity] = []
@@ -79,7 +85,9 @@ def _against_table(
             x, covariances, noise = combine(fit, weight)
             sample = _sample_noise_of(blocks[n], data.array, x)
             arw = np.array([found.mean.arw for found in noise])
-            table = table_budget(reference, recording.site, data.array, data.prior, arw)
+            table: list[tuple[Contribution, ...]] = [()] * len(data.array)  # a body at rest has no errors of a table
+            if isinstance(reference, TableReadings):
+                table = table_budget(reference, recording.site, data.array, data.prior, arw)
             rests: list[RestNoise | None] = [*rest_noise(data, reference)] or [None] * len(data.array)
             for i, name in enumerate(data.array.names):
                 kinds = (Contribution("noise", covariances[i]), *table[i])
@@ -98,7 +106,9 @@ def _against_table(
                         rest=rests[i],
                     )
                 )
-                notes.extend(unseen_notes(name, covariances[i], data.prior))
+                if isinstance(reference, TableReadings):  # else the body rests, and that was told
+                    notes.extend(unseen_notes(name, covariances[i], data.prior))
+                    notes.extend(factor_notes(name, float(states[0]), float(np.sqrt(covariance[0, 0]))))
             if innovations:
                 chi, count = _block_squares(blocks[n], data.array, x, sample)
                 squares, dof = squares + chi, dof + count
@@ -112,6 +122,12 @@ def _against_table(
     samples = sum(int(b.rows.sum()) * b.z_rps.shape[1] for b in blocks)
     nis = squares / dof if dof else float("nan")
     return Calibration(tuple(gyros), nis, samples, 0, (*notes, *_parity_notes(checks)), (), tuple(checks))
+
+
+def _block_s(data: ImuData) -> float:
+    """Return the length of blocks: what is usual, or longer so that a slow source has some samples in each."""
+    period_s = float(np.median(np.diff(data.t_ns))) * 1e-9 if len(data.t_ns) > 1 else 0.0
+    return max(BLOCK_S, _BLOCK_ROWS * period_s)
 
 
 def _device_fits(merged: list[Blocks], data: list[ImuData], span_s: float) -> list[GridFit]:

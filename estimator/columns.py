@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,22 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
-from estimator.mapping import Columns, FileFormat
+from estimator.mapping import FileFormat
+from estimator.mapping_columns import Columns
+from estimator.text_rows import Wanted, read_rows
 
 Floats = NDArray[np.float64]
-
-BROKEN_SHARE = 0.05
-"""A text file of which more lines than this cannot be read is refused."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """Columns of one foreign file by name, each (rows,) or (rows, width), and how many lines were unreadable."""
+    """Columns of one foreign file by name, each (rows,) or (rows, width), and how many lines were unreadable.
+
+    ``position`` (rows,) numbers the rows of a text file with the broken ones counted, ``first_skipped`` is the first
+    of these, ``units`` says what the row of units says of each column.
+    """
 
     name: str
     columns: Mapping[str, NDArray[Any]]
     labels: Mapping[str, tuple[str, ...]]
-    skipped_lines: int
+    skipped_lines: int = 0
+    first_skipped: str = ""
+    position: NDArray[np.int64] | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def values(self, wanted: Columns, width: int, what: str) -> Floats:
         """Return (rows, width) values in SI; RecordingError if columns are missing or not this many."""
@@ -45,84 +51,41 @@ class Table:
         return float(value.reshape(-1)[0])
 
 
-def read_table(
-    path: Path, file_format: FileFormat, needed: Sequence[str], blank_ok: Sequence[str], labels: Sequence[str]
-) -> Table:
-    """Read the columns ``needed``, those of ``blank_ok`` (may be blank: NaN) and, as text, of ``labels``.
+def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
+    """Read the wanted columns of a file.
 
-    Raises RecordingError, naming the file, if it is empty, lacks a column, or is broken in more than 5 % of
+    Raises RecordingError, naming the file, if it is empty, lacks a column, or is broken in more than 10 % of
     its lines.
     """
     try:
         if path.stat().st_size == 0:
             raise RecordingError(f"{path.name} is empty")
         if file_format.kind == "mat":
-            return _read_mat(path, [*needed, *blank_ok, *labels])
+            return _read_mat(path, wanted.all)
         raw = path.read_bytes()
     except OSError as error:
         raise RecordingError(f"{path.name} cannot be read: {error.strerror or error}") from None
-    encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    text = raw.decode(encoding, errors="replace")
-    return _read_text(path.name, text, file_format, needed, blank_ok, labels)
-
-
-def _read_text(
-    name: str,
-    text: str,
-    file_format: FileFormat,
-    needed: Sequence[str],
-    blank_ok: Sequence[str],
-    labels: Sequence[str],
-) -> Table:
-    lines = [line for line in text.splitlines() if line.strip()]
-    if not lines:
-        raise RecordingError(f"{name} is empty")
-    header = [field.strip().strip("\"'") for field in lines[0].split(file_format.delimiter)]
-    _check_present(name, [*needed, *blank_ok, *labels], header, "its first line")
-    numeric = [*needed, *blank_ok]
-    where = [header.index(key) for key in numeric]
-    label_at = [header.index(key) for key in labels]
-    may_be_blank = [False] * len(needed) + [True] * len(blank_ok)
-    rows: list[list[float]] = []
-    texts: list[list[str]] = []
-    comma = file_format.decimal == ","
-    for line in lines[1:]:
-        fields = line.split(file_format.delimiter)
-        if len(fields) != len(header):
-            continue
-        try:
-            row = [
-                _number(fields[at].replace(",", ".") if comma else fields[at], blank)
-                for at, blank in zip(where, may_be_blank, strict=True)
-            ]
-        except ValueError:
-            continue
-        rows.append(row)
-        texts.append([fields[at].strip() for at in label_at])
-    _check_broken(name, len(lines) - 1, len(rows), file_format)
-    values = np.array(rows)
-    named = {key: values[:, i] for i, key in enumerate(numeric)}
+    rows = read_rows(path.name, _decoded(raw, wanted), file_format, wanted)
     return Table(
-        name,
-        named,
-        {key: tuple(row[i] for row in texts) for i, key in enumerate(labels)},
-        len(lines) - 1 - len(rows),
+        path.name,
+        {key: rows.values[:, i] for i, key in enumerate(wanted.numeric)},
+        {key: tuple(row[i] for row in rows.labels) for i, key in enumerate(wanted.labels)},
+        rows.skipped,
+        rows.first_skipped,
+        rows.position,
+        dict(zip(wanted.numeric, rows.units, strict=True)) if rows.units else {},
     )
 
 
-def _number(field: str, blank_ok: bool) -> float:
-    return float("nan") if blank_ok and not field.strip() else float(field)
-
-
-def _check_broken(name: str, lines: int, good: int, file_format: FileFormat) -> None:
-    if not lines:
-        raise RecordingError(f"{name} has a heading but no rows")
-    if lines - good > BROKEN_SHARE * lines:
-        raise RecordingError(
-            f"{name}: {lines - good} of {lines} lines are no rows of numbers with delimiter "
-            f"{file_format.delimiter!r} and decimal mark {file_format.decimal!r}: check these two in [file] of the "
-            "mapping, or repair the file"
-        )
+def _decoded(raw: bytes, wanted: Wanted) -> str:
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return raw.decode("utf-16", errors="replace")
+    text = raw.decode("utf-8-sig", errors="replace")
+    # A degree sign of Latin-1 in a heading is no UTF-8, but neither is the garbage in a broken line.
+    special = [key for key in wanted.all if not key.isascii()]
+    if any(key not in text for key in special):
+        return raw.decode("latin-1")
+    return text
 
 
 def _check_present(name: str, wanted: Sequence[str], present: Sequence[str], where: str) -> None:
@@ -151,4 +114,4 @@ def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
             columns[key] = np.asarray(present[key], dtype=np.float64)
         except (TypeError, ValueError):
             raise RecordingError(f"{path.name}: {key} is not numeric") from None
-    return Table(path.name, columns, {}, 0)
+    return Table(path.name, columns, {})

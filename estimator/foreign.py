@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeGuard
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,8 +13,9 @@ from estimator.filter import LiveFilter
 from estimator.gram import Solution, solve
 from estimator.model import Prior, decode, regressor_maps
 from estimator.recording import ImuData, Recording
-from estimator.reference import AttitudeReadings, RateReadings, Turns
-from estimator.rows import BLOCK_S, MEAN_S, block_rows, gram_of, rows_of, sample_noise
+from estimator.reference import AttitudeReadings, RateReadings, Reference, Turns, rates_from_attitude
+from estimator.rests import REST_RPS
+from estimator.rows import BLOCK_S, gram_of, row_length_s, rows_of, sample_noise
 
 Floats = NDArray[np.float64]
 
@@ -20,11 +23,13 @@ CLUSTER_S = 5.0
 """Length over which residuals against a foreign reference may hang together without the sigma being wrong."""
 _FEWEST_CLUSTERS = 8
 _COLOURED = 2.0  # sigmas that grow by more than this are told
+_TURNED = 1e-3  # share of the largest mean square rate from which on a direction counts as turned about
+_FAR_OFF = 0.2  # a factor of the output this far from 1 is a wrong sign, unit or count
 
 
 def against_foreign(recording: Recording, sources: list[tuple[str, ImuData]], innovations: bool) -> Calibration:
     gyros: list[GyroCalibration] = []
-    notes: list[str] = []
+    notes = foreign_motion_notes(recording)
     nis_sum, nis_dof, samples = 0.0, 0, 0
     for source, data in sources:
         gram, prior = gram_of(recording, source, data), data.prior
@@ -35,7 +40,7 @@ def against_foreign(recording: Recording, sources: list[tuple[str, ImuData]], in
         solution = solve(gram, data.array, prior, noise)
         # The innovations need the noise that the batch estimate finds, so the rows are walked twice.
         live = LiveFilter(data.array, solution.noise_rps, prior)
-        rows = 1 if isinstance(recording.reference, AttitudeReadings) else block_rows(data)
+        rows = max(round(BLOCK_S / row_length_s(recording, data)), 1)
         for part in rows_of(recording, data) if innovations else ():
             for start in range(0, len(part.w_rps) if part.weight is None else 0, rows):
                 live.update(part.w_rps[start : start + rows], part.y_rps[start : start + rows])
@@ -52,8 +57,62 @@ def against_foreign(recording: Recording, sources: list[tuple[str, ImuData]], in
             one = float(solution.noise_rps[i])
             gyros.append(GyroCalibration(name, source, states, covariance, one, data.array.p[i], data.device, budget))
             notes.extend(unseen_notes(name, covariances[i], prior))
+            notes.extend(factor_notes(name, float(states[0]), float(np.sqrt(covariance[0, 0]))))
     nis_mean = nis_sum / nis_dof if nis_dof else float("nan")
     return Calibration(tuple(gyros), nis_mean, samples, 0, tuple(notes))
+
+
+def at_rest(reference: Reference) -> TypeGuard[RateReadings]:
+    """Return whether a reference says of no instant that the body turned (faster than the Earth)."""
+    if not isinstance(reference, RateReadings):
+        return False
+    rate = reference.rate_rps[np.isfinite(reference.rate_rps).all(axis=1)]
+    return bool(len(rate) and (np.abs(rate) < REST_RPS).all())
+
+
+def foreign_motion_notes(recording: Recording) -> list[str]:
+    """Return what the motion that a rate or an attitude shows leaves unseen, in words."""
+    reference = recording.reference
+    if at_rest(reference):
+        return [
+            "the body rests wherever the reference knows of it: only the bias can be estimated; scale factor error and "
+            "misalignments need turns about three axes"
+        ]
+    if not isinstance(reference, (RateReadings, AttitudeReadings)):
+        return []
+    rates = rates_from_attitude(reference) if isinstance(reference, AttitudeReadings) else reference
+    rate = rates.rate_rps[np.isfinite(rates.rate_rps).all(axis=1)]
+    if not len(rate):
+        return []
+    square, directions = np.linalg.eigh(rate.T @ rate)
+    turned = directions[:, square > _TURNED * square[-1]].T
+    if len(turned) > 2:
+        return []
+    what = " and ".join(_axis_words(direction) for direction in turned)
+    return [
+        f"the body turns about {what} only: of each gyro the bias and its sensitivity to such turns can be estimated "
+        "(k of a gyro along that axis), not k, sigma_j and sigma_k each by itself; turn about all three axes"
+    ]
+
+
+def _axis_words(direction: Floats) -> str:
+    largest = int(np.argmax(np.abs(direction)))
+    if abs(direction[largest]) > 0.99:
+        return "xyz"[largest]
+    sign = np.sign(direction[largest])
+    return "(" + ", ".join(f"{v:.2f}" for v in sign * direction) + ")"
+
+
+def factor_notes(name: str, k: float, sd: float) -> list[str]:
+    """Return, in words, that k is no scale factor error but a wrong sign or unit, if it is."""
+    if abs(k) < _FAR_OFF + 3 * sd:
+        return []
+    if abs(k - 2) < _FAR_OFF:
+        return [f"{name}: its output is opposite to the reference, so k is near 2: turn the sign of its axis"]
+    return [
+        f"{name}: its output is {1 - k:.3g} times what the reference says, which is no scale factor error of a gyro: "
+        "check its unit, its count and its axis"
+    ]
 
 
 def _clustered(
@@ -67,9 +126,7 @@ def _clustered(
     """
     m = len(data.array)
     maps = regressor_maps(data.array)
-    attitude = isinstance(recording.reference, AttitudeReadings)
-    row_s = MEAN_S if attitude else BLOCK_S / block_rows(data)
-    rows = max(round(CLUSTER_S / row_s), 1)
+    rows = max(round(CLUSTER_S / row_length_s(recording, data)), 1)
     scores = []
     for part in rows_of(recording, data):
         regressors = np.column_stack([np.ones(len(part.w_rps)), part.w_rps])

@@ -11,40 +11,51 @@ from numpy.typing import NDArray
 
 from estimator.columns import Table, read_table
 from estimator.errors import RecordingError
-from estimator.mapping import AttitudeColumns, Mapping, RateColumns, SectionTurns
+from estimator.fitting import fitted
+from estimator.foreign_rows import ForeignRows, foreign_reference, reference_rows
+from estimator.held import updates
+from estimator.mapping import Mapping
+from estimator.mapping_columns import RATE_UNITS
+from estimator.mapping_reference import AngleColumn, AttitudeColumns, RateColumns, Rests, SectionTurns
 from estimator.recording import ImuData, Recording
-from estimator.reference import AttitudeReadings, RateReadings, Reference, Turns
+from estimator.reference import Reference, Turns
+from estimator.rest_import import PartRests, earth_note, part_rests, rests_text
 from estimator.spans import Refused, Span, turn_spans
+from estimator.text_rows import Wanted
 from estimator.timefit import TimeFit, fit_times, regular_times
 
 Floats = NDArray[np.float64]
 
 SOURCE = "imu"
 """Name of the one source of an imported recording."""
-_GAP_S = 1.0  # between files that follow each other in one recording
-_NORM_OFF = 0.05  # an attitude whose length is this far from 1 is a lost one
+_GAP_S = 10.0  # between files that follow each other: longer than what corrects or correlates within one
+_UNIT_ROW = {"rad/s": ("rad/s", "rps"), "deg/s": ("deg/s", "dps", "°/s", "degree/s", "degrees/s")}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imported:
-    """What became of foreign files."""
+    """What became of foreign files; ``notes`` tell what a person should know of it, also kept in the recording."""
 
     recording: Recording
     refused: tuple[Refused, ...]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """One file: instants from its first sample, and what was measured then."""
+    """One file: what was measured, with instants from its first sample, and what is to be told of it."""
 
     name: str
     time: TimeFit
     skipped_lines: int
+    t_s: Floats
     rate_rps: Floats
     accel_mps2: Floats | None
     temperature_c: Floats | None
-    reference: Floats | None
+    reference: ForeignRows | None
     spans: tuple[Span, ...]
+    rests: PartRests | None
+    notes: tuple[str, ...]
 
 
 def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
@@ -68,58 +79,92 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
             parts.append(part)
     if not parts:
         raise RecordingError("nothing to import: " + "; ".join(str(r) for r in refused))
-    return Imported(_joined(mapping, parts, refused), tuple(refused))
+    return _joined(mapping, parts, tuple(refused))
 
 
 def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused]]:
     table = _read_columns(mapping, path)
-    n = len(mapping.array)
-    rate = table.values(mapping.gyro, n, "[gyro] columns")
+    gyro, reference = mapping.gyro, mapping.reference
+    rate = table.values(gyro.columns, len(gyro.array), "[gyro] columns")
     if not np.isfinite(rate).any(axis=0).all():
         raise RecordingError(f"{path.name} has a gyro column without a single number: check [gyro] columns")
-    accel = table.values(mapping.accelerometer, 3, "[accelerometer] columns") if mapping.accelerometer else None
-    warmth = table.values(mapping.temperature, 1, "[temperature] column")[:, 0] if mapping.temperature else None
-    reference = _reference_rows(mapping, table)
-    for what, other in (("accelerometer", accel), ("temperature", warmth), ("reference", reference)):
+    accel = None
+    if mapping.accelerometer:
+        accel = table.values(mapping.accelerometer.columns, 3, "[accelerometer] columns")
+        accel = accel @ np.array(mapping.accelerometer.axes)
+    warmth = table.values(mapping.temperature, 1, "[temperature] column") if mapping.temperature else None
+    told = reference_rows(mapping, table)
+    for what, other in (("accelerometer", accel), ("temperature", warmth), ("reference", told)):
         if other is not None and len(other) != len(rate):
             raise RecordingError(f"{path.name} has {len(rate)} gyro rows but {len(other)} {what} rows")
-    time = _times(mapping, table, rate)
-    kept = time.rows
+    beside = [other for other in (accel, warmth, told) if other is not None]
+    time = _times(mapping, table, rate, beside)
+    notes = _line_notes(mapping, table, time)
     spans, refused = turn_spans(mapping, path, table, time, rate)
-    if spans is not None and not spans:
+    # Logs of several devices have rows without this one; a gyro that is read too often repeats itself.
+    own = np.flatnonzero(np.isfinite(rate[time.rows]).any(axis=1))
+    fresh = updates(rate[time.rows[own]])
+    if fresh is not None:
+        notes.append(_held_note("the gyro", fresh, time.t_s[own]))
+        own = own[fresh]
+    rows, t_s = time.rows[own], time.t_s[own]
+    accel, warmth = (_filled(table, time, own, v, w) for v, w in ((accel, "accelerometer"), (warmth, "temperature")))
+    rests = None
+    if isinstance(reference, Rests):
+        rests, left_out = part_rests(mapping, reference, path, table, time, own, rate[rows], accel)
+        refused = [*refused, *left_out]
+        notes.extend(rests.notes)
+    if spans == [] or (rests is not None and not rests.rests):
         return None, refused
-    return (
-        _Part(
-            path.name,
-            time,
-            table.skipped_lines,
-            rate[kept],
-            None if accel is None else accel[kept],
-            None if warmth is None else warmth[kept],
-            None if reference is None else reference[kept],
-            tuple(spans or ()),
-        ),
-        refused,
+    known = None
+    if rests is not None:
+        known = ForeignRows(t_s, rests.rate_rps)
+    elif told is not None:
+        fresh = updates(told[time.rows])
+        if fresh is not None:
+            notes.append(_held_note("the reference", fresh, time.t_s))
+        at = slice(None) if fresh is None else fresh
+        known = ForeignRows(time.t_s[at], told[time.rows][at])
+    part = _Part(
+        path.name,
+        time,
+        table.skipped_lines,
+        t_s,
+        rate[rows],
+        accel,
+        None if warmth is None else warmth[:, 0],
+        known,
+        tuple(spans or ()),
+        rests,
+        tuple(notes),
     )
+    return part, refused
 
 
 def _read_columns(mapping: Mapping, path: Path) -> Table:
-    needed = list(mapping.gyro.names)
-    for columns in (mapping.accelerometer, mapping.temperature, mapping.timing.stamps):
-        needed += columns.names if columns else ()
+    needed = list(mapping.timing.stamps.names) if mapping.timing.stamps else []
     if mapping.timing.rate_variable:
         needed.append(mapping.timing.rate_variable)
+    others = list(mapping.gyro.columns.names)
+    others += mapping.accelerometer.columns.names if mapping.accelerometer else ()
+    others += mapping.temperature.names if mapping.temperature else ()
     reference = mapping.reference
-    blank_ok = list(reference.columns.names) if isinstance(reference, (AttitudeColumns, RateColumns)) else []
-    label = reference.column if isinstance(reference, SectionTurns) else None
-    return read_table(path, mapping.format, needed, blank_ok, [label] if label else [])
+    label = None
+    if isinstance(reference, (AttitudeColumns, RateColumns)):
+        others += reference.columns.names
+    elif isinstance(reference, AngleColumn):
+        others += reference.column.names
+    elif isinstance(reference, (SectionTurns, Rests)):
+        label = reference.cuts.column
+    return read_table(path, mapping.format, Wanted(tuple(needed), tuple(others), (label,) if label else ()))
 
 
-def _times(mapping: Mapping, table: Table, rate: Floats) -> TimeFit:
+def _times(mapping: Mapping, table: Table, rate: Floats, beside: list[Floats]) -> TimeFit:
     timing = mapping.timing
     if timing.stamps is not None:
+        stamps = table.values(timing.stamps, 1, "[time] column")[:, 0]
         try:
-            return fit_times(table.values(timing.stamps, 1, "[time] column")[:, 0], rate)
+            return fit_times(stamps, np.hstack([rate, *beside]), table.position)
         except RecordingError as error:
             raise RecordingError(f"{table.name} {error}") from None
     rate_hz = timing.rate_hz
@@ -127,43 +172,70 @@ def _times(mapping: Mapping, table: Table, rate: Floats) -> TimeFit:
         rate_hz = table.number(timing.rate_variable)
     if rate_hz is None or rate_hz <= 0:
         raise RecordingError(f"{table.name}: {timing.rate_variable} is {rate_hz}, not a sample rate in Hz")
-    return regular_times(len(rate), rate_hz)
+    return regular_times(np.arange(len(rate)) if table.position is None else table.position, rate_hz)
 
 
-def _reference_rows(mapping: Mapping, table: Table) -> Floats | None:
-    """Return attitudes (rows, 4) as w x y z, body to reference, or rates (rows, 3); None for turns."""
-    reference = mapping.reference
-    if isinstance(reference, RateColumns):
-        return _some(table, table.values(reference.columns, 3, "[reference] columns"))
-    if not isinstance(reference, AttitudeColumns):
+def _line_notes(mapping: Mapping, table: Table, time: TimeFit) -> list[str]:
+    notes = []
+    if table.skipped_lines:
+        lines = "line is" if table.skipped_lines == 1 else "lines are"
+        notes.append(f"{table.skipped_lines} broken {lines} left out, the first is {table.first_skipped}")
+    if time.doubled:
+        notes.append(f"{time.doubled} rows are left out that were written twice")
+    columns = mapping.gyro.columns
+    said = {table.units.get(name, "").lower() for name in columns.names}
+    for unit, spellings in _UNIT_ROW.items():
+        if not columns.raw and columns.scale != RATE_UNITS[unit] and said & set(spellings):
+            notes.append(f"the row of units says {unit} of the gyro, the mapping does not: check unit in [gyro]")
+    return notes
+
+
+def _held_note(what: str, fresh: NDArray[np.intp], t_s: Floats) -> str:
+    each_hz = (len(fresh) - 1) / float(t_s[fresh[-1]] - t_s[fresh[0]])
+    return (
+        f"{what} is new in one row of {len(t_s) / len(fresh):.2g} ({each_hz:.3g} Hz) and held between; what is held is "
+        "left out"
+    )
+
+
+def _filled(table: Table, time: TimeFit, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:
+    """Return values (rows, m) at the rows of the gyro, with blanks filled from their neighbours in time."""
+    if values is None:
         return None
-    q = table.values(reference.columns, 4, "[reference] columns")
-    if reference.order == "xyzw":
-        q = q[:, [3, 0, 1, 2]]
-    length = np.linalg.norm(q, axis=1, keepdims=True)
-    q = np.where(np.abs(length - 1) < _NORM_OFF, q / np.where(length > 0, length, 1.0), np.nan)
-    return _some(table, q * [1.0, -1.0, -1.0, -1.0] if reference.inverted else q)
+    kept = values[time.rows]
+    whole = np.asarray(np.isfinite(kept).all(axis=1))
+    if not whole.any():
+        raise RecordingError(f"{table.name} has not one whole row of the {what}: check [{what}]")
+    if whole[own].all():
+        return kept[own]
+    at, t_s = time.t_s[own], time.t_s[whole]
+    return np.column_stack([np.interp(at, t_s, column) for column in kept[whole].T])
 
 
-def _some(table: Table, rows: Floats) -> Floats:
-    if not np.isfinite(rows).all(axis=1).any():
-        raise RecordingError(f"{table.name} has not one usable row of the reference: check [reference] columns")
-    return rows
-
-
-def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> Recording:
+def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) -> Imported:
     starts_s = [0.0]
     for part in parts[:-1]:
         starts_s.append(starts_s[-1] + float(part.time.t_s[-1]) + _GAP_S)
-    t_ns = np.concatenate([_ns(part.time.t_s + start) for part, start in zip(parts, starts_s, strict=True)])
     data = ImuData(
-        mapping.array,
-        t_ns,
+        mapping.gyro.array,
+        np.concatenate([_ns(part.t_s + start) for part, start in zip(parts, starts_s, strict=True)]),
         np.vstack([part.rate_rps for part in parts]),
         temperature_c=_stack([part.temperature_c for part in parts]),
         accel_mps2=_stack([part.accel_mps2 for part in parts]),
     )
-    reference = _stack([part.reference for part in parts])
+    earth = isinstance(mapping.reference, (AngleColumn, Rests)) and mapping.reference.earth_rate
+    recording = Recording({SOURCE: data}, _reference(mapping, parts, starts_s), mapping.site if earth else None)
+    recording, found, factors = fitted(recording, SOURCE, mapping.gyro)
+    several = len(parts) > 1
+    notes = [f"{part.name}: {note}" if several else note for part in parts for note in part.notes]
+    notes += found
+    if earth and isinstance(mapping.reference, Rests):
+        notes += earth_note(mapping, [part.rests for part in parts if part.rests])
+    elif mapping.site and not earth:
+        add = isinstance(mapping.reference, (AngleColumn, Rests))
+        how = "add earth_rate = true to [reference]" if add else "Earth rate is for kind = angle and rest"
+        notes.append(f"the site is not used: {how}")
+    rests = [(part.rests, start) for part, start in zip(parts, starts_s, strict=True) if part.rests]
     attributes = {
         "device": mapping.device,
         "imported_from": ", ".join(part.name for part in parts),
@@ -174,26 +246,27 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> Rec
         "refused": "\n".join(str(r) for r in refused),
         "licence": mapping.licence,
         "source": mapping.source,
+        "imported": "\n".join(notes),
+        "rests": rests_text(rests),
+        "gyro_factor": factors,
     }
-    kept = {key: value for key, value in attributes.items() if value != ""}
-    return Recording({SOURCE: data}, _reference(mapping, t_ns, reference, parts, starts_s), None, kept)
+    kept = {key: value for key, value in attributes.items() if not isinstance(value, str) or value}
+    kept = {key: value for key, value in kept.items() if value is not None}
+    return Imported(Recording(recording.sources, recording.reference, recording.site, kept), refused, tuple(notes))
 
 
-def _reference(
-    mapping: Mapping, t_ns: NDArray[np.int64], rows: Floats | None, parts: list[_Part], starts_s: list[float]
-) -> Reference:
-    if rows is None:
-        spans = [(span, start) for part, start in zip(parts, starts_s, strict=True) for span in part.spans]
-        return Turns(
-            _ns(np.array([start + span.start_s for span, start in spans])),
-            _ns(np.array([start + span.end_s for span, start in spans])),
-            np.array([span.turn_rad for span, _ in spans]),
-            np.array([span.sd_rad for span, _ in spans]),
-        )
-    if isinstance(mapping.reference, RateColumns):
-        whole = np.isfinite(rows).all(axis=1)
-        return RateReadings(t_ns[whole], rows[whole])
-    return AttitudeReadings(t_ns, rows)
+def _reference(mapping: Mapping, parts: list[_Part], starts_s: list[float]) -> Reference:
+    rows = [(part.reference, start) for part, start in zip(parts, starts_s, strict=True) if part.reference]
+    if rows:
+        t_ns = np.concatenate([_ns(own.t_s + start) for own, start in rows])
+        return foreign_reference(mapping.reference, t_ns, np.vstack([own.values for own, _ in rows]))
+    spans = [(span, start) for part, start in zip(parts, starts_s, strict=True) for span in part.spans]
+    return Turns(
+        _ns(np.array([start + span.start_s for span, start in spans])),
+        _ns(np.array([start + span.end_s for span, start in spans])),
+        np.array([span.turn_rad for span, _ in spans]),
+        np.array([span.sd_rad for span, _ in spans]),
+    )
 
 
 def _ns(t_s: Floats) -> NDArray[np.int64]:

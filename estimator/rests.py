@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.noise import NoiseModel, allan_deviation_of_parts, identify
 from estimator.recording import ImuData, Recording
-from estimator.reference import TableReadings
+from estimator.reference import RateReadings, TableReadings
 
 REST_RPS = float(np.radians(0.05))
 REST_S = 5.0
@@ -28,7 +28,7 @@ class RestNoise:
     noise: NoiseModel
 
 
-def rest_noise(data: ImuData, reference: TableReadings) -> list[RestNoise]:
+def rest_noise(data: ImuData, reference: TableReadings | RateReadings) -> list[RestNoise]:
     """Return the noise of each gyro of a source while the table rests; none if it never does for five seconds.
 
     A sample that is missing is passed over: its neighbours count as neighbours.
@@ -53,7 +53,7 @@ def rest_noise(data: ImuData, reference: TableReadings) -> list[RestNoise]:
     return [RestNoise(span_s, tau_s, own, noise) for own, noise in zip(deviation_rps.T, found, strict=True)]
 
 
-def rest_spans(reference: TableReadings) -> list[tuple[int, int]]:
+def rest_spans(reference: TableReadings | RateReadings) -> list[tuple[int, int]]:
     """Return the spans (first, last) in ns of five seconds and more in which no axis of the table moves."""
     still = (np.abs(reference.rate_rps) < REST_RPS).all(axis=1)
     edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))

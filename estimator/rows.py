@@ -22,6 +22,9 @@ BLOCK_S = 0.2
 MEAN_S = 0.1
 """Length of the means over which an attitude reference is compared: a low pass of 10 Hz on both sides."""
 _CHUNK_ROWS = 65536
+_COARSE = 1e-4  # variance of the errors of a rate reference, in that of the rate, that would lessen the slope
+_COARSE_MEAN = 1e-5  # what is left of it in means
+_MEANS_S = (0.1, 0.2, 0.5, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +59,7 @@ def rows_of(recording: Recording, data: ImuData) -> Iterator[Observations]:
     elif isinstance(reference, RateReadings):
         yield from _rate_rows(reference, data)
     elif isinstance(reference, AttitudeReadings):
-        yield from _means(data, rates_from_attitude(reference))
+        yield from _means(data, rates_from_attitude(reference), MEAN_S)
     else:
         yield _segments(data, reference)
 
@@ -80,14 +83,14 @@ def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
 
 
 def source_blocks(recording: Recording, data: ImuData, length_s: float = BLOCK_S) -> Blocks:
-    """Return the rows of one source against the table, summed by block from the first reading of the table."""
+    """Return the rows of one source against a table or a rate, summed by block from the first reading of these."""
     reference = recording.reference
-    if not isinstance(reference, TableReadings):
-        raise TypeError("blocks are of recordings against a table")
+    if not isinstance(reference, (TableReadings, RateReadings)):
+        raise TypeError("blocks are of recordings against a table or a rate")
     t_ns = data.t_ns
     period_s = float(np.median(np.diff(t_ns))) * 1e-9 if len(t_ns) > 1 else length_s
     sums = BlockSums(len(data.array), int(reference.t_ns[0]), length_s, period_s)
-    for part in table_rows(recording, data):
+    for part in rows_of(recording, data):
         sums.add(part.t_ns, part.w_rps, part.y_rps - part.w_rps @ data.array.p.T)  # type: ignore[arg-type]
     return sums.blocks()
 
@@ -96,12 +99,46 @@ def _rate_rows(reference: RateReadings, data: ImuData) -> Iterator[Observations]
     known = np.isfinite(reference.rate_rps).all(axis=1)
     if not known.any():
         return
-    at, rates = reference.t_ns[known], reference.rate_rps[known]
-    t_ns, rate = _inside(data, int(at[0]), int(at[-1]))
+    length_s = mean_length_s(reference)
+    if length_s:
+        yield from _means(data, reference, length_s)
+        return
+    at, rates = reference.t_ns, reference.rate_rps  # not a number where nothing is known: nor is what lies beside it
+    t_ns, rate = _inside(data, int(at[known][0]), int(at[known][-1]))
     for start, stop in _chunks(data, len(t_ns)):
-        t = t_ns[start:stop]
+        t, y = t_ns[start:stop], rate[start:stop]
         w = np.column_stack([np.interp(t, at, rates[:, c]) for c in range(3)])
-        yield Observations(w, rate[start:stop], None, t)
+        whole = np.isfinite(w).all(axis=1)
+        yield Observations(w, y, None, t) if whole.all() else Observations(w[whole], y[whole], None, t[whole])
+
+
+def mean_length_s(reference: RateReadings) -> float:
+    """Return over what length a rate is to be compared: 0 by sample, more where it comes in coarse steps.
+
+    Errors of single readings, as of an encoder that counts per sample, would make every gyro look less sensitive.
+    """
+    rate = reference.rate_rps
+    differences = np.diff(rate, 4, axis=0)  # of a motion next to nothing is left; of white noise 70 times its variance
+    differences = differences[np.isfinite(differences).all(axis=1)]
+    if not len(differences):
+        return 0.0
+    noise = float(np.sum(np.mean(differences**2, axis=0))) / 70
+    spread = float(np.sum(np.var(rate[np.isfinite(rate).all(axis=1)], axis=0)))
+    if noise <= _COARSE * spread:
+        return 0.0
+    step_s = float(np.median(np.diff(reference.t_ns))) * 1e-9
+    good = [length for length in _MEANS_S if noise * min(step_s / length, 1.0) <= _COARSE_MEAN * spread]
+    return good[0] if good else _MEANS_S[-1]
+
+
+def row_length_s(recording: Recording, data: ImuData) -> float:
+    """Return the length of time that a row against a foreign reference stands for."""
+    if isinstance(recording.reference, AttitudeReadings):
+        return MEAN_S
+    length_s = mean_length_s(recording.reference) if isinstance(recording.reference, RateReadings) else 0.0
+    if length_s or len(data.t_ns) < 2:
+        return length_s or BLOCK_S
+    return float(np.median(np.diff(data.t_ns))) * 1e-9
 
 
 def _inside(data: ImuData, first_ns: int, last_ns: int) -> tuple[Stamps, Floats]:
@@ -145,11 +182,11 @@ def _in_order(data: ImuData) -> tuple[NDArray[np.int64], Floats]:
     return t_ns, rate
 
 
-def _means(data: ImuData, reference: RateReadings) -> Iterator[Observations]:
-    """Yield means of both sides over blocks: differentiated attitudes are too noisy to compare by sample."""
+def _means(data: ImuData, reference: RateReadings, length_s: float) -> Iterator[Observations]:
+    """Yield means of both sides over blocks: a reference that is too noisy to compare by sample."""
     t_ns, rate = _in_order(data)
     w = np.column_stack([np.interp(t_ns, reference.t_ns, reference.rate_rps[:, c]) for c in range(3)])
-    rows = block_rows(data, MEAN_S)
+    rows = block_rows(data, length_s)
     inside = (t_ns >= reference.t_ns[0]) & (t_ns <= reference.t_ns[-1])
     first = int(np.argmax(inside)) if inside.any() else 0
     count = int(inside.sum()) // rows
@@ -157,8 +194,9 @@ def _means(data: ImuData, reference: RateReadings) -> Iterator[Observations]:
         return
     w_mean = w[first : first + count * rows].reshape(count, rows, 3).mean(axis=1)
     y_mean = rate[first : first + count * rows].reshape(count, rows, -1).mean(axis=1)
+    t_mean = t_ns[first : first + count * rows].reshape(count, rows)[:, rows // 2]
     whole = np.isfinite(w_mean).all(axis=1)
-    yield Observations(w_mean[whole], y_mean[whole])
+    yield Observations(w_mean[whole], y_mean[whole], None, t_mean[whole])
 
 
 def _segments(data: ImuData, turns: Turns) -> Observations:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from estimator.columns import Table
 from estimator.errors import RecordingError
-from estimator.mapping import FileTurns, Mapping, SectionTurns, Turn, TurnChecks, turn_about
+from estimator.mapping import Mapping
+from estimator.mapping_reference import Cuts, FileTurns, SectionTurns, Turn, TurnChecks, turn_about
 from estimator.timefit import TimeFit
 
 Floats = NDArray[np.float64]
@@ -86,41 +87,78 @@ def _sections(
     mapping: Mapping, reference: SectionTurns, path: Path, table: Table, time: TimeFit
 ) -> list[tuple[str, int, int, Turn]]:
     """Return name, first and one past the last of the kept rows, and turn of every section."""
-    if reference.column is not None:
-        limits = _labelled(table.labels[reference.column])
+    limits = section_rows(mapping, reference.cuts, tuple(reference.sections), path, table, time)
+    return [(f"{path.name}, section {name}", first, stop, reference.sections[name]) for name, first, stop in limits]
+
+
+def section_rows(
+    mapping: Mapping,
+    cuts: Cuts,
+    names: tuple[str, ...],
+    path: Path,
+    table: Table,
+    time: TimeFit,
+    *,
+    all_named: bool = True,
+) -> list[tuple[str, int, int]]:
+    """Return name, first and one past the last of the kept rows of every section of a file.
+
+    With ``all_named`` a label comes once and each is one of ``names``; without, others are passed over. Raises
+    RecordingError if sections are missing, or not as the file.
+    """
+    limits: list[tuple[str, int, int]]
+    if cuts.limits_s:
+        return _timed(cuts, path, time)
+    if cuts.column is not None:
+        limits = _labelled(table.labels[cuts.column], once=all_named)
     else:
-        assert reference.list_name is not None
-        limits = _listed(path.parent / reference.list_name.replace("{stem}", path.stem), table)
-    unknown = [name for name in limits if name not in reference.sections]
-    if unknown:
+        assert cuts.list_name is not None
+        limits = _listed(path.parent / cuts.list_name.replace("{stem}", path.stem), table)
+    present = [name for name, _, _ in limits]
+    unknown = [name for name in dict.fromkeys(present) if name not in names]
+    if unknown and all_named:
         raise RecordingError(
             f"{path.name}: nothing says how section {', '.join(unknown)} turned: add it to [reference.sections] of "
             f"{mapping.name}"
         )
-    missing = [name for name in reference.sections if name not in limits]
+    missing = [name for name in names if name not in present]
     if missing:
-        raise RecordingError(f"{path.name} has no section {', '.join(missing)}, which {mapping.name} names")
+        has = f"; it has {', '.join(unknown)}" if unknown else ""
+        raise RecordingError(f"{path.name} has no section {', '.join(missing)}, which {mapping.name} names{has}")
     found = []
-    for name, (start, end) in limits.items():
-        first, stop = np.searchsorted(time.rows, [start, end])
-        found.append((f"{path.name}, section {name}", int(first), int(stop), reference.sections[name]))
+    for name, start, end in limits:
+        if name in names:
+            first, stop = np.searchsorted(time.rows, [start, end])
+            found.append((name, int(first), int(stop)))
     return found
 
 
-def _labelled(labels: tuple[str, ...]) -> dict[str, tuple[int, int]]:
-    limits: dict[str, tuple[int, int]] = {}
+def _timed(cuts: Cuts, path: Path, time: TimeFit) -> list[tuple[str, int, int]]:
+    found = []
+    for name, (start_s, end_s) in cuts.limits_s.items():
+        first, stop = np.searchsorted(time.t_s, [start_s, end_s])
+        if start_s > time.t_s[-1]:
+            raise RecordingError(
+                f"{path.name}: section {name} begins at {start_s:g} s, but the file lasts {time.t_s[-1]:.6g} s"
+            )
+        found.append((name, int(first), int(stop)))
+    return found
+
+
+def _labelled(labels: tuple[str, ...], *, once: bool) -> list[tuple[str, int, int]]:
+    limits: list[tuple[str, int, int]] = []
     at = 0
     for label, group in groupby(labels):
         stop = at + len(list(group))
-        if label in limits:
+        if once and any(label == name for name, _, _ in limits):
             raise RecordingError(f"section {label} comes twice: give each section a label of its own")
         if label:
-            limits[label] = (at, stop)
+            limits.append((label, at, stop))
         at = stop
     return limits
 
 
-def _listed(path: Path, table: Table) -> dict[str, tuple[int, int]]:
+def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
     if table.skipped_lines:
         raise RecordingError(
             f"{table.name}: {table.skipped_lines} lines are broken, and the section list counts rows: repair the file"
@@ -136,7 +174,7 @@ def _listed(path: Path, table: Table) -> dict[str, tuple[int, int]]:
     for name, (start, end) in limits.items():
         if not 0 <= start < end <= rows:
             raise RecordingError(f"{path.name}: section {name} is {start} to {end}, the file has rows 0 to {rows}")
-    return limits
+    return [(name, start, end) for name, (start, end) in limits.items()]
 
 
 def _span(mapping: Mapping, checks: TurnChecks, t_s: Floats, rate: Floats, turn: Turn) -> Span:
@@ -169,7 +207,7 @@ def _span(mapping: Mapping, checks: TurnChecks, t_s: Floats, rate: Floats, turn:
 
 def _checked_angle(mapping: Mapping, checks: TurnChecks, turned_rad: Floats, turn: Turn) -> float:
     """Return the stated angle with the sign that holds; _Refusal if the gyros (m,) turned otherwise."""
-    p, axis, angle = mapping.array.p, np.array(turn.axis), turn.angle_rad
+    p, axis, angle = mapping.gyro.array.p, np.array(turn.axis), turn.angle_rad
     if np.linalg.lstsq(p, p @ axis, rcond=None)[0] @ axis < _SENSED:
         if checks.sign_from_data:
             raise _Refusal("no gyro senses the axis of its turn, so the data cannot tell the sign: state it")

@@ -40,6 +40,12 @@ class Section:
             raise self.wrong(key, f"is {value!r}: write {choices}")
         return value
 
+    def flag(self, key: str, default: bool | None = None) -> bool:
+        value = self._take(key, default)
+        if not isinstance(value, bool):
+            raise self.wrong(key, f"is {value!r}: write true or false")
+        return value
+
     def number(self, key: str, default: float | None = None, *, positive: bool = False, least: float = -1e18) -> float:
         value = self._take(key, default)
         good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

@@ -30,17 +30,23 @@ from station.session import Result, Session
 def command_run(arguments: argparse.Namespace) -> int:
     """Run a script on a bench."""
     try:
-        bench = _chosen_bench(arguments)
+        bench = chosen_bench(arguments)
         script = load_script(Path(arguments.script)) if arguments.script else paper_script()
         check(script, bench.table.limits)
         if arguments.end_early:
             check_early_end(bench)
-        virtual = needs_only_memory(bench) and arguments.scale is None
-        scale = 1.0 if virtual else arguments.scale or 1.0
         path = Path(arguments.output) if arguments.output else _new_recording_path()
-        loop_factory = VirtualLoop if virtual else partial(ScaledLoop, scale)
-        with asyncio.Runner(loop_factory=loop_factory) as runner:
-            result = runner.run(_run(bench, script, path, scale, arguments))
+        with clock(bench, arguments.scale) as runner:
+            work = drive(
+                bench,
+                script,
+                path,
+                arguments.scale or 1.0,
+                reset_fault=arguments.reset_fault,
+                end_early=arguments.end_early,
+                quiet=arguments.json,
+            )
+            result = runner.run(work)
     except (UsageError, EstimatorError) as error:
         return refuse(str(error), arguments.json)
     except DeviceError as error:
@@ -100,31 +106,44 @@ def command_import(arguments: argparse.Namespace) -> int:
     samples = {name: len(data.t_ns) for name, data in imported.recording.sources.items()}
     refused = [{"name": r.name, "reason": r.reason} for r in imported.refused]
     if arguments.json:
-        print(json.dumps({"recording": str(output), "samples": samples, "refused": refused}))
+        notes = list(imported.notes)
+        print(json.dumps({"recording": str(output), "samples": samples, "refused": refused, "notes": notes}))
     else:
         for entry in refused:
             print(f"refused {entry['name']}: {entry['reason']}", file=sys.stderr)
+        for note in imported.notes:
+            print(f"note: {note}")
         print(f"{output}: {', '.join(f'{n} samples of {name}' for name, n in samples.items())}")
     return 0
 
 
-async def _run(bench: Bench, script: Script, path: Path, scale: float, arguments: argparse.Namespace) -> Result:
+def clock(bench: Bench, scale: float | None) -> asyncio.Runner:
+    """Return what runs loops of one clock: virtual time if every link leads to a twin and no scale is given."""
+    virtual = needs_only_memory(bench) and scale is None
+    return asyncio.Runner(loop_factory=VirtualLoop if virtual else partial(ScaledLoop, scale or 1.0))
+
+
+async def drive(
+    bench: Bench, script: Script, path: Path, scale: float, *, reset_fault: bool, end_early: bool, quiet: bool
+) -> Result:
+    """Run a script on a bench into a recording, with its progress on stderr."""
     async with open_bench(bench, time_scale=scale) as opened:
-        with Progress(arguments.json) as progress:
+        with Progress(quiet) as progress:
             session = Session(
                 opened,
                 script,
                 path,
                 seed=bench.twin.seed,
-                reset_fault=arguments.reset_fault,
-                end_early=arguments.end_early,
+                reset_fault=reset_fault,
+                end_early=end_early,
                 time_scale=scale,
                 on_progress=progress.show,
             )
             return await session.run()
 
 
-def _chosen_bench(arguments: argparse.Namespace) -> Bench:
+def chosen_bench(arguments: argparse.Namespace) -> Bench:
+    """Return the bench that the options name, with their links, devices and seed."""
     bench = load_bench(Path(arguments.bench) if arguments.bench else None)
     links = {}
     for text in arguments.link:

@@ -223,7 +223,7 @@ def test_files_follow_each_other_with_a_gap(tmp_path: Path) -> None:
     second.write_text("\n".join(rate_rows(200)))
     t_ns = imported(mapping, first, second).recording.sources[SOURCE].t_ns
     assert len(t_ns) == 500
-    assert t_ns[300] - t_ns[299] == 1_000_000_000
+    assert t_ns[300] - t_ns[299] == 10_000_000_000
 
 
 def test_temperature_accelerometer_and_inverted_attitudes_come_along(tmp_path: Path) -> None:
@@ -281,11 +281,12 @@ def test_a_few_broken_lines_are_left_out_and_counted(tmp_path: Path) -> None:
     assert len(run.sources[SOURCE].t_ns) == 598
 
 
-def test_a_file_broken_in_more_than_one_line_of_twenty_is_refused(tmp_path: Path) -> None:
+def test_a_file_broken_in_more_than_one_line_of_ten_is_refused_with_the_first_of_them(tmp_path: Path) -> None:
     rows = rate_rows(100)
-    for i in range(1, 90, 10):
-        rows[i] = "# lost"
-    with pytest.raises(RecordingError, match=r"run.csv: 9 of 100 lines are no rows of numbers with delimiter ','"):
+    for i in range(2, 90, 8):
+        rows[i] = "lost"
+    message = r"run.csv: 11 of 100 lines are no rows of 6 fields with delimiter ','.*the first is line 3 \('lost'\)"
+    with pytest.raises(RecordingError, match=message):
         imported(*written(tmp_path, RATE_MAPPING, "\n".join(rows)))
 
 
@@ -314,7 +315,11 @@ def test_files_without_usable_data_are_refused_with_the_reason(tmp_path: Path, r
             'unit = "rpm"\naxes',
             r"line 12: unit in \[gyro\] is 'rpm': write one of rad/s, deg/s",
         ),
-        ('kind = "rate"', 'kind = "magic"', r"kind in \[reference\] is 'magic': write one of attitude, rate, turns"),
+        (
+            'kind = "rate"',
+            'kind = "magic"',
+            r"kind in \[reference\] is 'magic': write one of attitude, rate, angle, turns, rest",
+        ),
         ("rate_hz = 100", "rate_hz = 0", r"line 8: rate_hz in \[time\] is 0: write a number above 0"),
         ("rate_hz = 100", "", r"rate_hz in \[time\] or column or rate_variable: give one"),
         ('"-y"', '"w"', r"line 13: axes in \[gyro\] 'w' is no axis: write x, y or z"),

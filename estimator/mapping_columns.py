@@ -1,0 +1,81 @@
+"""Columns of a foreign file, their units and their axes, as a mapping file states them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping as Dict
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estimator.strict_toml import Section
+
+RATE_UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180}
+ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180}
+ACCEL_UNITS = {"m/s2": 1.0, "g": 9.80665}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TEMPERATURE_UNITS = {"degC": 0.0, "K": -273.15}
+UNIT_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Columns of a text file, or variables of a .mat file; values are multiplied by ``scale``, then shifted."""
+
+    names: tuple[str, ...]
+    scale: float = 1.0
+    shift: float = 0.0
+    raw: bool = False
+
+
+def stated_columns(
+    section: Section, units: Dict[str, float], *, key: str = "columns", count_needed: bool = True
+) -> Columns:
+    """Return the columns of a table with what makes SI of them: their unit, or the size of a count.
+
+    Where the size is not needed and not stated, a count is one degree (a second).
+    """
+    names = section.texts(key)
+    unit = section.text("unit", one_of=(*units, "raw"))
+    if unit != "raw":
+        return Columns(names, units[unit])
+    if not count_needed and not section.has("count"):
+        return Columns(names, units[section.text("count_unit", "deg/s", one_of=tuple(units))], raw=True)
+    size_unit = section.text("count_unit", one_of=tuple(units))
+    return Columns(names, section.number("count", positive=True) * units[size_unit], raw=True)
+
+
+def signed_axis(text: str) -> Vector:
+    """Return the unit vector of +-x, y or z; ValueError for anything else."""
+    letter = text.strip().lower()
+    sign = -1.0 if letter.startswith("-") else 1.0
+    letter = letter.lstrip("+-")
+    if letter not in UNIT_AXES:
+        raise ValueError(f"{text!r} is no axis: write x, y or z, with a sign if need be")
+    x, y, z = (sign * v if v else 0.0 for v in UNIT_AXES[letter])
+    return x, y, z
+
+
+def body_axis(section: Section, key: str, value: Any) -> Vector:
+    """Return a direction in body axes: x, y or z with a sign, or three numbers; else the section's error."""
+    if isinstance(value, str):
+        try:
+            return signed_axis(value)
+        except ValueError as error:
+            raise section.wrong(key, str(error)) from None
+    if not (isinstance(value, list) and len(value) == 3 and all(isinstance(v, (int, float)) for v in value)):
+        raise section.wrong(key, f"holds {value!r}: write x, y or z with a sign, or three numbers")
+    return float(value[0]), float(value[1]), float(value[2])
+
+
+def axis_text(direction: Any) -> str:
+    """Return a direction (3,) as a mapping file states it: "-z", or three numbers."""
+    v = np.asarray(direction, dtype=np.float64)
+    v = v / np.linalg.norm(v)
+    largest = int(np.argmax(np.abs(v)))
+    if abs(v[largest]) > 1 - 1e-6:
+        return f'"{"-" if v[largest] < 0 else ""}{"xyz"[largest]}"'
+    return "[" + ", ".join(f"{x:.6g}" for x in v) + "]"

@@ -1,0 +1,287 @@
+"""The table [reference] of a mapping file: what says how the body turned, or that it did not."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping as Dict
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimator.mapping_columns import ANGLE_UNITS, RATE_UNITS, Columns, Vector, body_axis, signed_axis, stated_columns
+from estimator.strict_toml import Section
+
+KINDS = ("attitude", "rate", "angle", "turns", "rest")
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeColumns:
+    """Quaternions: ``order`` is wxyz or xyzw; ``inverted`` if they turn reference vectors into the body."""
+
+    columns: Columns
+    order: str
+    inverted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RateColumns:
+    """Body rates of another instrument: x y z, or one about a body axis (unit vector)."""
+
+    columns: Columns
+    axis: Vector | None
+
+
+@dataclass(frozen=True, slots=True)
+class AngleColumn:
+    """The angle of an encoder: the body turns about gimbal x, y or z by ``sign`` times it."""
+
+    column: Columns
+    gimbal: str
+    sign: float
+    earth_rate: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A stated turn about a body axis (unit vector); a rest pose turns by 0."""
+
+    axis: Vector
+    angle_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A body at rest: directions in body axes that point up and north, where they are stated."""
+
+    up: Vector | None = None
+    north: Vector | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Cuts:
+    """How a file is cut into sections: rows (JSON beside the data), labels, or seconds from the first sample."""
+
+    list_name: str | None = None
+    column: str | None = None
+    limits_s: Dict[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class TurnChecks:
+    """Doubt of a stated angle: fixed and as a share of it; that of a rest; and what counts as rest."""
+
+    sd_rad: float
+    sd_share: float
+    rest_sd_rad: float
+    sign_from_data: bool
+    rest_limit_rps: float
+    rest_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class FileTurns:
+    """One turn a file, stated here or by the named groups ``axis`` and ``angle_deg`` of the file's name."""
+
+    pattern: re.Pattern[str] | None
+    turn: Turn | None
+    checks: TurnChecks
+
+
+@dataclass(frozen=True, slots=True)
+class SectionTurns:
+    """Several turns a file."""
+
+    cuts: Cuts
+    sections: Dict[str, Turn]
+    checks: TurnChecks
+
+
+@dataclass(frozen=True, slots=True)
+class Rests:
+    """The body rests: in sections if there are any, else in ``pose``, everywhere or where the samples are quiet.
+
+    ``files`` are poses by name of file. At rest the output is within ``limit_rps``, for ``least_s`` or longer.
+    """
+
+    everywhere: bool
+    pose: Pose
+    files: Dict[str, Pose]
+    cuts: Cuts
+    sections: Dict[str, Pose]
+    limit_rps: float
+    least_s: float
+    earth_rate: bool
+
+
+ForeignReference = AttitudeColumns | RateColumns | AngleColumn | FileTurns | SectionTurns | Rests
+
+
+def read_reference(section: Section) -> ForeignReference:
+    """Return the reference that a mapping states; RecordingError with file, line and what to write."""
+    kind = section.text("kind", one_of=KINDS)
+    reference: ForeignReference
+    if kind == "attitude":
+        order = section.text("order", one_of=("wxyz", "xyzw"))
+        direction = section.text("direction", "body to reference", one_of=("body to reference", "reference to body"))
+        reference = AttitudeColumns(Columns(section.texts("columns")), order, direction == "reference to body")
+    elif kind == "rate":
+        columns = stated_columns(section, RATE_UNITS)
+        reference = RateColumns(columns, _rate_axis(section, columns))
+    elif kind == "angle":
+        reference = _angle(section)
+    elif kind == "turns":
+        reference = _turns(section)
+    else:
+        reference = _rests(section)
+    section.done()
+    return reference
+
+
+def turn_about(axis: str, angle_deg: float) -> Turn:
+    """Return the turn about +-x, y or z; ValueError for another axis. An empty axis is right for a rest only."""
+    if not axis.strip().lstrip("+-") and angle_deg == 0:
+        return Turn((0.0, 0.0, 0.0), 0.0)
+    x, y, z = signed_axis(axis)
+    sign = -1.0 if x + y + z < 0 else 1.0
+    return Turn((abs(x), abs(y), abs(z)), sign * math.radians(angle_deg))
+
+
+def _rate_axis(section: Section, columns: Columns) -> Vector | None:
+    if not section.has("axis"):
+        if len(columns.names) == 1:
+            raise section.wrong("columns", 'is one column: add axis = "z", the body axis that it is the rate about')
+        return None
+    if len(columns.names) != 1:
+        raise section.wrong("axis", "is for one column: leave it out beside the three columns x, y, z")
+    axis = np.array(body_axis(section, "axis", section.any("axis")))
+    length = float(np.linalg.norm(axis))
+    if not length > 0:
+        raise section.wrong("axis", "is no direction: write x, y or z with a sign, or three numbers")
+    x, y, z = (axis / length).tolist()
+    return x, y, z
+
+
+def _angle(section: Section) -> AngleColumn:
+    column = stated_columns(section, ANGLE_UNITS, key="column")
+    if len(column.names) != 1:
+        raise section.wrong("column", "must be one column")
+    text = section.text("axis")
+    try:
+        axis = signed_axis(text)
+    except ValueError as error:
+        raise section.wrong("axis", str(error)) from None
+    gimbal = "xyz"[int(np.argmax(np.abs(axis)))]
+    return AngleColumn(column, gimbal, float(sum(axis)), section.flag("earth_rate", False))
+
+
+def _turns(section: Section) -> FileTurns | SectionTurns:
+    checks = TurnChecks(
+        sd_rad=math.radians(section.number("sd_deg", positive=True)),
+        sd_share=section.number("sd_share", 0.0, least=0.0),
+        rest_sd_rad=math.radians(section.number("rest_sd_deg", 0.05, least=0.0)),
+        sign_from_data=section.text("sign", "stated", one_of=("stated", "from data")) == "from data",
+        rest_limit_rps=math.radians(section.number("rest_limit_dps", 2.0, positive=True)),
+        rest_s=section.number("rest_s", 0.25, positive=True),
+    )
+    if section.has("sections"):
+        cuts, tables = _sections(section)
+        turns = {}
+        for name, table in tables.items():
+            angle_deg, axis = table.number("angle_deg"), table.text("axis", "")
+            table.done()
+            turns[name] = _turn(table, axis, angle_deg)
+        return SectionTurns(cuts, turns, checks)
+    if section.has("file_name"):
+        return FileTurns(_pattern(section), None, checks)
+    if not section.has("angle_deg"):
+        raise section.wrong("angle_deg", "is missing: give it, or file_name (an expression), or sections")
+    axis, angle_deg = section.text("axis", ""), section.number("angle_deg")
+    return FileTurns(None, _turn(section, axis, angle_deg), checks)
+
+
+def _turn(section: Section, axis: str, angle_deg: float) -> Turn:
+    try:
+        return turn_about(axis, angle_deg)
+    except ValueError as error:
+        raise section.wrong("axis", str(error)) from None
+
+
+def _pattern(section: Section) -> re.Pattern[str]:
+    text = section.text("file_name")
+    try:
+        pattern = re.compile(text)
+    except re.error as error:
+        raise section.wrong("file_name", f"is no regular expression: {error}") from None
+    if not {"axis", "angle_deg"} <= set(pattern.groupindex):
+        raise section.wrong("file_name", "needs the groups (?P<axis>...) and (?P<angle_deg>...)")
+    return pattern
+
+
+def _rests(section: Section) -> Rests:
+    limit_rps = math.radians(section.number("rest_limit_dps", 2.0, positive=True))
+    least_s = section.number("rest_s", 2.0, positive=True)
+    earth_rate = section.flag("earth_rate", False)
+    cuts, sections = Cuts(), {}
+    everywhere = False
+    if section.has("sections"):
+        for key in ("where", "up", "north"):
+            if section.has(key):
+                raise section.wrong(key, "is not for a mapping with sections: they say where, each with its own up")
+        cuts, tables = _sections(section)
+        for name, table in tables.items():
+            sections[name] = _pose(table)
+            table.done()
+    else:
+        everywhere = section.text("where", "found", one_of=("found", "everywhere")) == "everywhere"
+    files: dict[str, Pose] = {}
+    if section.has("files"):
+        listed = section.table("files")
+        for name in listed.remaining():
+            table = listed.table(name)
+            files[name] = _pose(table)
+            table.done()
+    return Rests(everywhere, _pose(section), files, cuts, sections, limit_rps, least_s, earth_rate)
+
+
+def _pose(section: Section) -> Pose:
+    found: dict[str, Vector] = {}
+    for key in ("up", "north"):
+        if not section.has(key):
+            continue
+        v = np.array(body_axis(section, key, section.any(key)))
+        length = float(np.linalg.norm(v))
+        if not length > 0:
+            raise section.wrong(key, "is no direction: write x, y or z with a sign, or three numbers")
+        x, y, z = (v / length).tolist()
+        found[key] = (x, y, z)
+    if "north" in found and "up" not in found:
+        raise section.wrong("north", "is stated without up: add up, the body axis that points up")
+    if "north" in found and abs(float(np.dot(found["up"], found["north"]))) > 0.1:
+        raise section.wrong("north", "is not at a right angle to up: north is horizontal")
+    return Pose(found.get("up"), found.get("north"))
+
+
+def _sections(section: Section) -> tuple[Cuts, dict[str, Section]]:
+    """Return how files are cut, and the table of each section less its limits."""
+    tables = {}
+    table = section.table("sections")
+    for name in table.remaining():
+        tables[name] = table.table(name)
+    if not tables:
+        raise section.wrong("sections", "is empty: name a section and what is known of it")
+    list_name = section.text("section_list") if section.has("section_list") else None
+    column = section.text("section_column") if section.has("section_column") else None
+    timed = [name for name, own in tables.items() if own.has("start_s") or own.has("end_s")]
+    if (list_name is not None) + (column is not None) + bool(timed) != 1:
+        raise section.wrong(
+            "sections",
+            "needs section_list (a JSON file), section_column (labels), or start_s and end_s in each: one of the three",
+        )
+    limits = {}
+    for name, own in tables.items() if timed else ():
+        start, end = own.number("start_s", least=0.0), own.number("end_s", positive=True)
+        if end <= start:
+            raise own.wrong("end_s", f"is {end:g}, not after start_s {start:g}")
+        limits[name] = (start, end)
+    return Cuts(list_name, column, limits), tables
