@@ -37,7 +37,16 @@ _SURPRISED = 8.0
 _SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
 _FOLDS = 5
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
-_SHARED_SETS = 0.99
+_KIN = {
+    "rate": frozenset({"scale_asymmetry", "scale_quadratic", "scale_cubic", "dead_band"}),
+    "acceleration": frozenset({"latency", "bandwidth", "acceleration_sensitivity", "sample_hold"}),
+    "temperature": frozenset({"thermal_bias", "thermal_bias_quadratic", "thermal_gradient", "thermal_scale", "warm_up"}),
+    "time": frozenset({"bias_drift", "warm_up", "bias_step"}),
+    "direction": frozenset({"scale_asymmetry", "bias_step"}),
+    "angle": frozenset({"table_harmonic", "table_axes", "earth_rate"}),
+    "gravity": frozenset({"g_sensitivity"}),
+}
+"""Effects that depend on the same as structure that none explains: they fit a part of it and are no cause then."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,8 +162,10 @@ def _conclude(
 ) -> Investigation:
     choices = traced.found.choices
     general = [c for c in choices if c.candidate.depends_on]
-    certain = [c for c in choices if not c.candidate.depends_on and c.probability >= CERTAIN]
-    doubtful = [c for c in choices if not c.candidate.depends_on and c.probability < CERTAIN]
+    kin = set().union(*(_KIN.get(c.candidate.depends_on, frozenset()) for c in general))
+    named = [c for c in choices if not c.candidate.depends_on and c.candidate.called not in kin]
+    certain = [c for c in named if c.probability >= CERTAIN]
+    doubtful = [c for c in named if c.probability < CERTAIN]
     weight = traced.search.evidence.noise_weight([c.term for c in choices])
     before = _model(traced, [], weight)
     after = _model(traced, certain, weight)

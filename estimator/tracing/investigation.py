@@ -63,7 +63,10 @@ class Unexplained:
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Error of the compensated rate: rms and largest (rad/s), share of its 95 % intervals that hold (0 to 1)."""
+    """Error of the compensated rate: rms and largest (rad/s), share of its 95 % intervals that hold (0 to 1).
+
+    The share is over the rests, ramps and steady rates in which the models before and after say different things.
+    """
 
     rms_rps: float
     max_rps: float

@@ -68,6 +68,8 @@ class Search:
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Bring in candidates: their columns are worked out for every gyro."""
+        if not candidates:
+            return
         fresh = not self._known
         self._scored.clear()
         start = self._spectra[0].columns[0].shape[1]

@@ -2,7 +2,8 @@
 
 A run is divided into phases: rests, ramps, steady rates. In each, what is left of a gyro's output error beside a model
 is projected on its mean and on the direction in which the two models differ; the rest of it is noise to both. These
-projections say how wrong the compensated rate is in that phase, and whether its interval holds.
+projections say how wrong the compensated rate is in that phase, and whether its interval holds. Coverage is over the
+phases in which the two models differ by more than an interval's standard deviation, over all if they are the same.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ _RAMP_SHARE = 0.02  # of the steepest acceleration of a run: what counts as a ra
 _FEWEST = 2
 _RESAMPLED = 400
 _LONG = 30.0
+_APART = 1.0  # sigmas of an interval by which models differ, to be told apart by it
+_FEWEST_JUDGED = 20
 _DIRECTION = 1e-3  # share of a direction that must be left beside the mean to count as another
 
 
@@ -60,6 +63,7 @@ class _Sums:
     blocks: int
     inside: tuple[list[bool], list[bool]]
     largest: tuple[float, float]
+    apart: float
     chi: float
     dof: int
 
@@ -139,6 +143,7 @@ def judge(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, 
                             len(keep),
                             (inside[0], inside[1]),
                             (float(np.abs(fits[0]).max()), float(np.abs(fits[1]).max())),
+                            float(np.abs(scores[0] - scores[1])[-1] / np.sqrt((noise + doubts[1])[-1])),
                             chi,
                             1,
                         ),
@@ -224,7 +229,10 @@ def _errors(sums: Sequence[_Sums], which: int) -> Errors:
     doubt = np.array([s.doubt[which] * s.blocks for s in sums])
     # Of the squares, noise is taken off; the error is never said to be less than the model's own doubt.
     mean = max(float((squares - noise).sum()), float(doubt.sum())) / float(blocks.sum())
-    inside = [held for s in sums for held in s.inside[which]]
+    # Where the models agree their intervals hold or fail together; what differs is judged where they do not.
+    told = sorted(sums, key=lambda s: -s.apart)
+    count = max(sum(s.apart > _APART for s in told), min(_FEWEST_JUDGED, len(told)))
+    inside = [held for s in (told[:count] if told[0].apart > 0 else told) for held in s.inside[which]]
     return Errors(float(np.sqrt(mean)), max(s.largest[which] for s in sums), float(np.mean(inside)))
 
 
