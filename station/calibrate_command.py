@@ -17,7 +17,8 @@ import numpy as np
 
 from estimator.calibrate import calibrate
 from estimator.calibration import Calibration
-from estimator.errors import RecordingError
+from estimator.error_model import ErrorModel
+from estimator.errors import EstimatorError, RecordingError
 from estimator.recording import Recording, read_recording
 from estimator.repeatability import Repeatability, repeatability, same_device
 from estimator.results import write_calibration
@@ -59,15 +60,16 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     try:
         names = recordings_of(arguments.recordings)
         limits = load_bench(Path(arguments.bench)).limits if arguments.bench else None
+        model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
         results, failures = run_all(
-            partial(estimate, limits=limits, write=arguments.write),
+            partial(estimate, limits=limits, write=arguments.write, model=model),
             [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
             label="calibrating",
             scheduler=arguments.scheduler,
             workers=arguments.jobs,
             quiet=arguments.json or len(names) == 1,
         )
-    except UsageError as error:
+    except (UsageError, EstimatorError) as error:
         return refuse(str(error), arguments.json)
     reasons = iter(failure.reason for failure in failures)  # in the order of the recordings, as the gaps are
     ends = [(name, next(reasons) if found is None else found) for name, found in zip(names, results, strict=True)]
@@ -90,14 +92,16 @@ def recordings_of(arguments: Sequence[str]) -> list[str]:
     return list(found.values())
 
 
-def estimate(name: str, *, limits: Limits | None, write: bool) -> Estimated:
+def estimate(name: str, *, limits: Limits | None, write: bool, model: ErrorModel | None = None) -> Estimated:
     """Estimate the gyros of one recording and judge them, by its own limits unless some are given.
+
+    ``model``: effects to estimate beside the states.
 
     Raises EstimatorError or UsageError for a recording that cannot be used, or not be written into.
     """
     recording = read_recording(Path(name))
     limits = limits or _own_limits(recording)
-    calibration = calibrate(recording)
+    calibration = calibrate(recording, model=model)
     verdict = (
         judge(calibration, limits)
         if limits

@@ -1,4 +1,4 @@
-"""The command line: station run, twin, calibrate, import, study, plan."""
+"""The command line: station run, twin, calibrate, import, study, plan, investigate, loop."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ _MODULES = {
     "twin": "station.commands",
     "calibrate": "station.calibrate_command",
     "import": "station.commands",
+    "investigate": "station.investigate_command",
+    "loop": "station.loop_command",
     "plan": "station.plan_command",
     "study": "station.studies.command",
 }
@@ -66,18 +68,13 @@ def _parser() -> argparse.ArgumentParser:
     _bench_options(run)
     run.add_argument("--script", metavar="FILE", help="script (.toml); default: the 360 s script, x, y and z in turn")
     run.add_argument("--output", "-o", metavar="FILE", help="recording to write; default: recordings/run-DATE-TIME.h5")
-    run.add_argument(
-        "--scale",
-        type=_positive,
-        metavar="F",
-        help="run F times as fast as real time, with twins only; default: virtual time if every link is twin:, else 1",
-    )
+    _speed_options(run)
+    _model_option(run)
     run.add_argument(
         "--end-early",
         action="store_true",
         help="stop when every sigma that the bench requires ([limits], sd_...) is reached and the residual is clean",
     )
-    run.add_argument("--reset-fault", action="store_true", help="clear faults of the table before enabling it")
     run.add_argument("--json", action="store_true", help="print the result as one JSON object")
 
     twin = commands.add_parser(
@@ -106,6 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     calibrate.add_argument(
         "--write", action="store_true", help="write the result into the recording, group /calibration"
     )
+    _model_option(calibrate)
     _campaign_options(calibrate)
     calibrate.add_argument("--json", action="store_true", help="print each result as one JSON object, one a line")
 
@@ -148,7 +146,93 @@ def _parser() -> argparse.ArgumentParser:
             " requires is not reached.",
         )
     )
+    _investigate_options(
+        commands.add_parser(
+            "investigate",
+            help="trace in recordings what the error model lacks",
+            description="Find the residual of recordings, trace it to the effect that the model lacks, add that effect,"
+            " state the error before and after. Exit code 0: nothing to add, or added; 1: cannot tell, or unexplained.",
+        )
+    )
+    _loop_options(
+        commands.add_parser(
+            "loop",
+            help="calibrate, explore, verify, trace on the bench, and drive what tells rivals apart",
+            description="Close the loop on a bench: drive the 360 s script, an exploration and a verification script,"
+            " investigate, drive the next script if causes cannot be told apart, and end with one report. Exit codes as"
+            " investigate; 3 and 4 if a run is aborted or a device fails.",
+        )
+    )
     return parser
+
+
+def _investigate_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "recordings", nargs="+", metavar="RECORDING", help="recording (.h5) to fit and trace, or a folder of them"
+    )
+    parser.add_argument(
+        "--verify",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="RECORDING",
+        help="recording that only judges: used neither to fit nor to choose",
+    )
+    _effects_option(parser)
+    parser.add_argument(
+        "--bench", metavar="FILE", help="bench file whose table the next script is for; default: the recording's"
+    )
+    parser.add_argument(
+        "--next-script",
+        metavar="FILE",
+        help="script to write if causes cannot be told apart, a new file; default: next-script.toml, or"
+        " next-script-2.toml",
+    )
+    parser.add_argument("--output", "-o", metavar="FILE", help="file to keep the results in (.h5), a new file")
+    parser.add_argument("--plot", metavar="FILE", help="draw the residuals before and after (.png, .svg or .pdf)")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+
+
+def _loop_options(parser: argparse.ArgumentParser) -> None:
+    _bench_options(parser)
+    _speed_options(parser)
+    _effects_option(parser)
+    parser.add_argument(
+        "--minutes",
+        type=_positive,
+        default=30.0,
+        metavar="M",
+        help="table time that may be used, the first three runs (16.6 min) included; default: 30",
+    )
+    parser.add_argument(
+        "--output", "-o", metavar="FOLDER", help="folder for the recordings; default: recordings/loop-DATE-TIME"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+
+
+def _effects_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--most-effects", type=_count, default=4, metavar="N", help="effects to add at the most; default: 4"
+    )
+
+
+def _model_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--model",
+        metavar="FILE",
+        help="error model of this type of gyro, to begin with: what `station investigate -o FILE` wrote of another"
+        " device; its effects are estimated beside the states",
+    )
+
+
+def _speed_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--scale",
+        type=_positive,
+        metavar="F",
+        help="run F times as fast as real time, with twins only; default: virtual time if every link is twin:, else 1",
+    )
+    parser.add_argument("--reset-fault", action="store_true", help="clear faults of the table before enabling it")
 
 
 def _plan_options(plan: argparse.ArgumentParser) -> None:

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from drivers.errors import DeviceError
+from estimator.error_model import ErrorModel
 from estimator.errors import EstimatorError
 from estimator.recording import write_recording
 from station.bench import Bench, load_bench
@@ -35,6 +36,7 @@ def command_run(arguments: argparse.Namespace) -> int:
         check(script, bench.table.limits)
         if arguments.end_early:
             check_early_end(bench)
+        model = _model_of(arguments, bench)
         path = Path(arguments.output) if arguments.output else _new_recording_path()
         with clock(bench, arguments.scale) as runner:
             work = drive(
@@ -45,6 +47,7 @@ def command_run(arguments: argparse.Namespace) -> int:
                 reset_fault=arguments.reset_fault,
                 end_early=arguments.end_early,
                 quiet=arguments.json,
+                model=model,
             )
             result = runner.run(work)
     except (UsageError, EstimatorError) as error:
@@ -61,6 +64,26 @@ def command_run(arguments: argparse.Namespace) -> int:
             print_calibration(result.calibration)
         print_verdict(result.verdict, result.recording)
     return result.verdict.outcome.exit_code
+
+
+def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
+    """Return the error model that is to be begun with, seen to fit the bench before anything moves."""
+    if arguments.model is None:
+        return None
+    model = ErrorModel.read(Path(arguments.model))
+    if arguments.end_early:
+        raise UsageError(
+            "--end-early with --model: what is enough is judged by the four states alone; give one of the two"
+        )
+    model.made(bench.table.gimbals, frozenset({"gimbals", "specific force", "temperature"}))
+    if model.needs_temperature:
+        for imu in bench.imus:
+            if imu.used and imu.protocol == "can" and any(temperature is None for _, temperature in imu.signals):
+                raise UsageError(
+                    f"{arguments.model} has effects of temperature, and {imu.name} states no temperature signal: name "
+                    "it in the channels of the bench file, or run without --model"
+                )
+    return model
 
 
 def command_twin(arguments: argparse.Namespace) -> int:
@@ -124,7 +147,15 @@ def clock(bench: Bench, scale: float | None) -> asyncio.Runner:
 
 
 async def drive(
-    bench: Bench, script: Script, path: Path, scale: float, *, reset_fault: bool, end_early: bool, quiet: bool
+    bench: Bench,
+    script: Script,
+    path: Path,
+    scale: float,
+    *,
+    reset_fault: bool,
+    end_early: bool,
+    quiet: bool,
+    model: ErrorModel | None = None,
 ) -> Result:
     """Run a script on a bench into a recording, with its progress on stderr."""
     async with open_bench(bench, time_scale=scale) as opened:
@@ -136,6 +167,7 @@ async def drive(
                 seed=bench.twin.seed,
                 reset_fault=reset_fault,
                 end_early=end_early,
+                model=model,
                 time_scale=scale,
                 on_progress=progress.show,
             )

@@ -15,6 +15,7 @@ from estimator.kinematics import Site
 from estimator.model import Prior, decode
 from estimator.reference import BodyRates, TableReadings, TableUncertainty
 from estimator.rows import BLOCK_S
+from estimator.sample_columns import SampleColumns
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -39,12 +40,16 @@ class History:
 class LiveSource:
     """One source: samples not yet used, its filter, what the filter said."""
 
-    def __init__(self, array: SensorArray, rate_hz: float, noise_rps: float, prior: Prior) -> None:
-        """``noise_rps`` is the data sheet's white noise of one sample."""
+    def __init__(
+        self, array: SensorArray, rate_hz: float, noise_rps: float, prior: Prior, effects: SampleColumns | None = None
+    ) -> None:
+        """``noise_rps`` is the data sheet's white noise of one sample; ``effects`` are those of an error model."""
         self.array = array
         self.prior = prior
         self.noise_rps = np.full(len(array), noise_rps)
-        self.filter = LiveFilter(array, self.noise_rps, prior)
+        self.effects = effects if effects is not None and effects.count else None
+        self.notes = effects.notes if effects is not None else ()
+        self.filter = LiveFilter(array, self.noise_rps, prior, self.effects.count if self.effects else 0)
         self.history = History()
         self._rows = max(round(BLOCK_S * rate_hz), 1)
         self._period_s = 1 / rate_hz
@@ -52,6 +57,7 @@ class LiveSource:
         self._sums: BlockSums | None = None
         self._t: Stamps = np.empty(0, dtype=np.int64)
         self._y: Floats = np.empty((0, len(array)))
+        self._temperature_c: Floats = np.empty(0)
         self._new: list[ImuBlock] = []
 
     def add(self, block: ImuBlock) -> None:
@@ -68,12 +74,17 @@ class LiveSource:
             w = rates.at(self._t[early:whole])
             if self._keeps_blocks:
                 self._sum(rates.starts_ns, w, self._t[early:whole], self._y[early:whole])
-            for start in range(early, whole, self._rows):
-                stop = min(start + self._rows, whole)
-                self._update(w[start - early : stop - early], start, stop)
+            y, further = self._y[early:whole], None
+            if self.effects is not None:
+                further, expected = self.effects.at(rates, self._t[early:whole], self._temperature_c[early:whole])
+                y = y - expected
+            for start in range(0, whole - early, self._rows):
+                part = slice(start, min(start + self._rows, whole - early))
+                self._update(int(self._t[early + part.stop - 1]), w[part], y[part], further, part)
         start = max(whole, early)
         if start:
             self._t, self._y = self._t[start:], self._y[start:]
+            self._temperature_c = self._temperature_c[start:]
 
     def decoded(self) -> tuple[Floats, Floats]:
         """Return the states (m, 4) and their sigmas."""
@@ -100,17 +111,21 @@ class LiveSource:
             return
         t_ns = np.concatenate([block.t_ns for block in self._new])
         rate = np.vstack([block.rate_rps for block in self._new])
-        self._new.clear()
         good = np.isfinite(rate).all(axis=1)
+        temperature = np.concatenate([block.temperature_c for block in self._new])
+        self._temperature_c = np.concatenate([self._temperature_c, temperature[good]])
+        self._new.clear()
         self._t = np.concatenate([self._t, t_ns[good]])
         self._y = np.vstack([self._y, rate[good]])
 
-    def _update(self, w: Floats, start: int, stop: int) -> None:
+    def _update(self, t_ns: int, w: Floats, y: Floats, further: Floats | None, part: slice) -> None:
         known = np.isfinite(w).all(axis=1)
+        if further is not None:
+            known &= np.isfinite(y).all(axis=1)  # effects of a temperature that has not come yet
         if not known.any():
             return
-        innovation = self.filter.update(w[known], self._y[start:stop][known])
-        history, t_ns = self.history, int(self._t[stop - 1])
+        innovation = self.filter.update(w[known], y[known], None if further is None else further[part][known])
+        history = self.history
         history.t_ns.append(t_ns)
         history.nis.append(innovation.nis)
         history.dof.append(innovation.dof)
@@ -168,6 +183,11 @@ class LiveEstimate:
             t_ns, angle, rate = zip(*self._rows, strict=True)
             self.rates.add(np.array(t_ns, dtype=np.int64), np.array(angle), np.array(rate))
             self._rows.clear()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Which effects of an error model the live estimate goes without, each once."""
+        return tuple(dict.fromkeys(note for s in self.sources.values() for note in s.notes))
 
     @property
     def nis_mean(self) -> float:

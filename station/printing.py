@@ -19,7 +19,7 @@ from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as RichProgress
 from rich.table import Table
 
-from estimator.calibration import Calibration
+from estimator.calibration import Calibration, GyroCalibration
 from estimator.model import STATES
 from estimator.repeatability import Repeatability
 from estimator.rests import RestNoise
@@ -36,6 +36,7 @@ _COLOURS = {
 }
 _BUDGET_WORDS = {
     "noise": "noise (type A)",
+    "effects": "effects of the model (type A)",
     "rate": "table rate (type B)",
     "wobble": "table wobble (type B)",
     "orthogonality": "table orthogonality (type B)",
@@ -107,6 +108,8 @@ def print_calibration(calibration: Calibration) -> None:
         table.add_row(*cells, f"{math.degrees(gyro.noise_rps):.4f}")
     console = _stdout()
     console.print(table)
+    if any(gyro.effects for gyro in calibration.gyros):
+        _print_effects(console, calibration.gyros)
     _print_budget(console, calibration)
     nis = (
         f"mean NIS {calibration.nis_mean:.3f} per degree of freedom (1 = the filter's sigmas are true), "
@@ -116,6 +119,28 @@ def print_calibration(calibration: Calibration) -> None:
     console.print(f"{nis}{calibration.samples} samples, {calibration.lost} lost", highlight=False)
     for note in calibration.notes:
         console.print(f"note: {note}", highlight=False)
+
+
+def _print_effects(console: Console, gyros: Sequence[GyroCalibration]) -> None:
+    """Print what the effects of the error model are on each gyro, a line a parameter, beside what was expected."""
+    from estimator.tracing.investigation import Value
+    from station.investigation_printed import human, words
+
+    table = Table(title="Effects of the error model", title_style="bold", title_justify="left")
+    table.add_column("effect")
+    table.add_column("parameter")
+    table.add_column("gyro")
+    table.add_column("found", justify="right")
+    table.add_column("typical size", justify="right", style="dim")
+    for number, effect in enumerate(gyros[0].effects):
+        rows = gyros[:1] if effect.shared else gyros
+        for row, gyro in enumerate(rows):
+            value = gyro.effects[number]
+            found = human(Value(value.value, value.sd, value.unit))
+            typical = human(Value(value.expected_sd, 0.0, value.unit)) if not (row or value.shared) else ""
+            heads = ("", "") if row else (escape(words(value.effect)), escape(value.parameter))
+            table.add_row(*heads, "all" if value.shared else escape(gyro.name), found, typical)
+    console.print(table)
 
 
 def _print_budget(console: Console, calibration: Calibration) -> None:
@@ -281,6 +306,7 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
                 "walk_rps_rts": gyro.noise.mean.walk,
                 "walk_below_rps_rts": gyro.noise.walk_below,
             },
+            **({"effects": _effects_object(gyro)} if gyro.effects else {}),
         }
         for gyro in (calibration.gyros if calibration else ())
     ]
@@ -299,6 +325,14 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
             for c in (calibration.parity if calibration else ())
         },
     }
+
+
+def _effects_object(gyro: GyroCalibration) -> dict[str, dict[str, list[float | str]]]:
+    """Return by effect and parameter the value, its standard deviation and its unit."""
+    found: dict[str, dict[str, list[float | str]]] = {}
+    for value in gyro.effects:
+        found.setdefault(value.effect, {})[value.parameter] = [value.value, value.sd, value.unit]
+    return found
 
 
 def _stdout() -> Console:

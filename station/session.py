@@ -21,11 +21,13 @@ from drivers.errors import DeviceError, LinkLost
 from drivers.seams import ImuBlock
 from estimator.calibrate import calibrate
 from estimator.calibration import Calibration
+from estimator.error_model import ErrorModel
 from estimator.errors import EstimatorError
 from estimator.gram import solve
 from estimator.recording import Recording, RecordingWriter, read_recording, write_attributes, write_results
 from estimator.results import write_calibration
 from estimator.rows import gram_of
+from estimator.sample_columns import SampleColumns, white_solution
 from station.early_end import EarlyEnd
 from station.live import LiveEstimate, LiveSource
 from station.loops import is_virtual
@@ -72,11 +74,17 @@ class Session:
         seed: int = 0,
         reset_fault: bool = False,
         end_early: bool = False,
+        model: ErrorModel | None = None,
         time_scale: float = 1.0,
         on_progress: Callable[[Callable[[], Snapshot]], None] = lambda look: None,
     ) -> None:
-        """Create the recording; nothing is opened yet. RecordingError if the file cannot be created."""
+        """Create the recording; nothing is opened yet.
+
+        ``model``: effects to estimate beside the states; it must fit the table. RecordingError if the file cannot be
+        created.
+        """
         config = bench.bench
+        self._model = model if model is not None and model.effects else None
         self._open, self._bench, self._script = bench, config, script
         self._reset_fault, self._time_scale, self._on_progress = reset_fault, time_scale, on_progress
         self._phase = "connecting"
@@ -145,7 +153,10 @@ class Session:
             noise = [config.noise.arw, config.noise.instability, config.noise.walk]
             stated = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
             self._writer.add_source(name, array, config.prior, stated)
-            self._live.sources[name] = LiveSource(array, config.rate_hz, float(noise_rps), config.prior)
+            effects = None
+            if self._model is not None:
+                effects = SampleColumns(self._model, self._bench.table.gimbals, self._bench.site, array)
+            self._live.sources[name] = LiveSource(array, config.rate_hz, float(noise_rps), config.prior, effects)
 
     async def _work(self) -> None:
         table = self._open.table
@@ -317,7 +328,8 @@ class Session:
         self._live.finish()
         path = self._writer.path
         recording = read_recording(path, trusted=True)
-        calibration = replace(calibrate(recording, innovations=False), nis_mean=self._live.nis_mean)
+        found = calibrate(recording, innovations=False, model=self._model)
+        calibration = replace(found, nis_mean=self._live.nis_mean, notes=(*found.notes, *self._live.notes))
         agreement = self._agreement(recording)
         write_calibration(path, calibration, {"live_batch_difference_sigma": agreement})
         for name, source in self._live.sources.items():
@@ -331,9 +343,11 @@ class Session:
     def _agreement(self, recording: Recording) -> float:
         largest = 0.0
         for name, source in self._live.sources.items():
-            batch = solve(
-                gram_of(recording, name, recording.sources[name]), source.array, source.prior, source.noise_rps
-            )
+            data = recording.sources[name]
+            if source.effects is None:
+                batch = solve(gram_of(recording, name, data), source.array, source.prior, source.noise_rps)
+            else:
+                batch = white_solution(recording, data, source.effects, source.prior, source.noise_rps)
             x, _ = source.filter.state()
             sd = np.sqrt(np.diagonal(batch.covariance, axis1=1, axis2=2))
             largest = max(largest, float(np.abs((x - batch.x) / sd).max()))

@@ -1,0 +1,252 @@
+"""station investigate: what the error model lacks, traced in recordings that are there."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn
+
+from drivers.seams import AxisLimits
+from estimator.errors import EstimatorError
+from estimator.recording import Recording, read_recording
+from estimator.reference import TableReadings
+from estimator.tracing.investigate import investigate
+from estimator.tracing.investigation import Finding, Investigation
+from estimator.tracing.runs import runs_of
+from station.bench import load_bench
+from station.calibrate_command import recordings_of
+from station.errors import EXIT_USAGE, UsageError
+from station.improve import script_text
+from station.investigation_file import check_new_file, write_investigation
+from station.investigation_pictures import draw_investigation
+from station.investigation_printed import empty_object, exit_code_of, investigation_object, print_investigation
+from station.next_script import NextScript, Past, next_script
+from station.studies.pictures import check_picture
+from station.tables import Table
+
+_NEXT_FILE = "next-script.toml"
+_PLAIN_EVERY = 0.25  # without a terminal: one line each quarter
+_MOST_RIVALS = 4  # of what stays unexplained, so many suspects are told apart
+_DEPENDING = {
+    "rate": ("scale_asymmetry", "scale_quadratic", "scale_cubic"),
+    "time": ("bias_drift", "warm_up"),
+    "temperature": ("thermal_bias", "thermal_bias_quadratic", "thermal_gradient"),
+    "acceleration": ("latency", "bandwidth", "acceleration_sensitivity"),
+    "gravity": ("g_sensitivity", "earth_rate"),
+    "angle": ("table_harmonic", "g_sensitivity"),
+}
+"""Effects that a residual which depends on this may come from: a script that tells them apart shows more of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a table can do, and where that is stated."""
+
+    axes: Mapping[str, AxisLimits]
+    stated_in: str
+
+
+def command_investigate(arguments: argparse.Namespace) -> int:
+    """Trace what the model lacks; 0 if nothing or known, 1 if it cannot be told or explained, 2 for bad input."""
+    fitted, judging = list(arguments.recordings), list(arguments.verify)
+    try:
+        picture, model, script_file = _outputs(arguments)
+        fitted, judging = recordings_of(fitted), recordings_of(judging)
+        _check_apart(fitted, judging)
+        recordings, verification = read(fitted), read(judging)
+        limits = limits_of(recordings, Path(arguments.bench) if arguments.bench else None)
+        with TracingProgress(arguments.json) as progress:
+            found = investigate(recordings, verification, most_effects=arguments.most_effects, progress=progress.show)
+            following = following_script(found, recordings, verification, limits)
+        if following is not None:
+            script_file = script_file or free_path(_NEXT_FILE)
+            write_script(script_file, following, limits)
+        written = None if following is None else script_file
+        what = investigation_object(found, written, fitted, judging)
+        if model is not None:
+            write_investigation(model, found, what)
+        if picture is not None:
+            draw_investigation(picture, found)
+    except (UsageError, EstimatorError) as error:
+        return _refuse(str(error), fitted, judging, arguments.json)
+    if arguments.json:
+        print(json.dumps({**what, "output": arguments.output, "plot": arguments.plot}))
+    else:
+        print_investigation(found, following, written)
+        if following is None and exit_code_of(found.finding):
+            print(f"no next script: {_why_none(recordings, limits)}")
+        for kind, path in (("picture", picture), ("results", model)):
+            if path is not None:
+                print(f"{kind}: {path}")
+    return exit_code_of(found.finding)
+
+
+def _outputs(arguments: argparse.Namespace) -> tuple[Path | None, Path | None, Path | None]:
+    """Return picture, results and script to write, checked before the long work."""
+    picture, model, script = (
+        Path(name) if name else None for name in (arguments.plot, arguments.output, arguments.next_script)
+    )
+    if picture is not None:
+        check_picture(picture)
+    for path, option in ((model, "--output"), (script, "--next-script")):
+        if path is not None:
+            check_new_file(path, option)
+    return picture, model, script
+
+
+def _check_apart(fitted: Sequence[str], judging: Sequence[str]) -> None:
+    both = {Path(name).resolve() for name in fitted} & {Path(name).resolve() for name in judging}
+    if both:
+        raise UsageError(f"{min(both)} is to be fitted and to verify: a run that is fitted cannot judge")
+
+
+def read(names: Sequence[str]) -> list[Recording]:
+    """Return recordings by name."""
+    return [read_recording(Path(name)) for name in names]
+
+
+def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | None:
+    """Return the limits of the table: of a bench file, or of the one that a recording carries; None if neither."""
+    if bench is not None:
+        return Limits(load_bench(bench).table.limits, str(bench))
+    for recording in recordings:
+        text = recording.attributes.get("bench")
+        if text and isinstance(recording.reference, TableReadings):
+            table = Table.parse(str(text), f"bench in {recording.name}", UsageError).table("table")
+            axes = {}
+            for axis in recording.reference.gimbals:
+                own = table.table(axis)
+                axes[axis] = AxisLimits(
+                    own.quantity("max_rate", "rate"), own.quantity("max_acceleration", "acceleration")
+                )
+            return Limits(axes, f"the bench in {recording.name}")
+    return None
+
+
+def following_script(
+    found: Investigation,
+    recordings: Sequence[Recording],
+    verification: Sequence[Recording],
+    limits: Limits | None,
+    most_s: float = math.inf,
+) -> NextScript | None:
+    """Return what to drive next within a time, None if all is settled or no table is known.
+
+    Raises UsageError if the limits are those of another table.
+    """
+    fitted, judging = ([r for r in own if isinstance(r.reference, TableReadings)] for own in (recordings, verification))
+    if limits is None or not fitted or found.finding in (Finding.NOTHING, Finding.ADDED):
+        return None
+    reference = fitted[0].reference
+    assert isinstance(reference, TableReadings)
+    missing = [axis for axis in reference.gimbals if axis not in limits.axes]
+    if missing:
+        raise UsageError(f"{limits.stated_in} has no axis {', '.join(missing)}, which the recordings turn about")
+    rivals = found.rivals or (_suspects(found),)
+    known = {suspect.effect: suspect.log_evidence for suspect in found.suspects}
+    seen_since = _evidence_of(found)
+    past, since = ([Past.of(run) for recording in own for run in runs_of(recording)[0]] for own in (fitted, judging))
+    return next_script(
+        rivals,
+        {name: max(known.get(name, 0.0), seen_since) for own in rivals for name in own},
+        past,
+        limits.axes,
+        reference.gimbals,
+        fitted[0].site,
+        judging=since,
+        most_s=most_s,
+    )
+
+
+def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
+    if not any(isinstance(recording.reference, TableReadings) for recording in recordings):
+        return "these recordings were not made on a table"
+    if limits is None:
+        return "nothing says what the table can do: give its bench file with --bench"
+    return "no script is known that shows more of this"
+
+
+def _suspects(found: Investigation) -> tuple[str, ...]:
+    """Return what may lie behind something unexplained: effects of its kind, else those that would explain most."""
+    if found.unexplained is not None and found.unexplained.depends_on in _DEPENDING:
+        return _DEPENDING[found.unexplained.depends_on]
+    ranked = sorted(found.suspects, key=lambda suspect: -suspect.log_evidence)
+    return tuple(suspect.effect for suspect in ranked[:_MOST_RIVALS])
+
+
+def _evidence_of(found: Investigation) -> float:
+    """Return half the squares, in sigmas, by which the errors on a verification run exceed their noise."""
+    views = [view for view in found.views if view.verification and view.noise_rps > 0]
+    squares = sum(float(np.sum((view.after_rps / view.noise_rps) ** 2 - 1)) for view in views)
+    return max(0.5 * squares, 0.0)
+
+
+def write_script(path: Path, following: NextScript, limits: Limits | None) -> None:
+    """Write a script as TOML; UsageError if that fails."""
+    rivals = "; ".join(" or ".join(names) for names in following.rivals)
+    origin = f"Found by station investigate, within the limits of {limits.stated_in if limits else 'a table'}.\n"
+    origin += f"To tell apart: {rivals}. Predicted probability of that: {following.probability:.2f}."
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(script_text(following.script, origin))
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error}") from None
+
+
+def free_path(name: str) -> Path:
+    """Return a file of this name that is not there yet, numbered if need be."""
+    path, number = Path(name), 1
+    while path.exists():
+        number += 1
+        path = Path(name).with_stem(f"{Path(name).stem}-{number}")
+    return path
+
+
+class TracingProgress:
+    """How far an investigation is, on stderr: a bar in a terminal, a few lines elsewhere, nothing when quiet."""
+
+    def __init__(self, quiet: bool) -> None:
+        """Show nothing if quiet."""
+        self._quiet = quiet
+        self._console = Console(stderr=True)
+        self._bar: Progress | None = None
+        self._task = TaskID(0)
+        self._shown = 0.0
+
+    def __enter__(self) -> TracingProgress:
+        if not self._quiet and self._console.is_terminal:
+            columns = (TextColumn("{task.percentage:>3.0f} %"), BarColumn(), TextColumn("{task.description}"))
+            self._bar = Progress(*columns, console=self._console)
+            self._bar.start()
+            self._task = self._bar.add_task("tracing", total=1.0)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def show(self, share: float, text: str) -> None:
+        """Show how much is done, 0 to 1, and what is being done."""
+        if self._bar is not None:
+            self._bar.update(self._task, completed=share, description=text)
+        elif not self._quiet and share - self._shown >= _PLAIN_EVERY:
+            self._shown = share
+            self._console.print(f"{share:4.0%}  {text}", highlight=False)
+
+
+def _refuse(reason: str, fitted: Sequence[str], judging: Sequence[str], as_json: bool) -> int:
+    print(f"station: {reason}", file=sys.stderr)
+    if as_json:
+        print(json.dumps(empty_object(reason, fitted, judging)))
+    return EXIT_USAGE

@@ -1,0 +1,56 @@
+"""What an investigation is kept in: an HDF5 file with the verdict as JSON and the residuals before and after."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator.error_model import WHERE, ErrorModel
+from estimator.tracing.investigation import Investigation
+from station.errors import UsageError
+
+FORMAT = "turntable-investigation"
+FORMAT_VERSION = 1
+
+
+def check_new_file(path: Path, option: str) -> None:
+    """See, before any long work, that a file can be created there; UsageError if not."""
+    if path.exists():
+        raise UsageError(f"{option} {path} is there already: give another name")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"{option} {path}: there is no directory {path.parent}")
+
+
+def write_investigation(path: Path, found: Investigation, what: Mapping[str, Any]) -> None:
+    """Write group /investigation: ``what`` --json prints as its attribute ``json``, states, residuals by run and gyro.
+
+    ``error_model`` is the text of the model to begin with on the next device of the type (``estimator.error_model``).
+
+    Raises UsageError if the file is there or cannot be written.
+    """
+    import h5py
+
+    try:
+        with h5py.File(path, "x") as file:
+            file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
+            group = file.create_group("investigation")
+            group.attrs.update({"verdict": str(found.finding), "reason": found.reason, "json": json.dumps(what)})
+            if found.model is not None:
+                file[WHERE] = ErrorModel.of(found.model).text()
+            group["name"] = np.array([gyro.name.encode() for gyro in found.gyros])
+            for key in ("states_before", "states_after", "moved"):
+                group[key] = np.array([getattr(gyro, key) for gyro in found.gyros])
+            for view in found.views:
+                # A gyro's name may hold a slash, which would make a group of its own.
+                part = group.create_group(f"residual/{view.run.replace('/', '_')}/{view.gyro.replace('/', '_')}")
+                part.attrs.update({"verification": view.verification, "noise_rps": view.noise_rps})
+                for key in ("t_s", "rate_rps", "temperature_c", "before_rps", "after_rps"):
+                    values = getattr(view, key)
+                    if values is not None:
+                        part[key] = values
+    except (OSError, ValueError) as error:
+        raise UsageError(f"cannot write {path}: {error}") from None

@@ -1,0 +1,332 @@
+"""station investigate: its verdicts on recordings whose cause is known, what it prints, what it refuses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from support import SITE, TABLE_1
+
+import station.investigate_command
+from estimator.array import tetrahedron
+from estimator.recording import Recording, write_recording
+from estimator.tracing.investigation import (
+    Added,
+    Errors,
+    Finding,
+    GyroErrors,
+    Improvement,
+    Investigation,
+    ModelStep,
+    PhaseErrors,
+    Suspect,
+    Unexplained,
+    Value,
+)
+from estimator.tracing.runs import runs_of
+from sims.hidden import Hidden
+from station.bench import default_bench_text, load_bench
+from station.cli import main
+from station.investigation_printed import human, investigation_object, print_investigation, probability, stdout
+from station.loop_scripts import candidates, exploration_script, there_and_back, verification_script
+from station.next_script import NextScript, Past, next_script
+from station.open_bench import DeviceTruth, simulate
+from station.script import Rest, Script, check, load_script, paper_script
+
+DEG = np.pi / 180
+ASYMMETRY = {"scale_asymmetry": {"size": ["2000 ppm", "-2000 ppm", "1500 ppm", "2000 ppm"]}}
+KEYS = {"verdict", "added", "rivals", "unexplained", "before", "after", "in_sample", "next_script", "models", "gyros"}
+
+
+def simulated(
+    script: Script, seed: int, hidden: dict[str, Any] | None = None, started_s: float = 0.0, bench: bool = True
+) -> Recording:
+    """Return a recording of the tetrahedron, with what is hidden in it."""
+    noise = {"arw_rps_rthz": 0.005 * DEG, "bias_instability_rps": 2 * DEG / 3600}
+    device = DeviceTruth(tetrahedron(), np.tile(TABLE_1, (4, 1)), **noise, kind="tetrahedron")
+    hides = Hidden.of(hidden) if hidden else None
+    recording = simulate(script, {"array": device}, seed, site=SITE, hidden=hides, started_s=started_s)
+    return replace(recording, attributes={"bench": load_bench(None).text}) if bench else recording
+
+
+def files(folder: Path, hidden: dict[str, Any] | None = None, *, seed: int = 1) -> list[Path]:
+    """Write a calibration, an exploration and a verification recording."""
+    paths, clock_s = [], 0.0
+    for number, script in enumerate((paper_script(), exploration_script(), verification_script())):
+        paths.append(folder / f"{number}-{script.name}.h5")
+        write_recording(paths[-1], simulated(script, 10 * seed + number, hidden, clock_s))
+        clock_s += script.duration_s + 20
+    return paths
+
+
+def investigated(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+    """Return exit code, stdout and stderr of station investigate."""
+    code = main(["investigate", *map(str, arguments)])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.fixture(scope="module")
+def asymmetric(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three recordings of gyros whose scale factors differ by direction."""
+    return files(tmp_path_factory.mktemp("asymmetric"), ASYMMETRY)
+
+
+def test_what_the_model_lacks_is_named_and_its_size_is_right(
+    asymmetric: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second, third = asymmetric
+    results, picture = tmp_path / "results.h5", tmp_path / "residual.png"
+    code, text, _ = investigated(capsys, first, second, "--verify", third, "--json", "-o", results, "--plot", picture)
+    found = json.loads(text)
+    assert code == 0
+    assert found["verdict"] == "added"
+    assert set(found) >= KEYS
+    (added,) = found["added"]
+    assert added["effect"] == "scale_asymmetry"
+    assert added["gyros"] == ["gyro1", "gyro2", "gyro3", "gyro4"]
+    assert added["probability"] > 0.95
+    for value, true in zip(added["parameters"].values(), (2e-3, -2e-3, 1.5e-3, 2e-3), strict=True):
+        size, sd, unit = value
+        assert unit == "1"
+        assert abs(size - true) < 5 * sd < 1e-3
+    assert not found["in_sample"]
+    assert found["before"]["rms_rps"] > 5 * found["after"]["rms_rps"]
+    assert found["before"]["coverage95"] < 0.6
+    assert 0.85 < found["after"]["coverage95"] <= 1
+    assert found["improvement"]["low"] < found["improvement"]["ratio"] < found["improvement"]["high"]
+    assert [model["effects"] for model in found["models"]] == [[], ["scale_asymmetry"]]
+    assert set(found["gyros"]["gyro1"]) >= {"before", "after", "moved_sigmas", "phases"}
+    assert found["next_script"] is None
+    assert found["verification"] == [str(third)]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    with h5py.File(results) as file:
+        kept = json.loads(str(file["investigation"].attrs["json"]))
+        assert kept["added"] == found["added"]
+        assert len(file["investigation/residual"]) >= 1
+
+
+def test_a_person_reads_the_verdict_first_then_sizes_in_everyday_units(
+    asymmetric: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second, third = asymmetric
+    code, text, _ = investigated(capsys, first, second, "--verify", third)
+    assert code == 0
+    assert text.startswith("ADDED")
+    assert "scale asymmetry" in text.splitlines()[1]
+    assert " ppm" in text
+    assert "times smaller (95 %:" in text
+    assert "verification run" in text
+    assert "in-sample" not in text
+
+
+def test_without_a_verification_run_it_says_that_the_figures_are_in_sample(
+    asymmetric: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, text, _ = investigated(capsys, *asymmetric[:2])
+    assert "in-sample" in text
+    assert "--verify" in text
+
+
+def test_the_360_s_script_alone_does_not_show_an_asymmetry_and_the_script_that_it_asks_for_does(
+    asymmetric: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = tmp_path / "next.toml"
+    code, text, _ = investigated(capsys, asymmetric[0], "--verify", asymmetric[2], "--next-script", script, "--json")
+    found = json.loads(text)
+    assert code == 1
+    assert found["verdict"] in ("cannot tell", "unexplained")
+    assert found["added"] == []
+    assert found["next_script"] == str(script)
+    driven = load_script(script)
+    check(driven, load_bench(None).table.limits)
+    settling = tmp_path / "next.h5"
+    write_recording(settling, simulated(driven, 77, ASYMMETRY, 1100.0))
+    code, text, _ = investigated(capsys, asymmetric[0], settling, "--verify", asymmetric[2], "--json")
+    assert code == 0
+    assert [added["effect"] for added in json.loads(text)["added"]] == ["scale_asymmetry"]
+
+
+def test_without_a_bench_it_says_what_the_next_script_needs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(station.investigate_command, "investigate", lambda *_, **__: made(Finding.CANNOT_TELL))
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "run.h5"
+    short = Script("short", (Rest(15.0), *there_and_back("z", 20.0, 12.0), Rest(15.0)))
+    write_recording(path, simulated(short, 1, bench=False))
+    code, text, _ = investigated(capsys, path)
+    assert code == 1
+    assert "no next script: nothing says what the table can do: give its bench file with --bench" in text
+    bench = tmp_path / "bench.toml"
+    bench.write_text(default_bench_text())
+    code, text, _ = investigated(capsys, path, "--bench", bench)
+    assert code == 1
+    assert "script: next-script.toml" in text
+    assert load_script(tmp_path / "next-script.toml").name in text
+
+
+def test_clean_recordings_need_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second, third = files(tmp_path, seed=3)
+    code, text, _ = investigated(capsys, first, second, "--verify", third)
+    assert code == 0
+    assert text.startswith("NOTHING TO ADD")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["nowhere.h5"], "nowhere.h5 is not a file"),
+        (["{0}", "--verify", "{0}"], "is to be fitted and to verify"),
+        (["{0}", "--plot", "residual.bmp"], "must end in one of"),
+        (["{0}", "-o", "{1}"], "is there already"),
+        (["{0}", "--bench", "nowhere.toml"], "nowhere.toml"),
+    ],
+)
+def test_bad_input_ends_with_2_and_without_a_verdict(
+    asymmetric: list[Path], capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
+) -> None:
+    code, text, error = investigated(capsys, *(a.format(*asymmetric) for a in arguments), "--json")
+    assert code == 2
+    assert says in error
+    assert json.loads(text)["verdict"] is None
+    assert says in json.loads(text)["reason"]
+
+
+def test_values_are_read_in_units_of_people_to_two_digits_of_their_doubt() -> None:
+    assert human(Value(0.00500 * DEG, 0.00012 * DEG, "rad/s/K")) == "0.00500 ± 0.00012 deg/s/degC"
+    assert human(Value(0.0041, 0.00003, "s")) == "4.100 ± 0.030 ms"
+    assert human(Value(61.0, 2.2, "s")) == "61.0 ± 2.2 s"
+    assert human(Value(2e-3, 31e-6, "1")) == "2000 ± 31 ppm"
+    assert human(Value(4e-6 / DEG**2, 1e-7 / DEG**2, "1/(rad/s)2")) == "4.00 ± 0.10 ppm per (deg/s)2"
+    assert human(Value(0.02 * DEG, 0.0, "rad/s/g")) == "0.02 deg/s/g"
+    assert human(Value(3.0, 0.5, "furlong")) == "3.00 ± 0.50 furlong"
+
+
+def test_no_probability_is_rounded_to_certainty() -> None:
+    assert probability(1.0) == "above 99.9 %"
+    assert probability(0.9994) == "above 99.9 %"
+    assert probability(0.5) == "50.0 %"
+    assert probability(1e-9) == "below 0.1 %"
+
+
+def made(finding: Finding) -> Investigation:
+    """Return an investigation made by hand."""
+    before, after = Errors(3e-4, 2e-3, 0.41), Errors(1e-5, 6e-5, 0.95)
+    phase = PhaseErrors("verify.h5", 0.0, 15.0, 0.0, "rest", 1e-4, float("nan"), 1e-6)
+    gyro = GyroErrors("gyro1", before, after, (phase,), np.zeros(4), np.ones(4), np.array([1.0, -30.0, 0.5, 0.1]))
+    added = Added("latency", ("gyro1",), 0.98, {"delay": Value(0.004, 3e-5, "s")})
+    return Investigation(
+        finding,
+        "why",
+        (added,) if finding is Finding.ADDED else (),
+        (("thermal_bias", "bias_drift"),) if finding is Finding.CANNOT_TELL else (),
+        Unexplained("direction", 0.42) if finding is Finding.UNEXPLAINED else None,
+        before,
+        after if finding is Finding.ADDED else before,
+        Improvement(30.0, 25.0, 36.0) if finding is Finding.ADDED else None,
+        False,
+        (gyro,),
+        (ModelStep((), 0.0, before), ModelStep(("latency",), 500.0, after)),
+        (Suspect("latency", 500.0, 0.98), Suspect("bandwidth", 496.0, 0.02)),
+        {"thermal_bias": "the recordings hold no temperature"},
+        ("a note",),
+    )
+
+
+def test_rivals_come_with_the_script_that_tells_them_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    following = NextScript(Script("a rest", (Rest(300.0),)), 0.9, (("thermal_bias", "bias_drift"),))
+    print_investigation(made(Finding.CANNOT_TELL), following, Path("next.toml"), stdout())
+    text = capsys.readouterr().out
+    assert "cannot tell apart: thermal bias or bias drift" in text
+    assert "drive next: a rest, 300 s: tells thermal bias, bias drift apart with probability 90%" in text
+    assert "station run --script next.toml" in text
+    assert "left out, the recordings hold no temperature: thermal bias" in text
+
+
+def test_parameters_of_one_gyro_share_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    names = ("gyro1 along body x", "gyro1 along body y", "gyro2 along body x", "time constant")
+    sizes = {name: Value(0.02 * DEG, 0.001 * DEG, "rad/s/g") for name in names[:3]}
+    added = Added("g_sensitivity", ("gyro1", "gyro2"), 0.99, {**sizes, names[3]: Value(60.0, 2.0, "s")})
+    print_investigation(replace(made(Finding.ADDED), added=(added,)), None, None, stdout())
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert "gyro1: along body x 0.0200 ± 0.0010 deg/s/g, along body y 0.0200 ± 0.0010 deg/s/g" in lines
+    assert "gyro2: along body x 0.0200 ± 0.0010 deg/s/g" in lines
+    assert "time constant: 60.0 ± 2.0 s" in lines
+
+
+def test_what_is_unexplained_is_said_with_what_it_depends_on(capsys: pytest.CaptureFixture[str]) -> None:
+    print_investigation(made(Finding.UNEXPLAINED), None, None, stdout())
+    assert "unexplained: 42% of the power of what is left depends on direction" in capsys.readouterr().out
+
+
+def test_json_has_null_where_a_number_is_not_known() -> None:
+    found = investigation_object(made(Finding.ADDED), None, ["a.h5"], ["verify.h5"])
+    assert json.loads(json.dumps(found, allow_nan=False))["gyros"]["gyro1"]["phases"][0]["after_rps"] is None
+    assert found["added"][0]["parameters"] == {"delay": [0.004, 3e-5, "s"]}
+
+
+def test_exploration_and_verification_last_as_the_method_says_and_end_at_home() -> None:
+    for script, rates in ((exploration_script(), {12, 30}), (verification_script(), {8, 45})):
+        assert script.duration_s == pytest.approx(318)
+        turns = [step for step in script.steps if not isinstance(step, Rest)]
+        for axis in "xyz":
+            mine = [step for step in turns if step.axis == axis]
+            assert {round(abs(step.rate_rps) / DEG) for step in mine} == rates
+            assert sum(step.turn_rad for step in mine) == pytest.approx(0)
+    order = [step.label.split()[0] for step in exploration_script().steps]
+    assert order != [step.label.split()[0] for step in verification_script().steps]
+
+
+def test_every_candidate_is_within_the_limits_of_the_table() -> None:
+    limits = load_bench(None).table.limits
+    slow = {axis: replace(limit, rate_rps=5 * DEG, acceleration_rps2=2 * DEG) for axis, limit in limits.items()}
+    for bounds in (limits, slow, {"z": limits["z"]}):
+        scripts = list(candidates(bounds, tuple(bounds)))
+        assert len(scripts) > 15
+        for script in scripts:
+            check(script, bounds)
+
+
+def past_of(*scripts: Script) -> list[Past]:
+    clock_s, past = 0.0, []
+    for seed, script in enumerate(scripts):
+        past += [Past.of(run) for run in runs_of(simulated(script, seed, None, clock_s))[0]]
+        clock_s += script.duration_s + 20
+    return past
+
+
+def test_the_next_script_turns_both_ways_for_asymmetry_against_a_square() -> None:
+    limits, gimbals = load_bench(None).table.limits, ("z", "y", "x")
+    rivals = [("scale_asymmetry", "scale_quadratic")]
+    following = next_script(rivals, {}, past_of(paper_script()), limits, gimbals, SITE)
+    assert following is not None
+    assert following.probability > 0.9
+    rates = {round(step.rate_rps / DEG) for step in following.script.steps if not isinstance(step, Rest)}
+    assert rates == {-rate for rate in rates}
+    assert len(rates) >= 4
+
+
+def test_a_next_script_keeps_within_the_time_that_is_left() -> None:
+    limits, gimbals = load_bench(None).table.limits, ("z", "y", "x")
+    past, rivals = past_of(paper_script()), [("bias_drift", "warm_up")]
+    following = next_script(rivals, {}, past, limits, gimbals, SITE, most_s=200.0)
+    assert following is not None
+    assert following.script.duration_s <= 200.0
+    assert next_script(rivals, {}, past, limits, gimbals, SITE, most_s=10.0) is None
+
+
+def test_an_effect_without_a_rival_is_to_be_told_from_noise() -> None:
+    limits, gimbals = load_bench(None).table.limits, ("z", "y", "x")
+    past = past_of(Script("short", (Rest(15.0), *there_and_back("z", 20.0, 12.0), Rest(15.0))))
+    following = next_script([("latency", "no such effect")], {}, past, limits, gimbals, SITE)
+    assert following is not None
+    assert following.probability > 0.95
+    assert "tells latency from noise" in following.words()
+    assert next_script([("no such effect",)], {}, past, limits, gimbals, SITE) is None
+    assert next_script([], {}, past, limits, gimbals, SITE) is None
