@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +11,24 @@ from numpy.typing import NDArray
 from estimator.array import SensorArray
 from estimator.blocks import Blocks
 from estimator.budget import Contribution, table_budget
-from estimator.calibration import Calibration, GyroCalibration, unseen_notes
-from estimator.coloured import FEWEST_BLOCKS, GridFit, NoiseGrid, Part, coarse, combine, fit_grids, weights
+from estimator.calibration import Calibration, EffectValue, GyroCalibration, unseen_notes
+from estimator.coloured import (
+    FEWEST_BLOCKS,
+    GridFit,
+    NoiseFound,
+    NoiseGrid,
+    Part,
+    coarse,
+    combine,
+    fit_grids,
+    weights,
+)
+from estimator.error_model import ErrorModel
 from estimator.errors import RecordingError
 from estimator.foreign import against_foreign, at_rest, factor_notes, foreign_motion_notes
 from estimator.health import Excluded, usable
 from estimator.model import decode, regressor_maps
+from estimator.modelled import against_reference, check_model, effect_notes, estimate_device
 from estimator.parity import GyroParity, parity
 from estimator.recording import ImuData, Recording
 from estimator.reference import RateReadings, TableReadings
@@ -27,14 +40,30 @@ Floats = NDArray[np.float64]
 _BLOCK_ROWS = 4  # fewer samples do not tell their scatter
 
 
-def calibrate(recording: Recording, *, innovations: bool = True) -> Calibration:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Estimate:
+    """Of one source: states x (m, 4), what their covariance is the sum of, noise, effects, blocks without these."""
+
+    x: Floats
+    kinds: list[tuple[Contribution, ...]]
+    noise: list[NoiseFound]
+    effects: list[tuple[EffectValue, ...]]
+    blocks: Blocks
+
+
+def calibrate(recording: Recording, *, innovations: bool = True, model: ErrorModel | None = None) -> Calibration:
     """Return the batch estimate of every gyro under its data sheet's prior, the noise taken from the data.
 
     Against a table, or at rest, the noise may be coloured (``estimator.coloured``); against other foreign references
-    sigmas come from clusters of residuals. ``innovations`` also gives the mean NIS, else that is NaN.
+    sigmas come from clusters of residuals. ``innovations`` also gives the mean NIS, else that is NaN. With a ``model``
+    its effects are estimated with the states, and what the recording does not show of them is in the sigmas.
 
-    Raises RecordingError if a source has no samples that the reference covers, or no gyro can be estimated.
+    Raises RecordingError if a source has no samples that the reference covers, or no gyro can be estimated; ModelError
+    if the recording lacks what the model needs.
     """
+    if model is not None:
+        check_model(model, recording)
+        model = model if model.effects else None
     notes: list[str] = []
     excluded: list[Excluded] = []
     sources: list[tuple[str, ImuData]] = []
@@ -48,7 +77,9 @@ def calibrate(recording: Recording, *, innovations: bool = True) -> Calibration:
         raise RecordingError(f"{recording.name}: no gyro of it can be estimated: {reasons}")
     notes.extend(f"{e.name} is not estimated: {e.reason}; the others are" for e in excluded)
     if isinstance(recording.reference, TableReadings) or at_rest(recording.reference):
-        result = _against_table(recording, recording.reference, sources, innovations)
+        result = _against_table(recording, recording.reference, sources, innovations, model)
+    elif model is not None:
+        result = against_reference(model, recording, sources, innovations)
     else:
         result = against_foreign(recording, sources, innovations)
     order = [name for data in recording.sources.values() for name in data.array.names]
@@ -60,11 +91,16 @@ def calibrate(recording: Recording, *, innovations: bool = True) -> Calibration:
         (*notes, *result.notes),
         tuple(excluded),
         result.parity,
+        result.model,
     )
 
 
 def _against_table(
-    recording: Recording, reference: TableReadings | RateReadings, sources: list[tuple[str, ImuData]], innovations: bool
+    recording: Recording,
+    reference: TableReadings | RateReadings,
+    sources: list[tuple[str, ImuData]],
+    innovations: bool,
+    model: ErrorModel | None,
 ) -> Calibration:
     blocks = [source_blocks(recording, data, _block_s(data)) for _, data in sources]
     for (source, data), own in zip(sources, blocks, strict=True):
@@ -78,19 +114,23 @@ def _against_table(
     squares, dof = 0.0, 0
     for device in dict.fromkeys(data.device for _, data in sources):
         members = [n for n, (_, data) in enumerate(sources) if data.device == device]
-        merged = [coarse(blocks[n]) for n in members]
-        fits = _device_fits(merged, [sources[n][1] for n in members], span_s)
-        for n, fit, weight in zip(members, fits, weights(fits), strict=True):
+        its_blocks, its_sources = [blocks[n] for n in members], [sources[n] for n in members]
+        if model is None:
+            estimates = _estimates(its_blocks, [data for _, data in its_sources], span_s)
+        else:
+            estimates = _with_effects(model, recording, reference, its_sources, its_blocks)
+        for n, found in zip(members, estimates, strict=True):
             source, data = sources[n]
-            x, covariances, noise = combine(fit, weight)
+            x, noise = found.x, found.noise
             sample = _sample_noise_of(blocks[n], data.array, x)
-            arw = np.array([found.mean.arw for found in noise])
+            arw = np.array([one.mean.arw for one in noise])
             table: list[tuple[Contribution, ...]] = [()] * len(data.array)  # a body at rest has no errors of a table
             if isinstance(reference, TableReadings):
                 table = table_budget(reference, recording.site, data.array, data.prior, arw)
             rests: list[RestNoise | None] = [*rest_noise(data, reference)] or [None] * len(data.array)
             for i, name in enumerate(data.array.names):
-                kinds = (Contribution("noise", covariances[i]), *table[i])
+                kinds = (*found.kinds[i], *table[i])
+                type_a = np.sum([c.covariance for c in found.kinds[i]], axis=0)
                 states, covariance = decode(x[i], np.sum([c.covariance for c in kinds], axis=0))
                 gyros.append(
                     GyroCalibration(
@@ -104,24 +144,53 @@ def _against_table(
                         budget=tuple(Contribution(c.name, decode(x[i], c.covariance)[1]) for c in kinds),
                         noise=noise[i],
                         rest=rests[i],
+                        effects=found.effects[i],
                     )
                 )
                 if isinstance(reference, TableReadings):  # else the body rests, and that was told
-                    notes.extend(unseen_notes(name, covariances[i], data.prior))
+                    notes.extend(unseen_notes(name, type_a, data.prior))
                     notes.extend(factor_notes(name, float(states[0]), float(np.sqrt(covariance[0, 0]))))
             if innovations:
-                chi, count = _block_squares(blocks[n], data.array, x, sample)
+                chi, count = _block_squares(found.blocks, data.array, x, sample)
                 squares, dof = squares + chi, dof + count
         own_gyros = gyros[len(gyros) - sum(len(sources[n][1].array) for n in members) :]
         checks += parity(
             [sources[n][1].array for n in members],
-            merged,
+            [coarse(found.blocks) for found in estimates],
             np.array([g.states for g in own_gyros]),
             [g.noise.mean for g in own_gyros if g.noise],
         )
     samples = sum(int(b.rows.sum()) * b.z_rps.shape[1] for b in blocks)
     nis = squares / dof if dof else float("nan")
-    return Calibration(tuple(gyros), nis, samples, 0, (*notes, *_parity_notes(checks)), (), tuple(checks))
+    notes += [*_parity_notes(checks), *effect_notes(gyros)]
+    text = model.text() if model is not None else ""
+    return Calibration(tuple(gyros), nis, samples, 0, tuple(notes), (), tuple(checks), text)
+
+
+def _estimates(blocks: list[Blocks], data: list[ImuData], span_s: float) -> list[_Estimate]:
+    """Return the estimates of the sources of one device."""
+    fits = _device_fits([coarse(own) for own in blocks], data, span_s)
+    found = []
+    for own, fit, weight in zip(blocks, fits, weights(fits), strict=True):
+        x, covariances, noise = combine(fit, weight)
+        kinds = [(Contribution("noise", covariance),) for covariance in covariances]
+        found.append(_Estimate(x, [*kinds], noise, [()] * len(x), own))
+    return found
+
+
+def _with_effects(
+    model: ErrorModel,
+    recording: Recording,
+    reference: TableReadings | RateReadings,
+    sources: Sequence[tuple[str, ImuData]],
+    blocks: Sequence[Blocks],
+) -> list[_Estimate]:
+    """Return the same under an error model; blocks are rid of what its effects say."""
+    found = []
+    for own, one in zip(blocks, estimate_device(model, recording, sources), strict=True):
+        cleaned = replace(own, z_rps=own.z_rps - one.said_at(own.t_s + float(reference.t_ns[0]) * 1e-9))
+        found.append(_Estimate(one.x, [one.budget(i) for i in range(len(one.x))], one.noise, one.effects, cleaned))
+    return found
 
 
 def _block_s(data: ImuData) -> float:

@@ -19,13 +19,29 @@ Floats = NDArray[np.float64]
 _UNSEEN = 0.5  # a posterior sigma above this share of the prior's: the run did not show the state
 
 
+@dataclass(frozen=True, slots=True)
+class EffectValue:
+    """One parameter of an effect of the error model: what was found on a gyro, and what the model expected.
+
+    SI: value and standard deviation in ``unit``; ``expected_sd`` is that of the model. ``shared``: of all gyros.
+    """
+
+    effect: str
+    parameter: str
+    value: float
+    sd: float
+    unit: str
+    expected_sd: float
+    shared: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroCalibration:
     """States of one gyro [k, b_rps, sigma_j_rad, sigma_k_rad], their covariance, the noise of one sample.
 
     ``covariance`` holds everything; ``budget`` is what it is the sum of: type A, from the scatter of the data, and
     type B, from the table's stated uncertainty. ``noise`` is what the data say of the noise, where they do, and
-    ``rest`` what the rests of the table alone say of it.
+    ``rest`` what the rests of the table alone say of it. ``effects`` are those of the error model, if one was given.
     """
 
     name: str
@@ -38,6 +54,7 @@ class GyroCalibration:
     budget: tuple[Contribution, ...] = ()
     noise: NoiseFound | None = None
     rest: RestNoise | None = None
+    effects: tuple[EffectValue, ...] = ()
 
     @property
     def sd(self) -> Floats:
@@ -50,7 +67,7 @@ class Calibration:
     """What one recording says of its gyros. ``samples`` counts gyro samples used, ``lost`` those missing.
 
     ``excluded`` are gyros that could not be estimated; ``parity`` is what the gyros of redundant devices say of
-    each other.
+    each other. ``model`` is the text of the error model that the estimate began with, if one was given.
     """
 
     gyros: tuple[GyroCalibration, ...]
@@ -60,6 +77,7 @@ class Calibration:
     notes: tuple[str, ...]
     excluded: tuple[Excluded, ...] = ()
     parity: tuple[GyroParity, ...] = ()
+    model: str = ""
 
 
 def unseen_notes(name: str, covariance: Floats, prior: Prior) -> list[str]:

@@ -223,10 +223,11 @@ def _noise(fit: GridFit, weight: Floats, gyro: int) -> NoiseFound:
     arw = fit.arw[:, gyro]
     instability, walk = fit.grid.instability * arw, fit.grid.walk * arw
     mean = NoiseModel(float(weight @ arw), float(weight @ instability), float(weight @ walk))
-    return NoiseFound(mean, _quantile(instability, weight), _quantile(walk, weight))
+    return NoiseFound(mean, quantile(instability, weight), quantile(walk, weight))
 
 
-def _quantile(values: Floats, weight: Floats, share: float = 0.95) -> float:
+def quantile(values: Floats, weight: Floats, share: float = 0.95) -> float:
+    """Return the value below which a share of the weight lies."""
     order = np.argsort(values)
     reached = np.searchsorted(np.cumsum(weight[order]), share - 1e-12)
     return float(values[order][min(int(reached), len(order) - 1)])

@@ -21,8 +21,8 @@ Floats = NDArray[np.float64]
 
 CLUSTER_S = 5.0
 """Length over which residuals against a foreign reference may hang together without the sigma being wrong."""
-_FEWEST_CLUSTERS = 8
-_COLOURED = 2.0  # sigmas that grow by more than this are told
+FEWEST_CLUSTERS = 8
+COLOURED = 2.0  # sigmas that grow by more than this are told
 _TURNED = 1e-3  # share of the largest mean square rate from which on a direction counts as turned about
 _FAR_OFF = 0.2  # a factor of the output this far from 1 is a wrong sign, unit or count
 
@@ -136,7 +136,7 @@ def _clustered(
         scores.append(np.add.reduceat(products, np.arange(0, len(products), rows), axis=0))
     by_gyro = np.einsum("mij,cjm->mci", maps, np.vstack(scores)) / solution.noise_rps[:, None, None] ** 2
     count = by_gyro.shape[1]
-    if count < _FEWEST_CLUSTERS:
+    if count < FEWEST_CLUSTERS:
         return solution.covariance, [f"{source}: too short to tell whether the residual is white; sigmas assume it"]
     out, notes = np.empty((m, 4, 4)), []
     for i, name in enumerate(data.array.names):
@@ -147,7 +147,7 @@ def _clustered(
         basis = root @ directions
         out[i] = basis @ np.diag(np.maximum(ratio, 1.0)) @ basis.T
         worst = float(np.sqrt(np.max(np.diag(out[i]) / np.diag(white))))
-        if worst > _COLOURED:
+        if worst > COLOURED:
             notes.append(
                 f"{name}: the residual is no white noise; sigmas are up to {worst:.1f} times those of white noise"
             )

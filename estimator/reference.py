@@ -185,6 +185,15 @@ class BodyRates:
         rate = np.column_stack([np.interp(at_s, known_s, self._refined.all[first:last, c]) for c in columns])
         return angle, rate
 
+    def accelerations_at(self, t_ns: Stamps) -> Floats:
+        """Return the slopes (rows, gimbals) of the rates between readings, rad/s2, at instants as for ``at``."""
+        n = len(self._refined)
+        times, rates = self._times.all[:n], self._refined.all
+        ends = np.clip(np.searchsorted(times, t_ns, side="left"), 1, max(n - 1, 1))
+        if n < 2:
+            return np.zeros((len(t_ns), len(self._gimbals)))
+        return np.asarray((rates[ends] - rates[ends - 1]) / ((times[ends] - times[ends - 1]) * 1e-9)[:, None])
+
     def _unwrapped(self, angle_rad: Floats, summed: Floats) -> Floats:
         """Return angles without whole-turn jumps: the summed rate says which turn it is."""
         known = len(self._times) > 0

@@ -18,7 +18,8 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
     Of runs on a table also ``noise`` (n, 3) and what 95 % of the expectation lies below (n, 2), and ``budget`` (n,
     contributions, 4): standard uncertainties that add in squares to ``sd``. If the table rested, also the Allan
     deviation then, ``allan_deviation_rps`` (n, t) at ``allan_tau_s`` (n, t), NaN beyond the last, and the noise it
-    tells of, ``rest_noise`` (n, 3).
+    tells of, ``rest_noise`` (n, 3). With an error model its effects, ``effects`` (n, e) and ``effects_sd`` (n, e) in SI
+    units, named by the attributes ``effect_names`` and ``effect_units``; ``model`` is the text of that model.
     """
     gyros = calibration.gyros
     found = [g.noise for g in gyros if g.noise is not None]
@@ -36,6 +37,14 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
     names = [c.name for c in gyros[0].budget] if gyros else []
     if names and all([c.name for c in g.budget] == names for g in gyros):
         more["budget"] = np.array([[c.u for c in g.budget] for g in gyros])
+    effects = gyros[0].effects if gyros else ()
+    named: dict[str, object] = {}
+    if effects:
+        more["effects"] = np.array([[e.value for e in g.effects] for g in gyros])
+        more["effects_sd"] = np.array([[e.sd for e in g.effects] for g in gyros])
+        named["effect_names"] = [f"{e.effect}: {e.parameter}" for e in effects]
+        named["effect_units"] = [e.unit for e in effects]
+        named["model"] = calibration.model
     write_results(
         path,
         "calibration",
@@ -57,6 +66,7 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
             "samples": calibration.samples,
             "lost": calibration.lost,
             "notes": list(calibration.notes),
+            **named,
             **(attributes or {}),
         },
     )

@@ -19,8 +19,8 @@ class Conditions:
 
     ``w_rps`` and ``wdot_rps2`` (N, 3): inertial rate of the body in body axes, and its derivative there.
     ``angle_rad``, ``rate_rps``, ``acceleration_rps2`` (N, g): those of the ``gimbals``, outermost first.
-    ``specific_force_mps2`` (N, 3) in body axes, NaN if it is not known; ``temperature_c`` (N,), None if it is not known.
-    Without a table there are no ``gimbals``. ``w_rps`` holds Earth rate only where there is a ``site``.
+    ``specific_force_mps2`` (N, 3) in body axes, NaN if it is not known; ``temperature_c`` (N,), None if that is
+    not known. Without a table there are no ``gimbals``. ``w_rps`` holds Earth rate only where there is a ``site``.
     """
 
     t_s: Floats

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,9 @@ Floats = NDArray[np.float64]
 
 HARMONICS = (1, 2, 4)
 _OTHER_ORDERS = (3, 5, 6)
+_REFINEMENTS = frozenset({"thermal_bias_quadratic", "thermal_gradient", "bandwidth", "dead_band", "bias_step"})
+_RARE = -1.5  # log odds of what refines a simpler effect, or is seldom stated in data sheets, against the others
+_WARM_UPS = float(np.log(3600.0 / 5.0))  # time constants of warm-up from a chip's to a housing's
 _HELD = 6.0  # log odds of the delay of held samples against another delay: that they are held is seen in them
 _PICKED_UP = float(np.radians(0.5))
 _LAGS_S = (15.0, 40.0, 120.0)
@@ -33,8 +37,9 @@ class Candidate:
     """Something to try. ``name`` is unique, ``effect`` what it is called in results.
 
     ``depends_on`` is set for general dependences: they prove that something is there, not what. ``theta`` holds the
-    value of what is not linear, ``of`` makes the effect anew for another; ``start`` lists where to begin looking, and
-    ``run`` is the recording that a step is in. ``log_prior`` is the logarithm of its share of the expectation.
+    value of what is not linear, in ``unit``; ``of`` makes the effect anew for another, ``start`` lists where to begin
+    looking, ``range_log`` is the logarithm of the range it may have in nature. ``run`` is the recording of
+    a step. ``log_prior`` is the logarithm of its share of the expectation.
     """
 
     name: str
@@ -46,6 +51,13 @@ class Candidate:
     start: Floats | None = None
     run: int | None = None
     log_tries: float = 0.0
+    unit: str = "s"
+    range_log: float = 0.0
+
+    @property
+    def evenly(self) -> bool:
+        """Whether any value of what is not linear is as probable as any other, rather than any ratio."""
+        return self.run is not None
 
     @property
     def called(self) -> str:
@@ -86,7 +98,12 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
                 left_out[candidate.called] = "the temperature does not change"
     count = len({c.called for c in chosen})
     of_kind = {c.called: sum(o.called == c.called for o in chosen) for c in chosen}
-    chosen = [replace(c, log_prior=c.log_prior - np.log(count) - np.log(of_kind[c.called])) for c in chosen]
+    chosen = [
+        replace(
+            c, log_prior=c.log_prior + _RARE * (c.called in _REFINEMENTS) - np.log(count) - np.log(of_kind[c.called])
+        )
+        for c in chosen
+    ]
     return [*chosen, *_general(offers, gimbals, count)], left_out
 
 
@@ -118,7 +135,8 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
             theta=float(bands[6]),
             of=dead_band,
             start=bands,
-            log_tries=1.5,
+            range_log=5.0,
+            unit="rad/s",
         )
     )
     if gimbals:
@@ -135,10 +153,38 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
         for name in ("table_axes", "table_harmonic"):
             needing = replace(latency(), name=name, needs=frozenset({"gimbals"}))
             found.append(Candidate(name, needing, 0.0))
+    one_clock = _one_clock(runs)
+    if one_clock is not None:
+        found.append(Candidate("bias_drift on", _on_one_clock(bias_drift(), one_clock), 0.0))
     taus = np.geomspace(8.0, max(span_s / 1.5, 20.0), 10)
     found.append(
-        Candidate("warm_up", warm_up(float(taus[4])), 0.0, theta=float(taus[4]), of=warm_up, start=taus, log_tries=1.5)
+        Candidate(
+            "warm_up",
+            warm_up(float(taus[4])),
+            0.0,
+            theta=float(taus[4]),
+            of=warm_up,
+            start=taus,
+            range_log=_WARM_UPS,
+        )
     )
+    if one_clock is not None:
+        began = one_clock
+
+        def going_on(tau_s: float) -> Effect:
+            return _on_one_clock(warm_up(tau_s), began)
+
+        found.append(
+            Candidate(
+                "warm_up on",
+                going_on(float(taus[4])),
+                0.0,
+                theta=float(taus[4]),
+                of=going_on,
+                start=np.geomspace(8.0, max((runs[-1].t_s[-1] - began) / 1.5, 20.0), 12),
+                range_log=_WARM_UPS,
+            )
+        )
     for run in {run.order: run for run in runs}.values():
         times = np.arange(run.t_s[0] + 4.0, run.t_s[-1] - 4.0, 3.0)
         if len(times):
@@ -155,6 +201,24 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
                 )
             )
     return found
+
+
+def _one_clock(runs: Sequence[Run]) -> float | None:
+    """Return when the first run began if all are on one clock, one after the other; None if they are not."""
+    ordered = [[run for run in runs if run.order == order] for order in dict.fromkeys(run.order for run in runs)]
+    ends = [(min(r.t_s[0] for r in part), max(r.t_s[-1] for r in part)) for part in ordered]
+    follow = all(later[0] > earlier[1] for earlier, later in pairwise(ends))
+    return float(ends[0][0]) if len(ends) > 1 and follow else None
+
+
+def _on_one_clock(effect: Effect, began_s: float) -> Effect:
+    """Return an effect of the time since a run began as one of the time since the first of them."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        since = replace(conditions, t_s=np.concatenate([[began_s], conditions.t_s]))
+        return effect.regressors(since, axes)[1:]
+
+    return replace(effect, regressors=columns)
 
 
 def _general(offers: frozenset[str], gimbals: tuple[str, ...], count: int) -> list[Candidate]:

@@ -40,7 +40,9 @@ _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
 _KIN = {
     "rate": frozenset({"scale_asymmetry", "scale_quadratic", "scale_cubic", "dead_band"}),
     "acceleration": frozenset({"latency", "bandwidth", "acceleration_sensitivity", "sample_hold"}),
-    "temperature": frozenset({"thermal_bias", "thermal_bias_quadratic", "thermal_gradient", "thermal_scale", "warm_up"}),
+    "temperature": frozenset(
+        {"thermal_bias", "thermal_bias_quadratic", "thermal_gradient", "thermal_scale", "warm_up"}
+    ),
     "time": frozenset({"bias_drift", "warm_up", "bias_step"}),
     "direction": frozenset({"scale_asymmetry", "bias_step"}),
     "angle": frozenset({"table_harmonic", "table_axes", "earth_rate"}),
@@ -359,8 +361,8 @@ def _added(traced: Traced, choice: Choice, model: Augmented, weight: Floats) -> 
     theta = choice.candidate.theta
     if theta is not None and choice.candidate.start is not None:
         sd = traced.search.sharpness(choice, traced.found.terms)
-        what = {"warm_up": "time constant", "bias_step": "instant"}.get(choice.candidate.called, "value")
-        parameters[what] = Value(float(theta), sd, "s")
+        what = {"warm_up": "time constant", "bias_step": "instant", "dead_band": "width"}[choice.candidate.called]
+        parameters[what] = Value(float(theta), sd, choice.candidate.unit)
     elif theta is not None:
         parameters["frequency"] = Value(float(theta), _tone_sd(traced, model, where), "Hz")
     gyros = tuple(model.names) if shared else tuple(shown or model.names)

@@ -132,6 +132,12 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
     return runs, notes, faults
 
 
+def run_of(recording: Recording, source: str, data: ImuData) -> Run | None:
+    """Return one source, cleaned of what cannot be used, as tracing sees it; None if it holds too little."""
+    fine = isinstance(recording.reference, TableReadings)
+    return _run(recording, source, data, BLOCK_S, 0, held_samples(data) if fine else 1)
+
+
 def _hold_delay_s(data: ImuData, held: int) -> float:
     """Return by how much held samples lag on the average."""
     return 0.5 * (held - 1) * float(np.median(np.diff(data.t_ns))) * 1e-9

@@ -23,6 +23,9 @@ _SET = 0.99  # rivals are as many as share this probability
 _ROUNDS = 12
 _STOP_LOG_PRIOR = 0.0  # nothing more: as likely as all effects together, several times over
 _REFINE = 18
+_IN_PLACE = 2  # effects that may stand for one general dependence
+_CLEARLY = 2.0  # by so much they must be more probable: a flexible sum of effects is no cause either
+_LOST = 0.3  # share of the rate within a dead band that may be missing to all of it
 _RICH = 0.1  # scale of all effects at once, when it is asked what the noise may be
 _TONE = "tone"
 _MOST_TONES = 3
@@ -64,6 +67,7 @@ class Search:
         self._samples = [samples_of(run) for run in runs]
         self._tones: list[tuple[Choice, ToneFound]] = []
         self._scored: dict[tuple[tuple[tuple[int, ...], float], ...], dict[str, tuple[float, Term]]] = {}
+        self._barred: set[str] = set()
         self._turned: dict[tuple[str, float, str], Floats] = {}
 
     def add(self, candidates: Sequence[Candidate]) -> None:
@@ -115,6 +119,10 @@ class Search:
             full = len(chosen) + len(self._tones) >= most
             if best is None or np.exp(stop - total) > 1 - CERTAIN or full:
                 break
+            if best != _TONE and not self._sensible(best, scores[best][1], model):
+                self._barred.add(best)
+                self._scored.clear()
+                continue
             if best == _TONE:
                 assert tone is not None
                 heard += tone.log_evidence
@@ -204,7 +212,7 @@ class Search:
         found = {}
         taken = {t.name for t in terms}
         for name, (candidate, term) in self._known.items():
-            if name not in taken:
+            if name not in taken and name not in self._barred:
                 value, scaled = base.with_term(shared, term)
                 found[name] = (value + candidate.log_prior, scaled)
         return found
@@ -221,6 +229,17 @@ class Search:
                 candidate = self._known[name][0]
             listed.append((candidate, score - bare, float(np.exp(score - total))))
         return tuple(sorted(listed, key=lambda item: -item[2]))
+
+    def _sensible(self, name: str, term: Term, model: Sequence[Term]) -> bool:
+        """Return whether an effect came out as something that it can be: within a dead band a gyro loses all rates."""
+        candidate = self._known[name][0]
+        if candidate.called != "dead_band":
+            return True
+        terms = [*model, term]
+        posterior = self.evidence.posterior(terms)
+        at = 4 + sum(len(t.columns) for t in model if not t.shared)
+        lost = np.array([mean[at] for mean in posterior.own]) * candidate.largest[0]
+        return bool(np.any(np.abs(lost - 1) < _LOST)) and bool(np.all(lost > -_LOST))
 
     def _settle(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
         """Try to remove and to exchange each effect, until nothing makes the model more probable."""
@@ -243,6 +262,25 @@ class Search:
                     break
             if not changed:
                 break
+        return self._named(chosen, terms)
+
+    def _named(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
+        """Try in the place of each general dependence up to a few effects with a name, added one at a time."""
+        for name in [n for n in chosen if self._known[n][0].depends_on]:
+            others = [other for other in chosen if other != name]
+            kept = {other: terms[other] for other in others}
+            scores = self._scores(self._model(kept.values()), others)
+            target = scores[name][0]
+            for _ in range(_IN_PLACE):
+                self._refine(self._model(kept.values()), list(kept))
+                scores = self._scores(self._model(kept.values()), list(kept))
+                scores = {n: s for n, s in scores.items() if not self._known[n][0].depends_on}
+                best = max(scores, key=lambda n: scores[n][0])
+                kept[best] = scores[best][1]
+                # What was expected of those put in before counts too: the target knows of one addition only.
+                value = scores[best][0] + sum(self._known[n][0].log_prior for n in kept if n not in (*others, best))
+                if value > target + _CLEARLY:
+                    return list(kept), {**terms, **kept}
         return chosen, terms
 
     def best_of(self, effect: str, chosen: Sequence[Choice]) -> Choice:
@@ -281,7 +319,11 @@ class Search:
         if candidate.of is None or candidate.theta is None or candidate.start is None:
             return 0.0
         others = [t for t in terms if t.name != candidate.name]
-        scan = _Scan(self._runs, self._spectra, self.evidence, others, {})
+        return self._width(candidate, _Scan(self._runs, self._spectra, self.evidence, others, {}))
+
+    def _width(self, candidate: Candidate, scan: _Scan) -> float:
+        """Return by how much what is not linear may move before half a natural logarithm is lost."""
+        assert candidate.theta is not None
         top = scan.gain(candidate)
         step = 0.02 * candidate.theta
         while step < candidate.theta:
@@ -348,7 +390,12 @@ class Search:
             theta = _golden(lambda value, c=candidate: scan.gain(_at(c, value)), float(low), float(high))  # type: ignore[misc]
             if scan.gain(_at(candidate, theta)) < gains[best]:
                 theta = float(candidate.start[best])
-            renewed.append(_at(candidate, theta))
+            tuned = _at(candidate, theta)
+            # What it costs that the value was looked for: the share of its range that would do as well.
+            width = np.sqrt(2 * np.pi) * self._width(tuned, scan)
+            spread = float(candidate.start[-1] - candidate.start[0])
+            share = width / spread if candidate.evenly else width / theta / candidate.range_log
+            renewed.append(replace(tuned, log_tries=float(-np.log(np.clip(share, 1e-4, 1.0)))))
         self.add(renewed)
 
 

@@ -1,0 +1,113 @@
+"""Regressors of an error model's effects sample by sample, for the live filter and for what it is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array import SensorArray
+from estimator.effects.conditions import Conditions
+from estimator.error_model import ErrorModel
+from estimator.gram import Solution
+from estimator.kinematics import Site
+from estimator.model import Prior, regressor_maps
+from estimator.recording import ImuData, Recording
+from estimator.reference import BodyRates, TableReadings
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_ON_A_TABLE = frozenset({"gimbals", "specific force", "temperature"})
+_NOT_LIVE = {
+    "bandwidth": "needs the second derivative of the rate",
+    "thermal_gradient": "needs the temperature of the seconds to come",
+}
+_CHUNK_ROWS = 8192
+
+
+class SampleColumns:
+    """The effects of a model that one row of samples after the other can be compared with.
+
+    Columns are scaled by what is expected of each parameter, so their prior is one. Each gyro has all effects to
+    itself, those that are shared too, under the same prior.
+    """
+
+    def __init__(self, model: ErrorModel, gimbals: Sequence[str], site: Site | None, array: SensorArray) -> None:
+        """Raises ModelError if the table does not fit the model."""
+        made = zip(model.effects, model.made(gimbals, _ON_A_TABLE), strict=True)
+        self._parts = [(known, effect) for known, effect in made if known.name not in _NOT_LIVE]
+        self._gimbals, self._site, self._array = tuple(gimbals), site, array
+        self._needs_temperature = any("temperature" in effect.needs for _, effect in self._parts)
+        self._scale = np.concatenate([np.empty(0), *(known.sd for known, _ in self._parts)])
+        self._expected = np.concatenate([np.empty(0), *(known.mean for known, _ in self._parts)])
+        self.notes = tuple(
+            f"{known.called.replace('_', ' ')} {_NOT_LIVE[known.name]}: the live estimate goes without it, the "
+            "calibration has it"
+            for known in model.effects
+            if known.name in _NOT_LIVE
+        )
+
+    @property
+    def count(self) -> int:
+        """Parameters of each gyro."""
+        return len(self._scale)
+
+    def at(self, rates: BodyRates, t_ns: Stamps, temperature_c: Floats) -> tuple[Floats, Floats]:
+        """Return the columns (rows, m, p) at samples, and the outputs (rows, m) that are expected of the effects.
+
+        NaN where the temperature is not known and an effect needs it. Instants in order, as for ``BodyRates.at``.
+        """
+        # Effects of time count from the first instant of the conditions: the first reading of the table.
+        t_s = np.concatenate([[rates.starts_ns * 1e-9], t_ns * 1e-9])
+        angle, rate = rates.gimbals_at(t_ns)
+        angle, rate, slope = (np.vstack([part[:1], part]) for part in (angle, rate, rates.accelerations_at(t_ns)))
+        temperature = np.concatenate([temperature_c[:1], temperature_c]) if self._needs_temperature else None
+        conditions = Conditions.on_table(
+            t_s, angle, rate, slope, self._gimbals, temperature_c=temperature, site=self._site
+        )
+        columns = np.empty((len(t_ns), len(self._array), self.count))
+        for gyro in range(len(self._array)):
+            own = [effect.columns(conditions, self._array, gyro)[1:] for _, effect in self._parts]
+            columns[:, gyro] = np.hstack([np.empty((len(t_ns), 0)), *own])
+        return columns * self._scale, np.asarray(columns @ self._expected)
+
+
+def white_solution(
+    recording: Recording, data: ImuData, columns: SampleColumns, prior: Prior, noise_rps: Floats
+) -> Solution:
+    """Return the states of a source of a recording on a table, effects beside them, under white noise: in one go.
+
+    ``noise_rps`` (m,) is that of one sample.
+    """
+    reference = recording.reference
+    if not isinstance(reference, TableReadings):
+        raise TypeError("samples are compared with the readings of a table")
+    rates = BodyRates(reference.gimbals, recording.site)
+    rates.add(reference.t_ns, reference.angle_rad, reference.rate_rps)
+    rates.finish()
+    m, width = len(data.array), 4 + columns.count
+    maps = regressor_maps(data.array)
+    information, right = np.zeros((m, width, width)), np.zeros((m, width))
+    rows = np.flatnonzero(np.isfinite(data.rate_rps).all(axis=1))
+    rows = rows[np.argsort(data.t_ns[rows], kind="stable")]
+    rows = rows[(data.t_ns[rows] >= rates.starts_ns) & (data.t_ns[rows] <= rates.final_until_ns)]
+    warm = data.temperature_c if data.temperature_c is not None else np.full(len(data.t_ns), np.nan)
+    for start in range(0, len(rows), _CHUNK_ROWS):
+        part = rows[start : start + _CHUNK_ROWS]
+        w = rates.at(data.t_ns[part])
+        extra, expected = columns.at(rates, data.t_ns[part], warm[part])
+        known = np.isfinite(w).all(axis=1) & np.isfinite(expected).all(axis=1)
+        w, extra = w[known], extra[known]
+        z = data.rate_rps[part][known] - w @ data.array.p.T - expected[known]
+        one = np.column_stack([np.ones(len(w)), w])
+        for i in range(m):
+            regressors = np.hstack([one @ maps[i].T, extra[:, i]])
+            information[i] += regressors.T @ regressors
+            right[i] += regressors.T @ z[:, i]
+    weight = 1 / noise_rps[:, None] ** 2
+    precision = np.diag(np.concatenate([1 / prior.variances(), np.ones(columns.count)]))
+    covariance = np.linalg.inv(information * weight[:, :, None] + precision)
+    x = np.einsum("mij,mj->mi", covariance, right * weight)
+    return Solution(x[:, :4], np.asarray(covariance[:, :4, :4], dtype=np.float64), noise_rps)
