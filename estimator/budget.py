@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 
 KINDS = ("rate", "wobble", "orthogonality", "timing")
 """Names of the contributions of a table."""
+TYPE_A = ("noise", "effects")
+"""Names of what comes from the scatter of the data, and from effects of an error model that they do not show."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

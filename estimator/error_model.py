@@ -125,14 +125,18 @@ class ErrorModel:
         Sizes of effects that each gyro has to itself: mean zero, 1.5 times the rms over the gyros, since the next
         gyros have other signs. Of effects that all gyros share: the value found, with 1.5 times its sigma and 5 %.
         """
-        effects, left_out = [], {}
+        effects: dict[str, KnownEffect] = {}
+        left_out = {}
         for number, part in enumerate(found.parts):
             name = part.candidate.called
             if name in _MAKERS:
-                effects.append(_known(found, part, found.slice_of(number)))
+                known = _known(found, part, found.slice_of(number))
+                # A drift since the start of each run and one since the first are the same in one run.
+                other = effects.get(known.called, known)
+                effects[known.called] = max(known, other, key=lambda effect: float(effect.sd.sum()))
             else:
                 left_out[name] = _WHY_NOT.get(name, "it is not an effect of the catalogue")
-        return cls(tuple(effects), left_out)
+        return cls(tuple(effects.values()), left_out)
 
     def made(self, gimbals: Sequence[str], offers: frozenset[str]) -> list[Effect]:
         """Return the effects for a recording that holds what ``offers`` names; ModelError if one needs more."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.budget import TYPE_A
 from estimator.calibration import GyroCalibration
 
 Floats = NDArray[np.float64]
@@ -45,7 +46,7 @@ def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatabili
     for name in names:
         own = [next(g for g in run if g.name == name) for run in runs]
         states = np.array([g.states for g in own])
-        noise = np.array([g.budget[0].u if g.budget else g.sd for g in own])
+        noise = np.array([_type_a(g) for g in own])
         weight = 1 / noise**2
         mean = (weight * states).sum(axis=0) / weight.sum(axis=0)
         squares = (weight * (states - mean) ** 2).sum(axis=0)
@@ -63,6 +64,12 @@ def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatabili
             )
         )
     return found
+
+
+def _type_a(gyro: GyroCalibration) -> Floats:
+    """Return what of the sigmas (4,) is another draw in another run; what the table does is the same in all."""
+    parts = [line.u**2 for line in gyro.budget if line.name in TYPE_A]
+    return np.sqrt(np.sum(parts, axis=0)) if parts else gyro.sd
 
 
 def same_device(a: Sequence[GyroCalibration], b: Sequence[GyroCalibration]) -> bool:

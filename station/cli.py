@@ -137,6 +137,21 @@ def _parser() -> argparse.ArgumentParser:
         description="Run the methods that the paper names beside this station's: error, stated sigma, time, work.",
     )
     _study_options(baselines, seeds=20)
+    detection = studies.add_parser(
+        "detection",
+        help="how often effects that only the twin knows are found",
+        description="Give twins effects that the estimator is not told of; count what it finds, by effect and size.",
+    )
+    _study_options(detection, seeds=20)
+    detection.add_argument(
+        "--effects",
+        default="clean,single",
+        metavar="LIST",
+        help="names of effects, or clean, single, pairs, triples, unknown; default: %(default)s",
+    )
+    detection.add_argument(
+        "--sizes", default="1,0.3,0.1", metavar="LIST", help="sizes, 1 being plain to see; default: %(default)s"
+    )
     _plan_options(
         commands.add_parser(
             "plan",

@@ -24,8 +24,17 @@ Floats = NDArray[np.float64]
 
 HARMONICS = (1, 2, 4)
 _OTHER_ORDERS = (3, 5, 6)
-_REFINEMENTS = frozenset({"thermal_bias_quadratic", "thermal_gradient", "bandwidth", "dead_band", "bias_step"})
-_RARE = -1.5  # log odds of what refines a simpler effect, or is seldom stated in data sheets, against the others
+# Log odds of an effect against the others before the data. What refines a simpler effect is rarer than that effect, and
+# a bias over temperature is in every data sheet, its gradient in few. Where a temperature is measured, a law of time
+# with a free time constant stands behind it.
+_EXPECTED = {
+    "thermal_gradient": -3.0,
+    "thermal_bias_quadratic": -1.5,
+    "bandwidth": -1.5,
+    "dead_band": -1.5,
+    "bias_step": -1.5,
+}
+_EXPECTED_WITH_TEMPERATURE = {"warm_up": -1.5}
 _WARM_UPS = float(np.log(3600.0 / 5.0))  # time constants of warm-up from a chip's to a housing's
 _HELD = 6.0  # log odds of the delay of held samples against another delay: that they are held is seen in them
 _PICKED_UP = float(np.radians(0.5))
@@ -98,10 +107,9 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
                 left_out[candidate.called] = "the temperature does not change"
     count = len({c.called for c in chosen})
     of_kind = {c.called: sum(o.called == c.called for o in chosen) for c in chosen}
+    expected = {**_EXPECTED, **(_EXPECTED_WITH_TEMPERATURE if "temperature" in offers else {})}
     chosen = [
-        replace(
-            c, log_prior=c.log_prior + _RARE * (c.called in _REFINEMENTS) - np.log(count) - np.log(of_kind[c.called])
-        )
+        replace(c, log_prior=c.log_prior + expected.get(c.called, 0.0) - np.log(count) - np.log(of_kind[c.called]))
         for c in chosen
     ]
     return [*chosen, *_general(offers, gimbals, count)], left_out

@@ -430,7 +430,7 @@ def _taken_back(
 
 
 def _suspects(found: Found) -> tuple[Suspect, ...]:
-    best: dict[str, Suspect] = {}
+    best = {"nothing": Suspect("nothing", 0.0, found.nothing)}
     for candidate, log_evidence, probability in found.first:
         name = f"depends on {candidate.depends_on}" if candidate.depends_on else candidate.called
         old = best.get(name)

@@ -45,11 +45,15 @@ class Choice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What a search ends with. ``first``: log evidence and probability of each candidate beside the bare model."""
+    """What a search ends with. ``first``: log evidence and probability of each candidate beside the bare model.
+
+    ``nothing`` is the probability that the bare model lacks none of them.
+    """
 
     choices: tuple[Choice, ...]
     log_evidence: tuple[float, ...]
     first: tuple[tuple[Candidate, float, float], ...]
+    nothing: float = 1.0
 
     @property
     def terms(self) -> list[Term]:
@@ -100,7 +104,7 @@ class Search:
         terms: dict[str, Term] = {}
         first: tuple[tuple[Candidate, float, float], ...] = ()
         chain = [self.evidence.of([])]
-        heard = 0.0
+        heard, nothing = 0.0, 1.0
         for turn in range(_ROUNDS):
             model = self._model(terms[name] for name in chosen)
             self._refine(model, chosen)
@@ -113,6 +117,7 @@ class Search:
             total = float(np.logaddexp.reduce([stop, *options.values()]))
             if not first:
                 first = self._first(options, chain[0], total, tone)
+                nothing = float(np.exp(stop - total))
             best = max(options, key=lambda name: options[name], default=None)
             if progress is not None:
                 progress((turn + 1) / (most + 2))
@@ -134,7 +139,7 @@ class Search:
             chosen, terms = self._settle(chosen, terms)
             chain.append(self.evidence.of(self._model(terms[name] for name in chosen)) + heard)
         choices = [*(self._judge(name, chosen, terms) for name in chosen), *(choice for choice, _ in self._tones)]
-        return Found(tuple(choices), tuple(chain), first)
+        return Found(tuple(choices), tuple(chain), first, nothing)
 
     def _model(self, terms: Iterable[Term]) -> list[Term]:
         return [*terms, *(choice.term for choice, _ in self._tones)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,9 @@ _FLOOR_BINS = 60  # the noise about a line is the median over so many frequencie
 _STEPS = 12
 _WORTH = 0.3
 _GOLDEN = (np.sqrt(5) - 1) / 2
-_FEWEST_CYCLES = 8
+_FEWEST_CYCLES = 20
+_PARTS = 4
+_COHERENT = 0.5  # of what parts of a run show each by itself, a tone shows as much with one phase
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +98,7 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
     for values, period in even:
         if abs(period / period_s - 1) > 1e-3:
             return None  # sources of different rates: each would need its own grid of frequencies
-        power = np.abs(np.fft.rfft(values - values.mean(axis=0), size, axis=0)) ** 2 / len(values)
+        power = np.abs(np.fft.rfft(values, size, axis=0)) ** 2 / len(values)
         floor = _floor(power)
         floors.append(floor)
         total += (power / floor).sum(axis=1)
@@ -123,7 +126,26 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
         value = _log_evidence(np.array(squares), np.array(information)) - tries - (0.0 if locked else 1.0)
         if best is None or value > best.log_evidence:
             best = ToneFound(frequency, locked, value)
+    if best is None or not _coherent(best, samples, rests, variances):
+        return None
     return best
+
+
+def _coherent(
+    found: ToneFound, samples: Sequence[Samples], rests: Sequence[Floats], variances: Sequence[Floats]
+) -> bool:
+    """Return whether a line goes on through each run: what comes and goes shows more in parts than in the whole."""
+    parts, part_rests, part_variances = [], [], []
+    for s, rest, variance in zip(samples, rests, variances, strict=True):
+        edges = np.linspace(0, len(s.t_s), _PARTS + 1).astype(int)
+        for a, b in pairwise(edges.tolist()):
+            parts.append(Samples(s.t_s[a:b], s.z_rps[a:b], s.w_rps[a:b], s.names))
+            part_rests.append(rest[a:b])
+            part_variances.append(variance)
+    whole, squares, _ = _gain(found.frequency_hz, samples, rests, variances, found.locked)
+    apart, more, _ = _gain(found.frequency_hz, parts, part_rests, part_variances, False)
+    chance = float(len(more) - len(squares))  # half the squares of chance: one for each pair of amplitudes
+    return whole > _COHERENT * (apart - chance)
 
 
 def without_tone(
@@ -148,11 +170,11 @@ def without_tone(
 
 
 def _evened(t_s: Floats, values: Floats) -> tuple[Floats, float]:
-    """Return values on an even grid: where samples are missing, zero."""
+    """Return values about their mean on an even grid: where samples are missing, zero."""
     period_s = float(np.median(np.diff(t_s)))
     number = np.round((t_s - t_s[0]) / period_s).astype(np.intp)
     out = np.zeros((int(number[-1]) + 1, values.shape[1]))
-    out[number] = values
+    out[number] = values - values.mean(axis=0)
     return out, period_s
 
 

@@ -11,9 +11,16 @@ from typing import Any
 from estimator.errors import EstimatorError
 from station.campaigns import Failure
 from station.errors import EXIT_USAGE, UsageError
-from station.studies import baselines, paper
+from station.studies import baselines, detection, paper
 from station.studies.pictures import check_picture, draw_convergence
-from station.studies.printed import baselines_object, paper_object, print_baselines, print_paper
+from station.studies.printed import (
+    baselines_object,
+    detection_object,
+    paper_object,
+    print_baselines,
+    print_detection,
+    print_paper,
+)
 
 EXIT_INCOMPLETE = 1
 
@@ -71,6 +78,24 @@ def _baselines(arguments: argparse.Namespace) -> tuple[Failure, ...]:
     return study.failures
 
 
+def _detection(arguments: argparse.Namespace) -> tuple[Failure, ...]:
+    groups = [name.strip() for name in arguments.effects.split(",")]
+    known = {*detection.GROUPS, *detection.KNOWN, *detection.UNKNOWN}
+    for group in groups:
+        if group not in known:
+            raise UsageError(f"--effects: there is no {group}; choose from {', '.join(sorted(known))}")
+    try:
+        sizes = [float(size) for size in arguments.sizes.split(",")]
+    except ValueError:
+        raise UsageError(f"--sizes takes numbers, for instance 1,0.3,0.1, not {arguments.sizes}") from None
+    study = detection.run_study(groups, sizes, arguments.seeds, **_where(arguments))
+    if arguments.json:
+        _print_object(detection_object(study))
+    else:
+        print_detection(study)
+    return study.failures
+
+
 def _where(arguments: argparse.Namespace) -> dict[str, Any]:
     return {"scheduler": arguments.scheduler, "workers": arguments.jobs, "quiet": arguments.json}
 
@@ -79,4 +104,4 @@ def _print_object(value: dict[str, Any]) -> None:
     print(json.dumps(value))
 
 
-_STUDIES = {"paper": _paper, "baselines": _baselines}
+_STUDIES = {"paper": _paper, "baselines": _baselines, "detection": _detection}

@@ -20,7 +20,6 @@ from estimator.kinematics import Site
 from estimator.recording import Recording
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigate import fit_known, investigate
-from estimator.tracing.investigation import Investigation
 from estimator.tracing.runs import runs_of
 from station.campaigns import Failure, run_all
 from station.loop_scripts import exploration_script, verification_script
@@ -89,7 +88,6 @@ class Ended:
     bare: float
     coverage_before: float
     coverage_after: float
-    surprise: float
 
     @property
     def exact(self) -> bool:
@@ -228,7 +226,6 @@ def end_of(case: Case) -> Ended:
         true_error(bare, clean),
         found.before.coverage95,
         found.after.coverage95,
-        _surprise(found),
     )
 
 
@@ -239,10 +236,6 @@ def true_error(model: Augmented, clean: Recording) -> float:
     return float(np.sqrt(np.mean(np.square(left))))
 
 
-def _surprise(found: Investigation) -> float:
-    return found.improvement.ratio if found.improvement else 1.0
-
-
 def run_cases(
     cases: Sequence[Case], *, scheduler: str | None = None, workers: int | None = None, quiet: bool = False
 ) -> tuple[list[Ended], tuple[Failure, ...]]:
@@ -251,3 +244,116 @@ def run_cases(
         partial(end_of), cases, label="cases", scheduler=scheduler, workers=workers, quiet=quiet, name_of=str
     )
     return [e for e in ended if e is not None], tuple(failures)
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """All seeds of one line of the study: shares of them, means over those named exactly; NaN where there are none.
+
+    ``right`` is what the line is about: the exact set, or for clean cases nothing, or for what is not in the catalogue
+    the right dependence without a cause that is not there. ``told`` adds sets that cannot be told apart, true ones in.
+    """
+
+    name: str
+    size: float
+    seeds: int
+    right: float
+    told: float
+    wrong: float
+    over_oracle: float
+    gain: float
+    coverage_before: float
+    coverage_after: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectionStudy:
+    """Every line, and the cases that failed."""
+
+    lines: tuple[Summary, ...]
+    ended: tuple[Ended, ...]
+    failures: tuple[Failure, ...]
+
+
+GROUPS = ("clean", "single", "pairs", "triples", "unknown")
+_CLEAN_NOISE = {"clean": (2.0, 0.0), "clean, 10 deg/h": (10.0, 0.0), "clean, 10 deg/h, 10 deg/h/rth": (10.0, 10.0)}
+
+
+def cases_of(groups: Sequence[str], sizes: Sequence[float], seeds: int) -> dict[tuple[str, float], list[Case]]:
+    """Return the cases of each line by its name and size. Groups are those of GROUPS, or names of effects."""
+    lines: dict[tuple[str, float], list[Case]] = {}
+    for group in groups:
+        if group == "clean":
+            for name, (instability, walk) in _CLEAN_NOISE.items():
+                lines[name, 0.0] = [Case((), 0.0, seed, instability, walk) for seed in range(seeds)]
+        elif group in ("pairs", "triples"):
+            count = 2 if group == "pairs" else 3
+            for size in sizes:
+                lines[group, size] = [Case(_drawn(count, seed), size, seed) for seed in range(seeds)]
+        else:
+            names = {"single": KNOWN, "unknown": tuple(UNKNOWN)}.get(group, (group,))
+            for name in names:
+                for size in sizes:
+                    lines[name, size] = [Case((name,), size, seed) for seed in range(seeds)]
+    return lines
+
+
+def _drawn(count: int, seed: int) -> tuple[str, ...]:
+    random = np.random.default_rng([seed, count])
+    return tuple(sorted(random.choice(list(KNOWN), count, replace=False).tolist()))
+
+
+def run_study(groups: Sequence[str], sizes: Sequence[float], seeds: int, **where: Any) -> DetectionStudy:
+    """Return what was found in every case. ``where`` is that of ``run_cases``."""
+    lines = cases_of(groups, sizes, seeds)
+    ended, failures = run_cases([case for cases in lines.values() for case in cases], **where)
+    by_case = {e.case: e for e in ended}
+    summaries = [
+        _summary(name, size, [by_case[case] for case in cases if case in by_case])
+        for (name, size), cases in lines.items()
+    ]
+    return DetectionStudy(tuple(s for s in summaries if s.seeds), tuple(ended), failures)
+
+
+def _right(ended: Ended) -> bool:
+    case = ended.case
+    if not case.effects:
+        return ended.finding == "nothing to add"
+    unknown = next((e for e in case.effects if e in UNKNOWN), None)
+    if unknown is None:
+        return ended.exact
+    named = {name for name, _ in ended.added}
+    same = EQUIVALENT.get(unknown, frozenset())
+    if ended.finding == "unexplained":
+        return ended.depends_on in UNKNOWN[unknown] and named <= same
+    if ended.finding == "cannot tell":
+        return all(set(rivals) & same for rivals in ended.rivals) and named <= same
+    return bool(named) and named <= same
+
+
+def _wrong(ended: Ended) -> bool:
+    true = set(ended.case.effects).union(*(EQUIVALENT.get(e, frozenset()) for e in ended.case.effects))
+    return any(name not in true and probability > _SURE for name, probability in ended.added)
+
+
+_SURE = 0.95
+
+
+def _summary(name: str, size: float, ended: Sequence[Ended]) -> Summary:
+    exact = [e for e in ended if e.exact]
+
+    def mean(values: Sequence[float]) -> float:
+        return float(np.mean(values)) if len(values) else float("nan")
+
+    return Summary(
+        name,
+        size,
+        len(ended),
+        mean([_right(e) for e in ended]),
+        mean([_right(e) or e.among_rivals for e in ended]),
+        mean([_wrong(e) for e in ended]),
+        mean([e.error / e.oracle for e in exact]),
+        mean([e.bare / e.error for e in exact]),
+        mean([e.coverage_before for e in exact]),
+        mean([e.coverage_after for e in exact or ended]),
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from rich.table import Table
 
 from estimator.array import tetrahedron_as_printed
 from station.studies.baselines import BaselineStudy
+from station.studies.detection import DetectionStudy
 from station.studies.paper import BARS_PERCENT, PaperStudy
 from station.studies.paper_text import NAMES, TABLE_1, TABLE_2, TABLE_3, UNITS, contradictions, errata, relative_percent
 
@@ -31,6 +33,46 @@ def print_paper(study: PaperStudy) -> None:
     _list(console, "What this shows", paper_findings(study))
     _list(console, "The paper against itself", contradictions(study.bias_bound_dps))
     _list(console, "Errata of its axes", errata(tetrahedron_as_printed()))
+
+
+def print_detection(study: DetectionStudy) -> None:
+    """Print how often each effect was found, at each size."""
+    console = _stdout()
+    table = Table(title="What is found of effects that only the twin knows, % of seeds", title_style="bold")
+    table.add_column("effect")
+    for heading in (
+        "size",
+        "seeds",
+        "right",
+        "or told\nas rivals",
+        "wrong\nname",
+        "error over\noracle's",
+        "before :\nafter",
+        "coverage\nbefore",
+        "\nafter",
+    ):
+        table.add_column(heading, justify="right")
+    for line in study.lines:
+        table.add_row(
+            line.name.replace("_", " "),
+            f"{line.size:g}" if line.size else "-",
+            str(line.seeds),
+            *(_share(value) for value in (line.right, line.told, line.wrong)),
+            "-" if np.isnan(line.over_oracle) else f"{line.over_oracle:.3f}",
+            "-" if np.isnan(line.gain) else f"{line.gain:.1f}",
+            *(_share(value) for value in (line.coverage_before, line.coverage_after)),
+        )
+    console.print(table)
+
+
+def _share(value: float) -> str:
+    return "-" if np.isnan(value) else f"{100 * value:.0f}"
+
+
+def detection_object(study: DetectionStudy) -> dict[str, Any]:
+    """Return the lines as --json prints them: shares from 0 to 1, null where nothing was named."""
+    lines = [{k: None if v != v else v for k, v in asdict(line).items()} for line in study.lines]
+    return {"study": "detection", "lines": lines}
 
 
 def print_baselines(study: BaselineStudy) -> None:
