@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimator.tracing.candidates import Candidate
 from estimator.tracing.evidence import Posterior, Term
 from estimator.tracing.runs import Run
-from estimator.tracing.tones import samples_of, tone_columns
+from estimator.tracing.tones import ToneFit, samples_of, tone_columns
 
 Floats = NDArray[np.float64]
 
@@ -20,15 +20,18 @@ TONE = "tone"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """One effect of a model, with its scaled parameters: ``own`` (n, p) of each gyro, or ``shared`` (p,)."""
+    """One effect of a model; ``tone`` is its fit if it is a tone."""
 
     candidate: Candidate
     term: Term
+    tone: ToneFit | None = None
 
     @property
-    def locked(self) -> bool:
-        """Whether a tone has the same phase in every run; other effects always do."""
-        return not self.candidate.name.startswith(TONE) or len(self.term.columns) == 2
+    def width(self) -> int:
+        """How many parameters a gyro has of it."""
+        if self.tone is None:
+            return len(self.term.columns)
+        return len(next(iter(self.tone.amplitude.values())))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,8 +39,8 @@ class Augmented:
     """States and effects of the gyros ``names`` (n).
 
     By gyro ``mean`` (n, c) and ``covariance`` (n, c, c) of [k, b, s_j, s_k, own effects, shared effects], the effects
-    in shares of their largest plausible size; ``parts`` in the order own, shared. ``prior`` (n, 4) is the data sheet's,
-    ``arw`` (n,), ``instability``, ``walk``: the noise, the latter two over the angle random walk.
+    in shares of their largest plausible size; ``parts`` in the order own, shared, tones. ``prior`` (n, 4) is the data
+    sheet's, ``arw`` (n,), ``instability``, ``walk``: the noise, the latter two over the angle random walk.
     """
 
     names: tuple[str, ...]
@@ -59,26 +62,46 @@ class Augmented:
         arw: Floats,
         noise: tuple[float, float],
     ) -> Augmented:
-        """Return the model of an estimate, with the phases of tones that are not locked left out."""
-        own = [part for part in parts if not part.term.shared]
+        """Return the model of an estimate, and of tones that were fitted before it."""
+        own = [part for part in parts if not part.term.shared and part.tone is None]
+        tones = [part for part in parts if part.tone is not None]
         shared = [part for part in parts if part.term.shared]
         h = len(posterior.shared)
         means, covariances = [], []
-        for mean, covariance, cross in zip(posterior.own, posterior.own_covariance, posterior.cross, strict=True):
-            whole = np.zeros((len(mean) + h, len(mean) + h))
+        added = sum(part.width for part in tones)
+        for name, mean, covariance, cross in zip(
+            names, posterior.own, posterior.own_covariance, posterior.cross, strict=True
+        ):
             c = len(mean)
-            whole[:c, :c], whole[:c, c:], whole[c:, :c] = covariance, cross, cross.T
-            whole[c:, c:] = posterior.shared_covariance
-            means.append(np.concatenate([mean, posterior.shared]))
+            whole = np.zeros((c + h + added, c + h + added))
+            whole[:c, :c] = covariance
+            whole[c : c + h, c : c + h] = posterior.shared_covariance
+            whole[:c, c : c + h], whole[c : c + h, :c] = cross, cross.T
+            at, amplitudes = c + h, []
+            for part in tones:
+                assert part.tone is not None
+                size = part.candidate.largest[0]
+                amplitudes.append(part.tone.amplitude[name] / size)
+                span = np.arange(at, at + part.width)
+                whole[span, span] = (part.tone.sd[name] / size) ** 2
+                at += part.width
+            means.append(np.concatenate([mean, posterior.shared, *amplitudes]))
             covariances.append(whole)
         return cls(
-            tuple(names), np.array(means), np.array(covariances), (*own, *shared), prior, arw, noise[0], noise[1]
+            tuple(names),
+            np.array(means),
+            np.array(covariances),
+            (*own, *shared, *tones),
+            prior,
+            arw,
+            noise[0],
+            noise[1],
         )
 
     def slice_of(self, number: int) -> slice:
         """Return where the parameters of part ``number`` are."""
-        start = 4 + sum(len(part.term.columns) for part in self.parts[:number])
-        return slice(start, start + len(self.parts[number].term.columns))
+        start = 4 + sum(part.width for part in self.parts[:number])
+        return slice(start, start + self.parts[number].width)
 
     def columns(self, run: Run, number: int, gyro: int) -> Floats:
         """Return the columns (b, c) of [states, effects] of a gyro of a run that has this number among the runs fitted.
@@ -87,7 +110,7 @@ class Augmented:
         """
         columns = [run.state_columns()[gyro]]
         for part in self.parts:
-            if part.candidate.name.startswith(TONE):
+            if part.tone is not None:
                 columns.append(self._waves(part, run, number))
             else:
                 columns.append(part.candidate.columns(run, gyro))
@@ -99,11 +122,10 @@ class Augmented:
         return columns @ self.mean[self.names.index(run.array.names[gyro])], columns
 
     def _waves(self, part: Part, run: Run, number: int) -> Floats:
-        width = len(part.term.columns)
-        out = np.zeros((len(run.t_s), width))
-        at = 0 if part.locked else 2 * number
-        if at < width:
-            assert part.candidate.theta is not None
-            waves = tone_columns(part.candidate.theta, run, samples_of(run))
+        assert part.tone is not None
+        out = np.zeros((len(run.t_s), part.width))
+        at = 0 if part.tone.found.locked else 2 * number
+        if at < part.width:
+            waves = tone_columns(part.tone.found.frequency_hz, run, samples_of(run))
             out[:, at : at + 2] = waves * part.candidate.largest
         return out

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.recording import Recording
-from estimator.tracing.augmented import TONE, Augmented, Part
+from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.candidates import candidates_of
 from estimator.tracing.evidence import Evidence, Term
 from estimator.tracing.faults import Fault
@@ -26,7 +26,7 @@ from estimator.tracing.investigation import (
 )
 from estimator.tracing.runs import BLOCK_S, Run, runs_of, same_devices
 from estimator.tracing.search import CERTAIN, Choice, Found, Search
-from estimator.tracing.spectra import GyroSpectra, NoiseShapes, gyro_spectra
+from estimator.tracing.spectra import GyroSpectra, NoiseShapes, Z, gyro_spectra
 from estimator.tracing.verification import Judged, judge, phases_of
 
 Floats = NDArray[np.float64]
@@ -200,7 +200,7 @@ def _conclude(
         errors = _judged(traced, held_back, before, whole, verification, [*certain, *doubtful]).after
         models.append(ModelStep(called, traced.found.log_evidence[-1] - traced.found.log_evidence[0], errors))
     for choice in certain:
-        if choice.candidate.name.startswith(TONE) and len(choice.term.columns) > 2:
+        if choice.tone is not None and not choice.tone.found.locked:
             notes.append(
                 f"the tone at {choice.candidate.theta:.3f} Hz has another phase in each run: it is known, but cannot "
                 "be taken off the rates of another run"
@@ -242,7 +242,7 @@ def _model(traced: Traced, choices: Sequence[Choice], weight: Floats) -> Augment
     return Augmented.of(
         traced.names,
         posterior,
-        [Part(c.candidate, c.term) for c in choices],
+        [Part(c.candidate, c.term, c.tone) for c in choices],
         np.array([gyro.prior for gyro in traced.spectra]),
         np.array([gyro.arw for gyro in traced.spectra]),
         (float(np.sqrt(weight @ shapes.instability**2)), float(np.sqrt(weight @ shapes.walk**2))),
@@ -259,7 +259,7 @@ def _judged(
 ) -> Judged:
     if not held_back:
         return _cross_validated(traced, before, after, choices)
-    tones = [c.candidate.theta for c in choices if c.candidate.name.startswith(TONE) and c.candidate.theta]
+    tones = [c.tone.found.frequency_hz for c in choices if c.tone is not None]
     fine_s = min([BLOCK_S, *(1 / (_TONE_BLOCKS * hz) for hz in tones)])
     runs: list[Run] = list(held_back)
     if fine_s < BLOCK_S:
@@ -302,28 +302,27 @@ def _fold(traced: Traced, choices: Sequence[Choice], number: int) -> tuple[list[
             count += 1
         kept.append(replace(run, weight=run.weight * ~inside))
         held.append(replace(run, weight=run.weight * inside))
-    spectra = gyro_spectra(kept)
-    for gyro in spectra:
-        gyro.add([np.zeros((part.shape[0], 0)) for part in gyro.columns])
-    terms: list[Term] = []
-    start = 5
-    full = _model(traced, choices, traced.search.evidence.noise_weight([c.term for c in choices]))
-    for part in full.parts:
-        width = len(part.term.columns)
-        terms.append(replace(part.term, columns=tuple(range(start, start + width))))
-        start += width
-    for gyro in spectra:
-        parts = []
-        whole: dict[int, Floats] = {}
-        for stretch in gyro.stretches:
-            if stretch.run not in whole:
-                run = kept[stretch.run]
-                columns = full.columns(run, stretch.run, run.array.names.index(gyro.name))[:, 4:]
-                whole[stretch.run] = columns * run.weight[:, None]
-            parts.append(whole[stretch.run][stretch.blocks])
-        gyro.add(parts)
-    evidence = Evidence(spectra, traced.search.evidence.shapes)
     weight = traced.search.evidence.noise_weight([c.term for c in choices])
+    full = _model(traced, choices, weight)
+    slow = [part for part in full.parts if part.tone is None]
+    spectra = gyro_spectra(kept)
+    terms: list[Term] = []
+    start = Z + 1
+    for part in slow:
+        terms.append(replace(part.term, columns=tuple(range(start, start + part.width))))
+        start += part.width
+    for gyro in spectra:
+        g = full.names.index(gyro.name)
+        whole: dict[int, Floats] = {}
+        for number_of in {stretch.run for stretch in gyro.stretches}:
+            run = kept[number_of]
+            whole[number_of] = full.columns(run, number_of, run.array.names.index(gyro.name)) * run.weight[:, None]
+        # Tones are taken as found on all steps: a fifth of them says nothing else of a line.
+        tones = [whole[s.run][s.blocks, start - 1 :] @ full.mean[g, start - 1 :] for s in gyro.stretches]
+        gyro.subtract(tones)
+        if slow:
+            gyro.add([whole[s.run][s.blocks, Z : start - 1] for s in gyro.stretches])
+    evidence = Evidence(spectra, traced.search.evidence.shapes)
     noise = (full.instability, full.walk)
     models = [
         Augmented.of(

@@ -13,7 +13,16 @@ from estimator.tracing.evidence import Base, Evidence, Term
 from estimator.tracing.investigation import InvestigationError
 from estimator.tracing.runs import Run
 from estimator.tracing.spectra import GyroSpectra, cosines
-from estimator.tracing.tones import ToneFound, find_tone, samples_of, tone_columns, tone_effect, without_tone
+from estimator.tracing.tones import (
+    ToneFit,
+    ToneFound,
+    find_tone,
+    fit_tone,
+    samples_of,
+    tone_columns,
+    tone_effect,
+    without_tone,
+)
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +49,7 @@ class Choice:
     term: Term
     probability: float
     rivals: tuple[str, ...]
-    theta_sd: float = 0.0
+    tone: ToneFit | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +78,7 @@ class Search:
         self._runs, self._spectra, self.evidence = list(runs), list(spectra), evidence
         self._known: dict[str, tuple[Candidate, Term]] = {}
         self._samples = [samples_of(run) for run in runs]
-        self._tones: list[tuple[Choice, ToneFound]] = []
+        self._tones: list[Choice] = []
         self._scored: dict[tuple[tuple[tuple[int, ...], float], ...], dict[str, tuple[float, Term]]] = {}
         self._barred: set[str] = set()
         self._turned: dict[tuple[str, float, str], Floats] = {}
@@ -131,18 +140,17 @@ class Search:
             if best == _TONE:
                 assert tone is not None
                 heard += tone.log_evidence
-                self._samples = without_tone(tone, self._runs, self._samples, self._slow(model))
-                self._take(tone, float(np.exp(options[_TONE] - total)))
+                self._take(tone, float(np.exp(options[_TONE] - total)), model)
             else:
                 chosen.append(best)
                 terms[best] = scores[best][1]
             chosen, terms = self._settle(chosen, terms)
             chain.append(self.evidence.of(self._model(terms[name] for name in chosen)) + heard)
-        choices = [*(self._judge(name, chosen, terms) for name in chosen), *(choice for choice, _ in self._tones)]
+        choices = [*(self._judge(name, chosen, terms) for name in chosen), *self._tones]
         return Found(tuple(choices), tuple(chain), first, nothing)
 
     def _model(self, terms: Iterable[Term]) -> list[Term]:
-        return [*terms, *(choice.term for choice, _ in self._tones)]
+        return list(terms)
 
     def _tone(self, model: Sequence[Term]) -> ToneFound | None:
         """Return the strongest line beside a model."""
@@ -151,16 +159,14 @@ class Search:
         return find_tone(self._runs, self._samples, self._slow(model))
 
     def _slow(self, model: Sequence[Term]) -> list[Floats]:
-        """Return what a model says of the blocks of each run (b, m), but for its tones, which samples are rid of."""
+        """Return what a model says of the blocks of each run (b, m)."""
         posterior = self.evidence.posterior(model)
-        tones = [choice.term.name for choice, _ in self._tones]
-        own = [(c, t.name not in tones) for t in model if not t.shared for c in t.columns]
+        own = [c for t in model if not t.shared for c in t.columns]
         shared = [c for t in model if t.shared for c in t.columns]
-        keep = np.array([True] * 4 + [slow for _, slow in own] + [True] * len(shared))
         predicted = [np.zeros(run.z_rps.shape) for run in self._runs]
         for gyro, mean in zip(self.evidence.gyros, posterior.own, strict=True):
-            columns = self._time_columns(gyro, [*range(4), *(c for c, _ in own), *shared])
-            whole = np.concatenate([mean, posterior.shared]) * keep
+            columns = self._time_columns(gyro, [*range(4), *own, *shared])
+            whole = np.concatenate([mean, posterior.shared])
             for stretch, part in zip(gyro.stretches, columns, strict=True):
                 run = self._runs[stretch.run]
                 predicted[stretch.run][stretch.blocks, run.array.names.index(gyro.name)] = part @ whole
@@ -175,34 +181,28 @@ class Search:
             for part, stretch in zip(gyro.columns, gyro.stretches, strict=True)
         ]
 
-    def _take(self, tone: ToneFound, probability: float) -> None:
-        """Add a tone: its columns are the means of its samples over blocks, of each run by itself if not locked."""
-        effect = tone_effect(tone.frequency_hz)
-        start = self._spectra[0].columns[0].shape[1]
-        width = 2 if tone.locked else 2 * len(self._runs)
-        largest = effect.parameters[0].largest
+    def _take(self, tone: ToneFound, probability: float, model: Sequence[Term]) -> None:
+        """Take a tone off the samples and off the blocks: from now on all is beside it."""
+        fit = fit_tone(tone, self._runs, self._samples, self._slow(model))
         for gyro in self._spectra:
             parts = []
             for stretch in gyro.stretches:
                 run = self._runs[stretch.run]
-                waves = tone_columns(tone.frequency_hz, run, self._samples[stretch.run]) * run.weight[:, None] * largest
-                whole = np.zeros((len(run.t_s), width))
-                at = 0 if tone.locked else 2 * stretch.run
-                whole[:, at : at + 2] = waves
-                parts.append(whole[stretch.blocks])
-            gyro.add(parts)
+                waves = tone_columns(tone.frequency_hz, run, self._samples[stretch.run])
+                parts.append((waves @ fit.at(gyro.name, stretch.run) * run.weight)[stretch.blocks])
+            gyro.subtract(parts)
+        self._samples = without_tone(fit, self._samples)
         self.evidence.refresh()
         self._scored.clear()
         candidate = Candidate(
             f"{_TONE} {tone.frequency_hz:.4f} Hz",
-            effect,
+            tone_effect(tone.frequency_hz),
             0.0,
             theta=tone.frequency_hz,
             of=tone_effect,
-            log_tries=0.0 if tone.locked else 1.0,
+            unit="Hz",
         )
-        term = Term(candidate.name, tuple(range(start, start + width)), False, 0.3)
-        self._tones.append((Choice(candidate, term, probability, (_TONE,)), tone))
+        self._tones.append(Choice(candidate, Term(candidate.name, (), False), probability, (_TONE,), tone=fit))
 
     def _scores(self, terms: Sequence[Term], chosen: Sequence[str]) -> dict[str, tuple[float, Term]]:
         """Return for each candidate not chosen its log evidence with its prior, and its term at its best scale."""
@@ -290,14 +290,13 @@ class Search:
 
     def best_of(self, effect: str, chosen: Sequence[Choice]) -> Choice:
         """Return the most probable of the candidates that are called so, beside those chosen."""
-        model = self._model(c.term for c in chosen if c.candidate.called != _TONE)
+        model = self._model(c.term for c in chosen if c.tone is None)
         if effect == _TONE:
             tone = self._tone(model)
             if tone is None:
                 raise InvestigationError("no tone can be looked for in these recordings")
-            self._samples = without_tone(tone, self._runs, self._samples, self._slow(model))
-            self._take(tone, 1.0)
-            return self._tones[-1][0]
+            self._take(tone, 1.0, model)
+            return self._tones[-1]
         self._refine(model, [c.candidate.name for c in chosen])
         scores = self._scores(model, [c.candidate.name for c in chosen])
         named = [name for name in scores if self._known[name][0].called == effect]
@@ -310,9 +309,9 @@ class Search:
         """Return the same choices, the prior scale of each as is most probable beside the others."""
         done = list(choices)
         for n, choice in enumerate(done):
-            if choice.candidate.called == _TONE:
+            if choice.tone is not None:
                 continue
-            others = [c.term for m, c in enumerate(done) if m != n]
+            others = [c.term for m, c in enumerate(done) if m != n and c.tone is None]
             base = Base(self.evidence, [t for t in others if not t.shared])
             _, term = base.with_term([t for t in others if t.shared], choice.term)
             done[n] = replace(choice, term=term)

@@ -138,6 +138,18 @@ class GyroSpectra:
             else:
                 self.products.append(products)
 
+    def subtract(self, parts: Sequence[Floats]) -> None:
+        """Take something (b,) of each stretch, in rad/s, off the output error."""
+        for i, (stretch, part) in enumerate(zip(self.stretches, parts, strict=True)):
+            self.columns[i] = self.columns[i].copy()
+            self.columns[i][:, Z] -= cosines(part[:, None])[:, 0] * (np.sqrt(stretch.length_s) / self.arw)
+            whole = self.columns[i]
+            for band, start in enumerate(stretch.starts):
+                stop = stretch.starts[band + 1] if band + 1 < len(stretch.starts) else len(whole)
+                border = whole[start:stop].T @ whole[start:stop, Z]
+                self.products[i][band, :, Z] = border
+                self.products[i][band, Z, :] = border
+
     def keep(self, count: int) -> None:
         """Drop all columns beyond the first ones."""
         self.columns = [part[:, :count] for part in self.columns]

@@ -19,12 +19,15 @@ from estimator.tracing.runs import Run
 Floats = NDArray[np.float64]
 
 _LOWEST_HZ = 0.05  # below it a tone is told from slow effects by them, not by its line
+_LOWEST_BY_HAND_HZ = 5.0  # below it hands move what they hold, and a reference that is off by it shows it
 _FLOOR_BINS = 60  # the noise about a line is the median over so many frequencies to each side
 _STEPS = 12
 _WORTH = 0.3
 _GOLDEN = (np.sqrt(5) - 1) / 2
 _FEWEST_CYCLES = 20
 _PARTS = 4
+_FEWEST = 256
+_RAMP = 0.02  # share of the steepest acceleration
 _COHERENT = 0.5  # of what parts of a run show each by itself, a tone shows as much with one phase
 
 
@@ -60,7 +63,8 @@ def samples_of(run: Run) -> Samples:
             t.append(np.asarray(part.t_ns * 1e-9, dtype=np.float64))
             z.append(part.y_rps - part.w_rps @ run.array.p.T)
             w.append(part.w_rps)
-    return Samples(np.concatenate(t), np.vstack(z), np.vstack(w), run.array.names)
+    each = slice(None, None, run.held)  # of samples that are held, one tells all
+    return Samples(np.concatenate(t)[each], np.vstack(z)[each], np.vstack(w)[each], run.array.names)
 
 
 def tone_columns(frequency_hz: float, run: Run, samples: Samples) -> Floats:
@@ -82,14 +86,15 @@ def tone_effect(frequency_hz: float) -> Effect:
 
 def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFound | None:
     """Return the strongest line beside a model; ``predicted`` (b, m) is what the model says of each run's blocks."""
+    samples = [_steady(run, s) for run, s in zip(runs, samples, strict=True)]
+    if min(len(s.t_s) for s in samples) < _FEWEST:
+        return None
     rests = [
         s.z_rps - np.column_stack([np.interp(s.t_s, run.t_s, column) for column in p.T])
         for run, s, p in zip(runs, samples, predicted, strict=True)
     ]
     even = [_evened(s.t_s, rest) for s, rest in zip(samples, rests, strict=True)]
     longest = max((len(values) for values, _ in even), default=0)
-    if longest < 256:
-        return None
     period_s = min(period for _, period in even)
     size = 2 << int(np.ceil(np.log2(longest)))
     hz = np.fft.rfftfreq(size, period_s)
@@ -103,7 +108,8 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
         floors.append(floor)
         total += (power / floor).sum(axis=1)
     span_s = longest * period_s
-    usable = (hz > max(_LOWEST_HZ, _FEWEST_CYCLES / span_s)) & (hz < 0.98 * hz[-1])
+    lowest_hz = _LOWEST_HZ if all(run.grid.gimbals for run in runs) else _LOWEST_BY_HAND_HZ
+    usable = (hz > max(lowest_hz, _FEWEST_CYCLES / span_s)) & (hz < 0.98 * hz[-1])
     if not usable.any():
         return None
     peak = int(np.flatnonzero(usable)[np.argmax(total[usable])])
@@ -148,25 +154,72 @@ def _coherent(
     return whole > _COHERENT * (apart - chance)
 
 
-def without_tone(
-    found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]
-) -> list[Samples]:
-    """Return the samples less the tone that fits them best beside a model, as ``find_tone`` takes it."""
-    sums: dict[tuple[str, int], tuple[complex, float]] = {}
+@dataclass(frozen=True, slots=True, eq=False)
+class ToneFit:
+    """A tone as fitted to samples: for each gyro its cosine and sine (2,), of each run (2 runs,) if not locked; rad/s.
+
+    ``sd`` is the standard deviation of each of these numbers.
+    """
+
+    found: ToneFound
+    amplitude: dict[str, Floats]
+    sd: dict[str, float]
+
+    def at(self, name: str, run: int) -> Floats:
+        """Return cosine and sine (2,) of a gyro in a run; zero in a run whose phase is not known."""
+        if self.found.locked:
+            return self.amplitude[name]
+        known = self.amplitude[name]
+        return known[2 * run : 2 * run + 2] if 2 * run < len(known) else np.zeros(2)
+
+
+def fit_tone(found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFit:
+    """Return the tone that fits samples best beside a model, as ``find_tone`` takes it."""
+    names = list(dict.fromkeys(name for s in samples for name in s.names))
+    width = 1 if found.locked else len(samples)
+    total = {name: np.zeros(width, dtype=np.complex128) for name in names}
+    count = {name: np.zeros(width) for name in names}
+    squares = dict.fromkeys(names, 0.0)
     for number, (run, s, p) in enumerate(zip(runs, samples, predicted, strict=True)):
         rest = s.z_rps - np.column_stack([np.interp(s.t_s, run.t_s, column) for column in p.T])
         turning = np.exp(-2j * np.pi * found.frequency_hz * s.t_s) @ rest
+        at = 0 if found.locked else number
         for i, name in enumerate(s.names):
-            key = name, 0 if found.locked else number
-            total, count = sums.get(key, (0j, 0.0))
-            sums[key] = total + turning[i], count + 0.5 * len(s.t_s)
+            total[name][at] += turning[i]
+            count[name][at] += len(s.t_s)
+            squares[name] += float(np.sum(rest[:, i] ** 2))
+    amplitude, sd = {}, {}
+    for name in names:
+        fitted = 2 * total[name] / np.maximum(count[name], 1)
+        amplitude[name] = np.column_stack([fitted.real, -fitted.imag]).ravel()
+        # White noise of a sample over the root of half the samples.
+        variance = squares[name] / max(float(count[name].sum()), 1.0)
+        sd[name] = float(np.sqrt(2 * variance / max(float(count[name].mean()), 1.0)))
+    return ToneFit(found, amplitude, sd)
+
+
+def without_tone(fit: ToneFit, samples: Sequence[Samples]) -> list[Samples]:
+    """Return the samples less a tone."""
     cleaned = []
     for number, s in enumerate(samples):
-        wave = np.exp(2j * np.pi * found.frequency_hz * s.t_s)
-        keys = [(name, 0 if found.locked else number) for name in s.names]
-        fit = np.column_stack([(sums[key][0] / sums[key][1] * wave).real for key in keys])
-        cleaned.append(Samples(s.t_s, s.z_rps - fit, s.w_rps, s.names))
+        phase = 2 * np.pi * fit.found.frequency_hz * s.t_s
+        waves = np.column_stack([np.cos(phase), np.sin(phase)])
+        own = np.column_stack([waves @ fit.at(name, number) for name in s.names])
+        cleaned.append(Samples(s.t_s, s.z_rps - own, s.w_rps, s.names))
     return cleaned
+
+
+def _steady(run: Run, samples: Samples) -> Samples:
+    """Return the samples of a run outside of ramps, within which block means say too little of each sample."""
+    if not run.grid.gimbals:
+        return samples
+    steep = run.fold(np.abs(run.grid.acceleration_rps2).max(axis=1, keepdims=True))[:, 0]
+    ramp = steep > _RAMP * max(float(steep.max()), 1e-9)
+    ramp[1:] |= ramp[:-1].copy()
+    ramp[:-1] |= ramp[1:].copy()
+    block = np.clip(np.searchsorted(run.t_s + 0.5 * run.length_s, samples.t_s), 0, len(run.t_s) - 1)
+    keep = ~ramp[block]
+    return Samples(samples.t_s[keep], samples.z_rps[keep], samples.w_rps[keep], samples.names)
 
 
 def _evened(t_s: Floats, values: Floats) -> tuple[Floats, float]:

@@ -231,7 +231,7 @@ def end_of(case: Case) -> Ended:
 
 def true_error(model: Augmented, clean: Recording) -> float:
     """Return the rms over a recording without noise of what a model leaves of the output errors, rad/s."""
-    (run,) = runs_of(clean, 0.02)[0]  # short enough for tones
+    (run,) = runs_of(clean, 0.01)[0]  # every sample: short enough for tones
     left = [run.z_rps[:, i] - model.predict(run, 99, i)[0] for i in range(len(run.array))]
     return float(np.sqrt(np.mean(np.square(left))))
 

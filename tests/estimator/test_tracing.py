@@ -48,7 +48,15 @@ def test_an_effect_is_named_added_and_takes_the_error_away_on_a_run_that_was_not
     assert [step.effects for step in found.models] == [(), ("scale_asymmetry",)]
 
 
-@pytest.mark.parametrize("effects", [("latency", "warm_up"), ("tone",)], ids=str)
+@pytest.mark.parametrize(
+    "effects",
+    [
+        ("tone",),
+        pytest.param(("latency", "warm_up"), marks=pytest.mark.full),
+        pytest.param(("bias_drift", "g_sensitivity", "scale_cubic"), marks=pytest.mark.full),
+    ],
+    ids=str,
+)
 def test_the_error_that_is_left_is_that_of_an_estimate_that_was_told(effects: tuple[str, ...]) -> None:
     ended = end_of(Case(effects, 1.0, 5))
     assert ended.exact

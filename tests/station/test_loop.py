@@ -51,6 +51,7 @@ def looped(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[
     return code, json.loads(captured.out), captured.err
 
 
+@pytest.mark.full
 @pytest.mark.timeout(300)  # a thousand seconds of table time
 def test_an_effect_that_only_the_twin_knows_ends_in_the_model(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
