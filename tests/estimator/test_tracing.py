@@ -71,6 +71,7 @@ def test_what_no_effect_explains_is_said_to_be_unexplained_with_what_it_depends_
     assert not ended.added
 
 
+@pytest.mark.full  # the short form is the command's, in tests/station
 def test_an_error_that_only_the_verification_shows_is_no_cause_but_a_question() -> None:
     calibration, _, verification = recordings_of(Case(("scale_asymmetry",), 1.0, 2))
     alone = investigate([calibration])
