@@ -76,4 +76,5 @@ def dead_band(width_rps: float) -> Effect:
         shown_by="slow turns and ramps through zero",
         confused_with=("scale_asymmetry",),
         regressors=columns,
+        needs=frozenset({"gimbals"}),  # a rate measured by another gyro or encoder has steps of its own about zero
     )

@@ -34,6 +34,8 @@ Progress = Callable[[float, str], None]
 
 _SURPRISED = 8.0
 """Sigmas by which the error on a verification run exceeds chance before a verdict is taken back."""
+_REST_RPS = 2e-3  # several times Earth rate
+_VISIBLE = 3.0
 _SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
 _FOLDS = 5
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
@@ -150,6 +152,9 @@ def _prepared(runs: Sequence[Run], only: Sequence[str] | None = None) -> tuple[T
     search = Search(runs, spectra, Evidence(spectra, NoiseShapes.over(span_s)))
     candidates, left_out = candidates_of(runs)
     search.add([c for c in candidates if only is None or c.called in only])
+    for candidate in search.leave_out_unexcited() if candidates and only is None else []:
+        if not candidate.depends_on:
+            left_out[candidate.called] = "the motion does not excite it"
     return Traced(list(runs), spectra, search, Found((), (), ())), left_out
 
 
@@ -162,10 +167,12 @@ def _conclude(
     most: int,
     verification: Sequence[Recording],
 ) -> Investigation:
-    choices = traced.found.choices
+    choices = _visible(traced)
     general = [c for c in choices if c.candidate.depends_on]
     kin = set().union(*(_KIN.get(c.candidate.depends_on, frozenset()) for c in general))
     named = [c for c in choices if not c.candidate.depends_on and c.candidate.called not in kin]
+    if _at_rest(traced.runs):
+        named = [_with_copies(traced, choice) for choice in named]
     certain = [c for c in named if c.probability >= CERTAIN]
     doubtful = [c for c in named if c.probability < CERTAIN]
     weight = traced.search.evidence.noise_weight([c.term for c in choices])
@@ -233,6 +240,38 @@ def _faulty(faults: Sequence[Fault]) -> list[Added]:
         parameters = {f"{f.gyro} {name}": Value(value, 0.0, unit) for f in own for name, value, unit in f.values}
         found.append(Added(kind, tuple(dict.fromkeys(f.gyro for f in own)), 1.0, parameters))
     return found
+
+
+def _visible(traced: Traced) -> tuple[Choice, ...]:
+    """Return the effects found of which at least one number is some sigmas from zero: sums of little are no cause."""
+    choices = traced.found.choices
+    weight = traced.search.evidence.noise_weight([c.term for c in choices])
+    model = _model(traced, choices, weight)
+    kept = []
+    for choice in choices:
+        where = model.slice_of([part.candidate.name for part in model.parts].index(choice.candidate.name))
+        sd = np.sqrt(np.diagonal(model.covariance, axis1=1, axis2=2))[:, where]
+        if choice.candidate.depends_on or float(np.abs(model.mean[:, where] / sd).max()) > _VISIBLE:
+            kept.append(choice)
+    return tuple(kept)
+
+
+def _at_rest(runs: Sequence[Run]) -> bool:
+    return all(float(np.abs(run.w_rps).max(initial=0.0)) < _REST_RPS for run in runs)
+
+
+def _with_copies(traced: Traced, choice: Choice) -> Choice:
+    """Return a choice that cannot be told from others if a few rests let these put out the same.
+
+    In a few poses at a few temperatures one cause is as good as another: that the simpler one fits is no proof.
+    """
+    if choice.tone is not None:
+        return choice
+    copies = traced.search.copies(choice, traced.found.terms)
+    if not copies:
+        return choice
+    rivals = tuple(dict.fromkeys((choice.candidate.called, *copies)))
+    return replace(choice, probability=min(choice.probability, 1 / len(rivals)), rivals=rivals)
 
 
 def _model(traced: Traced, choices: Sequence[Choice], weight: Floats) -> Augmented:
@@ -384,7 +423,9 @@ def _unexplained(traced: Traced, general: Sequence[Choice], weight: Floats) -> U
     without = [t for t in terms if t.name not in {c.candidate.name for c in general}]
     power_with, power_without = _power(traced, terms, weight), _power(traced, without, weight)
     blocks = sum(len(s.band) for gyro in traced.spectra for s in gyro.stretches)
-    share = 1 - max(power_with - blocks, 0.0) / max(power_without - blocks, 1e-9)
+    # Where what is left is below the white noise found at high frequencies, all of it counts.
+    noise = blocks if power_with > blocks else 0.0
+    share = 1 - (power_with - noise) / max(power_without - noise, 1e-9)
     return Unexplained(general[0].candidate.depends_on, float(np.clip(share, 0.0, 1.0)))
 
 

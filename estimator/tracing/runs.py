@@ -31,6 +31,7 @@ _MOST_BLOCKS = 6000
 _GRID_S = 0.02  # instants at which conditions are worked out, within blocks
 _GAP_S = 5.0  # a longer gap ends a stretch: what the noise did meanwhile is not known
 _FEWEST_BLOCKS = 40
+_JUMP, _JUMP_C = 8.0, 0.5  # sigmas, degC
 _SMOOTH_S = 0.2  # accelerometers also feel vibration
 
 
@@ -264,6 +265,10 @@ def _smooth_temperature(t_s: Floats, temperature_c: Floats, grid_s: Floats) -> F
 
     inside = np.clip(grid_s, mean_t[0], mean_t[-1])
     smooth = np.asarray(PchipInterpolator(mean_t, mean_c)(inside))
+    # A temperature that jumps is not smoothed: where the two differ by more than noise, the readings count.
+    noise = float(np.median(np.abs(np.diff(temperature_c)))) / 0.954
+    raw = np.interp(inside, t_s, temperature_c)
+    smooth = np.where(np.abs(raw - smooth) > np.maximum(_JUMP * noise, _JUMP_C), raw, smooth)
     # Beyond the first and last mean the temperature goes on as it began and ended.
     first = (mean_c[1] - mean_c[0]) / (mean_t[1] - mean_t[0])
     last = (mean_c[-1] - mean_c[-2]) / (mean_t[-1] - mean_t[-2])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.tracing.candidates import Candidate
-from estimator.tracing.evidence import Base, Evidence, Term
+from estimator.tracing.evidence import SCALES, Base, Evidence, Term
 from estimator.tracing.investigation import InvestigationError
 from estimator.tracing.runs import Run
 from estimator.tracing.spectra import GyroSpectra, cosines
@@ -35,6 +35,8 @@ _REFINE = 18
 _IN_PLACE = 2  # effects that may stand for one general dependence
 _CLEARLY = 2.0  # by so much they must be more probable: a flexible sum of effects is no cause either
 _LOST = 0.3  # share of the rate within a dead band that may be missing to all of it
+_UNEXCITED = 0.5  # sigmas of an effect of the largest plausible size, all gyros and runs together
+_COPIED = 9.0  # squares over noise that a copy of an effect leaves in a gyro, within chance
 _RICH = 0.1  # scale of all effects at once, when it is asked what the noise may be
 _TONE = "tone"
 _MOST_TONES = 3
@@ -107,6 +109,20 @@ class Search:
             rich = [term.scaled(_RICH) for c, term in self._known.values() if not c.depends_on and not term.shared]
             self.evidence.narrow([[], rich])
 
+    def leave_out_unexcited(self) -> list[Candidate]:
+        """Leave out the candidates of which not even the largest plausible size would show; return them."""
+        out = []
+        for name, (candidate, term) in list(self._known.items()):
+            columns = np.array(term.columns, dtype=np.intp)
+            if not len(columns):
+                continue
+            shown = sum(float(gram[0, columns, columns].max()) for gram in self.evidence.grams)
+            if shown < _UNEXCITED**2:
+                out.append(candidate)
+                del self._known[name]
+        self._scored.clear()
+        return out
+
     def run(self, most: int, progress: Callable[[float], None] | None = None) -> Found:
         """Return the most probable model of at most so many effects."""
         chosen: list[str] = []
@@ -136,6 +152,8 @@ class Search:
             if best != _TONE and not self._sensible(best, scores[best][1], model):
                 self._barred.add(best)
                 self._scored.clear()
+                if not chosen and not self._tones:
+                    first = ()  # what cannot be is no suspect
                 continue
             if best == _TONE:
                 assert tone is not None
@@ -316,6 +334,32 @@ class Search:
             _, term = base.with_term([t for t in others if t.shared], choice.term)
             done[n] = replace(choice, term=term)
         return done
+
+    def copies(self, choice: Choice, terms: Sequence[Term]) -> list[str]:
+        """Return the effects that could put out what this one does, within chance, whatever was expected of them."""
+        others = [t for t in terms if t.name != choice.candidate.name]
+        posterior = self.evidence.posterior(terms)
+        base = Base(self.evidence, [t for t in others if not t.shared])
+        best = int(np.argmax(self.evidence.noise_weight(terms)))
+        own = [t for t in terms if not t.shared]
+        if choice.term.shared:
+            return []
+        at = 4 + sum(len(t.columns) for t in own[: own.index(choice.term)])
+        mine = np.array(choice.term.columns)
+        found = []
+        for name, (candidate, term) in self._known.items():
+            if term.shared or candidate.depends_on or name == choice.candidate.name:
+                continue
+            theirs = np.array(term.columns)
+            left = 0.0
+            for gram, mean in zip(base.reduced, posterior.own, strict=True):
+                sizes = mean[at : at + len(mine)]
+                cross = gram[best][np.ix_(theirs, mine)] @ sizes
+                inner = gram[best][np.ix_(theirs, theirs)] + np.eye(len(theirs)) / SCALES[0] ** 2
+                left += float(sizes @ gram[best][np.ix_(mine, mine)] @ sizes - cross @ np.linalg.solve(inner, cross))
+            if left < _COPIED * len(base.reduced):
+                found.append(candidate.called)
+        return list(dict.fromkeys(found))
 
     def sharpness(self, choice: Choice, terms: Sequence[Term]) -> float:
         """Return the standard deviation of what is not linear in an effect, beside the other terms."""

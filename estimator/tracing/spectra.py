@@ -39,9 +39,11 @@ class Stretch:
     band_hz: Floats
     counts: Floats
     length_s: float
+    alone: bool
 
     @classmethod
-    def of(cls, run: int, blocks: slice, length_s: float) -> Stretch:
+    def of(cls, run: int, blocks: slice, length_s: float, alone: bool) -> Stretch:
+        """Return that of some blocks; ``alone`` if there is no other recording: power was not off in between."""
         n = blocks.stop - blocks.start
         frequency = np.arange(n) / (2 * n * length_s)
         k = np.arange(n)
@@ -50,7 +52,7 @@ class Stretch:
         _, band = np.unique(band, return_inverse=True)
         counts = np.bincount(band).astype(np.float64)
         hz = np.bincount(band, frequency) / counts
-        return cls(run, blocks, frequency, band.astype(np.intp), hz, counts, length_s)
+        return cls(run, blocks, frequency, band.astype(np.intp), hz, counts, length_s, alone)
 
     @property
     def starts(self) -> NDArray[np.intp]:
@@ -95,7 +97,7 @@ class NoiseShapes:
         span_s = len(stretch.band) * stretch.length_s
         wander = self.instability**2 * np.log(10 + span_s) / np.pi + self.walk**2 * span_s
         # The mean of a stretch holds what the bias has wandered to since another stretch, and since power-on.
-        out[:, 0] = 1 + span_s * (wander + self.turn_on**2)
+        out[:, 0] = 1 + span_s * (wander + (0.0 if stretch.alone else self.turn_on**2))
         return np.asarray(out)
 
     def __len__(self) -> int:
@@ -175,6 +177,7 @@ def gyro_spectra(runs: Sequence[Run]) -> list[GyroSpectra]:
     The white noise of a block is taken from the upper half of its spectrum, by the median: ramps and tones are few.
     """
     names = list(dict.fromkeys(name for run in runs for name in run.array.names))
+    alone = len({run.order for run in runs}) == 1
     found = []
     for name in names:
         stretches: list[Stretch] = []
@@ -188,7 +191,7 @@ def gyro_spectra(runs: Sequence[Run]) -> list[GyroSpectra]:
             both = np.column_stack([run.state_columns()[i], run.z_rps[:, i]]) * run.weight[:, None]
             for blocks in run.stretches():
                 if blocks.stop - blocks.start >= 10:
-                    stretches.append(Stretch.of(number, blocks, run.length_s))
+                    stretches.append(Stretch.of(number, blocks, run.length_s, alone))
                     parts.append(both[blocks])
         if prior is None or not stretches:
             continue
