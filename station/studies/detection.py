@@ -72,6 +72,7 @@ class Case:
     instability_dph: float = 2.0
     walk_dph_rth: float = 0.0
     shape: str = "exponential"
+    rate_hz: float = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,6 +200,7 @@ def _record(case: Case, script: Script, number: int, quiet: bool = False) -> Rec
         math.radians(1e-7 if quiet else 0.005),
         0.0 if quiet else math.radians(case.instability_dph / 3600),
         0.0 if quiet else math.radians(case.walk_dph_rth / 3600 / 60),
+        rate_hz=case.rate_hz,
         kind="tetrahedron",
     )
     hidden = hidden_of(case.effects, case.size, case.seed, case.shape)
@@ -231,7 +233,7 @@ def end_of(case: Case) -> Ended:
 
 def true_error(model: Augmented, clean: Recording) -> float:
     """Return the rms over a recording without noise of what a model leaves of the output errors, rad/s."""
-    (run,) = runs_of(clean, 0.01)[0]  # every sample: short enough for tones
+    (run,) = runs_of(clean, 1 / 100)[0]  # every sample: short enough for tones
     left = [run.z_rps[:, i] - model.predict(run, 99, i)[0] for i in range(len(run.array))]
     return float(np.sqrt(np.mean(np.square(left))))
 
