@@ -87,6 +87,12 @@ def investigate(
     held_back, more, _ = _all_runs(verification, len(recordings))
     notes += more
     _same(recordings, verification, runs, held_back)
+    if held_back and _at_rest(runs) != _at_rest(held_back):
+        still, turning = ("recordings", "verification run") if _at_rest(runs) else ("verification run", "recordings")
+        raise InvestigationError(
+            f"the {still} only rest and the {turning} turn: they have no conditions in common to judge by; "
+            "verify on a run of the same kind"
+        )
     tell(0.1, "residual")
     traced, left_out = _trace(runs, most_effects, lambda share: tell(0.1 + 0.6 * share, "tracing"))
     tell(0.75, "before and after")

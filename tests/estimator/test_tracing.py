@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from estimator.importing import import_recording
+from estimator.mapping import read_mapping
 from estimator.recording import Recording
 from estimator.reference import TableReadings
 from estimator.tracing.investigate import fit_known, investigate
@@ -92,6 +95,10 @@ def test_recordings_that_do_not_belong_together_are_refused() -> None:
         investigate([calibration, exploration], [other])
     with pytest.raises(InvestigationError, match="another device"):
         investigate([calibration, changed(exploration, array=replace(array, p=-array.p))])
+    data = verification.sources["array"]
+    rest = changed(verification, t_ns=data.t_ns[:1400], rate_rps=data.rate_rps[:1400], temperature_c=None)
+    with pytest.raises(InvestigationError, match="no conditions in common"):
+        investigate([calibration, exploration], [rest])
     data = calibration.sources["array"]
     short = changed(calibration, t_ns=data.t_ns[:300], rate_rps=data.rate_rps[:300], temperature_c=None)
     with pytest.raises(InvestigationError, match="too little data"):
@@ -140,3 +147,24 @@ def test_drift_on_the_clock_of_a_session_is_told_from_temperature() -> None:
     assert [a.effect for a in found.added] == ["bias_drift"]
     slopes = [v.value / (1e-4 * DEG) for v in found.added[0].parameters.values()]
     np.testing.assert_allclose(slopes, [1.0, -1.0, 0.7, 1.3], atol=0.06)
+
+
+def test_nothing_is_found_in_the_rests_of_a_real_session() -> None:
+    folder = Path(__file__).parent.parent / "data" / "ferraris"
+    imported = import_recording(read_mapping(folder / "mapping_rest.toml"), [folder / "session.csv"])
+    found = investigate([imported.recording])
+    assert found.finding == Finding.NOTHING
+    assert found.in_sample
+
+
+def test_the_lag_of_a_real_gyro_behind_its_optical_reference_is_found_and_helps_on_another_trial() -> None:
+    folder = Path(__file__).parent.parent / "data" / "broad"
+    first, second = (
+        import_recording(read_mapping(folder / "mapping.toml"), [path]).recording
+        for path in sorted(folder.glob("*.mat"))
+    )
+    found = investigate([first], [second])
+    assert [a.effect for a in found.added] == ["latency"]
+    assert found.added[0].parameters["delay"].value == pytest.approx(0.0043, abs=0.0015)
+    assert found.improvement is not None
+    assert found.improvement.ratio > 1.5  # extracts of a minute: its interval is wide
