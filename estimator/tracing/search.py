@@ -265,6 +265,16 @@ class Search:
         return bool(np.any(np.abs(lost - 1) < _LOST)) and bool(np.all(lost > -_LOST))
 
     def _settle(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
+        """Exchange effects, put effects with a name in the place of general dependences, until neither changes any."""
+        for _ in range(_ROUNDS):
+            chosen, terms = self._exchanged(chosen, terms)
+            before = list(chosen)
+            chosen, terms = self._named(chosen, terms)
+            if chosen == before:
+                break
+        return chosen, terms
+
+    def _exchanged(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
         """Try to remove and to exchange each effect, until nothing makes the model more probable."""
         for _ in range(_ROUNDS):
             changed = False
@@ -285,7 +295,7 @@ class Search:
                     break
             if not changed:
                 break
-        return self._named(chosen, terms)
+        return chosen, terms
 
     def _named(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
         """Try in the place of each general dependence up to a few effects with a name, added one at a time."""
