@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,17 +110,3 @@ class BlockSums:
         within = self._products - sums.T @ means
         means = means + self._shift
         return Blocks(index, rows, means[:, :3], means[:, 3:], within, self._length_s, self._period_s)
-
-
-def blocks_of(
-    parts: Iterable[tuple[NDArray[np.int64], Floats, Floats]],
-    channels: int,
-    origin_ns: int,
-    length_s: float,
-    period_s: float,
-) -> Blocks:
-    """Return the blocks of parts (instants, body rates, output errors) in order of time."""
-    sums = BlockSums(channels, origin_ns, length_s, period_s)
-    for part in parts:
-        sums.add(*part)
-    return sums.blocks()

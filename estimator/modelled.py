@@ -24,11 +24,10 @@ from estimator.noise import NoiseModel
 from estimator.recording import ImuData, Recording
 from estimator.reference import Turns
 from estimator.rows import row_length_s
-from estimator.tracing.augmented import TONE
 from estimator.tracing.evidence import Evidence, Posterior, Term
 from estimator.tracing.runs import Run, run_of
 from estimator.tracing.spectra import NoiseShapes, Z, gyro_spectra
-from estimator.tracing.tones import samples_of, tone_columns
+from estimator.tracing.tones import TONE, samples_of, tone_columns
 
 Floats = NDArray[np.float64]
 

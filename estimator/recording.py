@@ -180,10 +180,6 @@ class RecordingWriter:
         """File descriptor, for os.fsync: HDF5's own flush issues none."""
         return int(self._file.id.get_vfd_handle())
 
-    def replace_group(self, path: str, datasets: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:
-        """Write a group of results whole, in place of what stood there."""
-        _replace_group(self._file, path, datasets, attributes)
-
     def close(self) -> None:
         """Flush and close; twice is once."""
         if self._file:

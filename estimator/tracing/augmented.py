@@ -15,8 +15,6 @@ from estimator.tracing.tones import ToneFit, samples_of, tone_columns
 
 Floats = NDArray[np.float64]
 
-TONE = "tone"
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:

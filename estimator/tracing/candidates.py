@@ -9,20 +9,20 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.catalogue import HARMONICS, catalogue
 from estimator.effects.conditions import Conditions
 from estimator.effects.drift import bias_drift, bias_step, warm_up
-from estimator.effects.dynamics import acceleration_sensitivity, bandwidth, latency
+from estimator.effects.dynamics import latency
 from estimator.effects.effect import Axes, Effect, Parameter
-from estimator.effects.scale import dead_band, scale_asymmetry, scale_cubic, scale_quadratic
-from estimator.effects.site import earth_rate, g_sensitivity
-from estimator.effects.table import table_axes, table_harmonic
-from estimator.effects.thermal import thermal_bias, thermal_bias_quadratic, thermal_gradient, thermal_scale
+from estimator.effects.scale import dead_band
+from estimator.effects.table import table_harmonic
 from estimator.kinematics import AXES, GRAVITY_MPS2, into_body
 from estimator.tracing.runs import Run
 
 Floats = NDArray[np.float64]
 
-HARMONICS = (1, 2, 4)
+_BY_ITSELF = frozenset({"warm_up", "bias_step", "tone", "table_rate"})
+"""Effects of the catalogue that are looked for in a way of their own, and one that passes for scale factor errors."""
 _OTHER_ORDERS = (3, 5, 6)
 # Log odds of an effect against the others before the data. What refines a simpler effect is rarer than that effect, and
 # a bias over temperature is in every data sheet, its gradient in few. Where a temperature is measured, a law of time
@@ -91,6 +91,8 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
     gimbals = runs[0].grid.gimbals
     span_s = max(float(run.t_s[-1] - run.t_s[0]) for run in runs)
     left_out: dict[str, str] = {}
+    if not gimbals:
+        left_out["table_harmonic"] = "the recordings hold no gimbals"
     listed = _catalogue(runs, gimbals, span_s)
     chosen = []
     for candidate in listed:
@@ -116,22 +118,8 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
 
 
 def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> list[Candidate]:
-    plain = [
-        earth_rate(),
-        g_sensitivity(),
-        thermal_bias(),
-        thermal_bias_quadratic(),
-        thermal_scale(),
-        thermal_gradient(),
-        bias_drift(),
-        scale_asymmetry(),
-        scale_quadratic(),
-        scale_cubic(),
-        latency(),
-        bandwidth(),
-        acceleration_sensitivity(),
-    ]
-    found = [Candidate(effect.name, effect, 0.0) for effect in plain]
+    listed = [effect for effect in catalogue(gimbals, span_s) if effect.name not in _BY_ITSELF]
+    found = [Candidate(effect.name, effect, 0.0) for effect in listed if not effect.name.startswith("table_harmonic")]
     if any(run.held > 1 for run in runs):
         found.append(Candidate("sample_hold", replace(latency(), name="sample_hold"), _HELD))
     bands = np.radians(np.geomspace(0.01, 3.0, 12))
@@ -147,20 +135,14 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
             unit="rad/s",
         )
     )
-    if gimbals:
-        found.append(Candidate("table_axes", table_axes(gimbals), 0.0))
-        for order in HARMONICS:
-            for axis in gimbals:
-                effect = replace(table_harmonic(gimbals, order, (axis,)), name="table_harmonic")
-                parameters = tuple(
-                    Parameter(f"{part} of {order} {axis}", "rad/s", p.largest)
-                    for part, p in zip(("cosine", "sine"), effect.parameters, strict=True)
-                )
-                found.append(Candidate(f"table_harmonic {order} {axis}", replace(effect, parameters=parameters), 0.0))
-    else:
-        for name in ("table_axes", "table_harmonic"):
-            needing = replace(latency(), name=name, needs=frozenset({"gimbals"}))
-            found.append(Candidate(name, needing, 0.0))
+    for order in HARMONICS:
+        for axis in gimbals:
+            effect = replace(table_harmonic(gimbals, order, (axis,)), name="table_harmonic")
+            parameters = tuple(
+                Parameter(f"{part} of {order} {axis}", "rad/s", p.largest)
+                for part, p in zip(("cosine", "sine"), effect.parameters, strict=True)
+            )
+            found.append(Candidate(f"table_harmonic {order} {axis}", replace(effect, parameters=parameters), 0.0))
     one_clock = _one_clock(runs)
     if one_clock is not None:
         found.append(Candidate("bias_drift on", _on_one_clock(bias_drift(), one_clock), 0.0))

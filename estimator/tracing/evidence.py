@@ -63,12 +63,9 @@ def log_mean(values: Floats, log_weights: Floats | None = None) -> float:
 class Evidence:
     """The products of all columns of every gyro under every noise model, and what follows from them."""
 
-    def __init__(self, gyros: Sequence[GyroSpectra], shapes: NoiseShapes, parts: Sequence[int] | None = None) -> None:
-        """``parts``: runs to use, by default all."""
+    def __init__(self, gyros: Sequence[GyroSpectra], shapes: NoiseShapes) -> None:
+        """Take in the columns that the gyros have."""
         self.gyros, self.shapes = list(gyros), shapes
-        keep = [[n for n, s in enumerate(g.stretches) if parts is None or s.run in parts] for g in gyros]
-        self._keep = [part for part in keep if part]
-        self.gyros = [g for g, part in zip(gyros, keep, strict=True) if part]
         self._all = shapes
         self.refresh()
 
@@ -85,19 +82,11 @@ class Evidence:
         """Take in columns that were added to the gyros since."""
         self.noise_log = np.zeros(len(self.shapes))
         self.grams: list[Floats] = []
-        for gyro, keep in zip(self.gyros, self._keep, strict=True):
-            densities = [self.shapes.density(gyro.stretches[n]) for n in keep]
-            part = GyroSpectra(
-                gyro.name,
-                gyro.prior,
-                gyro.arw,
-                [gyro.stretches[n] for n in keep],
-                [],
-                [gyro.products[n] for n in keep],
-            )
-            self.grams.append(part.gram(densities))
-            for n, density in zip(keep, densities, strict=True):
-                self.noise_log -= 0.5 * np.log(density) @ gyro.stretches[n].counts
+        for gyro in self.gyros:
+            densities = [self.shapes.density(stretch) for stretch in gyro.stretches]
+            self.grams.append(gyro.gram(densities))
+            for stretch, density in zip(gyro.stretches, densities, strict=True):
+                self.noise_log -= 0.5 * np.log(density) @ stretch.counts
 
     def of(self, terms: Sequence[Term]) -> float:
         """Return the log evidence of a set of terms, over all noise models."""

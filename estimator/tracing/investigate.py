@@ -186,8 +186,8 @@ def _conclude(
     after = _model(traced, certain, weight)
     whole = _model(traced, [*certain, *doubtful], weight) if doubtful else after
     judged = _judged(traced, held_back, before, after, verification, certain)
-    rivals = [tuple(r for r in c.rivals if r != "nothing" and not r.startswith("depends")) for c in doubtful]
-    rivals = [names for names in rivals if len(names) > 1] or ([r for r in rivals if r])
+    rivals = _rivals(doubtful)
+    rivals = [names for names in rivals if len(names) > 1] or rivals
     unexplained = _unexplained(traced, general, weight) if general else None
     if doubtful:
         finding = Finding.CANNOT_TELL
@@ -204,14 +204,15 @@ def _conclude(
         finding, reason = Finding.NOTHING, "the residual is that of the noise"
     if held_back and finding in (Finding.NOTHING, Finding.ADDED) and judged.surprise > _SURPRISED:
         finding, reason, rivals, unexplained = _taken_back(traced, held_back, most, certain)
+    gained = traced.found.log_evidence[-1] - traced.found.log_evidence[0]
     models = [ModelStep((), 0.0, judged.before)]
     if certain:
         called = tuple(c.candidate.called for c in certain)
-        models.append(ModelStep(called, traced.found.log_evidence[-1] - traced.found.log_evidence[0], judged.after))
+        models.append(ModelStep(called, gained, judged.after))
     if doubtful:
         called = tuple(c.candidate.called for c in [*certain, *doubtful])
         errors = _judged(traced, held_back, before, whole, verification, [*certain, *doubtful]).after
-        models.append(ModelStep(called, traced.found.log_evidence[-1] - traced.found.log_evidence[0], errors))
+        models.append(ModelStep(called, gained, errors))
     for choice in certain:
         if choice.tone is not None and not choice.tone.found.locked:
             notes.append(
@@ -462,17 +463,19 @@ def _taken_back(
     named = [c for c in extra if not c.candidate.depends_on]
     said = "the verification run shows an error that the other recordings cannot show"
     if named:
-        rivals = [tuple(r for r in c.rivals if r != "nothing" and not r.startswith("depends")) for c in named]
-        return (
-            Finding.CANNOT_TELL,
-            f"{said}; it would fit {', '.join(c.candidate.called for c in named)}, which a run of its own must prove",
-            [r for r in rivals if r],
-            None,
-        )
+        would = ", ".join(c.candidate.called for c in named)
+        reason = f"{said}; it would fit {would}, which a run of its own must prove"
+        return Finding.CANNOT_TELL, reason, _rivals(named), None
     if extra:
         weight = wider.search.evidence.noise_weight(wider.found.terms)
         return Finding.UNEXPLAINED, said, [], _unexplained(wider, extra, weight)
     return Finding.UNEXPLAINED, said, [], Unexplained("time", 0.0)
+
+
+def _rivals(choices: Sequence[Choice]) -> list[tuple[str, ...]]:
+    """Return for each choice the effects with a name that could stand in its place, itself among them."""
+    named = [tuple(r for r in c.rivals if r != "nothing" and not r.startswith("depends")) for c in choices]
+    return [names for names in named if names]
 
 
 def _suspects(found: Found) -> tuple[Suspect, ...]:

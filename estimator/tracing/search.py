@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.dynamics import tone as tone_at
 from estimator.tracing.candidates import Candidate
 from estimator.tracing.evidence import SCALES, Base, Evidence, Term
 from estimator.tracing.investigation import InvestigationError
+from estimator.tracing.peaks import highest
 from estimator.tracing.runs import Run
 from estimator.tracing.spectra import GyroSpectra, cosines
 from estimator.tracing.tones import (
+    TONE,
     ToneFit,
     ToneFound,
     find_tone,
     fit_tone,
     samples_of,
     tone_columns,
-    tone_effect,
     without_tone,
 )
 
@@ -31,16 +34,13 @@ CERTAIN = 0.95
 _SET = 0.99  # rivals are as many as share this probability
 _ROUNDS = 12
 _STOP_LOG_PRIOR = 0.0  # nothing more: as likely as all effects together, several times over
-_REFINE = 18
 _IN_PLACE = 2  # effects that may stand for one general dependence
 _CLEARLY = 2.0  # by so much they must be more probable: a flexible sum of effects is no cause either
 _LOST = 0.3  # share of the rate within a dead band that may be missing to all of it
 _UNEXCITED = 0.5  # sigmas of an effect of the largest plausible size, all gyros and runs together
 _COPIED = 9.0  # squares over noise that a copy of an effect leaves in a gyro, within chance
 _RICH = 0.1  # scale of all effects at once, when it is asked what the noise may be
-_TONE = "tone"
 _MOST_TONES = 3
-_GOLDEN = (np.sqrt(5) - 1) / 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,14 +131,14 @@ class Search:
         chain = [self.evidence.of([])]
         heard, nothing = 0.0, 1.0
         for turn in range(_ROUNDS):
-            model = self._model(terms[name] for name in chosen)
+            model = [terms[name] for name in chosen]
             self._refine(model, chosen)
             scores = self._scores(model, chosen)
             stop = self.evidence.of(model) + _STOP_LOG_PRIOR
             tone = self._tone(model)
             options = {name: score for name, (score, _) in scores.items()}
             if tone is not None:
-                options[_TONE] = stop + tone.log_evidence + max(c.log_prior for c, _ in self._known.values())
+                options[TONE] = stop + tone.log_evidence + max(c.log_prior for c, _ in self._known.values())
             total = float(np.logaddexp.reduce([stop, *options.values()]))
             if not first:
                 first = self._first(options, chain[0], total, tone)
@@ -149,26 +149,23 @@ class Search:
             full = len(chosen) + len(self._tones) >= most
             if best is None or np.exp(stop - total) > 1 - CERTAIN or full:
                 break
-            if best != _TONE and not self._sensible(best, scores[best][1], model):
+            if best != TONE and not self._sensible(best, scores[best][1], model):
                 self._barred.add(best)
                 self._scored.clear()
                 if not chosen and not self._tones:
                     first = ()  # what cannot be is no suspect
                 continue
-            if best == _TONE:
+            if best == TONE:
                 assert tone is not None
                 heard += tone.log_evidence
-                self._take(tone, float(np.exp(options[_TONE] - total)), model)
+                self._take(tone, float(np.exp(options[TONE] - total)), model)
             else:
                 chosen.append(best)
                 terms[best] = scores[best][1]
             chosen, terms = self._settle(chosen, terms)
-            chain.append(self.evidence.of(self._model(terms[name] for name in chosen)) + heard)
+            chain.append(self.evidence.of([terms[name] for name in chosen]) + heard)
         choices = [*(self._judge(name, chosen, terms) for name in chosen), *self._tones]
         return Found(tuple(choices), tuple(chain), first, nothing)
-
-    def _model(self, terms: Iterable[Term]) -> list[Term]:
-        return list(terms)
 
     def _tone(self, model: Sequence[Term]) -> ToneFound | None:
         """Return the strongest line beside a model."""
@@ -213,14 +210,14 @@ class Search:
         self.evidence.refresh()
         self._scored.clear()
         candidate = Candidate(
-            f"{_TONE} {tone.frequency_hz:.4f} Hz",
-            tone_effect(tone.frequency_hz),
+            f"{TONE} {tone.frequency_hz:.4f} Hz",
+            tone_at(tone.frequency_hz),
             0.0,
             theta=tone.frequency_hz,
-            of=tone_effect,
+            of=tone_at,
             unit="Hz",
         )
-        self._tones.append(Choice(candidate, Term(candidate.name, (), False), probability, (_TONE,), tone=fit))
+        self._tones.append(Choice(candidate, Term(candidate.name, (), False), probability, (TONE,), tone=fit))
 
     def _scores(self, terms: Sequence[Term], chosen: Sequence[str]) -> dict[str, tuple[float, Term]]:
         """Return for each candidate not chosen its log evidence with its prior, and its term at its best scale."""
@@ -245,9 +242,9 @@ class Search:
     ) -> tuple[tuple[Candidate, float, float], ...]:
         listed = []
         for name, score in options.items():
-            if name == _TONE:
+            if name == TONE:
                 assert tone is not None
-                candidate = Candidate(_TONE, tone_effect(tone.frequency_hz), 0.0)
+                candidate = Candidate(TONE, tone_at(tone.frequency_hz), 0.0)
             else:
                 candidate = self._known[name][0]
             listed.append((candidate, score - bare, float(np.exp(score - total))))
@@ -280,7 +277,7 @@ class Search:
             changed = False
             for name in list(chosen):
                 others = [other for other in chosen if other != name]
-                kept = self._model(terms[other] for other in others)
+                kept = [terms[other] for other in others]
                 scores = self._scores(kept, others)
                 without = self.evidence.of(kept) + _STOP_LOG_PRIOR
                 best = max(scores, key=lambda n: scores[n][0])
@@ -302,11 +299,11 @@ class Search:
         for name in [n for n in chosen if self._known[n][0].depends_on]:
             others = [other for other in chosen if other != name]
             kept = {other: terms[other] for other in others}
-            scores = self._scores(self._model(kept.values()), others)
+            scores = self._scores(list(kept.values()), others)
             target = scores[name][0]
             for _ in range(_IN_PLACE):
-                self._refine(self._model(kept.values()), list(kept))
-                scores = self._scores(self._model(kept.values()), list(kept))
+                self._refine(list(kept.values()), list(kept))
+                scores = self._scores(list(kept.values()), list(kept))
                 scores = {n: s for n, s in scores.items() if not self._known[n][0].depends_on}
                 best = max(scores, key=lambda n: scores[n][0])
                 kept[best] = scores[best][1]
@@ -318,8 +315,8 @@ class Search:
 
     def best_of(self, effect: str, chosen: Sequence[Choice]) -> Choice:
         """Return the most probable of the candidates that are called so, beside those chosen."""
-        model = self._model(c.term for c in chosen if c.tone is None)
-        if effect == _TONE:
+        model = [c.term for c in chosen if c.tone is None]
+        if effect == TONE:
             tone = self._tone(model)
             if tone is None:
                 raise InvestigationError("no tone can be looked for in these recordings")
@@ -394,7 +391,7 @@ class Search:
 
     def _judge(self, name: str, chosen: Sequence[str], terms: dict[str, Term]) -> Choice:
         others = [other for other in chosen if other != name]
-        kept = self._model(terms[other] for other in others)
+        kept = [terms[other] for other in others]
         scores = self._scores(kept, others)
         values = {other: score for other, (score, _) in scores.items()}
         values[""] = self.evidence.of(kept) + _STOP_LOG_PRIOR
@@ -445,7 +442,7 @@ class Search:
             best = int(np.argmax(gains))
             low = candidate.start[max(best - 1, 0)]
             high = candidate.start[min(best + 1, len(candidate.start) - 1)]
-            theta = _golden(lambda value, c=candidate: scan.gain(_at(c, value)), float(low), float(high))  # type: ignore[misc]
+            theta = highest(partial(_gain_at, scan, candidate), float(low), float(high))
             if scan.gain(_at(candidate, theta)) < gains[best]:
                 theta = float(candidate.start[best])
             tuned = _at(candidate, theta)
@@ -462,21 +459,8 @@ def _at(candidate: Candidate, theta: float) -> Candidate:
     return replace(candidate, effect=candidate.of(theta), theta=theta)
 
 
-def _golden(function: Callable[[float], float], low: float, high: float) -> float:
-    """Return where a function with one maximum between two points is largest."""
-    a, b = low, high
-    c, d = b - _GOLDEN * (b - a), a + _GOLDEN * (b - a)
-    fc, fd = function(c), function(d)
-    for _ in range(_REFINE):
-        if fc > fd:
-            b, d, fd = d, c, fc
-            c = b - _GOLDEN * (b - a)
-            fc = function(c)
-        else:
-            a, c, fc = c, d, fd
-            d = a + _GOLDEN * (b - a)
-            fd = function(d)
-    return 0.5 * (a + b)
+def _gain_at(scan: _Scan, candidate: Candidate, theta: float) -> float:
+    return scan.gain(_at(candidate, theta))
 
 
 class _Scan:

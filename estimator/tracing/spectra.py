@@ -152,11 +152,6 @@ class GyroSpectra:
                 self.products[i][band, :, Z] = border
                 self.products[i][band, Z, :] = border
 
-    def keep(self, count: int) -> None:
-        """Drop all columns beyond the first ones."""
-        self.columns = [part[:, :count] for part in self.columns]
-        self.products = [np.ascontiguousarray(part[:, :count, :count]) for part in self.products]
-
     def gram(self, densities: Sequence[Floats]) -> Floats:
         """Return the weighed products (G, c, c), summed over stretches of which the density (G, bands) is given."""
         total: Floats = np.zeros(())

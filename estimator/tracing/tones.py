@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.effects.dynamics import tone
-from estimator.effects.effect import Effect
 from estimator.recording import Recording
 from estimator.rows import observations
 from estimator.tracing.evidence import SCALES, log_mean
+from estimator.tracing.peaks import highest
 from estimator.tracing.runs import Run
 
 Floats = NDArray[np.float64]
 
+TONE = "tone"
+"""What a tone is called."""
 _LOWEST_HZ = 0.05  # below it a tone is told from slow effects by them, not by its line
 _LOWEST_BY_HAND_HZ = 5.0  # below it hands move what they hold, and a reference that is off by it shows it
 _FLOOR_BINS = 60  # the noise about a line is the median over so many frequencies to each side
 _STEPS = 12
 _WORTH = 0.3
-_GOLDEN = (np.sqrt(5) - 1) / 2
 _FEWEST_CYCLES = 20
 _PARTS = 4
 _FEWEST = 256
@@ -33,11 +35,10 @@ _COHERENT = 0.5  # of what parts of a run show each by itself, a tone shows as m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Samples of one run: instants (n,), output errors (n, m) and body rates (n, 3)."""
+    """Samples of one run: instants (n,) and output errors (n, m)."""
 
     t_s: Floats
     z_rps: Floats
-    w_rps: Floats
     names: tuple[str, ...]
 
 
@@ -57,14 +58,13 @@ def samples_of(run: Run) -> Samples:
     """Return the samples of a run that its reference covers."""
     recording = Recording({"it": run.data}, run.recording.reference, run.recording.site, path=run.recording.path)
     t: list[Floats] = [np.empty(0)]
-    z, w = [np.empty((0, len(run.array)))], [np.empty((0, 3))]
+    z = [np.empty((0, len(run.array)))]
     for part in observations(recording, "it"):
         if part.t_ns is not None:
             t.append(np.asarray(part.t_ns * 1e-9, dtype=np.float64))
             z.append(part.y_rps - part.w_rps @ run.array.p.T)
-            w.append(part.w_rps)
     each = slice(None, None, run.held)  # of samples that are held, one tells all
-    return Samples(np.concatenate(t)[each], np.vstack(z)[each], np.vstack(w)[each], run.array.names)
+    return Samples(np.concatenate(t)[each], np.vstack(z)[each], run.array.names)
 
 
 def tone_columns(frequency_hz: float, run: Run, samples: Samples) -> Floats:
@@ -77,11 +77,6 @@ def tone_columns(frequency_hz: float, run: Run, samples: Samples) -> Floats:
     phase = 2 * np.pi * frequency_hz * samples.t_s[inside]
     sums = [np.bincount(number[inside], f(phase), minlength=block[-1] + 1) for f in (np.cos, np.sin)]
     return np.asarray(np.column_stack(sums)[block] / np.maximum(counts[block], 1)[:, None])
-
-
-def tone_effect(frequency_hz: float) -> Effect:
-    """Return the catalogue's tone at a frequency."""
-    return tone(frequency_hz)
 
 
 def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFound | None:
@@ -121,14 +116,12 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
     width = 1 / span_s
     variances = [floor[peak] for floor in floors]
 
-    def gain(frequency: float, locked: bool) -> tuple[float, list[float], list[float]]:
-        return _gain(frequency, samples, rests, variances, locked)
-
     best: ToneFound | None = None
     tries = float(np.log(usable.sum() / 2))
     for locked in (True, False):
-        frequency = _peak(lambda f, way=locked: gain(f, way)[0], hz[peak] - width, hz[peak] + width)
-        _, squares, information = gain(frequency, locked)
+        gain = partial(_gain, samples=samples, rests=rests, variances=variances, locked=locked)
+        frequency = _peak(gain, hz[peak] - width, hz[peak] + width)
+        _, squares, information = gain(frequency)
         value = _log_evidence(np.array(squares), np.array(information)) - tries - (0.0 if locked else 1.0)
         if best is None or value > best.log_evidence:
             best = ToneFound(frequency, locked, value)
@@ -145,7 +138,7 @@ def _coherent(
     for s, rest, variance in zip(samples, rests, variances, strict=True):
         edges = np.linspace(0, len(s.t_s), _PARTS + 1).astype(int)
         for a, b in pairwise(edges.tolist()):
-            parts.append(Samples(s.t_s[a:b], s.z_rps[a:b], s.w_rps[a:b], s.names))
+            parts.append(Samples(s.t_s[a:b], s.z_rps[a:b], s.names))
             part_rests.append(rest[a:b])
             part_variances.append(variance)
     whole, squares, _ = _gain(found.frequency_hz, samples, rests, variances, found.locked)
@@ -205,7 +198,7 @@ def without_tone(fit: ToneFit, samples: Sequence[Samples]) -> list[Samples]:
         phase = 2 * np.pi * fit.found.frequency_hz * s.t_s
         waves = np.column_stack([np.cos(phase), np.sin(phase)])
         own = np.column_stack([waves @ fit.at(name, number) for name in s.names])
-        cleaned.append(Samples(s.t_s, s.z_rps - own, s.w_rps, s.names))
+        cleaned.append(Samples(s.t_s, s.z_rps - own, s.names))
     return cleaned
 
 
@@ -219,7 +212,7 @@ def _steady(run: Run, samples: Samples) -> Samples:
     ramp[:-1] |= ramp[1:].copy()
     block = np.clip(np.searchsorted(run.t_s + 0.5 * run.length_s, samples.t_s), 0, len(run.t_s) - 1)
     keep = ~ramp[block]
-    return Samples(samples.t_s[keep], samples.z_rps[keep], samples.w_rps[keep], samples.names)
+    return Samples(samples.t_s[keep], samples.z_rps[keep], samples.names)
 
 
 def _evened(t_s: Floats, values: Floats) -> tuple[Floats, float]:
@@ -256,20 +249,11 @@ def _gain(
     return 0.5 * sum(squares), squares, [information for _, information in sums.values()]
 
 
-def _peak(function: object, low: float, high: float) -> float:
-    """Return the frequency of the highest point: a fine grid, then golden sections about its best."""
-    assert callable(function)
+def _peak(gain: Callable[[float], tuple[float, list[float], list[float]]], low: float, high: float) -> float:
+    """Return the frequency of the highest point: the best of a grid, then what is highest beside it."""
     grid = np.linspace(low, high, _STEPS)
-    values = [function(f) for f in grid.tolist()]
-    best = int(np.argmax(values))
-    a, b = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _STEPS - 1)])
-    for _ in range(16):
-        c, d = b - _GOLDEN * (b - a), a + _GOLDEN * (b - a)
-        if function(c) > function(d):
-            b = d
-        else:
-            a = c
-    return 0.5 * (a + b)
+    best = int(np.argmax([gain(f)[0] for f in grid.tolist()]))
+    return highest(lambda f: gain(f)[0], float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _STEPS - 1)]))
 
 
 def _log_evidence(squares: Floats, information: Floats) -> float:

@@ -54,18 +54,20 @@ class Judged:
 
 @dataclass(slots=True, eq=False)
 class _Sums:
-    """Of one phase and gyro: squares of the projections, noise and doubt in them, blocks; before and after."""
+    """Of one phase and gyro: squares of the projections, noise and doubt in them, blocks; before and after.
+
+    ``inside``, ``apart`` and ``chi`` are of the last projection: the direction in which the models differ.
+    """
 
     gyro: str
     squares: tuple[float, float]
     noise: float
     doubt: tuple[float, float]
     blocks: int
-    inside: tuple[list[bool], list[bool]]
+    inside: tuple[bool, bool]
     largest: tuple[float, float]
     apart: float
     chi: float
-    dof: int
 
 
 def phases_of(run: Run) -> list[Phase]:
@@ -119,12 +121,9 @@ def judge(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, 
                     np.einsum("ij,jk,ik->i", basis.T @ c[keep], m.covariance[g], basis.T @ c[keep])
                     for c, m in ((columns_before, before), (columns_after, after))
                 ]
-                judged = slice(-1, None)  # the direction in which the models differ, or the mean if they do not
-                inside = [
-                    (np.abs(s[judged]) < 1.96 * np.sqrt(noise[judged] + d[judged])).tolist()
-                    for s, d in zip(scores, doubts, strict=True)
-                ]
-                chi = float((scores[1][judged] ** 2 / (noise + doubts[1])[judged]).sum())
+                # The last direction is that in which the models differ, or the mean if they do not.
+                variances = [float(noise[-1] + d[-1]) for d in doubts]
+                inside = [bool(abs(s[-1]) < 1.96 * np.sqrt(v)) for s, v in zip(scores, variances, strict=True)]
                 fits = [basis @ s for s in scores]
                 mean_noise = float(np.sqrt(noise[0] / len(keep)))
                 spread = [
@@ -143,9 +142,8 @@ def judge(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, 
                             len(keep),
                             (inside[0], inside[1]),
                             (float(np.abs(fits[0]).max()), float(np.abs(fits[1]).max())),
-                            float(np.abs(scores[0] - scores[1])[-1] / np.sqrt((noise + doubts[1])[-1])),
-                            chi,
-                            1,
+                            float(abs(scores[0][-1] - scores[1][-1]) / np.sqrt(variances[1])),
+                            float(scores[1][-1] ** 2 / variances[1]),
                         ),
                     )
                 )
@@ -182,8 +180,8 @@ def judge(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, 
         for name in after.names
         if any(s.gyro == name for s in everything)
     )
-    chi, dof = sum(s.chi for s in everything), sum(s.dof for s in everything)
-    surprise = (chi - dof) / np.sqrt(2 * max(dof, 1))
+    dof = len(everything)
+    surprise = (sum(s.chi for s in everything) - dof) / np.sqrt(2 * max(dof, 1))
     return Judged(
         _errors(everything, 0),
         _errors(everything, 1),
@@ -232,7 +230,7 @@ def _errors(sums: Sequence[_Sums], which: int) -> Errors:
     # Where the models agree their intervals hold or fail together; what differs is judged where they do not.
     told = sorted(sums, key=lambda s: -s.apart)
     count = max(sum(s.apart > _APART for s in told), min(_FEWEST_JUDGED, len(told)))
-    inside = [held for s in (told[:count] if told[0].apart > 0 else told) for held in s.inside[which]]
+    inside = [s.inside[which] for s in (told[:count] if told[0].apart > 0 else told)]
     return Errors(float(np.sqrt(mean)), max(s.largest[which] for s in sums), float(np.mean(inside)))
 
 

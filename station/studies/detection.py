@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from estimator.recording import Recording
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigate import fit_known, investigate
 from estimator.tracing.runs import runs_of
+from estimator.tracing.search import CERTAIN
 from station.campaigns import Failure, run_all
 from station.loop_scripts import exploration_script, verification_script
 from station.open_bench import DeviceTruth, Hidden, simulate
@@ -32,7 +32,6 @@ RISE_C = 8.0
 SITE = Site(math.pi / 4, 0.0)
 STATES = np.tile([0.005, math.radians(0.1), math.radians(0.1), math.radians(-0.1)], (4, 1))
 AXES = "zyx"
-CLEAN = "nothing"
 KNOWN = (
     "thermal_bias",
     "g_sensitivity",
@@ -243,7 +242,7 @@ def run_cases(
 ) -> tuple[list[Ended], tuple[Failure, ...]]:
     """Return what came of each case, and the cases that failed."""
     ended, failures = run_all(
-        partial(end_of), cases, label="cases", scheduler=scheduler, workers=workers, quiet=quiet, name_of=str
+        end_of, cases, label="cases", scheduler=scheduler, workers=workers, quiet=quiet, name_of=str
     )
     return [e for e in ended if e is not None], tuple(failures)
 
@@ -335,10 +334,7 @@ def _right(ended: Ended) -> bool:
 
 def _wrong(ended: Ended) -> bool:
     true = set(ended.case.effects).union(*(EQUIVALENT.get(e, frozenset()) for e in ended.case.effects))
-    return any(name not in true and probability > _SURE for name, probability in ended.added)
-
-
-_SURE = 0.95
+    return any(name not in true and probability > CERTAIN for name, probability in ended.added)
 
 
 def _summary(name: str, size: float, ended: Sequence[Ended]) -> Summary:
