@@ -109,7 +109,14 @@ def _added_lines(added: Added, gyros: int) -> list[str]:
         lines.setdefault(own or name, []).append(
             f"{name.removeprefix(f'{own} ')} {human(value)}" if own else human(value)
         )
-    return [head, *(f"  {name}: {', '.join(parts)}" for name, parts in lines.items())]
+    said = [head, *(f"  {name}: {', '.join(parts)}" for name, parts in lines.items())]
+    told = added.out_of_sample
+    if told is not None:
+        by_run = "" if told.by_run is None else f"whole recordings by {told.by_run:.0f}, "
+        said.append(f"  makes what was left out of the fit more probable: {by_run}steps by {told.by_step:.0f} (log)")
+    if added.same:
+        said.append(f"  {', '.join(map(words, added.same))} could put out the same here, but is less expected")
+    return said
 
 
 def words(name: str) -> str:
@@ -250,6 +257,8 @@ def investigation_object(
                 "gyros": list(added.gyros),
                 "probability": _finite(added.probability),
                 "parameters": {name: [_finite(v.value), _finite(v.sd), v.unit] for name, v in added.parameters.items()},
+                "out_of_sample": added.out_of_sample and asdict(added.out_of_sample),
+                "same": list(added.same),
             }
             for added in found.added
         ],

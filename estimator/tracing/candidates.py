@@ -24,17 +24,19 @@ Floats = NDArray[np.float64]
 _BY_ITSELF = frozenset({"warm_up", "bias_step", "tone", "table_rate"})
 """Effects of the catalogue that are looked for in a way of their own, and one that passes for scale factor errors."""
 _OTHER_ORDERS = (3, 5, 6)
-# Log odds of an effect against the others before the data. What refines a simpler effect is rarer than that effect, and
-# a bias over temperature is in every data sheet, its gradient in few. Where a temperature is measured, a law of time
-# with a free time constant stands behind it.
+# Log odds of an effect against the others before the data. What refines a simpler effect is rarer than that effect.
+# A bias over temperature is in every data sheet; its gradient without it one part in a hundred may have, while beside
+# it a gradient is no more than a lag between gyro and thermometer. Where a temperature is measured, a law of time with
+# a free time constant stands behind it.
 _EXPECTED = {
-    "thermal_gradient": -3.0,
+    "thermal_gradient": float(np.log(0.01)),
     "thermal_bias_quadratic": -1.5,
     "bandwidth": -1.5,
     "dead_band": -1.5,
     "bias_step": -1.5,
 }
 _EXPECTED_WITH_TEMPERATURE = {"warm_up": -1.5}
+_EXPECTED_BESIDE = {"thermal_gradient": ("thermal_bias", -1.5)}
 _WARM_UPS = float(np.log(3600.0 / 5.0))  # time constants of warm-up from a chip's to a housing's
 _HELD = 6.0  # log odds of the delay of held samples against another delay: that they are held is seen in them
 _PICKED_UP = float(np.radians(0.5))
@@ -48,7 +50,8 @@ class Candidate:
     ``depends_on`` is set for general dependences: they prove that something is there, not what. ``theta`` holds the
     value of what is not linear, in ``unit``; ``of`` makes the effect anew for another, ``start`` lists where to begin
     looking, ``range_log`` is the logarithm of the range it may have in nature. ``run`` is the recording of
-    a step. ``log_prior`` is the logarithm of its share of the expectation.
+    a step. ``log_prior`` is the logarithm of its share of the expectation; if the effect ``beside`` is in the model, it
+    is so much ``likelier``.
     """
 
     name: str
@@ -62,6 +65,8 @@ class Candidate:
     log_tries: float = 0.0
     unit: str = "s"
     range_log: float = 0.0
+    beside: str = ""
+    likelier: float = 0.0
 
     @property
     def evenly(self) -> bool:
@@ -114,6 +119,10 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
         replace(c, log_prior=c.log_prior + expected.get(c.called, 0.0) - np.log(count) - np.log(of_kind[c.called]))
         for c in chosen
     ]
+    for n, candidate in enumerate(chosen):
+        if candidate.called in _EXPECTED_BESIDE:
+            beside, then = _EXPECTED_BESIDE[candidate.called]
+            chosen[n] = replace(candidate, beside=beside, likelier=then - expected[candidate.called])
     return [*chosen, *_general(offers, gimbals, count)], left_out
 
 

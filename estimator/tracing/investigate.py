@@ -13,6 +13,7 @@ from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.candidates import candidates_of
 from estimator.tracing.evidence import Evidence, Term
 from estimator.tracing.faults import Fault
+from estimator.tracing.held_out import Mask, by_step, held, out_of_sample, without
 from estimator.tracing.investigation import (
     Added,
     Errors,
@@ -20,14 +21,15 @@ from estimator.tracing.investigation import (
     Investigation,
     InvestigationError,
     ModelStep,
+    OutOfSample,
     Suspect,
     Unexplained,
     Value,
 )
 from estimator.tracing.runs import BLOCK_S, Run, runs_of, same_devices
 from estimator.tracing.search import CERTAIN, Choice, Found, Search
-from estimator.tracing.spectra import GyroSpectra, NoiseShapes, Z, gyro_spectra
-from estimator.tracing.verification import Judged, judge, phases_of
+from estimator.tracing.spectra import GyroSpectra, NoiseShapes, gyro_spectra
+from estimator.tracing.verification import Judged, judge
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -37,7 +39,6 @@ _SURPRISED = 8.0
 _REST_RPS = 2e-3  # several times Earth rate
 _VISIBLE = 3.0
 _SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
-_FOLDS = 5
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
 _KIN = {
     "rate": frozenset({"scale_asymmetry", "scale_quadratic", "scale_cubic", "dead_band"}),
@@ -179,9 +180,11 @@ def _conclude(
     named = [c for c in choices if not c.candidate.depends_on and c.candidate.called not in kin]
     if _at_rest(traced.runs):
         named = [_with_copies(traced, choice) for choice in named]
+    weight = traced.search.evidence.noise_weight([c.term for c in choices])
+    told = out_of_sample(traced.runs, _model(traced, choices, weight), traced.search.evidence.shapes)
+    named = [_proven(choice, told.get(choice.term.name)) for choice in named]
     certain = [c for c in named if c.probability >= CERTAIN]
     doubtful = [c for c in named if c.probability < CERTAIN]
-    weight = traced.search.evidence.noise_weight([c.term for c in choices])
     before = _model(traced, [], weight)
     after = _model(traced, certain, weight)
     whole = _model(traced, [*certain, *doubtful], weight) if doubtful else after
@@ -222,7 +225,7 @@ def _conclude(
     return Investigation(
         finding,
         reason,
-        (*_faulty(faults), *(_added(traced, choice, after, weight) for choice in certain)),
+        (*_faulty(faults), *(_added(traced, choice, after, told.get(choice.term.name)) for choice in certain)),
         tuple(rivals),
         unexplained,
         judged.before,
@@ -265,6 +268,14 @@ def _visible(traced: Traced) -> tuple[Choice, ...]:
 
 def _at_rest(runs: Sequence[Run]) -> bool:
     return all(float(np.abs(run.w_rps).max(initial=0.0)) < _REST_RPS for run in runs)
+
+
+def _proven(choice: Choice, told: OutOfSample | None) -> Choice:
+    """Return a choice no more probable than what was left out of the fit makes it, given what was expected of it."""
+    if told is None:
+        return choice
+    odds = told.least + choice.candidate.log_prior
+    return replace(choice, probability=min(choice.probability, float(1 / (1 + np.exp(-np.clip(odds, -50, 50))))))
 
 
 def _with_copies(traced: Traced, choice: Choice) -> Choice:
@@ -318,8 +329,12 @@ def _cross_validated(traced: Traced, before: Augmented, after: Augmented, choice
     if not choices:
         return judge(traced.runs, 0, before, after, held_back=False)
     # The models are those of all the data; errors by step hold what a fit without that step would have said.
-    folds = [_fold(traced, choices, number) for number in range(_FOLDS)]
-    judged = [judge(runs, 0, old, new, held_back=False) for runs, old, new in folds]
+    weight = traced.search.evidence.noise_weight([c.term for c in choices])
+    full = _model(traced, choices, weight)
+    judged = []
+    for mask in by_step(traced.runs):
+        old, new = _models_without(traced, full, mask, weight)
+        judged.append(judge(held(traced.runs, mask), 0, old, new, held_back=False))
     whole = judge(traced.runs, 0, before, after, held_back=False)
     return replace(
         whole,
@@ -337,54 +352,24 @@ def _mean(errors: Sequence[Errors]) -> Errors:
     )
 
 
-def _fold(traced: Traced, choices: Sequence[Choice], number: int) -> tuple[list[Run], Augmented, Augmented]:
-    """Return the runs with only a fold's steps left in, and the models of the other steps."""
-    kept, held = [], []
-    count = 0
-    for run in traced.runs:
-        inside = np.zeros(len(run.t_s), dtype=np.bool_)
-        for phase in phases_of(run):
-            inside[phase.blocks] = count % _FOLDS == number
-            count += 1
-        kept.append(replace(run, weight=run.weight * ~inside))
-        held.append(replace(run, weight=run.weight * inside))
-    weight = traced.search.evidence.noise_weight([c.term for c in choices])
-    full = _model(traced, choices, weight)
-    slow = [part for part in full.parts if part.tone is None]
-    spectra = gyro_spectra(kept)
-    terms: list[Term] = []
-    start = Z + 1
-    for part in slow:
-        terms.append(replace(part.term, columns=tuple(range(start, start + part.width))))
-        start += part.width
-    for gyro in spectra:
-        g = full.names.index(gyro.name)
-        whole: dict[int, Floats] = {}
-        for number_of in {stretch.run for stretch in gyro.stretches}:
-            run = kept[number_of]
-            whole[number_of] = full.columns(run, number_of, run.array.names.index(gyro.name)) * run.weight[:, None]
-        # Tones are taken as found on all steps: a fifth of them says nothing else of a line.
-        tones = [whole[s.run][s.blocks, start - 1 :] @ full.mean[g, start - 1 :] for s in gyro.stretches]
-        gyro.subtract(tones)
-        if slow:
-            gyro.add([whole[s.run][s.blocks, Z : start - 1] for s in gyro.stretches])
-    evidence = Evidence(spectra, traced.search.evidence.shapes)
-    noise = (full.instability, full.walk)
-    models = [
+def _models_without(traced: Traced, full: Augmented, mask: Mask, weight: Floats) -> tuple[Augmented, Augmented]:
+    """Return the first model and the last of all but what is left out, the noise as found on all."""
+    terms, evidence = without(traced.runs, full, mask, traced.search.evidence.shapes)
+    old, new = (
         Augmented.of(
-            [gyro.name for gyro in spectra],
+            [gyro.name for gyro in evidence.gyros],
             evidence.posterior(chosen, weight),
             parts_of,
             full.prior,
             full.arw,
-            noise,
+            (full.instability, full.walk),
         )
         for chosen, parts_of in (([], []), (terms, list(full.parts)))
-    ]
-    return held, models[0], models[1]
+    )
+    return old, new
 
 
-def _added(traced: Traced, choice: Choice, model: Augmented, weight: Floats) -> Added:
+def _added(traced: Traced, choice: Choice, model: Augmented, told: OutOfSample | None) -> Added:
     number = [part.candidate.name for part in model.parts].index(choice.candidate.name)
     where = model.slice_of(number)
     effect, shared = choice.candidate.effect, choice.term.shared
@@ -411,7 +396,8 @@ def _added(traced: Traced, choice: Choice, model: Augmented, weight: Floats) -> 
     elif theta is not None:
         parameters["frequency"] = Value(float(theta), _tone_sd(traced, model, where), "Hz")
     gyros = tuple(model.names) if shared else tuple(shown or model.names)
-    return Added(choice.candidate.called, gyros, choice.probability, parameters)
+    copies = traced.search.copies(choice, traced.found.terms) if choice.tone is None else []
+    return Added(choice.candidate.called, gyros, choice.probability, parameters, told, tuple(copies))
 
 
 def _tone_sd(traced: Traced, model: Augmented, where: slice) -> float:

@@ -45,12 +45,33 @@ class Added:
     """An effect that was added: which gyros show it, how probable it is, its parameters.
 
     Parameters of an effect that each gyro has to itself are named "gyro1 linear", those that all share "delay".
+    ``out_of_sample`` is what recordings and steps say of it that were left out of the fit; None for tones and for
+    faults of the data, which are seen in the samples themselves. ``same`` are effects that could put out the same
+    in these recordings, but are much less expected.
     """
 
     effect: str
     gyros: tuple[str, ...]
     probability: float
     parameters: Mapping[str, Value]
+    out_of_sample: OutOfSample | None = None
+    same: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class OutOfSample:
+    """By how much an effect makes what was left out more probable (natural logarithm): whole recordings, and steps.
+
+    ``by_run`` is None where there is one recording only.
+    """
+
+    by_run: float | None
+    by_step: float
+
+    @property
+    def least(self) -> float:
+        """The smaller of both."""
+        return self.by_step if self.by_run is None else min(self.by_run, self.by_step)
 
 
 @dataclass(frozen=True, slots=True)

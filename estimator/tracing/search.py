@@ -234,7 +234,8 @@ class Search:
         for name, (candidate, term) in self._known.items():
             if name not in taken and name not in self._barred:
                 value, scaled = base.with_term(shared, term)
-                found[name] = (value + candidate.log_prior, scaled)
+                likelier = candidate.likelier if candidate.beside in taken else 0.0
+                found[name] = (value + candidate.log_prior + likelier, scaled)
         return found
 
     def _first(

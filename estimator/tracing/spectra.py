@@ -7,7 +7,7 @@ weight for each frequency, and the products of all columns, summed within narrow
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -166,10 +166,11 @@ Z = 4
 """Column of the output error; the states come before it, effects after it."""
 
 
-def gyro_spectra(runs: Sequence[Run]) -> list[GyroSpectra]:
+def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) -> list[GyroSpectra]:
     """Return every gyro of the runs, with the columns of its states and its output error.
 
     The white noise of a block is taken from the upper half of its spectrum, by the median: ramps and tones are few.
+    ``arw`` states it by gyro (rad/s/rtHz) where much of the runs is left out.
     """
     names = list(dict.fromkeys(name for run in runs for name in run.array.names))
     alone = len({run.order for run in runs}) == 1
@@ -190,7 +191,8 @@ def gyro_spectra(runs: Sequence[Run]) -> list[GyroSpectra]:
                     parts.append(both[blocks])
         if prior is None or not stretches:
             continue
-        gyro = GyroSpectra(name, prior, _white(parts, stretches), stretches, [np.empty((len(p), 0)) for p in parts])
+        white = arw[name] if arw is not None else _white(parts, stretches)
+        gyro = GyroSpectra(name, prior, white, stretches, [np.empty((len(p), 0)) for p in parts])
         gyro.add(parts)
         found.append(gyro)
     return found

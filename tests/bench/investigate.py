@@ -46,8 +46,9 @@ def timed() -> None:
             print(f"three runs at {rate_hz:g} Hz: {time.perf_counter() - began:.1f} s, {usage.ru_maxrss / 1024:.0f} MB")
 
 
-def looped(seeds: int) -> None:
-    for effect, keys in HIDDEN.items():
+def looped(seeds: int, effects: list[str]) -> None:
+    for effect in effects:
+        keys = HIDDEN[effect]
         right = 0
         minutes = 0.0
         for seed in range(seeds):
@@ -69,5 +70,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("time", "loop"))
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--effects", nargs="+", default=list(HIDDEN), choices=list(HIDDEN))
     arguments = parser.parse_args()
-    timed() if arguments.what == "time" else looped(arguments.seeds)
+    timed() if arguments.what == "time" else looped(arguments.seeds, arguments.effects)

@@ -49,6 +49,17 @@ def test_an_effect_is_named_added_and_takes_the_error_away_on_a_run_that_was_not
     moved = np.array([gyro.moved for gyro in found.gyros])
     assert np.abs(moved[:, 0]).max() > 5  # the asymmetry had passed for scale factor error
     assert [step.effects for step in found.models] == [(), ("scale_asymmetry",)]
+    told = found.added[0].out_of_sample
+    assert told is not None
+    assert told.by_run is not None
+    assert told.least > 100  # what was left out of the fit says so too
+
+
+def test_an_effect_that_would_put_out_the_same_is_named_beside_the_one_that_is_expected() -> None:
+    calibration, exploration, verification = recordings_of(Case(("thermal_bias",), 1.0, 6))
+    found = investigate([calibration, exploration], [verification])
+    assert [a.effect for a in found.added] == ["thermal_bias"]
+    assert "thermal_gradient" in found.added[0].same  # the temperature rose as one exponential
 
 
 @pytest.mark.parametrize(

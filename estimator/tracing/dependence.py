@@ -1,0 +1,136 @@
+"""What a residual depends on: how much of its power functions of time, rate, angle and so on take up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.conditions import Conditions
+from estimator.tracing.candidates import candidates_of
+from estimator.tracing.runs import Run
+
+Floats = NDArray[np.float64]
+
+_VARIABLES = ("time", "rate", "direction", "angle", "acceleration", "temperature", "gravity")
+_OF_CATALOGUE = {
+    "bias_drift": "time",
+    "scale_asymmetry": "rate",
+    "scale_quadratic": "rate",
+    "scale_cubic": "rate",
+    "table_harmonic": "angle",
+    "table_axes": "angle",
+    "earth_rate": "angle",
+    "latency": "acceleration",
+    "acceleration_sensitivity": "acceleration",
+    "thermal_bias": "temperature",
+    "thermal_bias_quadratic": "temperature",
+    "thermal_gradient": "temperature",
+    "thermal_scale": "temperature",
+    "g_sensitivity": "gravity",
+}
+"""Linear effects of the catalogue: what the general dependences add to them, they do not hold themselves."""
+_BY_CHANCE = 1e-4  # a dependence more probable than this beside white noise is none
+_INDEPENDENT = 1e-8  # share of a column's squares that must be left beside the others
+
+
+@dataclass(frozen=True, slots=True)
+class Dependence:
+    """How much of a residual's power beyond the noise a variable takes up, 0 where that is chance; shares overlap.
+
+    ``p_value`` is the probability that it takes up as much of white noise.
+    """
+
+    variable: str
+    share: float
+    p_value: float
+
+
+class Regressors:
+    """Functions of each variable over the blocks of runs; ``where`` they are among the columns."""
+
+    def __init__(self, runs: Sequence[Run]) -> None:
+        """Take those functions that these runs have the conditions for."""
+        self._runs = [_coarse(run) for run in runs]
+        candidates = [c for c in candidates_of(runs)[0] if c.theta is None and c.run is None]
+        of = {c.name: c.depends_on or _OF_CATALOGUE.get(c.called, "") for c in candidates}
+        self._candidates = sorted((c for c in candidates if of[c.name]), key=lambda c: _VARIABLES.index(of[c.name]))
+        self.where: Mapping[str, NDArray[np.intp]] = {
+            variable: np.flatnonzero(
+                [of[c.name] == variable for c in self._candidates for _ in c.effect.parameters]
+            )
+            for variable in dict.fromkeys(of[c.name] for c in self._candidates)
+        }
+
+    def columns(self, number: int, gyro: int) -> Floats:
+        """Return the columns (b, q) of a gyro of run ``number``."""
+        run = self._runs[number]
+        return np.hstack([np.empty((len(run.t_s), 0)), *(c.columns(run, gyro) for c in self._candidates)])
+
+
+def dependences(
+    where: Mapping[str, NDArray[np.intp]], gram: Floats, beside: NDArray[np.intp], rest: int, count: float
+) -> tuple[Dependence, ...]:
+    """Return what a whitened residual depends on, from the products ``gram`` of its columns.
+
+    ``where``: columns of each variable; ``beside``: columns that the residual was freed of; ``rest``: the residual
+    itself, of ``count`` degrees of freedom.
+    """
+    from scipy.stats import f
+
+    total = float(gram[rest, rest])
+    found = []
+    for variable, columns in where.items():
+        power, rank = _taken(gram, columns, beside, rest)
+        left = max(count - rank, 1.0)
+        level = max(total - power, 1e-12 * total) / left
+        p_value = float(f.sf(power / rank / level, rank, left)) if rank else 1.0
+        # So many columns of noise would take up rank times the level: what is beyond that is the dependence.
+        found.append((variable, power - rank * level, p_value))
+    shown = [beyond for _, beyond, p_value in found if p_value < _BY_CHANCE]
+    excess = max([total - count, *shown])
+    return tuple(
+        Dependence(variable, float(np.clip(beyond / excess, 0.0, 1.0)) if p_value < _BY_CHANCE else 0.0, p_value)
+        for variable, beyond, p_value in found
+    )
+
+
+def _taken(gram: Floats, columns: NDArray[np.intp], beside: NDArray[np.intp], rest: int) -> tuple[float, int]:
+    """Return the squares of the residual that columns take up beside others, and how many of them are independent."""
+    size = np.sqrt(np.diag(gram)[columns])
+    columns, size = columns[size > 0], size[size > 0]
+    if not len(columns):
+        return 0.0, 0
+    products, right = gram[np.ix_(columns, columns)], gram[columns, rest]
+    if len(beside):
+        scale = np.sqrt(np.maximum(np.diag(gram)[beside], 1e-300))
+        inner = np.linalg.pinv(gram[np.ix_(beside, beside)] / np.outer(scale, scale), 1e-10, hermitian=True)
+        across = gram[np.ix_(beside, columns)] / scale[:, None]
+        products = products - across.T @ inner @ across
+        right = right - across.T @ inner @ (gram[beside, rest] / scale)
+    values, vectors = np.linalg.eigh(products / np.outer(size, size))
+    kept = values > _INDEPENDENT * len(columns)
+    onto = vectors[:, kept].T @ (right / size)
+    return float(np.sum(onto**2 / values[kept])), int(kept.sum())
+
+
+def _coarse(run: Run) -> Run:
+    """Return a run with a fifth of its grid: a few instants in each block do for this."""
+    grid, blocks = run.grid, len(run.t_s)
+    stride = 5 if len(grid.t_s) // blocks % 5 == 0 else 1
+    rows = slice(stride // 2, None, stride)
+    thinned = Conditions(
+        grid.t_s[rows],
+        grid.w_rps[rows],
+        grid.wdot_rps2[rows],
+        grid.angle_rad[rows],
+        grid.rate_rps[rows],
+        grid.acceleration_rps2[rows],
+        grid.gimbals,
+        grid.specific_force_mps2[rows],
+        None if grid.temperature_c is None else grid.temperature_c[rows],
+        grid.site,
+    )
+    return replace(run, grid=thinned, fold=lambda columns: columns.reshape(blocks, -1, columns.shape[1]).mean(axis=1))
