@@ -1,4 +1,4 @@
-"""The command line: station run, twin, calibrate, import, study, plan, investigate, loop."""
+"""The command line: one function for the options of each command; what they do is elsewhere."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ _MODULES = {
     "twin": "station.commands",
     "calibrate": "station.calibrate_command",
     "import": "station.commands",
+    "effects": "station.effects_command",
     "investigate": "station.investigate_command",
     "loop": "station.loop_command",
     "plan": "station.plan_command",
@@ -169,6 +170,13 @@ def _parser() -> argparse.ArgumentParser:
             " state the error before and after. Exit code 0: nothing to add, or added; 1: cannot tell, or unexplained.",
         )
     )
+    effects = commands.add_parser(
+        "effects",
+        help="list the effects that an investigation looks for",
+        description="List the catalogue: parameters with their largest plausible size, what shows each effect, what it"
+        " is confused with.",
+    )
+    effects.add_argument("--json", action="store_true", help="print the list as JSON")
     _loop_options(
         commands.add_parser(
             "loop",
