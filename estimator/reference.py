@@ -133,8 +133,12 @@ class BodyRates:
         summed = np.cumsum(np.vstack([start, area]), axis=0)[1:]
         drift = self._unwrapped(angle_rad, summed) - summed
         drift_before = drift[:1] if first else (self._angle.all[-1:] - self._summed.all[-1:])
-        unexplained = np.abs(np.diff(np.vstack([drift_before, drift]), axis=0)).max(axis=1)
-        self._known.append((step_ns <= GAP_NS) | (unexplained <= GAP_ANGLE_RAD))
+        unexplained = np.diff(np.vstack([drift_before, drift]), axis=0)
+        known_step = (step_ns <= GAP_NS) | (np.abs(unexplained).max(axis=1) <= GAP_ANGLE_RAD)
+        self._known.append(known_step)
+        # What happened in a gap is no error of the rates beside it: there the angles alone count.
+        hidden = np.cumsum(np.where(known_step[:, None], 0.0, unexplained), axis=0)
+        summed, drift = summed + hidden, drift - hidden
         s = (t_ns - (t_ns[0] if first else self._times.all[0])) * 1e-9
         terms = np.column_stack([s, s * s, drift, s[:, None] * drift])
         self._sums.append(np.cumsum(np.vstack([self._sums.all[-1:], terms]), axis=0)[1:])

@@ -24,6 +24,7 @@ from estimator.tracing.investigation import (
     Value,
 )
 from station.next_script import NextScript
+from station.residual_printed import print_residual, residual_object
 
 _DEG = 180 / math.pi
 _PIPE_WIDTH = 120
@@ -71,6 +72,7 @@ def print_investigation(
         console.print()
         _print_suspects(found, console)
     console.print()
+    print_residual(found, console)
     _print_errors(found, console)
     if len(found.models) > 1:
         console.print(models_table(found.models))
@@ -278,6 +280,7 @@ def investigation_object(
             {"effect": s.effect, "log_evidence": _finite(s.log_evidence), "probability": _finite(s.probability)}
             for s in found.suspects
         ],
+        "residual": residual_object(found),
         "left_out": dict(found.left_out),
         "notes": list(found.notes),
         "recordings": list(recordings),

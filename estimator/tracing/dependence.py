@@ -13,6 +13,7 @@ from estimator.tracing.candidates import candidates_of
 from estimator.tracing.runs import Run
 
 Floats = NDArray[np.float64]
+Columns = NDArray[np.intp]
 
 _VARIABLES = ("time", "rate", "direction", "angle", "acceleration", "temperature", "gravity")
 _OF_CATALOGUE = {
@@ -48,6 +49,15 @@ class Dependence:
     p_value: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Columns, those ``beside`` which they count, and the squares over the noise that the model's ``doubt`` adds."""
+
+    columns: Columns
+    beside: Columns
+    doubt: float = 0.0
+
+
 class Regressors:
     """Functions of each variable over the blocks of runs; ``where`` they are among the columns."""
 
@@ -57,47 +67,49 @@ class Regressors:
         candidates = [c for c in candidates_of(runs)[0] if c.theta is None and c.run is None]
         of = {c.name: c.depends_on or _OF_CATALOGUE.get(c.called, "") for c in candidates}
         self._candidates = sorted((c for c in candidates if of[c.name]), key=lambda c: _VARIABLES.index(of[c.name]))
-        self.where: Mapping[str, NDArray[np.intp]] = {
-            variable: np.flatnonzero(
-                [of[c.name] == variable for c in self._candidates for _ in c.effect.parameters]
-            )
+        self.count = sum(len(c.effect.parameters) for c in self._candidates)
+        self.where: Mapping[str, Columns] = {
+            variable: np.flatnonzero([of[c.name] == variable for c in self._candidates for _ in c.effect.parameters])
             for variable in dict.fromkeys(of[c.name] for c in self._candidates)
         }
 
     def columns(self, number: int, gyro: int) -> Floats:
         """Return the columns (b, q) of a gyro of run ``number``."""
         run = self._runs[number]
-        return np.hstack([np.empty((len(run.t_s), 0)), *(c.columns(run, gyro) for c in self._candidates)])
+        columns = [c.effect.columns(run.grid, run.array, gyro) * c.largest for c in self._candidates]
+        return run.fold(np.hstack([np.empty((len(run.grid.t_s), 0)), *columns]))
 
 
 def dependences(
-    where: Mapping[str, NDArray[np.intp]], gram: Floats, beside: NDArray[np.intp], rest: int, count: float
-) -> tuple[Dependence, ...]:
-    """Return what a whitened residual depends on, from the products ``gram`` of its columns.
+    gram: Floats, rest: int, groups: Mapping[str, Group], count: float, doubt: float
+) -> tuple[float, tuple[Dependence, ...]]:
+    """Return the share of a whitened residual's power beyond the noise, and what that depends on.
 
-    ``where``: columns of each variable; ``beside``: columns that the residual was freed of; ``rest``: the residual
-    itself, of ``count`` degrees of freedom.
+    ``gram`` holds the products of all columns.
+
+    ``rest`` is the residual, of ``count`` degrees of freedom, which its squares exceed by ``doubt`` if it is more than
+    noise; what a variable takes up for certain is, in any case. ``groups`` holds the columns of each variable.
     """
     from scipy.stats import f
 
     total = float(gram[rest, rest])
     found = []
-    for variable, columns in where.items():
-        power, rank = _taken(gram, columns, beside, rest)
+    for variable, group in groups.items():
+        power, rank = _taken(gram, group.columns, group.beside, rest)
         left = max(count - rank, 1.0)
-        level = max(total - power, 1e-12 * total) / left
-        p_value = float(f.sf(power / rank / level, rank, left)) if rank else 1.0
-        # So many columns of noise would take up rank times the level: what is beyond that is the dependence.
-        found.append((variable, power - rank * level, p_value))
+        # So many columns would take up so much of noise: what is beyond that is the dependence.
+        chance = (rank + group.doubt) * max(total - power, 1e-12 * total) / left
+        p_value = float(f.sf(power / chance, rank, left)) if rank else 1.0
+        found.append((variable, power - chance, p_value))
     shown = [beyond for _, beyond, p_value in found if p_value < _BY_CHANCE]
-    excess = max([total - count, *shown])
-    return tuple(
+    excess = max([total - count if total - count > doubt else 0.0, *shown])
+    return excess / max(total, 1e-300), tuple(
         Dependence(variable, float(np.clip(beyond / excess, 0.0, 1.0)) if p_value < _BY_CHANCE else 0.0, p_value)
         for variable, beyond, p_value in found
     )
 
 
-def _taken(gram: Floats, columns: NDArray[np.intp], beside: NDArray[np.intp], rest: int) -> tuple[float, int]:
+def _taken(gram: Floats, columns: Columns, beside: Columns, rest: int) -> tuple[float, int]:
     """Return the squares of the residual that columns take up beside others, and how many of them are independent."""
     size = np.sqrt(np.diag(gram)[columns])
     columns, size = columns[size > 0], size[size > 0]

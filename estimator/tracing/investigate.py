@@ -26,6 +26,7 @@ from estimator.tracing.investigation import (
     Unexplained,
     Value,
 )
+from estimator.tracing.residual import Residual, residuals
 from estimator.tracing.runs import BLOCK_S, Run, runs_of, same_devices
 from estimator.tracing.search import CERTAIN, Choice, Found, Search
 from estimator.tracing.spectra import GyroSpectra, NoiseShapes, gyro_spectra
@@ -239,7 +240,19 @@ def _conclude(
         tuple(notes),
         judged.views,
         after,
+        *_left(traced.runs, 0, before, after),
+        *_left(held_back, len(traced.runs), before, after),
     )
+
+
+def _left(
+    runs: Sequence[Run], first: int, before: Augmented, after: Augmented
+) -> tuple[Residual | None, Residual | None]:
+    """Return what two models leave of runs, of which the first has this number; from 0 are those that were fitted."""
+    if not runs:
+        return None, None
+    found = residuals(runs, [before, after] if after.parts else [before], first, held_back=first > 0)
+    return found[0], found[-1]
 
 
 def _faulty(faults: Sequence[Fault]) -> list[Added]:

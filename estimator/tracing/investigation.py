@@ -14,6 +14,7 @@ from estimator.errors import EstimatorError
 
 if TYPE_CHECKING:
     from estimator.tracing.augmented import Augmented
+    from estimator.tracing.residual import Residual
 
 Floats = NDArray[np.float64]
 
@@ -150,10 +151,10 @@ class Suspect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualView:
-    """What pictures of one gyro need: residual before and after over time, and its spectrum; all of one run.
+    """What pictures of one gyro need: residual before and after over time, all of one run.
 
-    ``t_s``, ``before_rps``, ``after_rps``, ``rate_rps``, ``noise_rps`` are (b,) block means; ``frequency_hz`` and the
-    two densities (f,).
+    ``t_s``, ``rate_rps``, ``temperature_c``, ``before_rps``, ``after_rps`` are (b,) block means, ``noise_rps`` the
+    white noise of one.
     """
 
     run: str
@@ -173,6 +174,8 @@ class Investigation:
 
     ``rivals``: sets of effects that these recordings cannot tell apart. ``models``: the chain from the first model
     to the last; ``model`` is the last itself. ``left_out``: effects that could not be tried, with the reason.
+    ``residual_before`` and ``residual_after`` are those of the recordings that were fitted, ``verified_before`` and
+    ``verified_after`` those of the verification run.
     """
 
     finding: Finding
@@ -191,3 +194,7 @@ class Investigation:
     notes: tuple[str, ...]
     views: tuple[ResidualView, ...] = field(default=(), repr=False)
     model: Augmented | None = field(default=None, repr=False)
+    residual_before: Residual | None = field(default=None, repr=False)
+    residual_after: Residual | None = field(default=None, repr=False)
+    verified_before: Residual | None = field(default=None, repr=False)
+    verified_after: Residual | None = field(default=None, repr=False)

@@ -1,0 +1,123 @@
+"""What an investigation leaves of the output errors, as a person reads it, and as --json gives it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any, Literal
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from estimator.tracing.investigation import Investigation
+from estimator.tracing.origin import Origin, Split
+from estimator.tracing.residual import GyroResidual, Residual
+
+_MOST_SHOWN = 3
+_LEAST_SHOWN = 0.15
+_NUMBERS = ("nis", "nis_sd", "lag1", "lag1_sd", "white_p", "beyond")
+_COLUMNS: tuple[tuple[str, Literal["left", "right"]], ...] = (
+    ("NIS", "right"),
+    ("white, p", "right"),
+    ("beyond noise", "right"),
+    ("depends on", "left"),
+)
+_LEGEND = (
+    "white, p: how often white noise looks like that; beyond noise: share of the power, of which variables take up "
+    "shares that overlap"
+)
+_SPECTRUM = ("frequency_hz", "density", "noise")
+
+
+def print_residual(found: Investigation, console: Console) -> None:
+    """Print what is left of the recordings that were fitted; of the verification run only where that is not noise."""
+    before, after = found.residual_before, found.residual_after
+    if before is None or after is None:
+        return
+    _print_both("recordings fitted", before, after, console)
+    before, after = found.verified_before, found.verified_after
+    if before is not None and after is not None and not after.clean:
+        _print_both("verification run", before, after, console)
+    console.print(_LEGEND, highlight=False)
+    console.print()
+
+
+def _print_both(runs: str, before: Residual, after: Residual, console: Console) -> None:
+    both = (before,) if after is before else (before, after)
+    by_chance = max(gyro.nis_sd for gyro in before.gyros)
+    title = f"Residual, {runs} (NIS of noise: 1 ± {by_chance:.2f})"
+    table = Table(title=title, title_style="bold", title_justify="left")
+    table.add_column("gyro")
+    for heading, justify in _COLUMNS:
+        table.add_column(heading if len(both) == 1 else f"{heading}\nbefore", justify=justify)
+        if len(both) > 1:
+            table.add_column("\nafter", justify=justify)
+    for gyros in zip(*(residual.gyros for residual in both), strict=True):
+        cells = [cell(gyro) for cell in (_nis, _white, _beyond, _depends_on) for gyro in gyros]
+        table.add_row(escape(gyros[0].name), *cells)
+    console.print(table)
+    console.print(escape(origin_line(before, after)), highlight=False)
+
+
+def origin_line(before: Residual, after: Residual) -> str:
+    """Return in words whether what is left is common to all gyros, before and after."""
+    question = "common to all gyros, or each gyro's own?"
+    if before.split is None or after.split is None:
+        return f"{question} cannot be told: {before.no_split or after.no_split}"
+    if after is before:
+        return f"{question} {_origin(before.split)}"
+    return f"{question} before: {_origin(before.split)}; after: {_origin(after.split)}"
+
+
+def _origin(split: Split) -> str:
+    if split.origin == Origin.COMMON and split.spare == 1:
+        return f"{split.origin}, as far as one gyro more than axes can tell"
+    if split.own_share is None or split.origin == Origin.COMMON:
+        return str(split.origin)
+    return f"{split.origin}, {split.own_share:.0%}"
+
+
+def _nis(gyro: GyroResidual) -> str:
+    return f"{gyro.nis:.2f}" if gyro.nis < 100 else f"{gyro.nis:.3g}"
+
+
+def _white(gyro: GyroResidual) -> str:
+    return f"{gyro.white_p:.2g}" if gyro.white else "< 0.0001"
+
+
+def _beyond(gyro: GyroResidual) -> str:
+    return f"{gyro.beyond:.0%}"
+
+
+def _depends_on(gyro: GyroResidual) -> str:
+    ranked = sorted(gyro.dependences, key=lambda dependence: -dependence.share)[:_MOST_SHOWN]
+    return ", ".join(f"{d.variable} {d.share:.0%}" for d in ranked if d.share >= _LEAST_SHOWN) or "nothing"
+
+
+def residual_object(found: Investigation) -> dict[str, Any] | None:
+    """Return what --json prints of what is left: before, after, and both on the verification run if there is one."""
+    if found.residual_before is None or found.residual_after is None:
+        return None
+    verification = None
+    if found.verified_before is not None and found.verified_after is not None:
+        verification = {"before": _object(found.verified_before), "after": _object(found.verified_after)}
+    return {
+        "before": _object(found.residual_before),
+        "after": _object(found.residual_after),
+        "verification": verification,
+    }
+
+
+def _object(residual: Residual) -> dict[str, Any]:
+    return {
+        "gyros": {
+            gyro.name: {
+                **{key: getattr(gyro, key) for key in _NUMBERS},
+                "spectrum": {key: getattr(gyro.spectrum, key).tolist() for key in _SPECTRUM},
+                "depends_on": {d.variable: {"share": d.share, "p_value": d.p_value} for d in gyro.dependences},
+            }
+            for gyro in residual.gyros
+        },
+        "split": residual.split and asdict(residual.split),
+        "no_split": residual.no_split or None,
+    }

@@ -1,0 +1,102 @@
+"""What is left, as people read it, as --json gives it, and in files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from estimator.tracing.dependence import Dependence
+from estimator.tracing.investigate import investigate
+from estimator.tracing.investigation import Investigation
+from estimator.tracing.origin import Origin, Split
+from estimator.tracing.residual import GyroResidual, Residual, Spectrum
+from station.investigation_file import write_investigation
+from station.investigation_pictures import draw_investigation
+from station.investigation_printed import investigation_object, print_investigation, stdout
+from station.residual_printed import origin_line
+from station.studies.detection import Case, recordings_of
+
+
+@pytest.fixture(scope="module")
+def found() -> Investigation:
+    """Return what comes of recordings with an asymmetry."""
+    calibration, exploration, verification = recordings_of(Case(("scale_asymmetry",), 1.0, 4))
+    return investigate([calibration, exploration], [verification])
+
+
+def left(nis: float, *depends_on: tuple[str, float], origin: Origin = Origin.NOISE, spare: int = 1) -> Residual:
+    """Return a residual of one gyro, made by hand."""
+    spectrum = Spectrum(np.array([0.1, 1.0]), np.array([2e-9, 1e-9]), np.array([1e-9, 1e-9]))
+    dependences = tuple(Dependence(variable, share, 0.0) for variable, share in depends_on)
+    p = 1e-9 if dependences else 0.25
+    gyro = GyroResidual("gyro1", nis, 0.06, 0.3, 0.02, p, spectrum, 0.31 if dependences else 0.0, dependences)
+    return Residual((gyro,), Split(origin, 0.2, 0.1, None if origin == Origin.NOISE else 0.88, spare))
+
+
+def printed(found: Investigation, capsys: pytest.CaptureFixture[str]) -> str:
+    print_investigation(found, None, None, stdout())
+    return capsys.readouterr().out
+
+
+def test_before_and_after_stand_side_by_side(found: Investigation, capsys: pytest.CaptureFixture[str]) -> None:
+    before = left(1.46, ("time", 0.62), ("rate", 0.03), ("temperature", 0.97), origin=Origin.OWN)
+    text = printed(replace(found, residual_before=before, residual_after=left(1.01)), capsys)
+    row = next(line for line in text.splitlines() if "1.46" in line)
+    cells = [cell.strip() for cell in row.strip("│").split("│")]
+    assert cells == ["gyro1", "1.46", "1.01", "< 0.0001", "0.25", "31%", "0%", "temperature 97%, time 62%", "nothing"]
+    assert "NIS of noise: 1 ± 0.06" in text
+    assert "each gyro's own? before: own to each, 88%; after: within noise" in text
+    assert "Residual, verification run" not in text  # it is noise after
+
+
+def test_a_verification_run_that_is_not_noise_is_shown(
+    found: Investigation, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = left(3.2, ("states", 0.9), origin=Origin.COMMON)
+    text = printed(replace(found, verified_before=wrong, verified_after=wrong), capsys)
+    assert "Residual, verification run" in text
+    assert "states 90%" in text
+
+
+def test_it_is_said_how_far_the_gyros_can_tell_what_they_share() -> None:
+    four, five = (left(2.0, origin=Origin.COMMON, spare=spare) for spare in (1, 2))
+    assert origin_line(four, four).endswith("common to all gyros, as far as one gyro more than axes can tell")
+    assert origin_line(five, five).endswith("common to all gyros")
+    three = replace(four, split=None, no_split="3 gyros on 3 axes: why")
+    assert "cannot be told: 3 gyros on 3 axes: why" in origin_line(three, three)
+
+
+def test_json_holds_what_is_left_before_and_after_of_all_runs(found: Investigation) -> None:
+    kept = json.loads(json.dumps(investigation_object(found, None, [], []), allow_nan=False))["residual"]
+    assert set(kept) == {"before", "after", "verification"}
+    for before, after in ((kept["before"], kept["after"]), tuple(kept["verification"].values())):
+        assert before["split"]["origin"] == "own to each"
+        assert after["split"]["origin"] == "within noise"
+        for name in ("gyro1", "gyro2", "gyro3", "gyro4"):
+            old, new = before["gyros"][name], after["gyros"][name]
+            assert set(old) == {"nis", "nis_sd", "lag1", "lag1_sd", "white_p", "beyond", "depends_on", "spectrum"}
+            assert old["nis"] > 1.3
+            assert old["white_p"] < 1e-4
+            assert new["nis"] == pytest.approx(1.0, abs=4 * new["nis_sd"])
+            assert new["beyond"] == 0
+    shares = {variable: d["share"] for variable, d in kept["before"]["gyros"]["gyro1"]["depends_on"].items()}
+    assert max(shares, key=lambda variable: shares[variable]) == "rate"
+
+
+def test_files_and_pictures_hold_the_spectra(found: Investigation, tmp_path: Path) -> None:
+    path, picture = tmp_path / "found.h5", tmp_path / "found.png"
+    write_investigation(path, found, investigation_object(found, None, [], []))
+    with h5py.File(path) as file:
+        for group in ("spectrum", "spectrum_verification"):
+            gyro = file["investigation"][group]["gyro2"]
+            assert set(gyro) == {"frequency_hz", "before", "after", "noise"}
+            slow = gyro["frequency_hz"][:] < 0.05
+            assert np.mean(gyro["before"][slow]) > 3 * np.mean(gyro["after"][slow])
+    draw_investigation(picture, found)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    draw_investigation(picture, replace(found, residual_before=None, verified_before=None))
