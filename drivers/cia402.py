@@ -9,6 +9,7 @@ MODE_PROFILE_VELOCITY = 3
 MODE_HOMING = 6
 
 TARGET_REACHED = 1 << 10
+INTERNAL_LIMIT = 1 << 11  # a limit switch, or a set-point beyond what the drive allows
 BIT_12 = 1 << 12  # set-point acknowledged (position), speed zero (velocity), homing attained (homing)
 BIT_13 = 1 << 13  # following error (position), homing error (homing)
 VOLTAGE_ENABLED = 1 << 4

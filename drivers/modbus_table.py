@@ -1,20 +1,16 @@
-"""A turntable of CiA 402 servo drives on Modbus: one drive an axis, told apart by unit id."""
+"""A turntable of CiA 402 servo drives on Modbus, TCP or RTU: one drive an axis, told apart by unit id."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
-
-from pymodbus.client import AsyncModbusTcpClient
-from pymodbus.exceptions import ModbusException
 
 from drivers.cia402 import (
     BIT_12,
     BIT_13,
+    INTERNAL_LIMIT,
     MODE_HOMING,
     MODE_PROFILE_POSITION,
     MODE_PROFILE_VELOCITY,
@@ -23,11 +19,10 @@ from drivers.cia402 import (
     state_of,
 )
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
-from drivers.registers import DriveProfile, Register
-from drivers.seams import AxisLimits, AxisState, AxisStatus
-
-# pymodbus dumps its recent frames at ERROR for every time-out; the station says it in one line of its own.
-logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+from drivers.modbus_line import Address, ModbusLine, Reply
+from drivers.modbus_order import LineCounts, Request
+from drivers.registers import DriveProfile
+from drivers.seams import AxisLimits, AxisState, AxisStatus, Identity
 
 TURN = 2 * math.pi
 _POLL_S = 0.02
@@ -36,66 +31,67 @@ _HOMING_RATE_RPS = math.radians(30.0)
 _HOMING_LIMIT_S = 60.0
 _STOP_LIMIT_S = 10.0
 _AT_REST_RPS = math.radians(0.02)
-
-_EXCEPTIONS = {
-    1: "illegal function",
-    2: "illegal register address",
-    3: "illegal value",
-    4: "device failure",
-    5: "acknowledge, still busy",
-    6: "device busy",
-    10: "gateway path unavailable",
-    11: "gateway target does not answer",
-}
+_FAILURES = (LinkLost, BadReply, DeviceRefused)
+_FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
 
 
 @dataclass(frozen=True, slots=True)
 class DriveAxis:
-    """One drive: its unit id on the bus, counts of its encoder per turn of the axis, and its limits."""
+    """One drive: its unit id on the bus, counts of its encoder per turn of the axis, and its limits.
+
+    ``address`` is where it is if not where the table is: some drives have a TCP address each.
+    """
 
     unit_id: int
     counts_per_turn: int
     limits: AxisLimits
+    address: Address | None = None
 
 
 class ModbusTable:
     """Turntable driver over a stock pymodbus client."""
 
     def __init__(
-        self,
-        device: str,
-        address: tuple[str, int],
-        profile: DriveProfile,
-        axes: Mapping[str, DriveAxis],
-        timeout_s: float,
-        *,
-        client: Callable[..., Any] = AsyncModbusTcpClient,
+        self, device: str, address: Address, profile: DriveProfile, axes: Mapping[str, DriveAxis], timeout_s: float
     ) -> None:
-        """Name the peer; it is connected by ``open``. A request is tried twice, each for ``timeout_s``."""
-        self._device, self._address, self._profile = device, address, profile
+        """Name the peer; it is connected by ``open``. A request is tried twice within two ``timeout_s``."""
+        self._device, self._profile = device, profile
         self._axes = dict(axes)
-        self._timeout_s = timeout_s
-        self._make_client = client
-        self._client: Any = None
+        probes: dict[Address, dict[int, list[Request]]] = {}
+        for axis, drive in self._axes.items():
+            harmless = [self._reading(axis, name) for name in ("statusword", "position")]
+            probes.setdefault(drive.address or address, {})[drive.unit_id] = harmless
+        lines = {where: ModbusLine(device, where, timeout_s, reads) for where, reads in probes.items()}
+        self._lines = {axis: lines[drive.address or address] for axis, drive in self._axes.items()}
 
     @property
     def limits(self) -> Mapping[str, AxisLimits]:
         """Limits by axis."""
         return {name: axis.limits for name, axis in self._axes.items()}
 
-    async def open(self) -> None:
-        """Connect and read every drive's statusword; LinkLost if one does not answer."""
-        host, port = self._address
-        self._client = self._make_client(
-            host, port=port, timeout=self._timeout_s, retries=1, reconnect_delay=0, name=self._device
+    @property
+    def counts(self) -> LineCounts:
+        """Requests without an answer, and replies dropped, on all lines."""
+        each = [line.counts for line in set(self._lines.values())]
+        return LineCounts(
+            timeouts=sum(c.timeouts for c in each),
+            late=sum(c.late for c in each),
+            corrupt=sum(c.corrupt for c in each),
+            foreign=sum(c.foreign for c in each),
         )
-        if not await self._client.connect():
-            raise LinkLost(
-                self._device,
-                f"nothing answers at {host}:{port}; is the table's controller on, and the address right?",
-            )
+
+    async def open(self) -> None:
+        """Connect, read every drive's statusword and write what the profile says; LinkLost if one does not answer."""
+        for line in dict.fromkeys(self._lines.values()):
+            await line.open()
         for axis in self._axes:
             await self.status(axis)
+            for name, value in self._profile.on_open:
+                await self._write(axis, name, value)
+
+    async def identify(self) -> Identity:
+        """Return the make of the drives, and serial number and firmware of each where the profile knows them."""
+        return Identity(self._profile.name, await self._numbers("serial_number"), await self._numbers("firmware"))
 
     async def enable(self) -> None:
         """Walk every drive to Operation enabled; DeviceFault if it is in fault, DeviceRefused if it stays."""
@@ -128,7 +124,8 @@ class ModbusTable:
         while waiting:
             for axis in self._axes:  # also those at home: each drive watches for its master's silence by itself
                 word = int(await self._read(axis, "statusword"))
-                self._check_fault(axis, word)
+                if state_of(word) in _FAULTS:
+                    raise DeviceFault(self._device, await self._fault_text(axis, word))
                 if axis not in waiting:
                     continue
                 if word & BIT_13:
@@ -162,61 +159,61 @@ class ModbusTable:
 
     async def read(self, axis: str) -> AxisState:
         """Measure angle and rate; each is stamped with the middle of its own round trip."""
-        loop = asyncio.get_running_loop()
-        t0 = loop.time()
-        turns = await self._read(axis, "position")
-        t1 = loop.time()
-        turns_per_s = await self._read(axis, "rate")
-        t2 = loop.time()
-        half_width = max(t1 - t0, t2 - t1) / 2
+        angle = await self._lines[axis].ask(self._reading(axis, "position"))
+        rate = await self._lines[axis].ask(self._reading(axis, "rate"))
+        half_width_s = max(angle.received_s - angle.sent_s, rate.received_s - rate.sent_s) / 2
         return AxisState(
-            round((t0 + t1) / 2 * 1e9),
-            turns * TURN,
-            round((t1 + t2) / 2 * 1e9),
-            turns_per_s * TURN,
-            round(half_width * 1e9),
+            round((angle.sent_s + angle.received_s) / 2 * 1e9),
+            self._value(axis, "position", angle) * TURN,
+            round((rate.sent_s + rate.received_s) / 2 * 1e9),
+            self._value(axis, "rate", rate) * TURN,
+            round(half_width_s * 1e9),
         )
 
     async def status(self, axis: str) -> AxisStatus:
         """Get state, target reached, and the fault in words."""
         word = int(await self._read(axis, "statusword"))
         state = state_of(word)
-        fault = ""
-        if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
-            fault = f"axis {axis} is in {state.text} (statusword 0x{word:04X})"
-        elif state is None:
+        if state is None:
             raise BadReply(self._device, f"axis {axis} has statusword 0x{word:04X}, which is no CiA 402 state")
         return AxisStatus(
             enabled=state is DriveState.OPERATION_ENABLED,
             target_reached=bool(word & TARGET_REACHED),
-            fault=fault,
-            text=state.text,
+            fault=await self._fault_text(axis, word) if state in _FAULTS else "",
+            text=f"{state.text}, internal limit active" if word & INTERNAL_LIMIT else state.text,
         )
 
     async def stop(self) -> None:
         """Quick-stop every drive along its ramp and wait until all are at rest.
 
-        All are told before any is waited for. What one drive answers does not keep the others from being
-        told; the first failure is raised at the end.
+        All are told before any is waited for, also those whose state cannot be read. What one drive answers does
+        not keep the others from being told; the first failure is raised at the end.
         """
-        failure: Exception | None = None
+        failures: list[Exception] = []
+        told = []
         for axis in self._axes:
             try:
                 if await self._state(axis) is DriveState.OPERATION_ENABLED:
                     await self._command(axis, "quick_stop")
-            except (LinkLost, BadReply, DeviceRefused) as error:
-                failure = failure or error
-        deadline = asyncio.get_running_loop().time() + _STOP_LIMIT_S
-        for axis in self._axes:
+            except _FAILURES as error:
+                failures.append(error)
+                if not await self._tell(axis, "quick_stop"):
+                    continue
+            told.append(axis)
+        await self._wait_for_rest(told, failures)
+
+    async def abort(self) -> None:
+        """Stop every axis at once by the profile's abort command, asking nothing first, and wait for rest."""
+        unsure = [axis for axis in self._axes if not await self._tell(axis, "abort")]
+        failures: list[Exception] = []
+        told = [axis for axis in self._axes if axis not in unsure]
+        for axis in unsure:
             try:
-                while abs(await self._read(axis, "rate")) * TURN > _AT_REST_RPS:
-                    if asyncio.get_running_loop().time() > deadline:
-                        raise DeviceRefused(self._device, f"axis {axis} keeps turning after quick stop: cut its power")
-                    await asyncio.sleep(_POLL_S)
-            except (LinkLost, BadReply, DeviceRefused) as error:
-                failure = failure or error
-        if failure is not None:
-            raise failure
+                await self._command(axis, "abort")
+                told.append(axis)
+            except _FAILURES as error:
+                failures.append(error)
+        await self._wait_for_rest(told, failures)
 
     async def reset_fault(self) -> None:
         """Clear the fault of every drive that has one; DeviceFault if one stays."""
@@ -237,9 +234,8 @@ class ModbusTable:
 
     def close(self) -> None:
         """Drop the connection."""
-        if self._client is not None:
-            self._client.close()
-            self._client = None
+        for line in self._lines.values():
+            line.close()
 
     async def _state(self, axis: str) -> DriveState | None:
         return state_of(int(await self._read(axis, "statusword")))
@@ -252,9 +248,44 @@ class ModbusTable:
                 raise DeviceRefused(self._device, f"axis {axis} stays in {now} and does not reach {wanted.text}")
             await asyncio.sleep(_POLL_S)
 
-    def _check_fault(self, axis: str, statusword: int) -> None:
-        if state_of(statusword) in (DriveState.FAULT, DriveState.FAULT_REACTION):
-            raise DeviceFault(self._device, f"axis {axis} is in fault (statusword 0x{statusword:04X})")
+    async def _tell(self, axis: str, command: str) -> bool:
+        """Send a command once, on the way out; return whether the drive echoed it."""
+        try:
+            await self._lines[axis].tell(self._writing(axis, "controlword", self._profile.commands[command]))
+        except _FAILURES:
+            return False
+        return True
+
+    async def _wait_for_rest(self, axes: list[str], failures: list[Exception]) -> None:
+        """Wait until these are at rest; raise the first failure, those given included."""
+        deadline = asyncio.get_running_loop().time() + _STOP_LIMIT_S
+        for axis in axes:
+            try:
+                while abs(await self._read(axis, "rate")) * TURN > _AT_REST_RPS:
+                    if asyncio.get_running_loop().time() > deadline:
+                        raise DeviceRefused(self._device, f"axis {axis} keeps turning after quick stop: cut its power")
+                    await asyncio.sleep(_POLL_S)
+            except _FAILURES as error:
+                failures.append(error)
+        if failures:
+            raise failures[0]
+
+    async def _fault_text(self, axis: str, statusword: int) -> str:
+        state = state_of(statusword)
+        text = f"axis {axis} is in {state.text if state else 'no known state'} (statusword 0x{statusword:04X}"
+        text += ", internal limit active)" if statusword & INTERNAL_LIMIT else ")"
+        if "error_code" not in self._profile.registers:
+            return text
+        try:
+            code = int(await self._read(axis, "error_code"))
+        except DeviceRefused:
+            return text  # a firmware that lacks the register
+        return f"{text}: {self._profile.error_text(code)}"
+
+    async def _numbers(self, name: str) -> str:
+        if name not in self._profile.registers:
+            return ""
+        return ", ".join([f"{axis} {await self._read(axis, name):.0f}" for axis in self._axes])
 
     async def _command(self, axis: str, command: str) -> None:
         await self._write(axis, "controlword", self._profile.commands[command])
@@ -263,50 +294,22 @@ class ModbusTable:
         await self._write(axis, register, value_rad / TURN)
 
     async def _write(self, axis: str, name: str, value: float) -> None:
+        await self._lines[axis].ask(self._writing(axis, name, value))
+
+    async def _read(self, axis: str, name: str) -> float:
+        return self._value(axis, name, await self._lines[axis].ask(self._reading(axis, name)))
+
+    def _value(self, axis: str, name: str, reply: Reply) -> float:
+        return self._profile[name].decode(reply.words, self._axes[axis].counts_per_turn)
+
+    def _reading(self, axis: str, name: str) -> Request:
+        register = self._profile[name]
+        return Request(axis, self._axes[axis].unit_id, name, register.address, register.words)
+
+    def _writing(self, axis: str, name: str, value: float) -> Request:
         drive, register = self._axes[axis], self._profile[name]
         try:
             words = register.encode(value, drive.counts_per_turn)
         except ValueError as error:
             raise DeviceRefused(self._device, f"axis {axis}: {error}") from None
-        if len(words) == 1:
-            await self._call(axis, register, "write_register", value=words[0])
-        else:
-            await self._call(axis, register, "write_registers", values=words)
-
-    async def _read(self, axis: str, name: str) -> float:
-        register = self._profile[name]
-        reply = await self._call(axis, register, "read_holding_registers", count=register.words)
-        if len(reply.registers) != register.words:
-            raise BadReply(self._device, f"axis {axis}: {len(reply.registers)} words for {name}")
-        return register.decode(reply.registers, self._axes[axis].counts_per_turn)
-
-    async def _call(self, axis: str, register: Register, function: str, **arguments: Any) -> Any:
-        unit_id = self._axes[axis].unit_id
-        if self._client is None or not self._client.connected:
-            raise LinkLost(self._device, f"the connection to {self._address[0]}:{self._address[1]} is gone")
-        task = asyncio.current_task()
-        cancels = task.cancelling() if task else 0
-        try:
-            reply = await getattr(self._client, function)(register.address, device_id=unit_id, **arguments)
-        except ModbusException as error:
-            raise LinkLost(
-                self._device,
-                f"axis {axis} (unit id {unit_id}) does not answer within {2 * self._timeout_s:g} s, twice asked "
-                f"({_brief(error)})",
-            ) from None
-        if task is not None and task.cancelling() > cancels:
-            # asyncio.wait_for of Python 3.11, within pymodbus, forgets a cancel that comes together with the reply.
-            raise asyncio.CancelledError
-        if reply.isError():
-            code = int(getattr(reply, "exception_code", 0))
-            meaning = _EXCEPTIONS.get(code, "unknown exception")
-            raise DeviceRefused(
-                self._device,
-                f"axis {axis} (unit id {unit_id}) refuses {function.replace('_', ' ')} at 0x{register.address:04X} "
-                f"({register.name}): Modbus exception {code}, {meaning}",
-            )
-        return reply
-
-
-def _brief(error: Exception) -> str:
-    return str(error).removeprefix("Modbus Error: ").split(", continue")[0]
+        return Request(axis, drive.unit_id, name, register.address, len(words), tuple(words))

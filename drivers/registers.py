@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,11 @@ class ProfileError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """One value of the drive. raw = value * scale * counts_per_turn where a scale is given, else raw = value."""
+    """One value of the drive. raw = value * scale * counts_per_turn where a scale is given, else raw = value.
+
+    ``per_count`` false: the scale already is raw a turn, so raw = value * scale. ``least_words``: registers that even
+    a short value takes.
+    """
 
     name: str
     address: int
@@ -29,17 +33,19 @@ class Register:
     low_word_first: bool
     scale: float | None = None
     unit: str = ""
+    per_count: bool = True
+    least_words: int = 1
 
     @property
     def words(self) -> int:
         """Number of 16-bit registers."""
-        return max(_BITS[self.kind] // 16, 1)
+        return max(_BITS[self.kind] // 16, self.least_words)
 
     def encode(self, value: float, counts_per_turn: int) -> list[int]:
         """Return the words of a value (turns, turns/s, turns/s2, or a plain number); ValueError if out of range."""
         if not math.isfinite(value):
             raise ValueError(f"{self.name} = {value} is not finite")
-        raw = round(value * self.scale * counts_per_turn) if self.scale is not None else round(value)
+        raw = round(value * self._factor(counts_per_turn))
         bits = _BITS[self.kind]
         low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if self.kind[0] == "i" else (0, (1 << bits) - 1)
         if not low <= raw <= high:
@@ -56,17 +62,41 @@ class Register:
         raw &= (1 << bits) - 1
         if self.kind[0] == "i" and raw >> (bits - 1):
             raw -= 1 << bits
-        return raw / (self.scale * counts_per_turn) if self.scale is not None else float(raw)
+        return raw / self._factor(counts_per_turn)
+
+    def _factor(self, counts_per_turn: int) -> float:
+        if self.scale is None:
+            return 1.0
+        return self.scale * counts_per_turn if self.per_count else self.scale
 
 
 @dataclass(frozen=True, slots=True)
 class DriveProfile:
-    """Everything that tells one make of drive from another."""
+    """Everything that tells one make of drive from another.
+
+    ``on_open``: registers and what is written to them when the link is opened. ``errors``: plain words of the codes
+    in the register ``error_code``; codes that are single bits may come together.
+    """
 
     name: str
     registers: Mapping[str, Register]
     commands: Mapping[str, int]
     homing_method: int
+    on_open: tuple[tuple[str, int], ...] = ()
+    errors: Mapping[int, str] = field(default_factory=dict)
+
+    def error_text(self, code: int) -> str:
+        """Return what an error code means, the code included."""
+        if not code:
+            return "the drive gives no error code"
+        bits = [1 << i for i in range(code.bit_length()) if code >> i & 1]
+        if code in self.errors:
+            meaning = self.errors[code]
+        elif bits and all(bit in self.errors for bit in bits):
+            meaning = " and ".join(self.errors[bit] for bit in bits)
+        else:
+            meaning = "see the drive's manual"
+        return f"error code 0x{code:04X}, {meaning}"
 
     def __getitem__(self, name: str) -> Register:
         return self.registers[name]
@@ -113,15 +143,24 @@ def load_profile(name_or_path: str) -> DriveProfile:
         raise ProfileError(f"drive profile {path} cannot be read: {error}") from None
     try:
         order = {"little": True, "big": False}[data["word_order"]]
-        registers = {
-            key: Register(key, int(r["address"]), r["type"], order, _scale(r), r.get("unit", ""))
-            for key, r in data["registers"].items()
-        }
-        profile = DriveProfile(data["name"], registers, dict(data["commands"]), int(data["homing"]["method"]))
+        least_words = int(data.get("least_words", 1))
+        registers = {key: _register(key, r, order, least_words) for key, r in data["registers"].items()}
+        commands = {name: int(word) for name, word in data["commands"].items()}
+        if "quick_stop" in commands:
+            commands.setdefault("abort", commands["quick_stop"])
+        profile = DriveProfile(
+            data["name"],
+            registers,
+            commands,
+            int(data["homing"]["method"]),
+            tuple((write["register"], int(write["value"])) for write in data.get("on_open", [])),
+            {int(code, 0): str(text) for code, text in data.get("errors", {}).items()},
+        )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ProfileError(f"drive profile {path} lacks or misspells {error}") from None
     missing = [r for r in REQUIRED_REGISTERS if r not in registers]
     missing += [c for c in REQUIRED_COMMANDS if c not in profile.commands]
+    missing += [f"the register {name} of [[on_open]]" for name, _ in profile.on_open if name not in registers]
     if missing:
         raise ProfileError(f"drive profile {path} lacks {', '.join(missing)}")
     for register in registers.values():
@@ -133,6 +172,15 @@ def load_profile(name_or_path: str) -> DriveProfile:
     return profile
 
 
-def _scale(register: Mapping[str, Any]) -> float | None:
-    scale = register.get("scale")
-    return None if scale is None else float(scale)
+def _register(name: str, entry: Mapping[str, Any], low_word_first: bool, least_words: int) -> Register:
+    scale = entry.get("scale")
+    return Register(
+        name,
+        int(entry["address"]),
+        entry["type"],
+        low_word_first,
+        None if scale is None else float(scale),
+        entry.get("unit", ""),
+        bool(entry.get("per_count", True)),
+        least_words,
+    )

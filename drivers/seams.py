@@ -33,13 +33,18 @@ class AxisLimits:
 
 @dataclass(frozen=True, slots=True)
 class AxisState:
-    """Readback of one axis: angle and rate, each with the middle of its own round trip, and its half-width."""
+    """Readback of one axis: angle and rate, each with the middle of its own round trip, and its half-width.
+
+    A controller that only tells a mean rate gives the time that it is the mean of as ``rate_window_ns``; the rate's
+    instant is then the middle of that.
+    """
 
     angle_t_ns: int
     angle_rad: float
     rate_t_ns: int
     rate_rps: float
     half_width_ns: int
+    rate_window_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +72,15 @@ class ImuBlock:
     temperature_c: Floats
     counter: Stamps | None = None
     accel_mps2: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What a device says it is; empty where its protocol does not say."""
+
+    model: str = ""
+    serial: str = ""
+    firmware: str = ""
 
 
 @dataclass(slots=True)
@@ -113,6 +127,9 @@ class FrameLink(Protocol):
     async def receive(self) -> list[Frame]:
         """Return the frames that have come since the last call, waiting for the first; LinkLost if gone."""
 
+    def send(self, frame: Frame) -> None:
+        """Send a frame, whatever its stamp; LinkLost if the bus does not take it."""
+
     def close(self) -> None:
         """Close; twice is once."""
 
@@ -126,6 +143,9 @@ class Turntable(Protocol):
 
     async def open(self) -> None:
         """Connect and see that every axis answers."""
+
+    async def identify(self) -> Identity:
+        """Ask the controller what it is; empty where it cannot be asked."""
 
     async def enable(self) -> None:
         """Bring every axis to holding position under power."""
@@ -147,6 +167,9 @@ class Turntable(Protocol):
 
     async def stop(self) -> None:
         """Bring every axis to rest by a controlled stop and wait for it."""
+
+    async def abort(self) -> None:
+        """Stop every axis at once, as hard as the controller can, and wait for it."""
 
     async def reset_fault(self) -> None:
         """Clear the faults that can be cleared."""
@@ -170,6 +193,9 @@ class ImuSource(Protocol):
 
     async def open(self) -> None:
         """Open the link."""
+
+    async def identify(self) -> Identity:
+        """Ask the device what it is, after ``open`` and before ``blocks``; empty where it cannot be asked."""
 
     def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
         """Yield (source name, block) as they come; LinkLost when the link ends."""

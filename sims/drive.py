@@ -7,6 +7,8 @@ import math
 
 from drivers.cia402 import (
     BIT_12,
+    BIT_13,
+    INTERNAL_LIMIT,
     MODE_HOMING,
     MODE_PROFILE_POSITION,
     MODE_PROFILE_VELOCITY,
@@ -14,17 +16,25 @@ from drivers.cia402 import (
     VOLTAGE_ENABLED,
     DriveState,
 )
+from drivers.registers import DriveProfile
 from sims.table import TableModel
 
 TURN = 2 * math.pi
+_READ_ONLY = ("statusword", "position", "rate", "error_code", "serial_number", "firmware")
 
 
 class Drive:
-    """One drive. Values are in turns, turns/s and turns/s2, as its registers carry them."""
+    """One drive. Values are in turns, turns/s and turns/s2, as its registers carry them.
 
-    def __init__(self, table: TableModel, axis: str, watchdog_s: float) -> None:
+    What the profile has, it does: with a register ``access`` it takes nothing from a master that has not written 1
+    there; with ``node_guard`` it trips after so many milliseconds of silence (0: never). Other registers that it
+    does not know keep what is written to them.
+    """
+
+    def __init__(self, table: TableModel, axis: str, profile: DriveProfile, watchdog_s: float) -> None:
         """Start in Switch-on disabled; ``watchdog_s`` of silence stops the axis (0: never)."""
         self._table, self._axis = table, axis
+        self._errors = profile.errors
         self._state = DriveState.SWITCH_ON_DISABLED
         self._controlword = 0
         self._watchdog_s = watchdog_s
@@ -33,24 +43,16 @@ class Drive:
         self._acknowledged = False
         self._homed = False
         self._homing = False
-        self.values: dict[str, float] = {
-            "mode": MODE_PROFILE_VELOCITY,
-            "target_position": 0.0,
-            "profile_rate": 0.0,
-            "acceleration": 0.0,
-            "deceleration": 0.0,
-            "homing_method": 0,
-            "homing_rate_1": 0.0,
-            "homing_rate_2": 0.0,
-            "target_rate": 0.0,
-        }
+        self.values: dict[str, float] = dict.fromkeys(profile.registers, 0.0)
+        self.values |= {"mode": MODE_PROFILE_VELOCITY, "serial_number": 1.0, "firmware": 1.0}
 
     def heard(self) -> None:
         """Note that the master has said something."""
         self._last_heard_s = self._table.clock()
-        if self._watchdog_s and not self._watching and self._state is DriveState.OPERATION_ENABLED:
+        silence_s = self._silence_s()
+        if silence_s and not self._watching and self._state is DriveState.OPERATION_ENABLED:
             self._watching = True
-            asyncio.get_running_loop().call_later(self._watchdog_s, self._check_silence)
+            asyncio.get_running_loop().call_later(silence_s, self._check_silence)
 
     def read(self, register: str) -> float:
         """Return what a register says now."""
@@ -63,6 +65,8 @@ class Drive:
             return self._table.encoder_turns(self._axis)
         if register == "rate":
             return self._table.rate_rps(self._axis) / TURN
+        if register == "error_code":
+            return self._error_code()
         return self.values[register]
 
     def write(self, register: str, value: float) -> None:
@@ -75,13 +79,17 @@ class Drive:
             if register == "target_rate" and self.values["mode"] == MODE_PROFILE_VELOCITY:
                 self._follow_rate()
 
+    def commanded_by_us(self, register: str) -> bool:
+        """Return whether the master has the command, or is about to take it."""
+        return register == "access" or self.values.get("access", 1.0) == 1.0
+
     def accepts(self, register: str, value: float) -> bool:
         """Return whether a value is within what the drive takes."""
         if register == "mode":
             return value in (MODE_PROFILE_POSITION, MODE_PROFILE_VELOCITY, MODE_HOMING)
         if register in ("target_rate", "profile_rate"):
             return abs(value) * TURN <= self._table.data[self._axis].max_rate_rps * 1.001
-        return register not in ("statusword", "position", "rate")
+        return register not in _READ_ONLY
 
     def _control(self, word: int) -> None:
         before, self._controlword = self._controlword, word
@@ -169,24 +177,45 @@ class Drive:
     def _statusword(self) -> int:
         word = self._state.value[1] | VOLTAGE_ENABLED
         mode = self.values["mode"]
+        tripped = self._table.tripped.get(self._axis, "")
         settled = self._table.motion[self._axis].settled(self._table.clock())
+        if tripped.startswith("limit switch"):
+            word |= INTERNAL_LIMIT
         if settled and not self._homing:
             word |= TARGET_REACHED
         if mode == MODE_HOMING:
             word |= BIT_12 if self._homed else 0
         elif mode == MODE_PROFILE_POSITION:
             word |= BIT_12 if self._acknowledged else 0
+            word |= BIT_13 if tripped == "following error" else 0
         elif self._table.rate_rps(self._axis) == 0.0:
             word |= BIT_12
         return word
 
+    def _error_code(self) -> int:
+        """Return the code of the trip: of the first error that is named like it, else the first of all."""
+        reason = self._table.tripped.get(self._axis)
+        if reason is None:
+            return 0
+        named = [code for code, text in self._errors.items() if text.startswith(reason)]
+        return next(iter([*named, *self._errors]), 0)
+
+    def _silence_s(self) -> float:
+        """Return how long the master may be silent, 0 for ever: the drive's own guard, or the bench's watchdog."""
+        limits = [limit for limit in (self.values.get("node_guard", 0.0) / 1000, self._watchdog_s) if limit]
+        return min(limits, default=0.0)
+
     def _check_silence(self) -> None:
         self._watching = False
-        if self._state is not DriveState.OPERATION_ENABLED:
+        silence_s = self._silence_s()
+        if self._state is not DriveState.OPERATION_ENABLED or not silence_s:
             return
-        remaining = self._last_heard_s + self._watchdog_s - self._table.clock()
+        remaining = self._last_heard_s + silence_s - self._table.clock()
         if remaining > 1e-9:
             self._watching = True
             asyncio.get_running_loop().call_later(remaining, self._check_silence)
-        else:
+        elif silence_s == self._watchdog_s:
             self._release(DriveState.SWITCH_ON_DISABLED)
+        else:
+            self._table.trip(self._axis, "node guarding")
+            self._update()

@@ -1,14 +1,14 @@
-"""The protocol side of the table twin: drives behind a stock pymodbus server."""
+"""The protocol side of the table twin: drives behind a stock pymodbus server, on TCP or RTU."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 
 from pymodbus.constants import ExcCodes
-from pymodbus.server import ModbusTcpServer
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+from drivers.modbus_line import Address, SerialPort
 from drivers.registers import DriveProfile, Register
 from sims.drive import Drive
 from sims.table import TableModel
@@ -39,6 +39,8 @@ class DriveRegisters:
                 words[offset : offset + register.words] = register.encode(value, self._counts)
             else:
                 value = register.decode([int(w) for w in new[done : done + register.words]], self._counts)
+                if not self._drive.commanded_by_us(register.name):
+                    return ExcCodes.DEVICE_FAILURE
                 if not self._drive.accepts(register.name, value):
                     return ExcCodes.ILLEGAL_VALUE
                 self._drive.write(register.name, value)
@@ -47,18 +49,18 @@ class DriveRegisters:
 
 
 def modbus_server(
-    table: TableModel,
-    profile: DriveProfile,
-    unit_ids: Mapping[str, int],
-    address: tuple[str, int],
-    watchdog_s: float,
-) -> ModbusTcpServer:
-    """Return a server, not yet listening, with one unit id an axis."""
+    table: TableModel, profile: DriveProfile, unit_ids: Mapping[str, int], address: Address, watchdog_s: float
+) -> ModbusTcpServer | ModbusSerialServer:
+    """Return a server, not yet listening, with one unit id an axis; at a host and port, or on a serial line."""
     devices = []
     low = min(r.address for r in profile.registers.values())
     high = max(r.address + r.words for r in profile.registers.values())
     for axis, unit_id in unit_ids.items():
-        registers = DriveRegisters(Drive(table, axis, watchdog_s), profile, table.data[axis].counts_per_turn)
+        registers = DriveRegisters(Drive(table, axis, profile, watchdog_s), profile, table.data[axis].counts_per_turn)
         block = SimData(low, count=high - low, datatype=DataType.REGISTERS)
-        devices.append(SimDevice(unit_id, simdata=[block], action=partial(registers.act)))
-    return ModbusTcpServer(devices, address=address)
+        devices.append(SimDevice(unit_id, simdata=[block], action=registers.act))
+    if not isinstance(address, SerialPort):
+        return ModbusTcpServer(devices, address=address)
+    return ModbusSerialServer(
+        devices, port=address.port, baudrate=address.baud, parity=address.parity, stopbits=address.stop_bits
+    )

@@ -1,4 +1,4 @@
-"""Twin of a STIM300: its gyros as rate-and-temperature datagrams on a byte link."""
+"""Twin of a STIM300: its gyros as normal datagrams on a byte link, and its answers to commands."""
 
 from __future__ import annotations
 
@@ -6,45 +6,280 @@ import asyncio
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from drivers.stim300 import GYRO_LSB_DPS, INTERNAL_RATE_HZ, TEMPERATURE_LSB_C, Datagrams, encode
+from drivers.stim300 import (
+    ASK_BIAS_TRIM,
+    ASK_CONFIGURATION,
+    ASK_EXTENDED_ERROR,
+    ASK_PART_NUMBER,
+    ASK_SERIAL_NUMBER,
+    INCLINOMETER_LSB_G,
+    INTERNAL_RATE_HZ,
+    LAYOUTS,
+    RESET,
+    SERVICE_MODE,
+    STATUS_AXES,
+    STATUS_OVERLOAD,
+    STATUS_START_UP,
+    TEMPERATURE_LSB_C,
+    UTILITY_MODE,
+    Datagrams,
+    encode,
+    encode_special,
+)
+from drivers.stim300_special import BiasTrim, ExtendedError, PartNumber, SerialNumber, Special
+from drivers.stim300_units import ACCEL_LSB_G, UNITS
+from drivers.stim300_utility import DATAGRAM_CODES, UtilityMessage, encode_message
 from sims.gyro import GyroArray
+from sims.stim300_output import GyroOutput
+from sims.stim300_settings import Refused, Settings, banner, service_lines, utility_reply
 
-_RATE_AND_TEMPERATURE = 0x94
-_GYRO_LIMIT = (1 << 23) - 1
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
 _BURST_S = 0.01
+_START_UP_TICKS = INTERNAL_RATE_HZ // 2
+_LONGEST_LINE = 200
+_GYRO_OVERLOAD_BIT = 101  # of x in the extended error register
 
 
 class Stim300Device:
-    """Sends datagrams in bursts of about 10 ms, as an operating system hands them over."""
+    """Sends datagrams in bursts of about 10 ms, as an operating system hands them over.
 
-    def __init__(self, gyros: GyroArray, write: Callable[[bytes], None], rate_hz: int) -> None:
-        """``rate_hz`` is one of the device's own rates."""
-        self._gyros, self._write, self._rate_hz = gyros, write, rate_hz
+    Fault knobs are plain attributes, to be set at any time.
+    """
+
+    def __init__(
+        self,
+        gyros: GyroArray,
+        write: Callable[[bytes], None],
+        rate_hz: int,
+        *,
+        identifier: int = 0x94,
+        gyro_unit: str = "rate",
+        accel_range_g: int = 10,
+        line_termination: bool = False,
+        serial: str = "N25582405002002",
+        part_number: str = "84167-440000-3321",
+        specific_force_g: Callable[[Floats], Floats] | None = None,
+        clock_ppm: float = 0.0,
+        cold: bool = False,
+        seed: int = 0,
+    ) -> None:
+        """``rate_hz`` is one of the device's own rates, at which the gyros were made too.
+
+        ``specific_force_g`` gives what accelerometers and inclinometers sense (n, 3) at instants (n,), 1 g along z
+        if left out. A clock with ``clock_ppm`` above 0 runs fast. A ``cold`` device is powered on when served: it
+        names itself and its first half second carries the start-up bit; else it has been on for long.
+        """
+        if identifier not in DATAGRAM_CODES.values():
+            raise ValueError(f"{identifier:02X} is no datagram of today's firmware")
+        self.settings = Settings(
+            rate_hz,
+            identifier,
+            next(code for code, name in UNITS.items() if name == gyro_unit),
+            accel_range_g,
+            line_termination,
+            serial,
+            part_number,
+        )
+        self._write, self._base_hz = write, rate_hz
+        self._temperature_c = gyros.temperature_c
+        self._force_g = specific_force_g or _level
+        self._output = GyroOutput(gyros.sample, rate_hz)
+        self._period_s = 1 / (rate_hz * (1 + clock_ppm * 1e-6))
+        self._random = np.random.default_rng(seed)
+        self._mode = "normal"
+        self._typed = b""
+        self._answers: list[bytes] = []
+        self._replaced = 0  # normal datagrams that answers still stand in for
+        self._ticks = self._start_up_until = 0
+        self._errors = 0
+        self._held: Ints = np.zeros(3, dtype=np.int64)
+        self.stuck_gyro: int | None = None
+        """Gyro (0 to 2) whose output stays what it was."""
+        self.overload_gyro: int | None = None
+        """Gyro that the status calls overloaded."""
+        self.drop_share = 0.0
+        """Share of samples that are not sent."""
+        self.double_share = 0.0
+        """Share of samples that are sent twice."""
+        self.dropped = self.doubled = 0
+        if cold:
+            self.reset()
+
+    @property
+    def saturated_gyro(self) -> int | None:
+        """Gyro whose output is pegged at its range, without a word in the status."""
+        return self._output.saturated
+
+    @saturated_gyro.setter
+    def saturated_gyro(self, gyro: int | None) -> None:
+        self._output.saturated = gyro
+
+    def reset(self) -> None:
+        """Start anew as after power-on: part number, serial number, configuration, then samples of a start-up."""
+        own = self.settings
+        self._mode, self._replaced, self._ticks = "normal", 0, 0
+        self._start_up_until = _START_UP_TICKS
+        names = (PartNumber(own.part_number, own.revision), SerialNumber(own.serial), own.configuration())
+        self._answers = [self._special(value) for value in names]
+
+    def received(self, data: bytes) -> None:
+        """Take bytes from the host, cut anywhere."""
+        self._typed += data
+        while b"\r" in self._typed:
+            line, _, self._typed = self._typed.partition(b"\r")
+            if self._mode == "normal":
+                self._command(line + b"\r")
+            elif self._mode == "utility":
+                self._utility(line)
+            else:
+                self._service(line)
+        self._typed = self._typed[-_LONGEST_LINE:]
 
     async def serve(self) -> None:
         """Send until cancelled."""
         loop = asyncio.get_running_loop()
-        start = loop.time()
-        burst = max(round(self._rate_hz * _BURST_S), 1)
-        sent = 0
+        start, sent = loop.time(), 0
+        burst = max(round(self._base_hz * _BURST_S), 1)
+        tick = INTERNAL_RATE_HZ // self._base_hz
         while True:
-            index = np.arange(sent + 1, sent + 1 + burst)
-            at = start + index / self._rate_hz
+            at = np.asarray(start + np.arange(sent + 1, sent + 1 + burst) * self._period_s, dtype=np.float64)
             await asyncio.sleep(max(float(at[-1]) - loop.time(), 0.0))
-            raw = np.round(np.degrees(self._gyros.sample(at)) / GYRO_LSB_DPS).astype(np.int64)
-            temperature = round(self._gyros.temperature_c(float(at[-1])) / TEMPERATURE_LSB_C)
-            zeros = np.zeros(burst, dtype=np.int64)
-            self._write(
-                encode(
-                    Datagrams(
-                        _RATE_AND_TEMPERATURE,
-                        np.clip(raw, -_GYRO_LIMIT - 1, _GYRO_LIMIT),
-                        zeros,
-                        index * (INTERNAL_RATE_HZ // self._rate_hz),
-                        zeros,
-                        temperatures=np.full((burst, 1, 3), temperature),
-                    )
-                )
-            )
             sent += burst
+            ticks = self._ticks + tick * np.arange(1, burst + 1)
+            self._ticks = int(ticks[-1])
+            data = self._burst(at, ticks)
+            if data:
+                self._write(data)
+
+    def _burst(self, at: Floats, ticks: Ints) -> bytes:
+        """Return what is sent for these instants: answers first, then the samples they did not take the place of."""
+        own = self.settings
+        step = INTERNAL_RATE_HZ // own.rate_hz
+        first = int(ticks[0]) - INTERNAL_RATE_HZ // self._base_hz
+        wanted = np.arange(first // step + 1, int(ticks[-1]) // step + 1, dtype=np.int64) * step
+        raw, over = self._output.at(at, ticks, wanted, own.gyro_unit, own.rate_hz)
+        if self.stuck_gyro is not None:
+            raw[:, self.stuck_gyro] = self._held[self.stuck_gyro]
+        if len(raw):
+            self._held = raw[-1]
+        if self._mode != "normal":
+            return b""
+        answers, self._answers = b"".join(self._answers), []
+        skipped = min(self._replaced, len(wanted))
+        self._replaced -= skipped
+        rows = np.repeat(np.arange(skipped, len(wanted)), self._copies(len(wanted) - skipped))
+        if not len(rows):
+            return answers
+        status = self._status(wanted, over)[rows]
+        force = self._force_g(at)[np.minimum(np.searchsorted(ticks, wanted[rows]), len(ticks) - 1)]
+        return answers + self._datagrams(raw[rows], status, wanted[rows], force, float(at[-1]))
+
+    def _copies(self, count: int) -> Ints:
+        """Return how often each of so many samples is sent."""
+        copies = np.ones(count, dtype=np.int64)
+        if self.drop_share or self.double_share:
+            dropped = self._random.random(count) < self.drop_share
+            doubled = ~dropped & (self._random.random(count) < self.double_share)
+            copies += doubled
+            copies -= dropped
+            self.dropped += int(dropped.sum())
+            self.doubled += int(doubled.sum())
+        return copies
+
+    def _status(self, wanted: Ints, over: NDArray[np.bool_]) -> Ints:
+        """Return the status byte of the gyros at each tick."""
+        if self.overload_gyro is not None:
+            over[:, self.overload_gyro] = True
+        status = np.where(wanted <= self._start_up_until, STATUS_START_UP, 0)
+        if over.any():
+            status |= over @ np.array(STATUS_AXES) + STATUS_OVERLOAD * over.any(axis=1)
+            self._errors |= sum(1 << (_GYRO_OVERLOAD_BIT + axis) for axis in np.flatnonzero(over.any(axis=0)).tolist())
+        return status
+
+    def _datagrams(self, raw: Ints, status: Ints, ticks: Ints, force_g: Floats, t_s: float) -> bytes:
+        own = self.settings
+        layout = LAYOUTS[own.identifier]
+        n, zeros = len(raw), np.zeros(len(raw), dtype=np.int64)
+        temperature = round(self._temperature_c(t_s) / TEMPERATURE_LSB_C)
+        start_up = status & STATUS_START_UP
+        accel = np.round(force_g / ACCEL_LSB_G[own.accel_range_g]).astype(np.int64)
+        incl = np.round(force_g / INCLINOMETER_LSB_G).astype(np.int64)
+        temperatures = np.full((n, layout.clusters, 3), temperature)
+        since_pps = (ticks % INTERNAL_RATE_HZ) * (1_000_000 // INTERNAL_RATE_HZ)
+        return encode(
+            Datagrams(
+                identifier=own.identifier,
+                gyro=raw,
+                gyro_status=status,
+                counter=ticks,
+                latency_us=zeros,
+                accelerometer=accel,
+                accelerometer_status=start_up,
+                inclinometer=incl,
+                inclinometer_status=start_up,
+                temperatures=temperatures,
+                temperature_status=np.tile(start_up[:, None], layout.clusters),
+                extra=since_pps,
+                extra_status=start_up,
+            ),
+            line_termination=own.line_termination,
+        )
+
+    def _special(self, value: Special) -> bytes:
+        return encode_special(value, line_termination=self.settings.line_termination)
+
+    def _command(self, line: bytes) -> None:
+        """Obey a command of normal mode; what is none is passed over without a word."""
+        own = self.settings
+        values: dict[bytes, Special] = {
+            ASK_PART_NUMBER: PartNumber(own.part_number, own.revision),
+            ASK_SERIAL_NUMBER: SerialNumber(own.serial),
+            ASK_CONFIGURATION: own.configuration(),
+            ASK_BIAS_TRIM: BiasTrim(saves_left=own.saves_left),
+            ASK_EXTENDED_ERROR: ExtendedError(self._errors),
+        }
+        if line in values:
+            self._answers.append(self._special(values[line]))
+            self._replaced += 1
+        if line == ASK_EXTENDED_ERROR:
+            self._errors = 0
+        elif line == RESET:
+            self.reset()
+        elif line == SERVICE_MODE:
+            self._mode = "service"
+            self._print(banner(own))
+        elif line == UTILITY_MODE:
+            self._mode = "utility"
+            self._write(encode_message(UtilityMessage(True, ("UTILITYMODE",))))
+
+    def _utility(self, line: bytes) -> None:
+        reply = utility_reply(self.settings, line)
+        if reply is not None:
+            self._write(encode_message(reply))
+            if reply.name == "xn" and reply.status == 0:
+                self._mode = "normal"
+
+    def _service(self, line: bytes) -> None:
+        self._write(line + b"\r")
+        try:
+            lines = service_lines(self.settings, line.decode("latin-1").strip()) if line.strip() else []
+        except Refused as refusal:
+            lines = [str(refusal)]
+        if lines and lines[0].startswith("SYSTEM RETURNING"):
+            self._write(lines[0].encode("ascii") + b"\r")
+            self._mode = "normal"
+            if "INIT" in lines[0]:
+                self.reset()
+        else:
+            self._print(lines)
+
+    def _print(self, lines: list[str]) -> None:
+        self._write("\r".join([*lines, ">"]).encode("ascii") if lines else b"\r>")
+
+
+def _level(t_s: Floats) -> Floats:
+    return np.tile([0.0, 0.0, 1.0], (len(t_s), 1))

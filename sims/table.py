@@ -14,6 +14,8 @@ from sims.motion import AxisMotion
 
 Floats = NDArray[np.float64]
 
+FOLLOWING_ERROR = "following error"  # reason of a trip by which the servo itself gives up
+
 
 @dataclass(frozen=True, slots=True)
 class AxisData:
@@ -43,6 +45,7 @@ class TableModel:
             for name, data in axes.items()
         }
         self.tripped: dict[str, str] = {}
+        self.pressed: dict[str, int] = {}  # limit switches: 1 forward, -1 reverse
         # Encoders count from where they were switched on until a homing run zeroes them at home.
         self._zero = {name: data.start_angle_rad for name, data in axes.items()}
 
@@ -93,3 +96,13 @@ class TableModel:
         """Pull the fault input of an axis: it brakes by itself and its drive goes to fault."""
         self.tripped[axis] = reason
         self.stop(axis)
+
+    def press_limit(self, axis: str, direction: int) -> None:
+        """Press the limit switch of a direction, 1 or -1: an axis that turns that way brakes by itself."""
+        self.pressed[axis] = direction
+        if self.rate_rps(axis) * direction > 0:
+            self.stop(axis)
+
+    def release_limit(self, axis: str) -> None:
+        """Let go of the limit switch of an axis."""
+        self.pressed.pop(axis, None)

@@ -22,6 +22,7 @@ _MODULES = {
     "twin": "station.commands",
     "calibrate": "station.calibrate_command",
     "import": "station.commands",
+    "check": "station.check_command",
     "effects": "station.effects_command",
     "investigate": "station.investigate_command",
     "loop": "station.loop_command",
@@ -88,6 +89,17 @@ def _parser() -> argparse.ArgumentParser:
     twin.add_argument("--seed", type=_seed, help="seed of the twins' noise, instead of the bench file's")
     twin.add_argument("--host", default="127.0.0.1", help="address to listen on; default: 127.0.0.1")
     twin.add_argument("--port", type=int, default=0, help="Modbus TCP port; default: any free one")
+
+    check = commands.add_parser(
+        "check",
+        help="see that everything on a bench answers",
+        description="Open every device of a bench, ask what it is, read the table and listen to each source for two"
+        " seconds; say what is wrong and what to do. Nothing moves. Exit code 4 if something is wrong.",
+    )
+    check.add_argument("bench", nargs="?", metavar="BENCH", help="bench file (.toml); default: the built-in bench")
+    _device_options(check)
+    check.add_argument("--scale", type=_positive, metavar="F", help="twins run F times as fast as real time")
+    check.add_argument("--json", action="store_true", help="print the result as one JSON object")
 
     calibrate = commands.add_parser(
         "calibrate",
@@ -331,6 +343,10 @@ def _study_options(parser: argparse.ArgumentParser, *, seeds: int) -> None:
 
 def _bench_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bench", metavar="FILE", help="bench file (.toml); default: the built-in twins")
+    _device_options(parser)
+
+
+def _device_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--link",
         action="append",

@@ -78,7 +78,7 @@ def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
     model.made(bench.table.gimbals, frozenset({"gimbals", "specific force", "temperature"}))
     if model.needs_temperature:
         for imu in bench.imus:
-            if imu.used and imu.protocol == "can" and any(temperature is None for _, temperature in imu.signals):
+            if imu.used and not imu.knows_temperature:
                 raise UsageError(
                     f"{arguments.model} has effects of temperature, and {imu.name} states no temperature signal: name "
                     "it in the channels of the bench file, or run without --model"

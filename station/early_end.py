@@ -13,7 +13,8 @@ from estimator.budget import table_budget
 from estimator.coloured import FEWEST_BLOCKS, NoiseGrid, Part, coarse, combine, fit_grids, weights
 from estimator.model import decode
 from estimator.reference import TableReadings
-from station.bench import Bench, ImuConfig, Limits
+from station.bench import Bench, Limits
+from station.bench_imu import ImuConfig
 from station.errors import UsageError
 from station.live import LiveEstimate, LiveSource
 

@@ -23,7 +23,8 @@ from estimator.model import STATES, regressor_maps
 from estimator.planning import UNSEEN, weighed
 from estimator.reference import TableReadings
 from estimator.rows import BLOCK_S
-from station.bench import Bench, ImuConfig
+from station.bench import Bench
+from station.bench_imu import ImuConfig
 from station.errors import UsageError
 from station.outcome import Outcome
 from station.plan import make_plan

@@ -11,14 +11,15 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.errors import DeviceError, LinkLost
-from drivers.seams import ImuBlock
+from drivers.seams import Identity, ImuBlock
 from estimator.calibrate import calibrate
 from estimator.calibration import Calibration
 from estimator.error_model import ErrorModel
@@ -37,6 +38,8 @@ from station.script import Script
 from station.sequencer import Sequencer
 from station.snapshot import Snapshot
 from station.table_watch import check_axes, watch_table
+
+Floats = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 
@@ -147,9 +150,8 @@ class Session:
     def _add_sources(self, imu: OpenImu) -> None:
         config = imu.config
         noise_rps = config.arw_rps_rthz * np.sqrt(config.rate_hz)
-        one_each = len(imu.source.names) == len(config.array)
-        for i, name in enumerate(imu.source.names):
-            array = config.array.select([i]) if one_each else config.array
+        for name, gyros in config.gyros_of(imu.source.names).items():
+            array = config.array.select(gyros)
             noise = [config.noise.arw, config.noise.instability, config.noise.walk]
             stated = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
             self._writer.add_source(name, array, config.prior, stated)
@@ -165,8 +167,12 @@ class Session:
             services = [group.create_task(self._keep_flushing())]
             await table.open()
             self._connected = True
+            self._writer.set_attributes(_identity("table_", await table.identify()))
             for imu in self._open.imus:
                 await imu.source.open()
+                told = _identity("", await imu.source.identify())
+                for name in imu.source.names:
+                    self._writer.set_source(name, told)
                 services.append(group.create_task(self._acquire(imu)))
             await self._first_samples()
             services.append(group.create_task(self._watch_silence()))
@@ -223,8 +229,13 @@ class Session:
         if block.counter is not None:
             self._writer.append(f"{where}/counter", block.counter)
         if block.accel_mps2 is not None:
-            self._writer.append(f"{where}/accel_mps2", block.accel_mps2)
+            self._writer.append(f"{where}/accel_mps2", self._in_body_axes(name, block.accel_mps2))
         self._live.sources[name].add(block)
+
+    def _in_body_axes(self, name: str, accel_mps2: Floats) -> Floats:
+        """Return specific force (n, 3) along the body's axes; a device tells it along those of its three gyros."""
+        p = self._live.sources[name].array.p
+        return np.asarray(np.linalg.solve(p, accel_mps2.T).T) if p.shape == (3, 3) else accel_mps2
 
     def _take_row(self, row: tuple[int, Any, Any]) -> None:
         t_ns, angle_rad, rate_rps = row
@@ -407,6 +418,11 @@ def _attributes(bench: OpenBench, script: Script, seed: int) -> dict[str, Any]:
         attributes["site_latitude_rad"] = config.site.latitude_rad
         attributes["site_heading_rad"] = config.site.heading_rad
     return attributes
+
+
+def _identity(prefix: str, identity: Identity) -> dict[str, Any]:
+    """Return as attributes what a device says it is."""
+    return {f"{prefix}{key}": value for key, value in asdict(identity).items() if value}
 
 
 @contextmanager

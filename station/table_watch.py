@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import statistics
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -23,41 +24,84 @@ _ALWAYS_QUICK_NS = 1_000_000
 _IDLE_EVERY = 4  # while an axis turns, another is looked at in every so many-th reading
 
 
+_STRAIGHT_RPS = math.radians(0.02)  # by which mean rates may bend where a ramp's corner is not
+
+
 class Aligner:
     """Turns readings of single axes, each at its own instant, into rows at one instant.
 
-    An angle is carried to the row's instant by its rate, a rate by interpolation towards the reading before or
-    after, so a row is given one reading later.
+    An angle is carried to the row's instant by the rate, a rate by interpolation between readings. A row is given
+    when the rates around it are known: one reading later, or as many as a rate that is a mean lags behind. Around
+    the corners of ramps a mean rate is not the rate: such rows are left out.
     """
 
     def __init__(self, axes: tuple[str, ...]) -> None:
         """Columns are ordered as ``axes``."""
         self._axes = axes
-        self._readings: list[dict[str, AxisState]] = []
+        self._readings: deque[dict[str, AxisState]] = deque()
+        self._next = 0  # index of the reading whose row is given next
 
-    def add(self, states: Mapping[str, AxisState]) -> tuple[int, Floats, Floats] | None:
-        """Take in one reading of all axes; return the row (t_ns, angles, rates) of the one before, if any."""
+    def add(self, states: Mapping[str, AxisState]) -> list[tuple[int, Floats, Floats]]:
+        """Take in one reading of all axes; return the rows (t_ns, angles, rates) that are known now."""
         self._readings.append(dict(states))
-        return self._row(-2) if len(self._readings) >= 2 else None
+        rows = []
+        while self._next < len(self._readings) - 1 and self._rates_reach(self._next):
+            rows += self._row(self._next)
+            self._next += 1
+        self._forget()
+        return rows
 
-    def last(self) -> tuple[int, Floats, Floats] | None:
-        """Return the row of the last reading, when no other will come."""
-        return self._row(-1) if self._readings else None
+    def last(self) -> list[tuple[int, Floats, Floats]]:
+        """Return the rows of the readings that are left, when no other will come."""
+        return [row for index in range(self._next, len(self._readings)) for row in self._row(index)]
 
-    def _row(self, index: int) -> tuple[int, Floats, Floats]:
-        states = self._readings[index]
-        stamps = [t for s in states.values() for t in (s.angle_t_ns, s.rate_t_ns)]
-        at_ns = sum(stamps) // len(stamps)
+    def _at_ns(self, index: int) -> int:
+        states = self._readings[index].values()
+        if any(state.rate_window_ns for state in states):
+            return sum(state.angle_t_ns for state in states) // len(states)
+        stamps = [t for state in states for t in (state.angle_t_ns, state.rate_t_ns)]
+        return sum(stamps) // len(stamps)
+
+    def _rates_reach(self, index: int) -> bool:
+        """Return whether rates up to the row's instant, and half the time that they are means of, are known."""
+        window = max(state.rate_window_ns for state in self._readings[index].values())
+        if not window:
+            return True
+        return min(state.rate_t_ns for state in self._readings[-1].values()) >= self._at_ns(index) + window // 2
+
+    def _row(self, index: int) -> list[tuple[int, Floats, Floats]]:
+        """Return the row of a reading, or nothing where its rates are not known."""
+        at_ns = self._at_ns(index)
         angles = np.empty(len(self._axes))
         rates = np.empty(len(self._axes))
         for column, axis in enumerate(self._axes):
-            state = states[axis]
-            series = [(r[axis].rate_t_ns, r[axis].rate_rps) for r in self._readings]
-            times = np.array([t - at_ns for t, _ in series], dtype=np.float64)
-            rates[column] = np.interp(0.0, times, [rate for _, rate in series])
-            angles[column] = state.angle_rad + state.rate_rps * (at_ns - state.angle_t_ns) * 1e-9
-        self._readings = self._readings[-2:]
-        return at_ns, angles, rates
+            state = self._readings[index][axis]
+            times = np.array([r[axis].rate_t_ns - at_ns for r in self._readings], dtype=np.float64)
+            series = np.array([r[axis].rate_rps for r in self._readings])
+            if state.rate_window_ns and _bent(times, series, state.rate_window_ns):
+                return []
+            rates[column] = np.interp(0.0, times, series)
+            rate = rates[column] if state.rate_window_ns else state.rate_rps
+            angles[column] = state.angle_rad + rate * (at_ns - state.angle_t_ns) * 1e-9
+        return [(at_ns, angles, rates)]
+
+    def _forget(self) -> None:
+        """Keep the readings whose rates rows to come still need."""
+        window = max(state.rate_window_ns for state in self._readings[-1].values())
+        oldest_ns = self._at_ns(self._next) - 2 * window
+        while self._next > 1 and all(state.rate_t_ns < oldest_ns or not window for state in self._readings[0].values()):
+            self._readings.popleft()
+            self._next -= 1
+
+
+def _bent(times_ns: Floats, rates: Floats, window_ns: int) -> bool:
+    """Return whether mean rates within the window about 0 are no straight line: a ramp began or ended there."""
+    near = np.abs(times_ns) <= window_ns
+    if np.count_nonzero(near) < 3:
+        return False
+    t, rate = times_ns[near] / window_ns, rates[near]
+    line = np.polynomial.Polynomial.fit(t, rate, 1)
+    return bool(np.abs(rate - line(t)).max() > _STRAIGHT_RPS)
 
 
 async def _read_quickly(table: Turntable, axes: list[str], usual_ns: deque[int]) -> dict[str, AxisState] | None:
@@ -112,8 +156,7 @@ async def watch_table(
                 for axis in axes:
                     if axis not in busy:
                         states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns)
-                row = aligner.add(states)
-                if row is not None:
+                for row in aligner.add(states):
                     on_row(row)
             count += 1
             if count % _STATUS_EVERY == 0:
@@ -121,8 +164,7 @@ async def watch_table(
             due_s = max(due_s + period_s, loop.time())
             await asyncio.sleep(due_s - loop.time())
     finally:
-        row = aligner.last()
-        if row is not None:
+        for row in aligner.last():
             on_row(row)
 
 

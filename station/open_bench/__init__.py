@@ -6,22 +6,19 @@ The only package of the station that knows that there are twins.
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
-from typing import Any
-from urllib.parse import parse_qs, urlsplit
 
-from drivers.byte_links import MemoryLink, SerialLink, TcpLink
-from drivers.can_imu import BUILT_IN_DBC, CanChannel, CanImu
 from drivers.can_link import CanLink
-from drivers.can_memory import MemoryBus
-from drivers.modbus_table import DriveAxis, ModbusTable
-from drivers.seams import ByteLink, ImuSource, Turntable
-from drivers.stim300_imu import Stim300Imu
-from station.bench import Bench, ImuConfig
+from drivers.seams import ImuSource, Turntable
+from station.bench import Bench
+from station.bench_imu import ON_CAN, ImuConfig
 from station.errors import BenchError
+from station.open_bench.devices import BAUD, TCP_PORT, byte_imu, byte_table, frame_imu, modbus_table
+from station.open_bench.links import TWIN, byte_link, can_address, modbus_address
+from station.open_bench.serving import serve_twins
 from station.open_bench.simulate import DeviceTruth, Hidden, simulate, simulate_bench
-from station.open_bench.twins import Twins, serve_twins, wires
+from station.open_bench.twins import Twins
 
 __all__ = [
     "TWIN",
@@ -36,8 +33,6 @@ __all__ = [
     "simulate_bench",
     "with_links",
 ]
-
-TWIN = "twin:"
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,80 +89,31 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
         raise BenchError("no device of the bench is used: set used = true, or name one with --device")
     async with AsyncExitStack() as stack:
         twins = Twins(bench, stack)
-        address = (
-            await twins.serve_table_in_memory() if bench.table.link == TWIN else _tcp(bench.table.link, "table", 502)
-        )
-        table = ModbusTable(
-            "table",
-            address,
-            bench.table.profile,
-            {name: DriveAxis(a.unit_id, a.counts_per_turn, a.limits) for name, a in bench.table.axes.items()},
-            bench.table.timeout_s * time_scale,
-        )
-        imus = []
-        for imu in used:
-            source = _can_imu(imu, twins) if imu.protocol == "can" else _stim300(imu, twins, time_scale)
-            imus.append(OpenImu(imu, source))
-        yield OpenBench(bench, table, tuple(imus))
+        table = await _table(bench, twins, time_scale)
+        imus = tuple([OpenImu(imu, await _source(imu, twins, time_scale)) for imu in used])
+        yield OpenBench(bench, table, imus)
 
 
-def _can_imu(imu: ImuConfig, twins: Twins) -> ImuSource:
-    channels = tuple(
-        CanChannel(name, rate, temperature)
-        for name, (rate, temperature) in zip(imu.array.names, imu.signals, strict=True)
+async def _table(bench: Bench, twins: Twins, time_scale: float) -> Turntable:
+    config = bench.table
+    if config.protocol == "modbus":
+        in_memory = config.link == TWIN
+        address = await twins.modbus_in_memory() if in_memory else modbus_address(config.link, "table")
+        return modbus_table(config, address, time_scale)
+    if config.link == TWIN:
+        return byte_table(config, twins.table_in_memory(), time_scale)
+    link = byte_link(
+        config.link, "table", baud=BAUD[config.protocol], time_scale=time_scale, port=TCP_PORT.get(config.protocol)
     )
-    dbc = imu.dbc or BUILT_IN_DBC
+    return byte_table(config, link, time_scale)
+
+
+async def _source(imu: ImuConfig, twins: Twins, time_scale: float) -> ImuSource:
+    if imu.protocol in ON_CAN:
+        if imu.link == TWIN:
+            return frame_imu(imu, twins.bus_in_memory(imu))
+        interface, channel, options = can_address(imu.link, imu.name)
+        return frame_imu(imu, CanLink(imu.name, interface, channel, options))
     if imu.link == TWIN:
-        channel = f"wire{next(wires)}"
-        link = CanLink(imu.name, "memory", channel, {})
-        twins.serve_can(imu, MemoryBus(channel))
-    else:
-        interface, channel, options = _can_address(imu)
-        link = CanLink(imu.name, interface, channel, options)
-    return CanImu(imu.name, link, dbc, channels, imu.rate_hz)
-
-
-def _stim300(imu: ImuConfig, twins: Twins, time_scale: float) -> ImuSource:
-    link: ByteLink
-    if imu.link == TWIN:
-        near, far = MemoryLink.pair(imu.name)
-        twins.serve_stim300(imu, far.write)
-        link = near
-    elif imu.link.startswith("serial:"):
-        url = urlsplit(imu.link)
-        options = parse_qs(url.query)
-        if not url.path or set(options) - {"baud"}:
-            raise BenchError(f"{imu.name}: {imu.link!r} is no serial link: write serial:///dev/ttyUSB0?baud=921600")
-        link = SerialLink(imu.name, url.path, int(options.get("baud", ["921600"])[0]))
-    else:
-        host, port = _tcp(imu.link, imu.name, None)
-        link = TcpLink(imu.name, host, port, 2.0 * time_scale)
-    return Stim300Imu(imu.name, link, round(imu.rate_hz))
-
-
-def _tcp(link: str, device: str, default_port: int | None) -> tuple[str, int]:
-    try:
-        url = urlsplit(link)
-        port = url.port or default_port
-    except ValueError:
-        url, port = urlsplit(""), None
-    if url.scheme != "tcp" or not url.hostname or port is None:
-        raise BenchError(f"{device}: {link!r} is no link it can use: write tcp://host:port, or twin:")
-    return url.hostname, port
-
-
-def _can_address(imu: ImuConfig) -> tuple[str, str, dict[str, Any]]:
-    """Split can:INTERFACE:CHANNEL?option=value; numbers among the options become numbers."""
-    address, _, query = imu.link.partition("?")
-    parts = address.split(":", 2)
-    if len(parts) != 3 or parts[0] != "can" or not parts[1]:
-        raise BenchError(
-            f"{imu.name}: {imu.link!r} is no CAN link: write can:INTERFACE:CHANNEL, for instance can:socketcan:can0"
-        )
-    options: dict[str, Any] = {key: values[0] for key, values in parse_qs(query).items()}
-    for key, value in options.items():
-        with suppress(ValueError):
-            options[key] = float(value) if "." in value else int(value)
-    if parts[1] == "slcan":
-        options.setdefault("sleep_after_open", 0.1)  # python-can waits two seconds for an Arduino's boot
-    return parts[1], parts[2], options
+        return byte_imu(imu, twins.imu_in_memory(imu), time_scale)
+    return byte_imu(imu, byte_link(imu.link, imu.name, baud=BAUD[imu.protocol], time_scale=time_scale), time_scale)

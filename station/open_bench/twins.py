@@ -1,25 +1,31 @@
-"""The twins of a bench: in memory at the far end of a link, or served on real ports."""
+"""The twins of a bench: one table, the controller that turns it, gyros that ride on it and the devices they are in."""
 
 from __future__ import annotations
 
 import asyncio
 import itertools
-import json
 import math
-import os
-import tty
 from collections.abc import Callable, Coroutine
 from contextlib import AsyncExitStack, suppress
 from typing import Any
 
-import can
 import numpy as np
+from numpy.typing import NDArray
 from pymodbus.transport import NULLMODEM_HOST
 
-from drivers.can_imu import BUILT_IN_DBC
-from drivers.errors import DeviceError
+from drivers.byte_links import MemoryLink
+from drivers.can_link import CanLink
+from drivers.can_memory import MemoryBus
+from drivers.errors import DeviceError, LinkLost
+from drivers.modbus_line import Address, SerialPort
+from drivers.seams import ByteLink, FrameLink
+from sims.aceinna_device import AceinnaDevice
+from sims.acutrol_controller import AcutrolController
+from sims.aerosmith_controller import AerosmithController
 from sims.body import Body
 from sims.can_nodes import CanNodes
+from sims.frames import FrameSink
+from sims.galil_controller import GalilController
 from sims.geometry import MOUNTS_DEG, Mounting, along, mounted
 from sims.gyro import GyroArray, GyroTruth
 from sims.hidden import Hidden, HiddenError
@@ -27,19 +33,25 @@ from sims.hidden.table import TableFaults
 from sims.modbus import modbus_server
 from sims.stim300_device import Stim300Device
 from sims.table import AxisData, TableModel
-from station.bench import Bench, ImuConfig
+from sims.vectornav_device import VectorNavDevice
+from sims.wires import ByteDevice, Write
+from sims.xsens_device import XsensDevice
+from station.bench import Bench
+from station.bench_imu import ON_CAN, ImuConfig
 from station.errors import BenchError
 from station.tables import Table
 
-wires = itertools.count(1)
-"""Names of wires in memory, one each within a process."""
+Floats = NDArray[np.float64]
+
+_wires = itertools.count(1)
+_STANDARD_GRAVITY_MPS2 = 9.80665
 
 
 class Twins:
     """The twins of a bench: one table model, gyros that ride on it, and the tasks that serve them."""
 
     def __init__(self, bench: Bench, stack: AsyncExitStack) -> None:
-        self._bench, self._stack = bench, stack
+        self.bench, self._stack = bench, stack
         loop = asyncio.get_running_loop()
         truths = bench.twin.truths.again()
         start = truths.quantities("start", "angle", len(bench.table.gimbals), 0.0)
@@ -60,29 +72,103 @@ class Twins:
             heading,
             directions=faults.directions(bench.table.gimbals),
         )
+        self._wires = self._read_wires(truths)
         self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
         self._read_faults(truths)
         truths.done()
 
-    async def serve_table_in_memory(self) -> tuple[str, int]:
-        address = (NULLMODEM_HOST, next(wires))
-        await self.serve_table(address, self._bench.twin.watchdog_s)
+    async def modbus_in_memory(self) -> Address:
+        """Serve the drives on a wire in memory; return where."""
+        address = (NULLMODEM_HOST, next(_wires))
+        await self.serve_modbus(address, self.bench.twin.watchdog_s)
         return address
 
-    async def serve_table(self, address: tuple[str, int], watchdog_s: float) -> Any:
-        config = self._bench.table
-        units = {name: axis.unit_id for name, axis in config.axes.items()}
+    async def serve_modbus(self, address: Address, watchdog_s: float) -> Any:
+        """Serve the drives at a host and port, or on a serial line; return pymodbus's server."""
+        config = self.bench.table
+        assert config.profile is not None
+        units = {name: int(axis.address) for name, axis in config.axes.items()}
         server = modbus_server(self.table, config.profile, units, address, watchdog_s)
         try:
             await server.serve_forever(background=True)
         except RuntimeError:
-            raise DeviceError("table twin", f"cannot listen on {address[0]}:{address[1]}; is the port free?") from None
+            where = address.port if isinstance(address, SerialPort) else f"{address[0]}:{address[1]}"
+            raise DeviceError("table twin", f"cannot listen on {where}; is the port free?") from None
         self._stack.push_async_callback(server.shutdown)
         return server
 
+    def table_device(self, write: Write, watchdog_s: float) -> ByteDevice:
+        """Return the controller that speaks lines of text."""
+        config = self.bench.table
+        if config.protocol == "galil":
+            letters = {name: str(axis.address) for name, axis in config.axes.items()}
+            return GalilController(self.table, write, letters, watchdog_s=watchdog_s)
+        if config.protocol == "acutrol":
+            numbers = {name: int(axis.address) for name, axis in config.axes.items()}
+            return AcutrolController(self.table, write, numbers, watchdog_s=watchdog_s, prefix_length=config.prefix)
+        return AerosmithController(self.table, write, config.gimbals[0], watchdog_s=watchdog_s)
+
+    def table_in_memory(self) -> ByteLink:
+        """Return the near end of a wire to the controller."""
+        near, far = MemoryLink.pair("table")
+        self._hear(far, self.table_device(far.write, self.bench.twin.watchdog_s))
+        return near
+
+    def imu_device(self, imu: ImuConfig, write: Write) -> ByteDevice:
+        """Return a device that speaks bytes, which sends from now on."""
+        gyros, up = self.gyros(imu), self._up(imu)
+        device: Stim300Device | XsensDevice | VectorNavDevice
+        if imu.protocol == "stim300":
+            device = Stim300Device(gyros, write, round(imu.rate_hz), specific_force_g=up)
+        elif imu.protocol == "xsens":
+            device = XsensDevice(gyros, write, round(imu.rate_hz), specific_force_g=up)
+        else:
+            device = VectorNavDevice(gyros, write, rate_hz=imu.rate_hz, up=up)
+        self.run(device.serve())
+        return device
+
+    def imu_in_memory(self, imu: ImuConfig) -> ByteLink:
+        """Return the near end of a wire to a device that speaks bytes."""
+        near, far = MemoryLink.pair(imu.name)
+        self._hear(far, self.imu_device(imu, far.write))
+        return near
+
+    def bus_device(self, imu: ImuConfig, bus: FrameSink) -> Callable[[Any], None] | None:
+        """Put a device on a bus, where it sends from now on; return what hears the host's frames, if it listens."""
+        up = self._up(imu)
+
+        def force(t_s: Floats) -> Floats:
+            return up(t_s) * _STANDARD_GRAVITY_MPS2
+
+        if imu.can is not None:
+            nodes = CanNodes(self.gyros(imu), bus, imu.can.dbc, imu.can.channels, imu.rate_hz, specific_force=force)
+            self.run(nodes.serve())
+            return None
+        options = imu.options
+        device = AceinnaDevice(
+            self.gyros(imu),
+            bus,
+            imu.rate_hz,
+            model=str(options["model"]),
+            address=int(options["address"]),
+            specific_force=force,
+        )
+        self.run(device.serve())
+        return device.received
+
+    def bus_in_memory(self, imu: ImuConfig) -> FrameLink:
+        """Return the link to a bus in memory with the device on it."""
+        channel = f"wire{next(_wires)}"
+        heard: list[Callable[[Any], None] | None] = [None]
+        bus = MemoryBus(channel, lambda message: heard[0](message) if heard[0] is not None else None)
+        self._stack.callback(bus.shutdown)
+        heard[0] = self.bus_device(imu, bus)
+        return CanLink(imu.name, "memory", channel, {})
+
     def gyros(self, imu: ImuConfig) -> GyroArray:
-        index = [other.name for other in self._bench.imus].index(imu.name)
-        twin = self._bench.twin
+        """Return the gyros of a device, on the table."""
+        index = [other.name for other in self.bench.imus].index(imu.name)
+        twin = self.bench.twin
         try:
             return GyroArray(
                 mounting_of(imu),
@@ -96,15 +182,8 @@ class Twins:
         except HiddenError as error:
             raise BenchError(f"{twin.hidden}: {imu.name}: {error}") from None
 
-    def serve_can(self, imu: ImuConfig, bus: can.BusABC) -> None:
-        self._stack.callback(bus.shutdown)
-        nodes = CanNodes(self.gyros(imu), bus, imu.dbc or BUILT_IN_DBC, imu.signals, imu.rate_hz)
-        self._run(nodes.serve())
-
-    def serve_stim300(self, imu: ImuConfig, write: Callable[[bytes], None]) -> None:
-        self._run(Stim300Device(self.gyros(imu), write, round(imu.rate_hz)).serve())
-
-    def _run(self, twin: Coroutine[Any, Any, None]) -> None:
+    def run(self, twin: Coroutine[Any, Any, None]) -> None:
+        """Let a twin work until the bench is closed."""
         task = asyncio.get_running_loop().create_task(twin)
 
         async def end() -> None:
@@ -114,12 +193,38 @@ class Twins:
 
         self._stack.push_async_callback(end)
 
+    def wire(self, device: str) -> str:
+        """Return what a device is served on."""
+        return self._wires[device]
+
+    def _read_wires(self, truths: Table) -> dict[str, str]:
+        table = truths.table("wires", optional=True)
+        wires = {"table": table.string("table", "tcp", one_of=("tcp", "serial"))}
+        for imu in self.bench.imus:
+            known = ("udp_multicast", "slcan", "socketcand") if imu.protocol in ON_CAN else ("serial", "tcp")
+            wires[imu.name] = table.string(imu.name, known[0], one_of=known)
+        table.done()
+        return wires
+
+    def _up(self, imu: ImuConfig) -> Callable[[Floats], Floats]:
+        """Return the direction up along the axes of a device (n, 3), which are those of its first three gyros."""
+        p = mounting_of(imu).p[:3]
+        return lambda t_s: self._body.up(t_s) @ p.T
+
+    def _hear(self, far: MemoryLink, device: ByteDevice) -> None:
+        async def listen() -> None:
+            with suppress(LinkLost):
+                while True:
+                    device.received((await far.receive()).data)
+
+        self.run(listen())
+
     def _read_faults(self, truths: Table) -> None:
         """Arm the fault input of one axis, for trying what the station does about it."""
         if not truths.has("fault"):
             return
         fault = truths.table("fault")
-        axis = fault.string("axis", one_of=self._bench.table.axes)
+        axis = fault.string("axis", one_of=self.bench.table.axes)
         at_s = fault.quantity("at", "time")
         fault.done()
         loop = asyncio.get_running_loop()
@@ -160,57 +265,3 @@ def mounting_of(imu: ImuConfig) -> Mounting:
     # Explicit axes are what the bench file says, for the twin as for the estimator.
     explicit = Mounting(imu.array.p, imu.array.j, imu.array.k)
     return explicit if imu.array_name == "explicit" else along(imu.array.p.tolist())
-
-
-async def serve_twins(
-    bench: Bench, *, time_scale: float, host: str, port: int, announce: Callable[[str], None]
-) -> None:
-    """Serve every twin of the bench on real ports until cancelled; announce each address as a line of JSON."""
-    async with AsyncExitStack() as stack:
-        twins = Twins(bench, stack)
-        server = await twins.serve_table((host, port), bench.twin.watchdog_s * time_scale)
-        bound = server.transport.sockets[0].getsockname()
-        announce(
-            json.dumps(
-                {
-                    "device": "table",
-                    "link": f"tcp://{bound[0]}:{bound[1]}",
-                    "protocol": "modbus-tcp",
-                    "unit_ids": {name: axis.unit_id for name, axis in bench.table.axes.items()},
-                    "watchdog_s": bench.twin.watchdog_s * time_scale,
-                }
-            )
-        )
-        for imu in bench.imus:
-            if imu.protocol == "can":
-                # A port of its own, so that two stations on one machine do not hear each other's arrays.
-                options = {"port": 43113 + bound[1] % 1000, "hop_limit": 0}
-                bus = can.Bus(interface="udp_multicast", channel="239.74.163.2", **options)
-                twins.serve_can(imu, bus)
-                query = "&".join(f"{key}={value}" for key, value in options.items())
-                link = f"can:udp_multicast:239.74.163.2?{query}"
-            else:
-                link = f"serial://{_serve_on_pty(twins, imu, stack)}"
-            announce(json.dumps({"device": imu.name, "link": link, "protocol": imu.protocol, "rate_hz": imu.rate_hz}))
-        announce(json.dumps({"ready": True, "time_scale": time_scale}))
-        await asyncio.Event().wait()
-
-
-def _serve_on_pty(twins: Twins, imu: ImuConfig, stack: AsyncExitStack) -> str:
-    """Serve a STIM300 on a new pseudo-terminal and return its name.
-
-    The far end is kept open so that the device goes on when a station leaves; what nobody reads is dropped.
-    """
-    ours, theirs = os.openpty()
-    tty.setraw(ours)
-    tty.setraw(theirs)
-    os.set_blocking(ours, False)
-    stack.callback(os.close, ours)
-    stack.callback(os.close, theirs)
-
-    def write(data: bytes) -> None:
-        with suppress(BlockingIOError):
-            os.write(ours, data)
-
-    twins.serve_stim300(imu, write)
-    return os.ttyname(theirs)

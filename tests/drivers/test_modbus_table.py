@@ -5,16 +5,19 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection
 from contextlib import asynccontextmanager
+from dataclasses import replace
+from typing import Any
 
 import pytest
 from pymodbus.transport import NULLMODEM_HOST
 
 from drivers.errors import DeviceFault, DeviceRefused, LinkLost
+from drivers.modbus_line import Address, SerialPort
 from drivers.modbus_table import DriveAxis, ModbusTable
-from drivers.registers import load_profile
-from drivers.seams import AxisLimits
+from drivers.registers import DriveProfile, load_profile
+from drivers.seams import AxisLimits, Identity
 from sims.modbus import modbus_server
 from sims.table import AxisData, TableModel
 from station.loops import ScaledLoop, VirtualLoop
@@ -31,19 +34,41 @@ PROFILE = load_profile("kinco")
 _wires = itertools.count(50_000)
 
 
-def driver(address: tuple[str, int], axes: dict[str, int] = UNIT_IDS, timeout_s: float = 0.2) -> ModbusTable:
+@pytest.fixture(params=["tcp", "rtu"])
+def transport(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def null_modem(transport: str) -> Address:
+    number = next(_wires)
+    return (NULLMODEM_HOST, number) if transport == "tcp" else SerialPort(f"socket://{NULLMODEM_HOST}:{number}")
+
+
+def driver(address: Address, axes: dict[str, int] = UNIT_IDS, timeout_s: float = 0.2) -> ModbusTable:
     limits = AxisLimits(MAX_RATE, MAX_ACCELERATION)
     drives = {axis: DriveAxis(unit_id, COUNTS, limits) for axis, unit_id in axes.items()}
     return ModbusTable("table", address, PROFILE, drives, timeout_s)
 
 
 @asynccontextmanager
-async def twin(watchdog_s: float = 0.0) -> AsyncIterator[tuple[ModbusTable, TableModel]]:
-    """Serve three drives over a null modem and give the driver, opened, and the table beneath."""
+async def twin(
+    transport: str, watchdog_s: float = 0.0, profile: DriveProfile = PROFILE, mute: Collection[int] = ()
+) -> AsyncIterator[tuple[ModbusTable, TableModel]]:
+    """Serve three drives over a null modem and give the driver, opened, and the table beneath.
+
+    What the unit ids in ``mute`` answer gets lost.
+    """
     data = {axis: AxisData(MAX_RATE, MAX_ACCELERATION, COUNTS, start) for axis, start in START_RAD.items()}
     model = TableModel(data, asyncio.get_running_loop().time)
-    address = (NULLMODEM_HOST, next(_wires))
-    server = modbus_server(model, PROFILE, UNIT_IDS, address, watchdog_s)
+    address = null_modem(transport)
+    server = modbus_server(model, profile, UNIT_IDS, address, watchdog_s)
+
+    def connected(is_up: bool) -> None:
+        for handler in server.active_connections.values() if is_up else ():
+            modem: Any = handler.transport
+            modem.set_manipulator(lambda reply: [] if reply[6 if transport == "tcp" else 0] in mute else [reply])
+
+    server.trace_connect = connected
     await server.serve_forever(background=True)
     table = driver(address)
     try:
@@ -68,9 +93,9 @@ async def settle(table: ModbusTable, axis: str, limit_s: float = 60.0) -> None:
             await asyncio.sleep(0.05)
 
 
-def test_enabled_drives_hold_position() -> None:
+def test_enabled_drives_hold_position(transport: str) -> None:
     async def main() -> None:
-        async with twin() as (table, model):
+        async with twin(transport) as (table, model):
             before = await table.status("x")
             assert (before.enabled, before.fault, before.text) == (False, "", "switch on disabled")
             await table.enable()
@@ -83,9 +108,9 @@ def test_enabled_drives_hold_position() -> None:
     virtually(main)
 
 
-def test_homing_brings_every_axis_to_its_index_and_zeroes_its_encoder() -> None:
+def test_homing_brings_every_axis_to_its_index_and_zeroes_its_encoder(transport: str) -> None:
     async def main() -> None:
-        async with twin() as (table, model):
+        async with twin(transport) as (table, model):
             await table.enable()
             assert model.motion["x"].at(model.clock())[0] == START_RAD["x"]
             await table.home()
@@ -99,9 +124,9 @@ def test_homing_brings_every_axis_to_its_index_and_zeroes_its_encoder() -> None:
 
 
 @pytest.mark.parametrize("rate_dps", [20.0, -20.0, 0.5, 100.0, -0.001])
-def test_a_jog_reads_back_its_rate_to_the_last_digit(rate_dps: float) -> None:
+def test_a_jog_reads_back_its_rate_to_the_last_digit(transport: str, rate_dps: float) -> None:
     async def main() -> None:
-        async with twin() as (table, model):
+        async with twin(transport) as (table, model):
             await table.enable()
             await table.home()
             await table.jog("y", rate_dps * DEG, 20 * DEG)
@@ -116,9 +141,9 @@ def test_a_jog_reads_back_its_rate_to_the_last_digit(rate_dps: float) -> None:
     virtually(main)
 
 
-def test_a_ramp_is_as_steep_as_told() -> None:
+def test_a_ramp_is_as_steep_as_told(transport: str) -> None:
     async def main() -> None:
-        async with twin() as (table, model):
+        async with twin(transport) as (table, model):
             await table.enable()
             await table.jog("z", 20 * DEG, 8 * DEG)
             began = asyncio.get_running_loop().time()
@@ -132,9 +157,9 @@ def test_a_ramp_is_as_steep_as_told() -> None:
 
 
 @pytest.mark.parametrize("angle_deg", [90.0, -123.456, 1440.0, 0.01])
-def test_a_move_arrives_at_its_angle(angle_deg: float) -> None:
+def test_a_move_arrives_at_its_angle(transport: str, angle_deg: float) -> None:
     async def main() -> None:
-        async with twin() as (table, model):
+        async with twin(transport) as (table, model):
             await table.enable()
             await table.home()
             await table.move("x", angle_deg * DEG, 80 * DEG, 40 * DEG)
@@ -148,9 +173,9 @@ def test_a_move_arrives_at_its_angle(angle_deg: float) -> None:
     virtually(main)
 
 
-def test_moves_may_follow_one_another_and_a_jog() -> None:
+def test_moves_may_follow_one_another_and_a_jog(transport: str) -> None:
     async def main() -> None:
-        async with twin() as (table, _):
+        async with twin(transport) as (table, _):
             await table.enable()
             await table.home()
             await table.move("x", 30 * DEG, 50 * DEG, 40 * DEG)
@@ -164,9 +189,9 @@ def test_moves_may_follow_one_another_and_a_jog() -> None:
     virtually(main)
 
 
-def test_stop_brings_turning_axes_to_rest_before_it_returns() -> None:
+def test_stop_brings_turning_axes_to_rest_before_it_returns(transport: str) -> None:
     async def main() -> None:
-        async with twin() as (table, model):
+        async with twin(transport) as (table, model):
             await table.enable()
             await table.home()
             for axis, rate in (("x", 90.0), ("z", -60.0)):
@@ -185,9 +210,9 @@ def test_stop_brings_turning_axes_to_rest_before_it_returns() -> None:
     virtually(main)
 
 
-def test_a_stopped_table_can_be_enabled_and_moved_again() -> None:
+def test_a_stopped_table_can_be_enabled_and_moved_again(transport: str) -> None:
     async def main() -> None:
-        async with twin() as (table, _):
+        async with twin(transport) as (table, _):
             await table.enable()
             await table.home()
             await table.jog("x", 10 * DEG, 50 * DEG)
@@ -204,9 +229,9 @@ def test_a_stopped_table_can_be_enabled_and_moved_again() -> None:
     virtually(main)
 
 
-def test_a_tripped_axis_says_fault_and_its_table_is_not_enabled_until_it_is_reset() -> None:
+def test_a_tripped_axis_says_fault_and_its_table_is_not_enabled_until_it_is_reset(transport: str) -> None:
     async def main() -> None:
-        async with twin() as (table, model):
+        async with twin(transport) as (table, model):
             await table.enable()
             await table.jog("y", 90 * DEG, 50 * DEG)
             await asyncio.sleep(4.0)
@@ -228,9 +253,84 @@ def test_a_tripped_axis_says_fault_and_its_table_is_not_enabled_until_it_is_rese
     virtually(main)
 
 
-def test_a_fault_during_homing_ends_it() -> None:
+@pytest.mark.parametrize(
+    ("reason", "said"),
+    [
+        ("following error", "error code 0x0200, following error"),
+        ("servo trip", "error code 0x0080, servo trip: over-current"),
+        ("limit switch", r"internal limit active\): error code 0x0001"),
+    ],
+)
+def test_a_trip_is_told_in_plain_words_with_the_drives_own_code(transport: str, reason: str, said: str) -> None:
     async def main() -> None:
-        async with twin() as (table, model):
+        async with twin(transport) as (table, model):
+            await table.enable()
+            model.trip("y", reason)
+            with pytest.raises(DeviceFault, match=said):
+                await table.enable()
+            await table.reset_fault()
+            assert (await table.status("y")).text == "switch on disabled"
+
+    virtually(main)
+
+
+def test_a_drive_without_an_error_register_still_tells_its_fault(transport: str) -> None:
+    async def main() -> None:
+        registers = {name: register for name, register in PROFILE.registers.items() if name != "error_code"}
+        old_firmware = replace(PROFILE, registers=registers)
+        async with twin(transport, profile=old_firmware) as (table, model):
+            model.trip("y", "fault input")
+            assert (await table.status("y")).fault == "axis y is in fault (statusword 0x1418)"
+
+    virtually(main)
+
+
+def test_abort_stops_all_axes_at_once_whatever_they_do(transport: str) -> None:
+    async def main() -> None:
+        async with twin(transport) as (table, model):
+            await table.enable()
+            await table.jog("x", 90 * DEG, 50 * DEG)
+            await table.jog("z", -60 * DEG, 50 * DEG)
+            await asyncio.sleep(3.0)
+            began = model.clock()
+            await table.abort()
+            await asyncio.sleep(0.1)
+            assert model.at_rest()
+            assert model.clock() - began < 90 / 50 + 0.3
+            await table.enable()  # and it can go on
+
+    virtually(main)
+
+
+@pytest.mark.parametrize("way_out", ["stop", "abort"])
+def test_the_way_out_reaches_every_axis_also_one_whose_replies_get_lost(transport: str, way_out: str) -> None:
+    async def main() -> None:
+        mute: set[int] = set()
+        async with twin(transport, mute=mute) as (table, model):
+            await table.enable()
+            for axis in "xyz":
+                await table.jog(axis, 30 * DEG, 50 * DEG)
+            await asyncio.sleep(2.0)
+            mute.add(UNIT_IDS["x"])
+            with pytest.raises(LinkLost, match=r"axis x \(unit id 1\) does not answer"):
+                await getattr(table, way_out)()
+            await asyncio.sleep(1.0)
+            assert model.at_rest()
+
+    virtually(main)
+
+
+def test_identify_names_the_make(transport: str) -> None:
+    async def main() -> None:
+        async with twin(transport) as (table, _):
+            assert await table.identify() == Identity("Kinco FD/CD/JD")
+
+    virtually(main)
+
+
+def test_a_fault_during_homing_ends_it(transport: str) -> None:
+    async def main() -> None:
+        async with twin(transport) as (table, model):
             await table.enable()
             asyncio.get_running_loop().call_later(0.1, model.trip, "x", "fault input")
             with pytest.raises(DeviceFault, match="axis x is in fault"):
@@ -239,9 +339,9 @@ def test_a_fault_during_homing_ends_it() -> None:
     virtually(main)
 
 
-def test_a_moving_axis_stops_when_its_master_falls_silent() -> None:
+def test_a_moving_axis_stops_when_its_master_falls_silent(transport: str) -> None:
     async def main() -> None:
-        async with twin(watchdog_s=1.0) as (table, model):
+        async with twin(transport, watchdog_s=1.0) as (table, model):
             await table.enable()
             await table.jog("x", 20 * DEG, 50 * DEG)
             await asyncio.sleep(0.9)
@@ -253,9 +353,9 @@ def test_a_moving_axis_stops_when_its_master_falls_silent() -> None:
     virtually(main)
 
 
-def test_a_moving_axis_goes_on_while_its_master_speaks() -> None:
+def test_a_moving_axis_goes_on_while_its_master_speaks(transport: str) -> None:
     async def main() -> None:
-        async with twin(watchdog_s=1.0) as (table, model):
+        async with twin(transport, watchdog_s=1.0) as (table, model):
             await table.enable()
             await table.jog("x", 20 * DEG, 50 * DEG)
             for _ in range(25):
@@ -266,9 +366,9 @@ def test_a_moving_axis_goes_on_while_its_master_speaks() -> None:
     virtually(main)
 
 
-def test_without_a_watchdog_silence_stops_nothing() -> None:
+def test_without_a_watchdog_silence_stops_nothing(transport: str) -> None:
     async def main() -> None:
-        async with twin() as (table, model):
+        async with twin(transport) as (table, model):
             await table.enable()
             await table.jog("x", 20 * DEG, 50 * DEG)
             await asyncio.sleep(100.0)
@@ -277,9 +377,9 @@ def test_without_a_watchdog_silence_stops_nothing() -> None:
     virtually(main)
 
 
-def test_a_refused_value_names_register_and_code() -> None:
+def test_a_refused_value_names_register_and_code(transport: str) -> None:
     async def main() -> None:
-        async with twin() as (table, model):
+        async with twin(transport) as (table, model):
             await table.enable()
             with pytest.raises(DeviceRefused, match=r"axis x .*0x6F00 \(target_rate\).*exception 3, illegal value"):
                 await table.jog("x", 3 * MAX_RATE, 20 * DEG)
@@ -289,9 +389,9 @@ def test_a_refused_value_names_register_and_code() -> None:
     virtually(main)
 
 
-def test_a_value_that_no_register_can_hold_is_refused_by_name() -> None:
+def test_a_value_that_no_register_can_hold_is_refused_by_name(transport: str) -> None:
     async def main() -> None:
-        async with twin() as (table, _):
+        async with twin(transport) as (table, _):
             await table.enable()
             with pytest.raises(DeviceRefused, match="axis x: target_position"):
                 await table.move("x", 1e9, 10 * DEG, 20 * DEG)
@@ -307,11 +407,11 @@ def test_nobody_listening_is_a_lost_link() -> None:
     virtually(main)
 
 
-def test_a_server_that_goes_away_is_a_lost_link() -> None:
+def test_a_server_that_goes_away_is_a_lost_link(transport: str) -> None:
     async def main() -> None:
         data = {"x": AxisData(MAX_RATE, MAX_ACCELERATION, COUNTS)}
         model = TableModel(data, asyncio.get_running_loop().time)
-        address = (NULLMODEM_HOST, next(_wires))
+        address = null_modem(transport)
         server = modbus_server(model, PROFILE, {"x": 1}, address, 0.0)
         await server.serve_forever(background=True)
         table = driver(address, {"x": 1})

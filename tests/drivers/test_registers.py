@@ -11,10 +11,11 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pymodbus.framer import FramerRTU
+from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import (
     ReadHoldingRegistersRequest,
+    ReadHoldingRegistersResponse,
     WriteMultipleRegistersRequest,
     WriteSingleRegisterRequest,
 )
@@ -151,6 +152,96 @@ def test_a_value_that_is_no_number_is_refused(kinco: DriveProfile) -> None:
         kinco["target_rate"].encode(math.nan, COUNTS)
 
 
+def test_every_rtu_vector_is_what_a_stock_framer_makes_of_it(kinco: DriveProfile) -> None:
+    by_address = {r.address: r for r in kinco.registers.values()}
+    for vector in VECTORS:
+        if vector["transport"] != "rtu":
+            continue
+        raw = bytes.fromhex(vector["hex"])
+        requests = "reply" not in vector["decoded"]
+        used, pdu = FramerRTU(DecodePDU(requests)).handleFrame(raw, 1, 0)
+        assert used == len(raw)
+        assert pdu is not None
+        if requests:
+            assert pdu.address in by_address
+            assert frame(pdu) == vector["hex"]
+        elif isinstance(pdu, ReadHoldingRegistersResponse):
+            assert kinco["position"].decode(pdu.registers, COUNTS) == -0.25
+        else:
+            assert (pdu.isError(), pdu.function_code, pdu.exception_code) == (True, 0x81, 2)
+
+
+def tcp_vector(address: str) -> tuple[dict[str, Any], Any]:
+    (vector,) = [v for v in VECTORS if v["transport"] == "tcp" and str(v["decoded"]["addr"]).startswith(address)]
+    raw = bytes.fromhex(vector["hex"])
+    used, pdu = FramerSocket(DecodePDU(True)).handleFrame(raw, raw[6], 0)
+    assert used == len(raw)
+    assert FramerSocket(DecodePDU(True)).buildFrame(pdu) == raw
+    return vector["decoded"], pdu
+
+
+@pytest.mark.parametrize(
+    ("address", "kind", "low_word_first", "key"),
+    [("0x6040", "u16", True, "value"), ("0x60FF", "i32", True, "raw"), ("0x2102", "u32", True, "value")],
+)
+def test_the_mitsubishi_vectors_are_objects_with_the_low_word_first(
+    address: str, kind: str, low_word_first: bool, key: str
+) -> None:
+    decoded, pdu = tcp_vector(address)
+    register = Register(address, int(address, 16), kind, low_word_first)
+    assert pdu.address == register.address
+    assert register.encode(decoded[key], 1) == pdu.registers
+    assert register.decode(pdu.registers, 1) == decoded[key]
+
+
+def test_the_mitsubishi_statusword_is_one_register_at_its_object() -> None:
+    decoded, pdu = tcp_vector("0x6041")
+    assert (pdu.address, pdu.count, pdu.dev_id, pdu.transaction_id) == (0x6041, 1, 255, decoded["transaction"])
+
+
+def test_the_lexium_vectors_are_two_registers_with_the_high_word_first() -> None:
+    lexium = load_profile("lexium32")
+    decoded, pdu = tcp_vector("6914")
+    control = lexium["controlword"]
+    assert (control.address, control.words) == (pdu.address, pdu.count) == (6914, 2)
+    assert control.encode(lexium.commands["enable"], 1) == pdu.registers
+    assert control.decode(pdu.registers, 1) == decoded["value"]
+    decoded, pdu = tcp_vector("4614")
+    gain = Register("CTRL1_KPp", 4614, "u16", low_word_first=False, least_words=2)
+    assert (gain.address, gain.words) == (pdu.address, pdu.count)
+    words = [int(word, 16) for word in decoded["reply_words"]]
+    assert gain.decode(words, 1) == 200
+    assert gain.encode(200, 1) == words
+
+
+def test_a_short_value_in_two_registers_keeps_its_sign() -> None:
+    mode = load_profile("lexium32")["mode"]
+    assert mode.encode(-6, 1) == [0xFFFF, 0xFFFA]
+    assert mode.decode([0xFFFF, 0xFFFA], 1) == -6
+    assert mode.decode([0x0000, 0xFFFA], 1) == -6  # whether or not the drive fills the upper word
+
+
+def test_a_scale_may_be_in_units_of_the_turn_whatever_the_encoder() -> None:
+    rate = load_profile("lexium32")["target_rate"]
+    assert rate.encode(1.0, 16384) == rate.encode(1.0, 65536) == [600000 >> 16, 600000 & 0xFFFF]
+
+
+@pytest.mark.parametrize(
+    ("code", "text"),
+    [
+        (0x0200, "error code 0x0200, following error"),
+        (0x0220, "error code 0x0220, supply voltage too high and following error"),
+        (0, "the drive gives no error code"),
+    ],
+)
+def test_error_codes_are_told_in_plain_words(kinco: DriveProfile, code: int, text: str) -> None:
+    assert kinco.error_text(code) == text
+
+
+def test_an_error_code_that_the_profile_lacks_is_told_as_it_is() -> None:
+    assert load_profile("lexium32").error_text(0x1234) == "error code 0x1234, see the drive's manual"
+
+
 def written(folder: Path, text: str) -> str:
     path = folder / "drive.toml"
     path.write_text(text)
@@ -184,6 +275,9 @@ def test_a_profile_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
         ('name = "Kinco FD/CD/JD"', "", "name"),
         ("[registers]", "[registers", "cannot be read"),
         ("[homing]", "[housing]", "homing"),
+        ("[homing]", '[[on_open]]\nregister = "guard"\nvalue = 1\n[homing]', "lacks the register guard of"),
+        ("[homing]", '[[on_open]]\nregister = "mode"\n[homing]', "lacks or misspells 'value'"),
+        ("0x0001 = ", "zero = ", "lacks or misspells .*zero"),
     ],
 )
 def test_a_faulty_profile_is_refused_with_its_fault(tmp_path: Path, find: str, put: str, complaint: str) -> None:

@@ -1,0 +1,195 @@
+"""The Galil DMC language: framing, status words, and its codes in plain words. No I/O.
+
+Sources: DMC-2x00, DMC-1700 and DMC-1400 manuals (framing, TS bits), code tables of public drivers (TC, SC).
+Upper-case two-letter commands, axis letters A to H (X, Y, Z, W are A to D), ended by CR. The answer is ``:``, or
+data, CR LF and ``:``, or ``?`` for a refusal, whose code ``TC1`` tells.
+"""
+
+from __future__ import annotations
+
+import re
+import secrets
+from dataclasses import dataclass
+
+from drivers.exchange import Framed, Token
+
+LONGEST_LINE = 80
+
+# Stop codes (SC) that end a motion by something else than the master.
+FORWARD_LIMIT, REVERSE_LIMIT = 2, 3
+AT_TARGET, STOPPED, ABORTED, OFF_ON_ERROR, HOMED, AMPLIFIER_FAULT = 1, 4, 7, 8, 10, 15
+FATAL_STOPS = frozenset({6, OFF_ON_ERROR, 11, 12, AMPLIFIER_FAULT, 16})
+LIMIT_STOPS = frozenset({FORWARD_LIMIT, REVERSE_LIMIT})
+
+STOP_CODES = {
+    0: "running",
+    1: "at its target",
+    2: "stopped by the forward limit",
+    3: "stopped by the reverse limit",
+    4: "stopped by command",
+    6: "stopped by the abort input",
+    7: "aborted by command",
+    8: "switched off because its following error was too large",
+    9: "has found its edge",
+    10: "has found home or index",
+    11: "stopped by the axis's abort input",
+    12: "stopped because its encoder failed",
+    15: "amplifier fault",
+    16: "step position lost",
+    30: "running PVT",
+    31: "PVT done",
+    32: "PVT buffer empty",
+    50: "contour running",
+    51: "contour done",
+    99: "motion did not complete in time",
+    100: "vector motion running",
+    101: "vector motion done",
+}
+
+UNRECOGNIZED, OUT_OF_RANGE, NOT_WHILE_RUNNING, NOT_JOGGING = 1, 6, 7, 13
+MOTOR_OFF, RUNNING, ON_LIMIT = 20, 21, 22
+
+ERROR_CODES = {
+    1: "command not known",
+    2: "only valid in a program",
+    3: "not valid in a program",
+    4: "wrong operand",
+    5: "line too long",
+    6: "number out of range",
+    7: "not valid while the axis moves",
+    8: "not valid while the axis stands",
+    9: "wrong variable",
+    13: "the axis moves, but does not jog",
+    14: "EEPROM checksum wrong",
+    15: "EEPROM cannot be written",
+    18: "not valid while contouring",
+    20: "cannot begin with the motor off",
+    21: "cannot begin, the axis moves",
+    22: "cannot begin on a limit switch",
+    24: "no sequence to begin",
+    29: "not valid during a coordinated move",
+    50: "fields missing",
+    51: "question mark not valid",
+    53: "wrong braces",
+    58: "wrong operand of an interrogation",
+    83: "not a number",
+    106: "privilege violation",
+    123: "TCP lost step",
+    131: "serial port timed out",
+    133: "not valid while locked",
+    134: "every motor must be off",
+    135: "the motor must be off",
+    140: "serial encoder error",
+    141: "not supported by this controller",
+}
+
+NOTHING = re.compile("")
+NUMBER = re.compile(r"-?\d+(\.\d+)?")
+TEXT = re.compile(r"[\x20-\x7e\n]+")
+_REVISION = re.compile(r"(\S+)\s+Rev\S*\s+(\S+)")
+_PROMPT = re.compile(rb"(?:\A|[\r\n])([:?])")
+
+
+@dataclass(frozen=True, slots=True)
+class Switches:
+    """The TS word of an axis. Bits: 7 moving, 6 error beyond ER, 5 motor off, 3 and 2 limits *inactive*."""
+
+    word: int
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion is under way."""
+        return bool(self.word & 0x80)
+
+    @property
+    def error_exceeded(self) -> bool:
+        """Whether the following error is beyond ER."""
+        return bool(self.word & 0x40)
+
+    @property
+    def motor_off(self) -> bool:
+        """Whether the motor is off."""
+        return bool(self.word & 0x20)
+
+    @property
+    def forward_limit(self) -> bool:
+        """Whether the forward limit switch is pressed."""
+        return not self.word & 0x08
+
+    @property
+    def reverse_limit(self) -> bool:
+        """Whether the reverse limit switch is pressed."""
+        return not self.word & 0x04
+
+    @property
+    def latched(self) -> bool:
+        """Whether the position latch has caught."""
+        return not self.word & 0x01
+
+    @property
+    def text(self) -> str:
+        """All of it in words."""
+        words = ["motor off" if self.motor_off else "motor on", "moving" if self.moving else "standing"]
+        words += ["following error too large"] * self.error_exceeded
+        words += ["on its forward limit switch"] * self.forward_limit
+        words += ["on its reverse limit switch"] * self.reverse_limit
+        return ", ".join(words)
+
+
+def stop_text(code: int) -> str:
+    """Return a stop code in plain words."""
+    return STOP_CODES.get(code, "stopped for a reason that is not known")
+
+
+def error_of(tc1: str) -> tuple[int, str]:
+    """Return code and plain words of an answer to TC1; the controller's own words where we have none."""
+    head, _, tail = tc1.strip().partition(" ")
+    code = int(head) if head.isdecimal() else 0
+    return code, ERROR_CODES.get(code, tail.strip() or "no reason given")
+
+
+def revision(text: str) -> tuple[str, str]:
+    """Return model and firmware of an answer to ^R^V, such as "DMC2143 Rev 1.0o"."""
+    found = _REVISION.search(text)
+    return (found[1], found[2]) if found else (text.replace("\n", " ").strip(), "")
+
+
+def floor_acceleration(counts_per_s2: float) -> int:
+    """Return what AC and DC make of an acceleration: a multiple of 1024, not above it, at least 1024."""
+    return max(int(counts_per_s2) // 1024 * 1024, 1024)
+
+
+class GalilFraming:
+    """Bytes of requests and answers. Echo may be on or off: a first line that repeats the request is left out.
+
+    The token has the controller say a word that it has not said before (``MG "word"``). No number and no other
+    answer is that word; an echo has it in quotation marks.
+    """
+
+    idle = b""
+    settle_s = 0.0
+
+    def request(self, line: str) -> bytes:
+        """Return a command line, ended by CR."""
+        return line.encode("ascii") + b"\r"
+
+    def answer(self, line: str, received: bytes) -> Framed | None:
+        """Return the data up to the prompt, which stands at the beginning of a line."""
+        body = received.removeprefix(line.encode("ascii"))
+        prompt = _PROMPT.search(body)
+        if prompt is None:
+            return None
+        lines = re.split("[\r\n]+", body[: prompt.start(1)].decode("ascii", "replace"))
+        text = "\n".join(stripped for one in lines if (stripped := one.strip()))
+        return Framed(text, prompt[1] == b"?", len(received) - len(body) + prompt.end())
+
+    def token(self) -> Token:
+        """Return a new word to say. The CR before it ends whatever line was cut on its way."""
+        word = f"T{secrets.token_hex(4).upper()}".encode()
+        said = re.compile(rb':?[ \r\n]*(?<!")' + word + rb"[ ]*\r\n:")
+
+        def find(received: bytes) -> tuple[int, int] | None:
+            found = said.search(received)
+            return found.span() if found else None
+
+        return Token(b'\rMG "' + word + b'"\r', find)

@@ -1,0 +1,409 @@
+"""A turntable on a Galil DMC motion controller: up to eight axes on one controller, told apart by letter."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused, LinkLost
+from drivers.exchange import Answer, Exchange, ExchangeCounts
+from drivers.galil import (
+    AT_TARGET,
+    FATAL_STOPS,
+    HOMED,
+    LIMIT_STOPS,
+    NOT_JOGGING,
+    NOTHING,
+    NUMBER,
+    RUNNING,
+    TEXT,
+    GalilFraming,
+    Switches,
+    error_of,
+    floor_acceleration,
+    revision,
+    stop_text,
+)
+from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
+
+TURN = 2 * math.pi
+VELOCITY_WINDOW_S = 0.25  # TV is the mean of the last 0.25 s at the default sample time (TM 1000)
+
+_LETTERS = "ABCDEFGH"
+_POLL_S = 0.02
+_HOMING_RATE_RPS = math.radians(30.0)
+_HOMING_LIMIT_S = 60.0
+_STOP_MARGIN_S = 2.0
+_AT_REST_RPS = math.radians(0.02)
+_LARGEST_COUNT = 2**31 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class GalilAxis:
+    """One axis: its letter, counts of its encoder per turn, limits.
+
+    ``travel_rad`` are soft limits from home, set once home is found; ``error_limit_rad`` is the following error
+    at which the controller switches the motor off, left as it is there if not given.
+    """
+
+    letter: str
+    counts_per_turn: int
+    limits: AxisLimits
+    travel_rad: tuple[float, float] | None = None
+    error_limit_rad: float | None = None
+
+
+class _RefusedError(DeviceRefused):
+    """A refusal with its TC code as a number."""
+
+    def __init__(self, device: str, message: str, code: int) -> None:
+        super().__init__(device, message)
+        self.code = code
+
+
+class GalilTable:
+    """Turntable driver over a byte link, serial or TCP."""
+
+    def __init__(
+        self,
+        device: str,
+        link: ByteLink,
+        axes: Mapping[str, GalilAxis],
+        timeout_s: float,
+        *,
+        homing: str = "HM",
+        velocity_window_s: float = VELOCITY_WINDOW_S,
+    ) -> None:
+        """Name the axes. ``homing`` is HM (home switch) or FI (index pulse, in positive direction).
+
+        A request is tried twice, each for ``timeout_s``. ValueError for letters that cannot be.
+        """
+        letters = [axis.letter for axis in axes.values()]
+        if not set(letters) <= set(_LETTERS) or len(set(letters)) != len(letters):
+            raise ValueError(f"axis letters must be different ones of {_LETTERS}, not {', '.join(letters)}")
+        if homing not in ("HM", "FI"):
+            raise ValueError(f"homing must be HM or FI, not {homing}")
+        self._device, self._axes, self._homing = device, dict(axes), homing
+        self._exchange = Exchange(device, link, GalilFraming(), timeout_s)
+        self._velocity_delay_s = velocity_window_s / 2
+        self._powered: set[str] = set()
+        self._jogs: dict[str, int] = {}  # rate in counts/s of axes that were told to jog
+        self._known_stops: dict[str, int] = {}  # stop codes that an operator has seen and reset
+
+    @property
+    def limits(self) -> Mapping[str, AxisLimits]:
+        """Limits by axis."""
+        return {name: axis.limits for name, axis in self._axes.items()}
+
+    @property
+    def counts(self) -> ExchangeCounts:
+        """Counts of what went wrong on the link."""
+        return self._exchange.counts
+
+    async def open(self) -> None:
+        """Open the link, get in step and ask every axis; LinkLost if the controller does not answer."""
+        await self._exchange.open()
+        for axis in self._axes:
+            await self._switches(axis)
+
+    async def identify(self) -> Identity:
+        """Ask for model and firmware (^R^V) and for the serial number (_BN) where the controller has it."""
+        model, firmware = revision((await self._ask("\x12\x16", TEXT)).text)
+        number = await self._exchange.ask("MG _BN", NUMBER)
+        serial = "" if number.refused else f"{float(number.text):.0f}"
+        return Identity(model, serial, firmware)
+
+    async def enable(self) -> None:
+        """Switch every motor on where it stands; DeviceFault if an axis is in fault or its motor stays off."""
+        for axis, own in self._axes.items():
+            status = await self.status(axis)
+            if status.fault:
+                raise DeviceFault(self._device, f"{status.fault}; clear its cause, then start with --reset-fault")
+            if status.enabled:
+                continue
+            await self._tell(f"OE{own.letter}=1")
+            if own.error_limit_rad is not None:
+                await self._tell(f"ER{own.letter}={max(self._counts(axis, own.error_limit_rad), 1)}")
+            await self._tell(f"SH{own.letter}")
+            if (await self._switches(axis)).motor_off:
+                raise DeviceFault(self._device, f"the motor of axis {axis} stays off when it is switched on (SH)")
+            self._powered.add(axis)
+
+    async def home(self) -> None:
+        """Run the controller's own homing on all axes at once, then define zero there."""
+        for axis, own in self._axes.items():
+            if (await self._switches(axis)).moving:
+                await self._halt(axis)
+            rate = max(self._counts(axis, min(_HOMING_RATE_RPS, own.limits.rate_rps)), 1)
+            await self._set_ramps(axis, own.limits.acceleration_rps2)
+            await self._tell(f"JG{own.letter}={rate}" if self._homing == "FI" else f"SP{own.letter}={rate}")
+            await self._tell(f"{self._homing}{own.letter}")
+        await self._begin(self._axes)
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + _HOMING_LIMIT_S
+        waiting = set(self._axes)
+        while waiting:
+            for axis in sorted(waiting):
+                switches, stop, fault = await self._condition(axis)
+                if fault:
+                    raise DeviceFault(self._device, fault)
+                if switches.moving:
+                    continue
+                if stop != HOMED:
+                    raise DeviceRefused(
+                        self._device, f"axis {axis} ended homing without home: SC {stop}, {stop_text(stop)}"
+                    )
+                waiting.discard(axis)
+            if waiting and loop.time() > deadline:
+                await self.stop()
+                raise DeviceRefused(
+                    self._device, f"axis {', '.join(sorted(waiting))} found no home within {_HOMING_LIMIT_S:.0f} s"
+                )
+            if waiting:
+                await asyncio.sleep(_POLL_S)
+        for axis, own in self._axes.items():
+            await self._tell(f"DP{own.letter}=0")
+            if own.travel_rad is not None:
+                low, high = (self._counts(axis, angle) for angle in own.travel_rad)
+                await self._tell(f"BL{own.letter}={low}")
+                await self._tell(f"FL{own.letter}={high}")
+
+    async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
+        """Turn an axis at a rate, in whole counts a second; a rate changes while it turns without a halt."""
+        letter = self._axes[axis].letter
+        rate = self._rate(axis, rate_rps, acceleration_rps2)
+        if (await self._switches(axis)).moving:
+            if axis in self._jogs and await self._change_jog(axis, rate, acceleration_rps2):
+                return
+            await self._halt(axis)
+        await self._set_ramps(axis, acceleration_rps2)
+        await self._tell(f"JG{letter}={rate}")
+        self._jogs[axis] = rate
+        await self._begin([axis])
+
+    async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
+        """Start a move to an angle from home; an axis that turns is brought to rest first."""
+        letter = self._axes[axis].letter
+        target, rate = self._counts(axis, angle_rad), abs(self._rate(axis, rate_rps, acceleration_rps2))
+        if abs(target) > _LARGEST_COUNT:
+            raise DeviceRefused(self._device, f"axis {axis}: the controller cannot count to {target}: fewer turns")
+        if (await self._switches(axis)).moving:
+            await self._halt(axis)
+        self._jogs.pop(axis, None)
+        await self._set_ramps(axis, acceleration_rps2)
+        await self._tell(f"SP{letter}={max(rate // 2 * 2, 2)}")  # the controller has it in steps of two
+        await self._tell(f"PA{letter}={target}")
+        await self._begin([axis])
+
+    async def read(self, axis: str) -> AxisState:
+        """Measure angle (TP) and rate (TV). The rate is a mean, so its instant is the middle of that time."""
+        letter, counts = self._axes[axis].letter, self._axes[axis].counts_per_turn
+        position = await self._ask(f"TP{letter}", NUMBER)
+        velocity = await self._ask(f"TV{letter}", NUMBER)
+        half_width_s = max(one.received_s - one.sent_s for one in (position, velocity)) / 2
+        return AxisState(
+            round((position.sent_s + position.received_s) / 2 * 1e9),
+            float(position.text) / counts * TURN,
+            round(((velocity.sent_s + velocity.received_s) / 2 - self._velocity_delay_s) * 1e9),
+            float(velocity.text) / counts * TURN,
+            round(half_width_s * 1e9),
+            round(2 * self._velocity_delay_s * 1e9),
+        )
+
+    async def status(self, axis: str) -> AxisStatus:
+        """Get condition: TS word, stop code, and the fault in words with both."""
+        switches, stop, fault = await self._condition(axis)
+        reached = not switches.moving and stop in (AT_TARGET, HOMED)
+        if switches.moving and axis in self._jogs:
+            velocity = float((await self._ask(f"TV{self._axes[axis].letter}", NUMBER)).text)
+            reached = abs(velocity - self._jogs[axis]) <= 1.0 + 1e-3 * abs(self._jogs[axis])
+        return AxisStatus(
+            enabled=not switches.motor_off,
+            target_reached=reached and not switches.motor_off,
+            fault=fault,
+            text=f"{switches.text} (TS {switches.word}); SC {stop}, {stop_text(stop)}",
+        )
+
+    async def stop(self) -> None:
+        """Stop every axis with the deceleration it is allowed, and wait until all are at rest.
+
+        What goes wrong with one request does not keep the next from being sent; the first failure is raised.
+        """
+        failure: DeviceError | None = None
+        for line in (self._hardest_deceleration(), f"ST{self._all_letters()}"):
+            try:
+                await self._tell(line)
+            except (LinkLost, BadReply, DeviceRefused) as error:
+                failure = failure or error
+        for axis in self._axes:
+            try:
+                await self._wait_for_rest(axis)
+            except (LinkLost, BadReply, DeviceRefused) as error:
+                failure = failure or error
+        if failure is not None:
+            raise failure
+
+    async def abort(self) -> None:
+        """Stop at once, without a ramp, and wait for rest; the motors go off, as off-on-error is set."""
+        self._powered.clear()
+        self._jogs.clear()
+        await self._tell("AB")
+        for axis in self._axes:
+            await self._wait_for_rest(axis)
+
+    async def reset_fault(self) -> None:
+        """Take the faults as seen; DeviceFault if the cause of one is still there.
+
+        A Galil has no command for it: a motor that went off is switched on again by ``enable``.
+        """
+        for axis in self._axes:
+            switches, stop, fault = await self._condition(axis)
+            if not fault:
+                continue
+            if not switches.motor_off and switches.error_exceeded:
+                raise DeviceFault(self._device, f"axis {axis} stays in fault, its cause is still there: {fault}")
+            self._known_stops[axis] = stop
+            if switches.motor_off:
+                self._powered.discard(axis)
+
+    async def disable(self) -> None:
+        """Switch every motor off; DeviceRefused while an axis moves."""
+        await self._tell(f"MO{self._all_letters()}")
+        self._powered.clear()
+
+    def close(self) -> None:
+        """Drop the link."""
+        self._exchange.close()
+
+    async def _condition(self, axis: str) -> tuple[Switches, int, str]:
+        """Return TS word, stop code and fault, which is empty if there is none."""
+        switches = await self._switches(axis)
+        stop = round(float((await self._ask(f"SC{self._axes[axis].letter}", NUMBER)).text))
+        known = self._known_stops.get(axis) == stop
+        what = ""
+        if switches.motor_off and axis in self._powered:
+            what = "its motor has gone off"
+        elif switches.motor_off and stop in FATAL_STOPS and not known:
+            what = "its motor was switched off by a fault"
+        elif not switches.motor_off and switches.error_exceeded:
+            what = "its following error is too large"
+        elif not switches.motor_off and stop in LIMIT_STOPS and not known:
+            what = "it ran into a limit"
+        fault = f"axis {axis}: {what} (SC {stop}, {stop_text(stop)}; TS {switches.word})" if what else ""
+        return switches, stop, fault
+
+    async def _switches(self, axis: str) -> Switches:
+        return Switches(round(float((await self._ask(f"TS{self._axes[axis].letter}", NUMBER)).text)) & 0xFF)
+
+    async def _begin(self, axes: Iterable[str]) -> None:
+        """Start what has been set up; begun already is as good, if the answer to the first BG was lost."""
+        names = list(axes)
+        for axis in names:
+            self._known_stops.pop(axis, None)
+        line = "BG" + "".join(sorted(self._axes[axis].letter for axis in names))
+        answer = await self._exchange.ask(line, NOTHING)
+        if answer.refused:
+            error = await self._refusal(line)
+            if not (answer.repeated and error.code == RUNNING):
+                for axis in names:
+                    self._jogs.pop(axis, None)
+                raise error
+
+    async def _change_jog(self, axis: str, rate: int, acceleration_rps2: float) -> bool:
+        """Give a jogging axis another rate; False if it does not jog any more."""
+        await self._set_ramps(axis, acceleration_rps2)
+        try:
+            await self._tell(f"JG{self._axes[axis].letter}={rate}")
+        except _RefusedError as error:
+            if error.code == NOT_JOGGING:
+                return False
+            raise
+        self._jogs[axis] = rate
+        return (await self._switches(axis)).moving
+
+    async def _halt(self, axis: str) -> None:
+        await self._tell(f"ST{self._axes[axis].letter}")
+        self._jogs.pop(axis, None)
+        await self._wait_for_rest(axis)
+
+    async def _wait_for_rest(self, axis: str) -> None:
+        """Wait for the end of the motion; DeviceRefused if the axis keeps turning beyond what braking takes."""
+        loop, own = asyncio.get_running_loop(), self._axes[axis]
+        deadline: float | None = None
+        while True:
+            moving = (await self._switches(axis)).moving
+            rate = abs(float((await self._ask(f"TV{own.letter}", NUMBER)).text)) / own.counts_per_turn * TURN
+            if not moving and rate <= _AT_REST_RPS:
+                return
+            if deadline is None:
+                deadline = loop.time() + await self._braking_s(axis, rate) + _STOP_MARGIN_S
+            if loop.time() > deadline:
+                raise DeviceRefused(self._device, f"axis {axis} keeps turning after its stop: cut its power")
+            await asyncio.sleep(_POLL_S)
+
+    async def _braking_s(self, axis: str, rate_rps: float) -> float:
+        own = self._axes[axis]
+        deceleration = float((await self._ask(f"MG _DC{own.letter}", NUMBER)).text) / own.counts_per_turn * TURN
+        return rate_rps / max(deceleration, 1e-9)
+
+    def _all_letters(self) -> str:
+        return "".join(sorted(axis.letter for axis in self._axes.values()))
+
+    def _hardest_deceleration(self) -> str:
+        by_letter = {
+            own.letter: str(floor_acceleration(own.limits.acceleration_rps2 / TURN * own.counts_per_turn))
+            for own in self._axes.values()
+        }
+        return "DC " + ",".join(by_letter.get(letter, "") for letter in _LETTERS[: ord(max(by_letter)) - 64])
+
+    async def _set_ramps(self, axis: str, acceleration_rps2: float) -> None:
+        own = self._axes[axis]
+        acceleration = floor_acceleration(acceleration_rps2 / TURN * own.counts_per_turn)
+        allowed = own.limits.acceleration_rps2 / TURN * own.counts_per_turn
+        if acceleration > allowed:
+            least_dps2 = math.degrees(acceleration / own.counts_per_turn * TURN)
+            raise DeviceRefused(
+                self._device,
+                f"axis {axis}: the controller's gentlest ramp is {acceleration} counts/s2, {least_dps2:.4g} deg/s2: "
+                "more than the axis is allowed",
+            )
+        for what in ("AC", "DC"):
+            await self._tell(f"{what}{own.letter}={acceleration}")
+
+    def _rate(self, axis: str, rate_rps: float, acceleration_rps2: float) -> int:
+        """Return a rate in counts/s; DeviceRefused beyond the limits, which the controller does not know."""
+        limits = self._axes[axis].limits
+        if abs(rate_rps) > limits.rate_rps * 1.001 or abs(acceleration_rps2) > limits.acceleration_rps2 * 1.001:
+            raise DeviceRefused(
+                self._device,
+                f"axis {axis}: {math.degrees(rate_rps):g} deg/s at {math.degrees(acceleration_rps2):g} deg/s2 "
+                "is beyond its limits",
+            )
+        rate = self._counts(axis, rate_rps)
+        if rate == 0 and rate_rps != 0.0:
+            raise DeviceRefused(
+                self._device, f"axis {axis}: {math.degrees(rate_rps):g} deg/s is less than half a count a second"
+            )
+        return rate
+
+    def _counts(self, axis: str, turns_rad: float) -> int:
+        return round(turns_rad / TURN * self._axes[axis].counts_per_turn)
+
+    async def _tell(self, line: str) -> None:
+        """Send a command that answers nothing but that it is done."""
+        await self._ask(line, NOTHING)
+
+    async def _ask(self, line: str, pattern: re.Pattern[str]) -> Answer:
+        answer = await self._exchange.ask(line, pattern)
+        if answer.refused:
+            raise await self._refusal(line)
+        return answer
+
+    async def _refusal(self, line: str) -> _RefusedError:
+        """Return why a line was refused. TC1 tells of the last refused line and forgets it."""
+        reason = await self._exchange.ask("TC1", TEXT)
+        code, words = error_of("" if reason.refused else reason.text)
+        return _RefusedError(self._device, f"refuses {line!r}: TC {code}, {words}", code)

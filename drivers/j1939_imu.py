@@ -1,0 +1,203 @@
+"""An Aceinna OpenIMU300RI or MTLT305D on CAN: set up and asked over SAE J1939, its rates as blocks."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.aceinna import (
+    ACCS,
+    ADDRESS_CLAIM,
+    ARI,
+    AXIS_ORDERS,
+    DEFAULT_ADDRESS,
+    FILTERS,
+    SOFTWARE_VERSION,
+    AxisOrder,
+    Name,
+    Settings,
+    command,
+    decode_accelerations,
+    decode_rates,
+    decode_version,
+    is_from,
+    request,
+)
+from drivers.can_samples import Companion, Piece, RegularSamples, block_of
+from drivers.errors import DeviceRefused, LinkLost
+from drivers.seams import Frame, FrameLink, Identity, ImuBlock, SourceCounts
+
+_GATHER_S = 0.03
+_ANSWER_S = 0.2
+_TRIES = 3
+_LENGTH = 8
+
+
+class AceinnaImu:
+    """One source of three gyros and accelerometers. There is no counter on this wire: samples are timed by rhythm."""
+
+    def __init__(
+        self,
+        device: str,
+        link: FrameLink,
+        rate_hz: float,
+        *,
+        model: str = "openimu300ri",
+        axis_order: AxisOrder | None = None,
+        address: int = DEFAULT_ADDRESS,
+        own_address: int = 0,
+        settings: Settings | None = None,
+    ) -> None:
+        """Expect messages at ``rate_hz`` from J1939 address ``address``.
+
+        ``model`` is one of ``AXIS_ORDERS`` and decides the order of axes unless ``axis_order`` says it;
+        ``settings`` are sent when the link is opened.
+        """
+        self._device, self._link = device, link
+        self._order: AxisOrder = axis_order or AXIS_ORDERS[model]
+        self._address, self._own_address, self._settings = address, own_address, settings
+        self._styles: tuple[bool, ...] = (False, True)  # ways of writing a request: Aceinna's, the standard's
+        self._place = 0
+        self._before = 0
+        self._waiting: list[Piece] = []
+        self._accelerations = Companion(follows=False)
+        self._counts = SourceCounts()
+        self._samples = RegularSamples(1 / rate_hz, self._counts)
+        self.saturated = 0
+        """Samples with a rate at the end of the range, +-250 deg/s; their rates are NaN."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of the one source."""
+        return (self._device,)
+
+    def counts(self, name: str) -> SourceCounts:
+        """Get the counts; ``corrupt`` are rate and acceleration messages of a wrong length."""
+        return self._counts
+
+    async def open(self) -> None:
+        """Open the bus and send the settings; DeviceRefused if the device does not take one.
+
+        LinkLost if it does not answer when asked for what it has taken.
+        """
+        await self._link.open()
+        for group, values in self._settings.commands() if self._settings is not None else ():
+            await self._set(group, values)
+
+    async def identify(self) -> Identity:
+        """Ask for software version and NAME; what is not answered within 0.4 s stays empty."""
+        version = await self._ask(SOFTWARE_VERSION)
+        claim = await self._ask(ADDRESS_CLAIM)
+        name = Name.decode(claim or b"")
+        return Identity(
+            model="" if name is None else f"J1939 manufacturer {name.manufacturer}, function {name.function}",
+            serial="" if name is None else str(name.identity),
+            firmware=decode_version(version or b""),
+        )
+
+    async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
+        """Yield blocks as the frames come; LinkLost when the bus is gone."""
+        while True:
+            self._take(await self._link.receive())
+            if (block := self._block()) is not None:
+                yield self._device, block
+            await asyncio.sleep(_GATHER_S)  # frames are stamped by the link
+
+    def flush(self) -> list[tuple[str, ImuBlock]]:
+        """Return the samples still held back for their timing."""
+        block = self._block(everything=True)
+        return [] if block is None else [(self._device, block)]
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._link.close()
+
+    async def _set(self, group: int, values: bytes) -> None:
+        """Send a set request and ask until the device says that it has it: an answer may be from before."""
+        self._link.send(command(group, self._address, values, self._own_address))
+        answer: bytes | None = None
+        for _ in range(_TRIES):
+            answer = await self._ask(group)
+            if answer is not None and _agree(group, values, answer[1:]):
+                return
+        if answer is None:
+            raise LinkLost(
+                self._device,
+                f"no answer from J1939 address {self._address:#04x} about setting {group:04X}; is it powered, and are "
+                "bit rate and address right?",
+            )
+        raise DeviceRefused(
+            self._device,
+            f"setting {group:04X}: asked for {values.hex(' ')}, the device keeps {answer[1:].hex(' ')}",
+        )
+
+    async def _ask(self, group: int) -> bytes | None:
+        """Return the device's answer to a request, or None if there is none in time, in either way of asking."""
+        for standard in self._styles:
+            self._link.send(request(group, self._address, self._own_address, standard=standard))
+            if (answer := await self._answer(group)) is not None:
+                self._styles = (standard,)
+                return answer
+        return None
+
+    async def _answer(self, group: int) -> bytes | None:
+        scale: float = getattr(asyncio.get_running_loop(), "scale", 1.0)  # it is a host that is waited for
+        try:
+            async with asyncio.timeout(_ANSWER_S * scale):
+                while True:
+                    for frame in await self._link.receive():
+                        if is_from(frame, group, self._address):
+                            return frame.data
+        except TimeoutError:
+            return None
+
+    def _take(self, frames: Iterable[Frame]) -> None:
+        for frame in frames:
+            rate = is_from(frame, ARI, self._address)
+            if not (rate or is_from(frame, ACCS, self._address)):
+                continue
+            self._place += 1
+            piece = Piece(self._place, frame.t_ns, frame.data)
+            if len(frame.data) != _LENGTH:
+                self._counts.corrupt += 1
+            elif rate:
+                self._waiting.append(piece)
+            else:
+                self._accelerations.add(piece)
+
+    def _block(self, *, everything: bool = False) -> ImuBlock | None:
+        pieces, self._waiting = self._waiting, []
+        if pieces:
+            places = [piece.order for piece in pieces]
+            found, rows = self._accelerations.matched(self._before, places, places[-1] + 1)
+            self._before = places[-1]
+            self._accelerations.forget(self._before)
+            accel = np.full((len(pieces), 3), np.nan)
+            accel[found] = _measured(*decode_accelerations(_table(rows), self._order))
+            rates, saturated = decode_rates(_table([piece.data for piece in pieces]), self._order)
+            self.saturated += int(saturated.any(axis=1).sum())
+            temperature = np.full(len(pieces), np.nan)  # not on this wire
+            values = np.column_stack([np.radians(_measured(rates, saturated)), temperature, accel])
+            arrival_ns = np.array([piece.t_ns for piece in pieces], dtype=np.int64)
+            self._samples.add(arrival_ns, values, [piece.data for piece in pieces])
+        else:
+            self._accelerations.idle()
+        ready = self._samples.ready(everything=everything)
+        return None if ready is None else block_of(*ready, gyros=3)
+
+
+def _agree(group: int, asked: bytes, told: bytes) -> bool:
+    """Return whether the device has what was asked for; it tells its two filters in the other order."""
+    return told == asked or (group == FILTERS and told == asked[::-1])
+
+
+def _measured(values: NDArray[np.float64], saturated: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the values, NaN where the range ended: the true one is beyond."""
+    return np.where(saturated, np.nan, values)
+
+
+def _table(rows: list[bytes]) -> NDArray[np.uint8]:
+    return np.frombuffer(b"".join(rows), dtype=np.uint8).reshape(len(rows), _LENGTH)

@@ -1,0 +1,297 @@
+"""One Modbus wire, TCP or RTU on a serial line, behind a stock pymodbus client."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+from pymodbus.exceptions import ModbusException
+
+from drivers.errors import BadReply, DeviceRefused, LinkLost
+from drivers.modbus_order import READ, WRITE_ONE, LineCounts, Pending, Request, RtuGate, TcpGate
+
+# pymodbus dumps its recent frames at ERROR for every time-out; the station says it in one line of its own.
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+
+_FORGOTTEN = 50  # time-outs, after which nothing on the way holds a reply back any more
+
+_EXCEPTIONS = {
+    1: "illegal function",
+    2: "illegal register address",
+    3: "illegal value",
+    4: "device failure",
+    5: "acknowledge, still busy",
+    6: "device busy",
+    10: "gateway path unavailable",
+    11: "gateway target does not answer",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SerialPort:
+    """A serial line: its device, bits per second, parity (N, E or O), stop bits (1 or 2)."""
+
+    port: str
+    baud: int = 19200
+    parity: str = "N"
+    stop_bits: int = 1
+
+    @property
+    def silence_s(self) -> float:
+        """Silence between frames: 3.5 characters, not below 1.75 ms (Modbus over serial line V1.02, 2.5.1.1)."""
+        return max(3.5 * 11 / self.baud, 0.00175)
+
+
+Address = tuple[str, int] | SerialPort
+"""Host and TCP port, or a serial line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The words read (or echoed); the device answered between these two times of the loop."""
+
+    words: tuple[int, ...]
+    sent_s: float
+    received_s: float
+
+
+class _NoReply(Exception):
+    """Nothing came that could be the answer."""
+
+
+class ModbusLine:
+    """Asks one thing at a time, and believes only what must be its answer (``modbus_order``).
+
+    Every ``ask`` ends within two time-outs, bringing the line back into step included.
+    """
+
+    def __init__(
+        self, device: str, address: Address, timeout_s: float, probes: Mapping[int, Sequence[Request]]
+    ) -> None:
+        """Name the peer; ``probes`` are harmless reads by unit id, whose RTU replies differ in length."""
+        self._device, self._address, self._timeout_s = device, address, timeout_s
+        self._probes = probes
+        self.counts = LineCounts()
+        self._client: Any = None
+        self._lock = asyncio.Lock()
+        self._rtu = RtuGate(self.counts)
+        self._pending: dict[int, Pending] = defaultdict(Pending)
+        self._quiet_until_s = 0.0
+
+    async def open(self) -> None:
+        """Connect; LinkLost if nobody listens or the port cannot be opened."""
+        common: dict[str, Any] = {"reconnect_delay": 0, "name": self._device}
+        if isinstance(self._address, SerialPort):
+            line = self._address
+            self._doubt_all()
+            reason = f"cannot open serial port {line.port}; is it plugged in, free, and allowed to you?"
+            self._client = AsyncModbusSerialClient(
+                line.port,
+                baudrate=line.baud,
+                parity=line.parity,
+                stopbits=line.stop_bits,
+                timeout=2 * self._timeout_s,
+                retries=0,
+                trace_packet=self._rtu,
+                **common,
+            )
+        else:
+            host, port = self._address
+            reason = f"nothing answers at {host}:{port}; is the table's controller on, and the address right?"
+            self._client = AsyncModbusTcpClient(
+                host, port=port, timeout=self._timeout_s, retries=1, trace_packet=TcpGate(self.counts), **common
+            )
+        cancels = _cancels()
+        try:
+            connected = await self._client.connect()
+        except Exception as error:  # pyserial lets termios.error through, which not every system has
+            raise LinkLost(self._device, f"{reason} ({error})") from None
+        _heed(cancels)
+        if not connected:
+            raise LinkLost(self._device, reason)
+
+    def close(self) -> None:
+        """Close; twice is once."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+    async def ask(self, request: Request) -> Reply:
+        """Return the reply, asking twice at most; LinkLost without one, BadReply, DeviceRefused with its code."""
+        async with self._lock:
+            self._check_connected()
+            foreign = self.counts.foreign
+            try:
+                if isinstance(self._address, SerialPort):
+                    return await self._ask_in_step(request, self._address)
+                return await self._execute(request, None)  # the client asks twice
+            except _NoReply as error:
+                self.counts.timeouts += 1
+                if self.counts.foreign > foreign:
+                    raise BadReply(
+                        self._device,
+                        f"{_who(request)} is answered with transaction numbers that were not asked; "
+                        "does a gateway in between change them?",
+                    ) from None
+                raise LinkLost(
+                    self._device,
+                    f"{_who(request)} does not answer within {2 * self._timeout_s:g} s, twice asked ({error})",
+                ) from None
+
+    async def tell(self, request: Request) -> None:
+        """Send at once and wait one time-out for the echo, whatever else may still come: for stopping. LinkLost."""
+        async with self._lock:
+            self._check_connected()
+            limit_s = self._now() + self._timeout_s
+            try:
+                if isinstance(self._address, SerialPort):
+                    await self._exchange(request, limit_s, self._address)
+                else:
+                    await self._execute(request, limit_s)
+            except _NoReply as error:
+                self.counts.timeouts += 1
+                message = f"{_who(request)} does not answer within {self._timeout_s:g} s ({error})"
+                raise LinkLost(self._device, message) from None
+
+    def _doubt_all(self) -> None:
+        """Take it that each unit still has replies on their way, to whoever used the line before."""
+        for unit, probes in self._probes.items():
+            if len({probe.head for probe in probes}) < 2:
+                raise DeviceRefused(
+                    self._device,
+                    "this drive's values are all of one width, so that late replies cannot be told on a serial line; "
+                    "use Modbus TCP",
+                )
+            for probe in probes:
+                if probe.head not in self._pending[unit]:
+                    self._pending[unit].add(probe.head, self._now())
+
+    async def _ask_in_step(self, request: Request, line: SerialPort) -> Reply:
+        deadline_s = self._now() + 2 * self._timeout_s
+        pending = self._pending[request.unit_id]
+        pending.forget(self._now() - _FORGOTTEN * self._timeout_s)
+        if request.head not in pending:
+            try:
+                return await self._exchange(request, self._now() + self._timeout_s, line)
+            except _NoReply:
+                self.counts.timeouts += 1
+        while pending:
+            await self._probe(request.unit_id, deadline_s, line)
+        return await self._exchange(request, deadline_s, line)
+
+    async def _probe(self, unit: int, deadline_s: float, line: SerialPort) -> None:
+        """Read what nobody needs: its reply ends what was asked before.
+
+        If there is such, a read whose reply fits nothing that may still come; else the last that was asked, again
+        and again, until only replies like its own may come and the other is the one to ask.
+        """
+        pending = self._pending[unit]
+        left_s = deadline_s - self._now()
+        if left_s <= 0:
+            raise _NoReply("late replies may still come")
+        fresh = [probe for probe in self._probes[unit] if probe.head not in pending]
+        probe = fresh[0] if fresh else max(self._probes[unit], key=lambda probe: pending.last(probe.head))
+        wait_s = max(left_s / 2, self._timeout_s / 10)
+        try:
+            await self._exchange(probe, min(self._now() + wait_s, deadline_s), line)
+        except _NoReply:
+            if self._now() >= deadline_s:
+                raise
+
+    async def _exchange(self, request: Request, limit_s: float, line: SerialPort) -> Reply:
+        """Send once on RTU and take the first reply that fits; what it proves to be past is struck off."""
+        pending = self._pending[request.unit_id]
+        # A refusal does not tell of what; it can be taken for the answer only where nothing else may be refused.
+        self._rtu.expect(request.head, *(() if pending else request.refusals))
+        pending.add(request.head, self._now())
+        await asyncio.sleep(self._quiet_until_s - self._now())
+        try:
+            reply = await self._execute(request, limit_s)
+        except DeviceRefused:
+            pending.answered(request.head)
+            raise
+        finally:
+            self._quiet_until_s = self._now() + line.silence_s
+        pending.answered(request.head)
+        return reply
+
+    async def _execute(self, request: Request, limit_s: float | None) -> Reply:
+        cancels = _cancels()
+        sent_s = self._now()
+        try:
+            async with asyncio.timeout_at(limit_s):
+                reply = await self._call(request)
+        except ModbusException as error:
+            raise _NoReply(_brief(error)) from None
+        except TimeoutError:
+            raise _NoReply("no reply that can be the answer") from None
+        received_s = self._now()
+        _heed(cancels)
+        return Reply(self._checked(request, reply), sent_s, received_s)
+
+    async def _call(self, request: Request) -> Any:
+        client, unit = self._client, request.unit_id
+        if request.function == READ:
+            return await client.read_holding_registers(request.address, count=request.count, device_id=unit)
+        if request.function == WRITE_ONE:
+            return await client.write_register(request.address, request.words[0], device_id=unit)
+        return await client.write_registers(request.address, list(request.words), device_id=unit)
+
+    def _checked(self, request: Request, reply: Any) -> tuple[int, ...]:
+        if reply.isError():
+            code = int(getattr(reply, "exception_code", 0))
+            function = "write" if request.words else "read"
+            raise DeviceRefused(
+                self._device,
+                f"{_who(request)} refuses to {function} 0x{request.address:04X} ({request.register}): "
+                f"Modbus exception {code}, {_EXCEPTIONS.get(code, 'unknown exception')}",
+            )
+        words = tuple(reply.registers)
+        if request.function == READ:
+            right = len(words) == request.count
+        elif request.function == WRITE_ONE:
+            right = (reply.address, words) == (request.address, request.words)
+        else:
+            right = (reply.address, reply.count) == (request.address, request.count)
+        if not right or reply.function_code != request.function:
+            raise BadReply(
+                self._device,
+                f"{_who(request)}: the reply for {request.register} is that to another request "
+                f"(function {reply.function_code}, address 0x{reply.address:04X}, {len(words)} words)",
+            )
+        return words
+
+    def _check_connected(self) -> None:
+        if self._client is None or not self._client.connected:
+            raise LinkLost(self._device, f"the connection to {_text(self._address)} is gone")
+
+    def _now(self) -> float:
+        return asyncio.get_running_loop().time()
+
+
+def _cancels() -> int:
+    task = asyncio.current_task()
+    return task.cancelling() if task else 0
+
+
+def _heed(cancels_before: int) -> None:
+    """Raise a cancel that asyncio.wait_for of Python 3.11, within pymodbus, forgot as it came with the result."""
+    if _cancels() > cancels_before:
+        raise asyncio.CancelledError
+
+
+def _who(request: Request) -> str:
+    return f"axis {request.axis} (unit id {request.unit_id})"
+
+
+def _text(address: Address) -> str:
+    return address.port if isinstance(address, SerialPort) else f"{address[0]}:{address[1]}"
+
+
+def _brief(error: Exception) -> str:
+    return str(error).removeprefix("Modbus Error: ").split(", continue")[0]

@@ -1,0 +1,189 @@
+"""Which Modbus reply answers which request: no I/O, filters of the bytes that a stock client receives.
+
+TCP numbers its requests, so a reply tells which one it answers. RTU does not: a reply that comes after its
+time-out looks like the answer to the next request of the same kind. So the requests of each unit that may still
+be answered are kept in their order, by how their replies would begin. Devices answer in order: a reply belongs at
+the earliest to the first of those that it fits; what was asked before that one is past, what was asked after it may
+still come. A reply can be believed when it leaves nothing that may still come.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from pymodbus.framer import FramerRTU
+
+READ, WRITE_ONE, WRITE_MORE = 3, 6, 16
+_KINCO_BAD_READ = 0x81  # what Kinco's manuals print where the standard has 0x83
+_TCP_HEADER = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Read ``count`` registers, or write ``words`` where there are some; ``axis`` and ``register`` are for messages."""
+
+    axis: str
+    unit_id: int
+    register: str
+    address: int
+    count: int
+    words: tuple[int, ...] = ()
+
+    @property
+    def function(self) -> int:
+        """Modbus function code."""
+        if not self.words:
+            return READ
+        return WRITE_ONE if self.count == 1 else WRITE_MORE
+
+    @property
+    def head(self) -> bytes:
+        """What its RTU reply begins with; what follows is data and CRC, so this also tells the length."""
+        if not self.words:
+            return bytes((self.unit_id, READ, 2 * self.count))
+        echoed = self.words[0] if self.count == 1 else self.count
+        return struct.pack(">BBHH", self.unit_id, self.function, self.address, echoed)
+
+    @property
+    def refusals(self) -> tuple[bytes, ...]:
+        """What an exception reply to it may begin with on RTU."""
+        codes = (READ | 0x80, _KINCO_BAD_READ) if self.function == READ else (self.function | 0x80,)
+        return tuple(bytes((self.unit_id, code)) for code in codes)
+
+
+@dataclass(slots=True)
+class LineCounts:
+    """Requests not answered in time; replies dropped: too late, damaged, or with numbers that were not asked (TCP)."""
+
+    timeouts: int = 0
+    late: int = 0
+    corrupt: int = 0
+    foreign: int = 0
+
+
+class Pending:
+    """Requests of one unit that may still be answered, oldest first, by the heads of their replies."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._asked: deque[tuple[bytes, float]] = deque()
+
+    def __len__(self) -> int:
+        return len(self._asked)
+
+    def __contains__(self, head: object) -> bool:
+        return any(asked == head for asked, _ in self._asked)
+
+    def add(self, head: bytes, now_s: float) -> None:
+        """Note that something was asked."""
+        self._asked.append((head, now_s))
+
+    def answered(self, head: bytes) -> None:
+        """Strike off the first that a reply fits, and all before it."""
+        while self._asked and self._asked.popleft()[0] != head:
+            pass
+
+    def forget(self, before_s: float) -> None:
+        """Strike off what was asked so long ago that nothing holds its reply back any more."""
+        while self._asked and self._asked[0][1] < before_s:
+            self._asked.popleft()
+
+    def last(self, head: bytes) -> int:
+        """Return the place of the last that a reply fits, -1 without one."""
+        return max((place for place, (asked, _) in enumerate(self._asked) if asked == head), default=-1)
+
+
+class RtuGate:
+    """Lets through the one frame that is awaited; a ``trace_packet`` hook of the client.
+
+    The client shows all that it has received since it last sent, again with each new byte.
+    """
+
+    def __init__(self, counts: LineCounts) -> None:
+        """Let nothing through; ``counts`` gets what is dropped."""
+        self._counts = counts
+        self._armed: tuple[bytes, ...] = ()
+        self._expected: tuple[bytes, ...] = ()
+        self._seen = 0
+        self._damaged = False
+
+    def expect(self, *heads: bytes) -> None:
+        """Let through the first frame that begins with one of these, once the next request has been sent."""
+        self._armed = heads
+
+    def __call__(self, sending: bool, data: bytes) -> bytes:
+        """Return what the client may send or see of these bytes."""
+        if sending:
+            self._counts.corrupt += self._damaged
+            self._expected, self._seen, self._damaged = self._armed, 0, False
+            return data
+        frames = list(rtu_frames(data))
+        if self._expected:
+            self._damaged = len(data) > sum(map(len, frames))
+        if len(frames) < self._seen:  # the client emptied its buffer
+            self._seen = 0
+        accepted = b""
+        for frame in frames[self._seen :]:
+            if self._expected and frame.startswith(self._expected):
+                accepted, self._expected = frame, ()
+            else:
+                self._counts.late += 1
+        self._seen = len(frames)
+        return accepted
+
+
+class TcpGate:
+    """Lets through what has the number of the last request, also where the client would take number 0 for any."""
+
+    def __init__(self, counts: LineCounts) -> None:
+        """Begin before the first request; ``counts`` gets what is dropped."""
+        self._counts = counts
+        self._number = b""
+        self._seen = 0
+
+    def __call__(self, sending: bool, data: bytes) -> bytes:
+        """Return what the client may send or see of these bytes."""
+        if sending:
+            self._number = data[:2]
+            self._seen = 0
+            return data
+        kept, at = b"", 0
+        while at < len(data):
+            end = at + _TCP_HEADER + int.from_bytes(data[at + 4 : at + 6])
+            if data[at : at + 2] == self._number:
+                kept += data[at:end]
+            elif self._seen < end <= len(data) and at + _TCP_HEADER <= len(data):
+                # Numbers count up from 1, and begin again long after everything old has come.
+                number, asked = int.from_bytes(data[at : at + 2]), int.from_bytes(self._number)
+                if 0 < number < asked:
+                    self._counts.late += 1
+                else:
+                    self._counts.foreign += 1
+                self._seen = end
+            at = end
+        return kept
+
+
+def rtu_frames(data: bytes) -> Iterator[bytes]:
+    """Yield the replies with a right CRC in these bytes, one after the other, whatever lies between them."""
+    at = 0
+    while at + 5 <= len(data):
+        size = _reply_size(data, at)
+        frame = data[at : at + size]
+        if size and len(frame) == size and FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:])):
+            yield frame
+            at += size
+        else:
+            at += 1
+
+
+def _reply_size(data: bytes, at: int) -> int:
+    function = data[at + 1]
+    if function & 0x80:
+        return 5
+    if function in (WRITE_ONE, WRITE_MORE):
+        return 8
+    return 5 + data[at + 2] if function == READ else 0

@@ -1,0 +1,171 @@
+"""Clients of a STIM300's service and utility mode: identity and settings, while it sends no samples."""
+
+from __future__ import annotations
+
+import asyncio
+from types import TracebackType
+
+from drivers.errors import BadReply, DeviceRefused, LinkLost
+from drivers.seams import ByteLink, Identity
+from drivers.stim300 import RATES_HZ, SERVICE_MODE, UTILITY_MODE
+from drivers.stim300_service import ServiceReader, ServiceReply
+from drivers.stim300_units import UNITS
+from drivers.stim300_utility import DATAGRAM_CODES, STATUS_TEXTS, UtilityDecoder, UtilityMessage, encode_message
+
+_TRIES = 2
+_QUIET_S = 0.1  # far longer than the pause between datagrams
+_DATAGRAM_LETTERS = {identifier: code for code, identifier in DATAGRAM_CODES.items()}
+_UNIT_CODES = {name: code for code, name in UNITS.items()}
+
+
+class Stim300Utility:
+    """Utility mode, for programs; ``async with`` enters and leaves it. The link is open before and after."""
+
+    def __init__(self, device: str, link: ByteLink, *, timeout_s: float = 0.5) -> None:
+        """Wait ``timeout_s`` twice for each reply."""
+        self._device, self._link, self._timeout_s = device, link, timeout_s
+        self._decoder = UtilityDecoder()
+
+    async def __aenter__(self) -> Stim300Utility:
+        """Enter: samples stop; LinkLost if the device does not answer."""
+        for _ in range(_TRIES):
+            self._link.write(UTILITY_MODE)
+            # Any reply will do: one to UTILITYMODE as a wrong command comes from a device that was in it already.
+            if await self._reply("") is not None:
+                return self
+        raise LinkLost(self._device, "no answer to UTILITYMODE; is it powered, and sending samples?")
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
+    ) -> None:
+        """Leave: samples go on."""
+        if kind is None:
+            await self.ask("xn")
+        else:
+            self._link.write(encode_message(UtilityMessage(False, ("xn",))))
+
+    async def ask(self, name: str, *parameters: str | int) -> tuple[str, ...]:
+        """Send a command and return what the reply says; DeviceRefused with its status, LinkLost if there is none."""
+        command = encode_message(UtilityMessage(False, (name, *map(str, parameters))))
+        for _ in range(1 if name == "save" else _TRIES):
+            self._link.write(command)
+            reply = await self._reply(name)
+            if reply is not None and reply.status in (0, None):
+                return reply.data
+            if reply is not None and reply.status != 2:
+                text = STATUS_TEXTS[reply.status or 0]
+                raise DeviceRefused(self._device, f"{name} refused with status {reply.status}: {text}")
+        raise LinkLost(self._device, f"no answer to {name} in utility mode")
+
+    async def identify(self) -> Identity:
+        """Ask for product, part number, serial number and firmware."""
+        product, part = (await self.ask("in"))[0:1], await self.ask("ix")
+        serial, firmware = (await self.ask("isn"))[0:1], (await self.ask("ifw"))[0:1]
+        if not (product and len(part) >= 2 and serial and firmware):
+            raise BadReply(self._device, "its replies about itself are too short; is it a STIM300?")
+        return Identity(f"{product[0]} {part[0]} rev {part[1]}", serial[0], firmware[0])
+
+    async def set_rate(self, rate_hz: int) -> None:
+        """Set the rate of normal datagrams, one of 125, 250, 500, 1000, 2000."""
+        await self.ask("sm", RATES_HZ.index(rate_hz))
+
+    async def set_gyro_unit(self, unit: str) -> None:
+        """Set what the gyros put out, by a name of ``UNITS``."""
+        await self.ask("sgu", _UNIT_CODES[unit])
+
+    async def set_datagram(self, identifier: int) -> None:
+        """Set which normal datagram is sent, by its id."""
+        await self.ask("sd", _DATAGRAM_LETTERS[identifier])
+
+    async def save(self) -> int:
+        """Keep the settings through power-off; return how often that can still be done."""
+        left = await self.ask("save")
+        if not left or not left[0].isdigit():
+            raise BadReply(self._device, f"it answered {','.join(left)!r} to save; ask it again what it has kept")
+        return int(left[0])
+
+    async def _reply(self, name: str) -> UtilityMessage | None:
+        """Return the reply to this command; None if there is none in time. Late replies to others are passed over."""
+        try:
+            async with asyncio.timeout(self._timeout_s):
+                while True:
+                    for message in self._decoder.feed((await self._link.receive()).data):
+                        if message.reply and (not name or message.name in (name, "")):
+                            return message
+        except TimeoutError:
+            return None
+
+
+class Stim300Service:
+    """Service mode, for people; ``async with`` enters and leaves it. The link is open before and after."""
+
+    def __init__(self, device: str, link: ByteLink, *, timeout_s: float = 1.0) -> None:
+        """Wait ``timeout_s`` for each reply."""
+        self._device, self._link, self._timeout_s = device, link, timeout_s
+        self._reader = ServiceReader()
+
+    async def __aenter__(self) -> Stim300Service:
+        """Enter: samples stop; LinkLost if there is no prompt."""
+        self._reader.clear()
+        self._link.write(SERVICE_MODE)
+        try:
+            async with asyncio.timeout(self._timeout_s):
+                while not await self._quiet_at_prompt():
+                    self._reader.feed((await self._link.receive()).data)
+        except TimeoutError:
+            raise LinkLost(self._device, "no prompt after SERVICEMODE; is it powered, and sending samples?") from None
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
+    ) -> None:
+        """Leave: samples go on."""
+        if kind is None:
+            await self.ask("x N")
+        else:
+            self._link.write(b"x N\r")
+
+    async def ask(self, command: str) -> ServiceReply:
+        """Type a command and return what is printed; DeviceRefused with the device's error, LinkLost if nothing is."""
+        self._reader.clear()
+        self._link.write(command.encode("ascii") + b"\r")
+        reply = None
+        try:
+            async with asyncio.timeout(self._timeout_s):
+                while reply is None:
+                    self._reader.feed((await self._link.receive()).data)
+                    reply = self._reader.reply(command)
+        except TimeoutError:
+            raise LinkLost(self._device, f"no answer to {command!r} in service mode") from None
+        if reply.error:
+            raise DeviceRefused(self._device, f"{command!r} refused: {reply.error}")
+        return reply
+
+    async def identify(self) -> Identity:
+        """Ask for product, part number, serial number and firmware; empty where the device prints none."""
+        said = await self.ask("i")
+        model = f"{said.value('PRODUCT')} {said.value('PART NUMBER')}".strip()
+        return Identity(model, said.value("SERIAL NUMBER"), said.value("FW CONFIG"))
+
+    async def set_rate(self, rate_hz: int) -> None:
+        """Set the rate of normal datagrams, one of 125, 250, 500, 1000, 2000."""
+        await self.ask(f"m {RATES_HZ.index(rate_hz)}")
+
+    async def set_gyro_unit(self, unit: str) -> None:
+        """Set what the gyros put out, by a name of ``UNITS``."""
+        await self.ask(f"u g,{_UNIT_CODES[unit]}")
+
+    async def set_datagram(self, identifier: int, *, line_termination: bool = False) -> None:
+        """Set which normal datagram is sent, by its id, and whether CR LF ends it."""
+        await self.ask(f"d {_DATAGRAM_LETTERS[identifier]},{int(line_termination)}")
+
+    async def _quiet_at_prompt(self) -> bool:
+        """Return whether a prompt has come and nothing after it: within datagrams the same bytes mean nothing."""
+        if not self._reader.at_prompt:
+            return False
+        try:
+            async with asyncio.timeout(_QUIET_S):
+                self._reader.feed((await self._link.receive()).data)
+        except TimeoutError:
+            return True
+        return False

@@ -1,0 +1,38 @@
+"""Angles of a table that tells them within one turn, counted on over the turns."""
+
+from __future__ import annotations
+
+
+class Unwrapper:
+    """Puts each reading on the turn where the axis must be by its rate.
+
+    Right as long as readings are so close together that the mean of two rates tells the way between them to
+    less than half a turn. A table that once tells a turn or more does not tell angles within one turn; from
+    then on it is believed.
+    """
+
+    def __init__(self, turn: float) -> None:
+        """``turn`` is one turn in the unit of the angles; rates are in that unit a second."""
+        self._turn = turn
+        self._counts_turns = False
+        self._last: tuple[float, float, float] | None = None  # time, angle counted on, rate
+
+    @property
+    def last_s(self) -> float:
+        """When the last reading was, in seconds; minus infinity before the first."""
+        return self._last[0] if self._last is not None else float("-inf")
+
+    def restart(self) -> None:
+        """Forget the turns: the next reading is taken as told, within half a turn of zero."""
+        self._last = None
+
+    def place(self, t_s: float, told: float, rate: float) -> float:
+        """Return the angle counted on."""
+        self._counts_turns |= abs(told) >= self._turn * 1.0001
+        expected = 0.0
+        if self._last is not None:
+            last_s, last_angle, last_rate = self._last
+            expected = last_angle + 0.5 * (last_rate + rate) * (t_s - last_s)
+        angle = told if self._counts_turns else told + self._turn * round((expected - told) / self._turn)
+        self._last = t_s, angle, rate
+        return angle

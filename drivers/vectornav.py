@@ -1,0 +1,350 @@
+"""VectorNav VN-100, 200, 300: ASCII sentences and binary frames in one stream; a pure codec, bytes to values and back.
+
+Facts: VN-100 User Manual UM001, 4.2 and 5.1; field sizes also from VectorNav's own programming library and SDK (MIT).
+"""
+
+from __future__ import annotations
+
+import binascii
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+IMU_RATE_HZ = 800
+"""Binary output comes at this rate over a whole number."""
+ASCII_RATES_HZ = (1, 2, 4, 5, 10, 20, 25, 40, 50, 100, 200)
+"""What register 7 takes."""
+
+COMMON, TIME, IMU, GPS, ATTITUDE, INS, GPS2 = range(7)
+"""Output groups by their bit."""
+
+ERRORS = {
+    1: "hard fault",
+    2: "serial buffer overflow",
+    3: "wrong checksum",
+    4: "unknown command",
+    5: "too few parameters",
+    6: "too many parameters",
+    7: "invalid parameter",
+    8: "no such register",
+    9: "not allowed",
+    10: "restarted by its watchdog",
+    11: "output buffer overflow",
+    12: "baud rate too low for the output asked for",
+    255: "error buffer overflow",
+}
+
+_SYNC = 0xFA
+_CRC_SIZE = 2
+_MORE_GROUPS = 0x80
+_MORE_FIELDS = 0x8000
+_LONGEST_SENTENCE = 256
+
+_SENTENCE = re.compile(rb"(VN[A-Z0-9]{3}(?:,[^*]*)?)\*(XX|[0-9A-Fa-f]{4}|[0-9A-Fa-f]{2})")
+_NOT_TEXT = re.compile(rb"[^ -#%-~]")  # what cannot stand within a sentence
+_FIELD_TEXT = re.compile(r"[ -#%-)+\--~]*")  # printable, none of $ * ,
+_HEADER_TEXT = re.compile(r"VN[A-Z0-9]{3}")
+
+
+def _fields(text: str) -> tuple[tuple[str, np.dtype[Any]], ...]:
+    return tuple((name, np.dtype(kind)) for name, kind in (entry.split() for entry in text.split(", ")))
+
+
+# Name and type of every field, from bit 0 up, of the groups by number. All little-endian; rates in rad/s,
+# accelerations in m/s2, magnetic field in gauss, pressure in kPa, angles in deg, times in ns since power-on.
+_GNSS = _fields(
+    "time_utc 8u1, tow <u8, week <u2, satellites u1, fix u1, position_lla 3<f8, position_ecef 3<f8, velocity_ned 3<f4, "
+    "velocity_ecef 3<f4, position_sigma 3<f4, velocity_sigma <f4, time_sigma <f4, time_info 2u1, dop 7<f4"
+)
+_GROUPS = (
+    (
+        "common",
+        _fields(
+            "time_startup <u8, time_gps <u8, time_sync_in <u8, yaw_pitch_roll 3<f4, quaternion 4<f4, "
+            "angular_rate 3<f4, position_lla 3<f8, velocity_ned 3<f4, accel 3<f4, uncomp_accel_gyro 6<f4, "
+            "mag_temp_pres 5<f4, delta_time_theta_vel 7<f4, ins_status <u2, sync_in_count <u4, time_gps_pps <u8"
+        ),
+    ),
+    (
+        "time",
+        _fields(
+            "time_startup <u8, time_gps <u8, gps_tow <u8, gps_week <u2, time_sync_in <u8, time_gps_pps <u8, "
+            "time_utc 8u1, sync_in_count <u4, sync_out_count <u4, time_status u1"
+        ),
+    ),
+    (
+        "imu",
+        _fields(
+            "status <u2, uncomp_mag 3<f4, uncomp_accel 3<f4, uncomp_gyro 3<f4, temperature <f4, pressure <f4, "
+            "delta_time_theta 4<f4, delta_vel 3<f4, mag 3<f4, accel 3<f4, angular_rate 3<f4, saturation <u2, "
+            "reserved_12 V40"
+        ),
+    ),
+    ("gps", _GNSS),
+    (
+        "attitude",
+        _fields(
+            "vpe_status <u2, yaw_pitch_roll 3<f4, quaternion 4<f4, dcm 9<f4, mag_ned 3<f4, accel_ned 3<f4, "
+            "linear_accel_body 3<f4, linear_accel_ned 3<f4, yaw_pitch_roll_sigma 3<f4, reserved_9 V12, "
+            "reserved_10 V28, reserved_11 V24, heave 3<f4"
+        ),
+    ),
+    (
+        "ins",
+        _fields(
+            "status <u2, position_lla 3<f8, position_ecef 3<f8, velocity_body 3<f4, velocity_ned 3<f4, "
+            "velocity_ecef 3<f4, mag_ecef 3<f4, accel_ecef 3<f4, linear_accel_ecef 3<f4, position_sigma <f4, "
+            "velocity_sigma <f4, reserved_11 V68, reserved_12 V64"
+        ),
+    ),
+    ("gps2", _GNSS),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """One ASCII sentence: ``header`` such as VNRRG, and what stands between the commas."""
+
+    header: str
+    fields: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be sent; ValueError."""
+        if not _HEADER_TEXT.fullmatch(self.header) or not all(map(_FIELD_TEXT.fullmatch, self.fields)):
+            raise ValueError(f"{self.header!r}, {self.fields!r} cannot be a VectorNav sentence")
+
+    @property
+    def text(self) -> str:
+        """What stands between ``$`` and ``*``."""
+        return ",".join((self.header, *self.fields))
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Which fields a binary frame carries.
+
+    ``dtype`` is the whole frame as a structured type; its fields are named group.field, for instance
+    imu.uncomp_gyro. ``masks`` are the fields' bits of each group, without extension bits.
+    """
+
+    header: bytes
+    dtype: np.dtype[Any]
+    masks: tuple[tuple[int, int], ...]
+
+    @property
+    def size(self) -> int:
+        """Bytes of a frame, from the sync byte to the CRC."""
+        return int(self.dtype.itemsize)
+
+    @property
+    def register_fields(self) -> tuple[str, ...]:
+        """Groups and fields as registers 75 to 77 hold them, in hex."""
+        words = np.frombuffer(self.header[2:], dtype="<u2").tolist()
+        return f"{self.header[1]:02X}", *(f"{word:04X}" for word in words)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """Consecutive binary frames of one layout: ``values`` (n,) of ``layout.dtype``."""
+
+    layout: Layout
+    values: NDArray[Any]
+
+
+def layout_of(masks: Mapping[int, int]) -> Layout:
+    """Return the layout with these fields, bits by group number; ValueError for groups or fields that are unknown."""
+    header = bytes([_SYNC, sum(1 << group for group in masks)]) if set(masks) <= set(range(7)) else b""
+    for _, mask in sorted(masks.items()):
+        header += mask.to_bytes(2, "little") if 0 <= mask < _MORE_FIELDS else b""
+    return layout_of_header(header)
+
+
+def layout_of_header(header: bytes) -> Layout:
+    """Return the layout that a frame's first bytes, up to the last field word, say; ValueError if they cannot be."""
+    end, masks = _read_header(header, 0)
+    if masks is None or end != len(header):
+        raise ValueError(f"{header.hex(' ')} is no header of a frame whose fields are known")
+    return _layout(header, masks)
+
+
+def error_code(field: str) -> int:
+    """Return the code of a VNERR sentence, which is hex; older firmware writes 10 to 12 and 255 in decimal.
+
+    Both can be told apart, because 0x10 to 0x12 and 0x255 are no codes. -1 if it is no number.
+    """
+    try:
+        code = int(field, 16)
+        return code if code in ERRORS or not field.isdecimal() else int(field)
+    except ValueError:
+        return -1
+
+
+def error_text(code: int) -> str:
+    """Return a code in words."""
+    return f"error {code} ({ERRORS.get(code, 'not in its manual')})"
+
+
+def encode_sentence(sentence: Sentence, check: Literal["xor", "crc", "none"] = "xor") -> bytes:
+    """Return a sentence with its check: XOR, CRC16, or XX, which the device takes for none."""
+    body = sentence.text.encode("ascii")
+    text = {"xor": f"{_xor(body):02X}", "crc": f"{binascii.crc_hqx(body, 0):04X}", "none": "XX"}[check]
+    return b"$" + body + b"*" + text.encode("ascii") + b"\r\n"
+
+
+def encode_frames(layout: Layout, values: NDArray[Any]) -> bytes:
+    """Return frames as the device sends them; of ``values`` (n,) header and CRC are filled in."""
+    rows = values.copy()
+    rows["header"] = np.void(layout.header)
+    raw, body = rows.tobytes(), layout.size - _CRC_SIZE
+    rows["crc"] = [binascii.crc_hqx(raw[at + 1 : at + body], 0) for at in range(0, len(raw), layout.size)]
+    return rows.tobytes()
+
+
+class VectorNavDecoder:
+    """Finds sentences and frames in a stream. Malformed input is dropped and counted, never raised."""
+
+    def __init__(self, *, binary: bool = True) -> None:
+        """Start unlocked; ``binary`` is False at the device's end, where only sentences come in."""
+        self._buffer = b""
+        self._start = re.compile(rb"[$\xfa]" if binary else rb"\$")
+        self.dropped_bytes = 0
+        self.bad_frames = 0
+        self.bad_sentences = 0
+
+    def feed(self, data: bytes) -> list[Sentence | Frames]:
+        """Return what these bytes complete, in order, consecutive frames of one layout together."""
+        self._buffer += data
+        return self._take(ended=False)
+
+    def flush(self) -> list[Sentence | Frames]:
+        """Return what lies behind a beginning that nothing completes, when nothing more has come for a while."""
+        return self._take(ended=True)
+
+    def _take(self, *, ended: bool) -> list[Sentence | Frames]:
+        found: list[Sentence | Frames] = []
+        view, position = self._buffer, 0
+        while (start := self._start.search(view, position)) is not None:
+            self.dropped_bytes += start.start() - position
+            position = start.start()
+            is_frame = view[position] == _SYNC
+            item, end = _frames_at(view, position) if is_frame else _sentence_at(view, position)
+            if item is not None:
+                found.append(item)
+                position = end
+            elif end > len(view) and not ended:
+                break
+            else:
+                # An end says that it began well, so it is damaged; the others are foreign bytes.
+                self.bad_frames += is_frame and end > 0
+                self.bad_sentences += not is_frame and end > 0
+                self.dropped_bytes += 1
+                position += 1
+        else:
+            self.dropped_bytes += len(view) - position
+            position = len(view)
+        self._buffer = view[position:]
+        return found
+
+
+def _frames_at(view: bytes, at: int) -> tuple[Frames | None, int]:
+    """Return the frames of one layout from here on and where they end.
+
+    With None, the end is where the first would end, beyond the view if more is needed to tell; 0 if it is no frame.
+    """
+    end, masks = _read_header(view, at)
+    if masks is None:
+        return None, end
+    layout = _layout(view[at:end], masks)
+    size, position = layout.size, at
+    while (
+        position + size <= len(view)
+        and view.startswith(layout.header, position)
+        and binascii.crc_hqx(view[position + 1 : position + size], 0) == 0  # over its own CRC it gives 0
+    ):
+        position += size
+    if position == at:
+        return None, at + size
+    return Frames(layout, np.frombuffer(view[at:position], dtype=layout.dtype)), position
+
+
+def _read_header(view: bytes, at: int) -> tuple[int, tuple[tuple[int, int], ...] | None]:
+    """Return where a frame's header ends and its (group, fields) pairs.
+
+    With None, the end is beyond the view if it is cut off, 0 if it is no header: no field, or unknown ones, of which
+    nobody knows the size. Each selector may go on in one more: 14 groups, 30 fields of each.
+    """
+    position = at + 2
+    if position > len(view):
+        return position, None
+    groups = view[at + 1]
+    if groups & _MORE_GROUPS:
+        position += 1
+        if position > len(view):
+            return position, None
+        if view[position - 1]:  # groups 8 to 14 and beyond
+            return 0, None
+    masks = []
+    for group in range(7):
+        if groups >> group & 1:
+            mask, position = _read_fields(view, position)
+            if position > len(view):
+                return position, None
+            if not mask or mask >> len(_GROUPS[group][1]):
+                return 0, None
+            masks.append((group, mask))
+    return (position, tuple(masks)) if masks else (0, None)
+
+
+def _read_fields(view: bytes, at: int) -> tuple[int, int]:
+    word = int.from_bytes(view[at : at + 2], "little")
+    if not word & _MORE_FIELDS:
+        return word, at + 2
+    more = int.from_bytes(view[at + 2 : at + 4], "little")
+    # A third word is as unknown as the fields of the second; the mask keeps its bit.
+    return word & ~_MORE_FIELDS | more << 15, at + 4
+
+
+@lru_cache(maxsize=64)
+def _layout(header: bytes, masks: tuple[tuple[int, int], ...]) -> Layout:
+    fields: list[tuple[str, Any]] = [("header", f"V{len(header)}")]
+    for group, mask in masks:
+        name, known = _GROUPS[group]
+        fields += [(f"{name}.{field}", kind) for bit, (field, kind) in enumerate(known) if mask >> bit & 1]
+    return Layout(header, np.dtype([*fields, ("crc", ">u2")]), masks)
+
+
+def _sentence_at(view: bytes, at: int) -> tuple[Sentence | None, int]:
+    """Return the sentence that begins here and where it ends.
+
+    With None, the end is beyond the view if more is needed to tell, 0 if it never was one, otherwise where it stops.
+    """
+    if not b"$VN".startswith(view[at : at + 3]):
+        return None, 0
+    stop = _NOT_TEXT.search(view, at + 1, at + _LONGEST_SENTENCE)
+    if stop is None:
+        return None, len(view) + 1 if len(view) < at + _LONGEST_SENTENCE else at + _LONGEST_SENTENCE
+    end = stop.start() + 1
+    if stop[0] == b"\r":
+        if end == len(view):
+            return None, end + 1
+        end += view[end] == 0x0A
+    match = _SENTENCE.fullmatch(view, at + 1, stop.start()) if view[end - 1] == 0x0A else None
+    if match is None or not _check_is_right(match[1], match[2]):
+        return None, end
+    header, *fields = match[1].decode("ascii").split(",")
+    return Sentence(header, tuple(fields)), end
+
+
+def _check_is_right(body: bytes, check: bytes) -> bool:
+    if check == b"XX":
+        return True
+    return int(check, 16) == (_xor(body) if len(check) == 2 else binascii.crc_hqx(body, 0))
+
+
+def _xor(body: bytes) -> int:
+    return int(np.bitwise_xor.reduce(np.frombuffer(body, dtype=np.uint8)))

@@ -1,0 +1,197 @@
+"""Twin of a Galil DMC motion controller over the table model: commands, answers, motion, switches, stop codes.
+
+It is what the manuals and public code tables say; where they are silent it does the simplest thing. The watchdog is
+what a program on a real controller has to do: a DMC has none of its own.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+
+from drivers.galil import LONGEST_LINE, UNRECOGNIZED
+from sims.galil_axis import GalilAxisTwin, Refusal
+from sims.table import TableModel
+from sims.watchdog import Watchdog
+
+_LETTERS = "ABCDEFGH"
+_SYNONYMS = str.maketrans("XYZW", "ABCD")
+_COMMAND = re.compile(r"([A-Z]{2}) ?(.*)")
+_ONE_AXIS = re.compile(r"([A-HW-Z])=(.+)")
+_REVISION = "\x12\x16"
+
+_WORDS = {
+    1: "Unrecognized command",
+    4: "Operand error",
+    5: "Input buffer full",
+    6: "Number out of range",
+    7: "Command not valid while running",
+    8: "Command not valid while not running",
+    13: "JG only valid when running in jog mode",
+    20: "Begin not valid with motor off",
+    21: "Begin not valid while running",
+    22: "Begin not possible due to Limit Switch",
+}
+_TELL = ("TP", "TV", "TE", "TS", "SC")
+_SETTINGS = ("JG", "PA", "PR", "SP", "AC", "DC", "ER", "OE", "FL", "BL", "DP")
+
+
+class GalilController:
+    """Takes bytes from the host as they come and writes the answers at once, in order."""
+
+    def __init__(
+        self,
+        table: TableModel,
+        write: Callable[[bytes], None],
+        axes: Mapping[str, str],
+        *,
+        watchdog_s: float = 0.0,
+        echo: bool = False,
+        revision: str = "DMC4030 Rev 1.2c",
+        serial: int = 9046,
+    ) -> None:
+        """``axes`` gives each axis of the table its letter; ``watchdog_s`` of silence stops them (0: never)."""
+        self._table, self._write = table, write
+        self._axes = {letter: GalilAxisTwin(table, axis) for axis, letter in sorted(axes.items(), key=lambda a: a[1])}
+        self._echo, self._revision, self._serial = echo, revision, serial
+        self._line = b""
+        self._too_long = False
+        self._error = 0
+        self._leading_zeros = False
+        self._watchdog = Watchdog(table.clock, watchdog_s, self._master_is_silent)
+
+    def received(self, data: bytes) -> None:
+        """Take bytes from the host, cut anywhere."""
+        for byte in data:
+            if self._echo:
+                self._write(b"\r\n" if byte == 13 else bytes([byte]))
+            if byte == 13:
+                line, self._line = self._line, b""
+                if self._too_long:
+                    self._too_long, self._error = False, 5
+                    self._write(b"?")
+                else:
+                    self._carry_out(line.decode("ascii", "replace"))
+            elif byte != 10:
+                self._too_long |= len(self._line) >= LONGEST_LINE
+                if not self._too_long:
+                    self._line += bytes([byte])
+        self._watchdog.heard(any(not axis.motor_off for axis in self._axes.values()))
+
+    def _carry_out(self, line: str) -> None:
+        for command in line.split(";"):
+            for axis in self._axes.values():
+                axis.update()
+            try:
+                text = self._command(command.strip(" "))
+            except Refusal as refusal:
+                self._error = refusal.code
+                self._write(b"?")
+                continue
+            self._write(f"{text}\r\n:".encode() if text else b":")
+
+    def _command(self, command: str) -> str:
+        if not command:
+            return ""
+        if command == _REVISION:
+            return self._revision
+        match = _COMMAND.fullmatch(command)
+        if match is None:
+            raise Refusal(UNRECOGNIZED)
+        word, operand = match[1], match[2].strip()
+        if word == "MG":
+            return self._message(operand)
+        if word in _SETTINGS:
+            return self._setting(word, operand)
+        if word in _TELL:
+            return ", ".join(self._number(axis.get(word), word) for axis in self._each(operand))
+        return self._act(word, operand)
+
+    def _act(self, word: str, operand: str) -> str:
+        if word == "TC":
+            code, self._error = self._error, 0
+            return f" {code}" if operand in ("", "0") else f"{code} {_WORDS.get(code, '')}".rstrip()
+        if word == "ID":
+            return f"FW, {self._revision}"
+        if word == "AB":
+            for axis in self._axes.values():
+                axis.abort()
+        elif word == "EO":
+            self._echo = operand == "1"
+        elif word == "LZ":
+            self._leading_zeros = operand == "0"
+        elif word == "BG":
+            for axis in self._each(operand):
+                axis.check_begin()
+            for axis in self._each(operand):
+                axis.begin()
+        elif word in ("SH", "MO", "ST", "HM", "FI"):
+            for axis in self._each(operand):
+                axis.act(word)
+        else:
+            raise Refusal(UNRECOGNIZED)
+        return ""
+
+    def _setting(self, word: str, operand: str) -> str:
+        """Set or tell values: ``JGA=1000``, ``JGA=?``, ``JG 1000,,500``, ``JG ?,?``."""
+        one = _ONE_AXIS.fullmatch(operand)
+        if one:
+            given = {self._axis(one[1]): one[2]}
+        else:
+            values = operand.split(",")
+            if len(values) > len(_LETTERS):
+                raise Refusal(4)
+            given = {self._axis(_LETTERS[i]): value for i, value in enumerate(values) if value.strip()}
+        if given and all(value.strip() == "?" for value in given.values()):
+            return ", ".join(self._number(axis.get(word), word) for axis in given)
+        for axis, value in given.items():
+            axis.set(word, _parsed(value))
+        return ""
+
+    def _message(self, operand: str) -> str:
+        """Tell texts in quotation marks, numbers, and what the controller knows (``_TPA``)."""
+        parts = []
+        for part in re.findall(r'"[^"]*"|[^,"]+', operand):
+            if part.startswith('"'):
+                parts.append(part[1:-1])
+            elif part.strip() == "_BN":
+                parts.append(f" {self._serial}.0000")
+            elif part.strip().startswith("_"):
+                name = part.strip()
+                parts.append(f" {self._axis(name[3:]).get(name[1:3]):.4f}".replace(" -", "-"))
+            else:
+                parts.append(f" {_parsed(part):.4f}".replace(" -", "-"))
+        if not parts:
+            raise Refusal(4)
+        return "".join(parts)
+
+    def _each(self, letters: str) -> list[GalilAxisTwin]:
+        return [self._axis(letter) for letter in letters] if letters else list(self._axes.values())
+
+    def _axis(self, letter: str) -> GalilAxisTwin:
+        axis = self._axes.get(letter.translate(_SYNONYMS))
+        if axis is None:
+            raise Refusal(UNRECOGNIZED)
+        return axis
+
+    def _number(self, value: float, word: str) -> str:
+        whole = round(value)
+        if self._leading_zeros:
+            return f"{'-' if whole < 0 else ''}{abs(whole):0{3 if word in ('TS', 'SC') else 10}d}"
+        return f"{'' if whole < 0 else ' '}{whole}"
+
+    def _master_is_silent(self) -> None:
+        for axis in self._axes.values():
+            axis.update()
+            axis.power_down()
+
+
+def _parsed(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise Refusal(4) from None
+    if not math.isfinite(value):
+        raise Refusal(4)
+    return value

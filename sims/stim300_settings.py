@@ -1,0 +1,198 @@
+"""How a simulated STIM300 is set, and how it is asked and told: its service and utility modes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.stim300 import LAYOUTS, RATES_HZ
+from drivers.stim300_special import Configuration
+from drivers.stim300_utility import DATAGRAM_CODES, UtilityDecoder, UtilityMessage
+
+_ERRORS = {
+    1: "E001 UNKNOWN COMMAND",
+    2: "E002 INCORRECT NUMBER OF PARAMETERS",
+    3: "E003 INVALID PARAMETER",
+    7: "E007 DATAGRAM WILL BE TOO LONG TO TRANSMIT",
+}
+_UNIT_NAMES = {0: "ANGULAR RATE", 1: "INCREMENTAL ANGLE", 2: "AVERAGE ANGULAR RATE", 3: "INTEGRATED ANGLE"}
+_BITS_A_BYTE = 10
+_MARGIN = 1.1
+
+
+class Refused(Exception):
+    """A command that cannot be obeyed: its error in service mode."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(_ERRORS[code])
+        self.code = code
+
+
+@dataclass(slots=True)
+class Settings:
+    """What a STIM300 keeps about itself."""
+
+    rate_hz: int
+    identifier: int
+    gyro_unit: int
+    accel_range_g: int
+    line_termination: bool
+    serial: str
+    part_number: str
+    revision: str = "K"
+    firmware: str = "SWD12404 REV 0"
+    hardware: str = "M5728 REV 11"
+    bit_rate: int = 921600
+    saves_left: int = 9958
+
+    def configuration(self) -> Configuration:
+        """Return what the configuration datagram says."""
+        layout = LAYOUTS[self.identifier]
+        return Configuration.of(
+            rate_hz=self.rate_hz,
+            accelerometer=layout.accelerometer,
+            inclinometer=layout.inclinometer,
+            temperature=layout.temperature,
+            pps=layout.extra,
+            line_termination=self.line_termination,
+            bit_rate=self.bit_rate,
+            gyro_unit=self.gyro_unit,
+            accel_range_g=self.accel_range_g,
+            revision=self.revision,
+        )
+
+    def set_rate(self, code: str) -> None:
+        """Set the rate by its digit."""
+        if code not in ("0", "1", "2", "3", "4"):
+            raise Refused(3)
+        self._fit(RATES_HZ[int(code)], self.identifier)
+        self.rate_hz = RATES_HZ[int(code)]
+
+    def set_datagram(self, code: str) -> None:
+        """Set the normal datagram by its letter."""
+        if code not in DATAGRAM_CODES:
+            raise Refused(3)
+        self._fit(self.rate_hz, DATAGRAM_CODES[code])
+        self.identifier = DATAGRAM_CODES[code]
+
+    def set_gyro_unit(self, code: str) -> None:
+        """Set what the gyros put out."""
+        if code not in ("0", "1", "2", "3", "8", "9", "10", "11"):
+            raise Refused(3)
+        self.gyro_unit = int(code)
+
+    def save(self) -> str:
+        """Keep the settings; return how often that can still be done."""
+        self.saves_left -= 1
+        return str(self.saves_left)
+
+    def _fit(self, rate_hz: int, identifier: int) -> None:
+        size = LAYOUTS[identifier].size + 2 * self.line_termination
+        if _MARGIN * _BITS_A_BYTE * size * rate_hz > self.bit_rate:
+            raise Refused(7)
+
+
+def utility_reply(settings: Settings, line: bytes) -> UtilityMessage | None:
+    """Return the reply to one line, which may be damaged; None if it is none of utility mode's."""
+    if not line.startswith(b"$"):
+        return UtilityMessage(True, ("", "1")) if line else None
+    commands = UtilityDecoder().feed(line + b"\r")
+    if not commands:
+        return UtilityMessage(True, ("", "2"))
+    name, parameters = commands[0].name, commands[0].data
+    answer = _utility_answers(settings).get(name)
+    if answer is None:
+        return UtilityMessage(True, ("", "3"))
+    needed, act = answer
+    if len(parameters) != needed:
+        return UtilityMessage(True, (name, "4"))
+    try:
+        return UtilityMessage(True, (name, "0", *act(*parameters)))
+    except Refused:
+        return UtilityMessage(True, (name, "5"))
+
+
+def _utility_answers(own: Settings) -> dict[str, tuple[int, Callable[..., tuple[str, ...]]]]:
+    """Return commands with how many parameters they take and what they do and say."""
+    codes = {identifier: code for code, identifier in DATAGRAM_CODES.items()}
+
+    def after(act: Callable[[str], None]) -> Callable[[str], tuple[str, ...]]:
+        def obey(code: str) -> tuple[str, ...]:
+            act(code)
+            return (code,)
+
+        return obey
+
+    return {
+        "in": (0, lambda: ("STIM300",)),
+        "ix": (0, lambda: (own.part_number, own.revision)),
+        "isn": (0, lambda: (own.serial,)),
+        "ifw": (0, lambda: (own.firmware,)),
+        "ihw": (0, lambda: (own.hardware,)),
+        "im": (0, lambda: (str(RATES_HZ.index(own.rate_hz)),)),
+        "id": (0, lambda: (codes[own.identifier],)),
+        "igu": (0, lambda: (str(own.gyro_unit),)),
+        "isv": (0, lambda: (str(own.saves_left),)),
+        "sm": (1, after(own.set_rate)),
+        "sd": (1, after(own.set_datagram)),
+        "sgu": (1, after(own.set_gyro_unit)),
+        "save": (0, lambda: (own.save(),)),
+        "xn": (0, lambda: ()),
+    }
+
+
+def banner(own: Settings) -> list[str]:
+    """Return what service mode prints on entry and to ``i``."""
+    return [
+        f"SERIAL NUMBER = {own.serial}",
+        "PRODUCT = STIM300",
+        f"PART NUMBER = {own.part_number} REV {own.revision}",
+        f"FW CONFIG = {own.firmware}",
+        f"HW CONFIG = {own.hardware}",
+        f"GYRO OUTPUT = {_gyro_text(own)}",
+        f"SAMPLE RATE [samples/s] = {own.rate_hz}",
+        f"DATAGRAM = {own.identifier:02X}",
+        f"BIT-RATE [bits/s] = {own.bit_rate}",
+    ]
+
+
+def service_lines(own: Settings, command: str) -> list[str]:
+    """Return what service mode prints to a command; Refused for what it does not take."""
+    name, _, text = command.partition(" ")
+    given = [part.strip() for part in text.split(",")] if text else []
+    if name == "i":
+        every = banner(own)
+        if given and given != ["m"]:
+            raise Refused(3)
+        return [line for line in every if line.startswith("SAMPLE RATE")] if given else every
+    if name == "m":
+        own.set_rate(*_exactly(1, given))
+        return [f"SAMPLE RATE [samples/s] = {own.rate_hz}"]
+    if name == "d":
+        code, end = _exactly(2, given)
+        if end not in ("0", "1"):
+            raise Refused(3)
+        own.set_datagram(code)
+        own.line_termination = end == "1"
+        return [f"DATAGRAM = {own.identifier:02X}"]
+    if name == "u":
+        cluster, code = _exactly(2, given)
+        if cluster != "g":
+            raise Refused(3)
+        own.set_gyro_unit(code)
+        return [f"GYRO OUTPUT = {_gyro_text(own)}"]
+    if name == "x":
+        if _exactly(1, given)[0] not in ("n", "i", "N", "I"):
+            raise Refused(3)
+        return [f"SYSTEM RETURNING TO {'NORMAL' if given[0] in 'nN' else 'INIT'} MODE."]
+    raise Refused(1)
+
+
+def _exactly(count: int, given: list[str]) -> list[str]:
+    if len(given) != count:
+        raise Refused(2)
+    return given
+
+
+def _gyro_text(own: Settings) -> str:
+    return _UNIT_NAMES[own.gyro_unit & 3] + (" - DELAYED" if own.gyro_unit & 8 else "")

@@ -1,0 +1,246 @@
+"""Twin of an Xsens MTi: its gyros as MTData2 messages on a byte link, and its answers to requests."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.mtdata2 import (
+    ACCELERATION,
+    EVERY,
+    PACKET_COUNTER,
+    PACKET_COUNTER_MODULUS,
+    RATE_OF_TURN,
+    SAMPLE_TIME_COARSE,
+    SAMPLE_TIME_FINE,
+    SAMPLE_TIME_MODULUS,
+    SAMPLE_TIME_TICK_S,
+    STATUS_BYTE,
+    STATUS_WORD,
+    TEMPERATURE,
+    Output,
+    decode_outputs,
+    encode_mtdata2,
+    encode_outputs,
+    kind_of,
+)
+from drivers.xbus import Mid, XbusDecoder, encode
+from sims.gyro import GyroArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_BURST_S = 0.01
+_TICKS_PER_S = round(1 / SAMPLE_TIME_TICK_S)
+_GYRO_RANGE_RPS = math.radians(2000)
+_STANDARD_GRAVITY_MPS2 = 9.80665
+_INVALID_MESSAGE, _INVALID_PARAMETER = 4, 33
+_SELF_TEST_PASSED = 1
+_COUNTS_AND_STATUS = (PACKET_COUNTER, SAMPLE_TIME_FINE, SAMPLE_TIME_COARSE, STATUS_BYTE, STATUS_WORD)
+_VALUES = (RATE_OF_TURN, ACCELERATION, TEMPERATURE)
+_FIRMWARE = bytes([1, 8, 2]) + (37).to_bytes(4, "big") + (70964).to_bytes(4, "big")
+_HARDWARE = bytes([2, 0])
+
+
+class XsensDevice:
+    """An MTi that measures since it was switched on, in bursts of about 10 ms as an operating system hands them over.
+
+    Fault knobs are plain attributes, to be set at any time.
+    """
+
+    def __init__(
+        self,
+        gyros: GyroArray,
+        write: Callable[[bytes], None],
+        rate_hz: int,
+        *,
+        serial: str = "03700715",
+        product: str = "MTI-300-2A5G4",
+        clock_ppm: float = 0.0,
+        specific_force_g: Callable[[Floats], Floats] | None = None,
+        uptime_ticks: int = 0,
+        seed: int = 0,
+    ) -> None:
+        """The three gyros were made for ``rate_hz``; each output has this rate or this over a whole number.
+
+        ``serial`` are eight hex digits. A clock with ``clock_ppm`` above 0 runs fast. ``specific_force_g`` gives what
+        accelerometers sense (n, 3) at instants (n,); left out, the device has none. ``uptime_ticks`` of 100 us is
+        how long it has been on.
+        """
+        self._gyros, self._write, self._rate_hz = gyros, write, rate_hz
+        self._force_g = specific_force_g
+        self._period_s = 1 / (rate_hz * (1 + clock_ppm * 1e-6))
+        self._random = np.random.default_rng(seed)
+        self._decoder = XbusDecoder()
+        kinds = (RATE_OF_TURN, TEMPERATURE) if specific_force_g is None else (RATE_OF_TURN, ACCELERATION, TEMPERATURE)
+        self.outputs = (
+            Output(PACKET_COUNTER, EVERY),
+            Output(SAMPLE_TIME_FINE, EVERY),
+            *(Output(kind, rate_hz) for kind in kinds),
+        )
+        """Output configuration, which it keeps when it is switched off."""
+        self.measuring = True
+        self._answers = {
+            Mid.REQ_DEVICE_ID: bytes.fromhex(serial),
+            Mid.REQ_PRODUCT_CODE: product.ljust(20).encode("ascii"),
+            Mid.REQ_FIRMWARE: _FIRMWARE,
+            Mid.REQ_HARDWARE: _HARDWARE,
+        }
+        self._sample = 0  # since the device was switched on
+        self._uptime_ticks = uptime_ticks
+        self._messages = 0
+        self._last = np.zeros(3)
+        self.stuck_gyro: int | None = None
+        """Gyro (0 to 2) whose output stays what it was."""
+        self.saturated_gyro: int | None = None
+        """Gyro whose output is pegged at its range."""
+        self.drop_share = 0.0
+        """Share of messages that are not sent."""
+        self.double_share = 0.0
+        """Share of messages that are sent twice."""
+
+    def received(self, data: bytes) -> None:
+        """Take bytes from the host, cut anywhere, and answer the requests that they complete."""
+        for messages in self._decoder.feed(data):
+            for request in messages.each():
+                self._answer(messages.mid, request)
+
+    async def serve(self) -> None:
+        """Send until cancelled."""
+        loop = asyncio.get_running_loop()
+        start, burst, sent = loop.time(), max(round(self._rate_hz * _BURST_S), 1), 0
+        while True:
+            at = np.asarray(start + np.arange(sent + 1, sent + 1 + burst) * self._period_s, dtype=np.float64)
+            await asyncio.sleep(max(float(at[-1]) - loop.time(), 0.0))
+            sent += burst
+            index = np.arange(self._sample + 1, self._sample + 1 + burst)
+            self._sample += burst
+            rate = self._sensed(at)  # also while nothing is sent: gyros do not rest
+            data = self._stream(at, index, rate) if self.measuring else b""
+            if data:
+                self._write(data)
+
+    def restart(self) -> None:
+        """Switch off and on: times and counts begin anew, and it says that it has woken up."""
+        self._sample = self._uptime_ticks = self._messages = 0
+        self.measuring = True
+        self._write(encode(Mid.WAKE_UP))
+
+    def report(self, error: int) -> None:
+        """Send an Error that nobody has asked for."""
+        self._write(encode(Mid.ERROR, bytes([error])))
+
+    def _answer(self, mid: int, data: bytes) -> None:
+        if mid % 2:
+            return  # an answer itself
+        if mid == Mid.RESET:
+            self._write(encode(mid + 1))
+            self.restart()
+        elif mid == Mid.GO_TO_CONFIG:
+            self.measuring = False
+            self._write(encode(mid + 1))
+        elif self.measuring:
+            self.report(_INVALID_MESSAGE)
+        elif mid == Mid.GO_TO_MEASUREMENT:
+            self._messages = 0
+            self.measuring = True
+            self._write(encode(mid + 1))
+        elif mid == Mid.OUTPUT_CONFIGURATION:
+            self._configure(data)
+        elif mid in self._answers:
+            self._write(encode(mid + 1, self._answers[Mid(mid)]))
+        else:
+            self.report(_INVALID_MESSAGE)
+
+    def _configure(self, data: bytes) -> None:
+        """Take over an output configuration as far as it can be granted; without data, only say what it is."""
+        wanted = decode_outputs(data)
+        if wanted is None or any(kind_of(o.data_id) not in _COUNTS_AND_STATUS + _VALUES for o in wanted):
+            self.report(_INVALID_PARAMETER)
+            return
+        if wanted:
+            self.outputs = tuple(self._granted(o) for o in wanted if self._has(o))
+        self._write(encode(Mid.OUTPUT_CONFIGURATION + 1, encode_outputs(self.outputs)))
+
+    def _has(self, output: Output) -> bool:
+        return kind_of(output.data_id) != ACCELERATION or self._force_g is not None
+
+    def _granted(self, wanted: Output) -> Output:
+        if kind_of(wanted.data_id) in _COUNTS_AND_STATUS:
+            return Output(wanted.data_id, EVERY)
+        return Output(wanted.data_id, self._rate_hz // self._divider(wanted))
+
+    def _divider(self, output: Output) -> int:
+        """Return of how many samples one is sent; neither 0 nor EVERY is a rate."""
+        rate_hz = self._rate_hz if output.rate_hz in (0, EVERY) else output.rate_hz
+        return max(round(self._rate_hz / rate_hz), 1)
+
+    def _sensed(self, at: Floats) -> Floats:
+        rate = np.clip(self._gyros.sample(at), -_GYRO_RANGE_RPS, _GYRO_RANGE_RPS)
+        if self.saturated_gyro is not None:
+            rate[:, self.saturated_gyro] = _GYRO_RANGE_RPS
+        if self.stuck_gyro is not None:
+            rate[:, self.stuck_gyro] = self._last[self.stuck_gyro]
+        self._last = rate[-1]
+        return rate
+
+    def _stream(self, at: Floats, index: Ints, rate: Floats) -> bytes:
+        """Return the messages of these samples (n,)."""
+        due = self._due(index)
+        rows = np.flatnonzero(due.any(axis=1))
+        numbers = self._messages + np.arange(len(rows))
+        self._messages += len(rows)
+        if self.drop_share or self.double_share:
+            copies = self._copies(len(rows))
+            rows, numbers = np.repeat(rows, copies), np.repeat(numbers, copies)
+        # Messages of the same packets are made together.
+        changes = np.flatnonzero((due[rows[1:]] != due[rows[:-1]]).any(axis=1)) + 1
+        parts: list[bytes] = []
+        for start, stop in pairwise([0, *changes.tolist(), len(rows)]):
+            if stop > start:
+                some = rows[start:stop]
+                present = [o.data_id for o, now in zip(self.outputs, due[some[0]], strict=True) if now]
+                values = self._values(at[some], index[some], rate[some], numbers[start:stop])
+                parts.append(encode_mtdata2([(data_id, values(kind_of(data_id))) for data_id in present]))
+        return b"".join(parts)
+
+    def _due(self, index: Ints) -> NDArray[np.bool_]:
+        """Return which outputs are in the messages of these samples (n, outputs); none at all where all is False."""
+        steps = np.array([1 if o.rate_hz == EVERY else self._divider(o) for o in self.outputs])
+        timed = [o.rate_hz != EVERY for o in self.outputs]
+        due = index[:, None] % steps == 0
+        if any(timed):
+            due &= due[:, timed].any(axis=1, keepdims=True)
+        return np.asarray(due, dtype=np.bool_)
+
+    def _values(self, at: Floats, index: Ints, rate: Floats, numbers: Ints) -> Callable[[int], Floats | Ints]:
+        """Return what gives the values (n, fields) of a kind at these samples."""
+        ticks = self._uptime_ticks + index * _TICKS_PER_S // self._rate_hz
+
+        def values(kind: int) -> Floats | Ints:
+            if kind == RATE_OF_TURN:
+                return rate
+            if kind == ACCELERATION and self._force_g is not None:
+                return self._force_g(at) * _STANDARD_GRAVITY_MPS2
+            if kind == TEMPERATURE:
+                return np.full((len(at), 1), self._gyros.temperature_c(float(at[-1])))
+            if kind == PACKET_COUNTER:
+                return (numbers % PACKET_COUNTER_MODULUS)[:, None]
+            if kind == SAMPLE_TIME_FINE:
+                return (ticks % SAMPLE_TIME_MODULUS)[:, None]
+            if kind == SAMPLE_TIME_COARSE:
+                return (ticks // _TICKS_PER_S)[:, None]
+            return np.full((len(at), 1), _SELF_TEST_PASSED)  # status byte and word
+
+        return values
+
+    def _copies(self, count: int) -> Ints:
+        """Return how often each of so many messages is sent."""
+        dropped = self._random.random(count) < self.drop_share
+        doubled = self._random.random(count) < self.double_share
+        return np.where(dropped, 0, np.where(doubled, 2, 1))

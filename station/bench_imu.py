@@ -1,0 +1,195 @@
+"""An [[imu]] section of a bench file: a device under test, how it is reached, what its data sheet says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from drivers.can_imu import BUILT_IN_DBC, CanChannel
+from drivers.can_mappings import MappingError, channels_of, load_mapping
+from estimator.array import SensorArray, cone, dodecahedron, sensor_array, tetrahedron, triad
+from estimator.errors import GeometryError
+from estimator.model import Prior
+from estimator.noise import NoiseModel
+from station.tables import Table
+
+PROTOCOLS = ("can", "j1939", "stim300", "vectornav", "xsens")
+ON_CAN = ("can", "j1939")
+STIM300_RATES_HZ = (125, 250, 500, 1000, 2000)
+J1939_RATES_HZ = (2, 4, 5, 10, 20, 25, 50, 100)
+_VECTORNAV_BASE_HZ = 800
+_NOT_NAMES = ("table", "seed", "watchdog", "start", "fault", "faults", "hidden", "started", "wires")
+
+
+@dataclass(frozen=True, slots=True)
+class CanSource:
+    """What on a CAN bus is a device: its DBC, the signals of its sources, the J1939 address if only one is meant."""
+
+    dbc: Path
+    channels: tuple[CanChannel, ...]
+    source_address: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuConfig:
+    """A device under test: how to reach it, what it is made of, what its data sheet says.
+
+    ``can`` for protocol can; ``options`` are the protocol's own keys.
+    """
+
+    name: str
+    protocol: str
+    link: str
+    array_name: str
+    array: SensorArray
+    rate_hz: float
+    can: CanSource | None
+    noise: NoiseModel
+    prior: Prior
+    used: bool
+    options: Mapping[str, str | int | bool] = field(default_factory=dict)
+
+    @property
+    def arw_rps_rthz(self) -> float:
+        """Angle random walk that the data sheet states."""
+        return self.noise.arw
+
+    @property
+    def knows_temperature(self) -> bool:
+        """Whether every source of the device tells its temperature."""
+        if self.can is not None:
+            return all(channel.temperature is not None for channel in self.can.channels)
+        return self.protocol != "j1939"
+
+    def gyros_of(self, sources: Sequence[str]) -> dict[str, list[int]]:
+        """Return which of the array's gyros each source of the device carries."""
+        counts = [len(channel.rates) for channel in self.can.channels] if self.can is not None else [len(self.array)]
+        starts = np.cumsum([0, *counts])
+        return {name: list(range(starts[i], starts[i + 1])) for i, name in enumerate(sources)}
+
+
+def read_imu(table: Table, folder: Path) -> ImuConfig:
+    """Read a section; the table's error with line and key for what is wrong."""
+    name = table.string("name")
+    if name in _NOT_NAMES:
+        raise table.fail("name", f"{name!r} means something else on a bench: take another name")
+    protocol = table.string("protocol", one_of=PROTOCOLS)
+    array_name, array = _array(table, name)
+    rate_hz = table.quantity("rate", "frequency")
+    if rate_hz <= 0:
+        raise table.fail("rate", "must be above zero")
+    if protocol != "can" and len(array) != 3:
+        raise table.fail("array", f"protocol {protocol} has three gyros, this array {len(array)}")
+    _check_rate(table, protocol, rate_hz)
+    can = _can(table, folder, name, array) if protocol == "can" else None
+    options = _options(table, protocol)
+    noise, prior = _datasheet(table.table("datasheet"))
+    config = ImuConfig(
+        name,
+        protocol,
+        table.string("link", "twin:"),
+        array_name,
+        array,
+        rate_hz,
+        can,
+        noise,
+        prior,
+        table.flag("used", True),
+        options,
+    )
+    table.done()
+    return config
+
+
+def _check_rate(table: Table, protocol: str, rate_hz: float) -> None:
+    """See that the device has such a rate, before it is asked for it."""
+    legal: tuple[int, ...] = ()
+    if protocol == "stim300":
+        legal = STIM300_RATES_HZ
+    elif protocol == "j1939":
+        legal = J1939_RATES_HZ
+    elif protocol == "vectornav" and (rate_hz != round(rate_hz) or _VECTORNAV_BASE_HZ % round(rate_hz)):
+        legal = tuple(n for n in range(1, _VECTORNAV_BASE_HZ + 1) if _VECTORNAV_BASE_HZ % n == 0)
+    elif protocol == "xsens" and rate_hz != round(rate_hz):
+        raise table.fail("rate", "an Xsens MTi sends at a whole number of Hz")
+    if legal and rate_hz not in legal:
+        raise table.fail("rate", f"protocol {protocol} sends at {', '.join(map(str, legal))} Hz")
+
+
+def _options(table: Table, protocol: str) -> dict[str, str | int | bool]:
+    options: dict[str, str | int | bool] = {}
+    if protocol in ("xsens", "j1939"):
+        options["configure"] = table.flag("configure", True)
+    if protocol == "vectornav":
+        options["output"] = table.string("output", "binary", one_of=("binary", "ascii"))
+    elif protocol == "j1939":
+        options["model"] = table.string("model", "openimu300ri", one_of=("openimu300ri", "mtlt305d"))
+        if table.has("axis_order"):
+            options["axis_order"] = table.string("axis_order", one_of=("xyz", "sae"))
+        options["address"] = table.integer("address", 0x80)
+        if not 0 <= int(options["address"]) <= 0xFD:
+            raise table.fail("address", f"{options['address']} is no J1939 address: give 0 to 253")
+    elif protocol == "stim300":
+        if table.has("gyro_unit"):
+            options["gyro_unit"] = table.string("gyro_unit")
+        if table.has("accel_range"):
+            options["accel_range"] = table.integer("accel_range")
+    return options
+
+
+def _datasheet(sheet: Table) -> tuple[NoiseModel, Prior]:
+    prior = Prior(
+        k=sheet.quantity("scale_factor_error", "ratio", 0.05),
+        b_rps=sheet.quantity("bias", "rate", math.radians(1.0)),
+        sigma_rad=sheet.quantity("misalignment", "angle", 0.02),
+    )
+    noise = NoiseModel(
+        sheet.quantity("arw", "angle random walk"),
+        sheet.quantity("bias_instability", "rate", 0.0),
+        sheet.quantity("rate_random_walk", "rate random walk", 0.0),
+    )
+    if min(prior.k, prior.b_rps, prior.sigma_rad, noise.arw) <= 0 or min(noise.instability, noise.walk) < 0:
+        raise sheet.fail(None, "every value must be above zero")
+    sheet.done()
+    return noise, prior
+
+
+def _array(table: Table, device: str) -> tuple[str, SensorArray]:
+    explicit = table.has("p")
+    try:
+        if explicit:
+            p, j, k = table.value("p"), table.value("j"), table.value("k")
+            names = [f"gyro{i + 1}" for i in range(len(p) if isinstance(p, list) else 0)]
+            return "explicit", sensor_array(p, j, k, names=names)
+        kind = table.string("array", one_of=("triad", "tetrahedron", "dodecahedron", "cone"))
+        if kind == "cone":
+            return kind, cone(table.integer("gyros"), table.quantity("half_angle", "angle"))
+        return kind, {"triad": triad, "tetrahedron": tetrahedron, "dodecahedron": dodecahedron}[kind]()
+    except GeometryError as error:
+        raise table.fail("p" if explicit else "array", f"{device}: {error}") from None
+
+
+def _can(table: Table, folder: Path, device: str, array: SensorArray) -> CanSource:
+    """Return the signals: those of a mapping file, or one channel a gyro as the bench file lists them."""
+    if table.has("mapping"):
+        try:
+            mapping = load_mapping(table.string("mapping"), folder)
+            return CanSource(mapping.dbc, channels_of(mapping, device, array.names), mapping.source_address)
+        except MappingError as error:
+            raise table.fail("mapping", str(error)) from None
+    dbc = folder / table.string("dbc") if table.has("dbc") else BUILT_IN_DBC
+    listed = table.tables("channels")
+    if len(listed) != len(array):
+        raise table.fail("channels", f"{len(listed)} channels for an array of {len(array)} gyros")
+    channels = []
+    for name, channel in zip(array.names, listed, strict=True):
+        temperature, counter, time = (
+            channel.string(key) if channel.has(key) else None for key in ("temperature", "counter", "time")
+        )
+        channels.append(CanChannel(name, channel.string("rate"), temperature, counter, time))
+        channel.done()
+    return CanSource(dbc, tuple(channels))

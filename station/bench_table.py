@@ -1,0 +1,136 @@
+"""The [table] section of a bench file: which controller turns the axes, how it is reached, what it may be asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers.registers import DriveProfile, ProfileError, load_profile
+from drivers.seams import AxisLimits
+from estimator.reference import TableUncertainty
+from station.tables import Table
+
+PROTOCOLS = ("modbus", "galil", "acutrol", "aerosmith")
+
+
+@dataclass(frozen=True, slots=True)
+class AxisConfig:
+    """One axis of the table: its ``address`` at the controller, encoder counts a turn, limits.
+
+    The address is a unit id on Modbus, a letter on a Galil, a number on an ACUTROL.
+    """
+
+    address: int | str
+    counts_per_turn: int
+    limits: AxisLimits
+
+
+@dataclass(frozen=True, slots=True)
+class TableConfig:
+    """The turntable: protocol and link, gimbals outermost first, axes by name.
+
+    ``profile`` is the register map of drives on Modbus; ``prefix`` the length of what an ACUTROL puts before replies.
+    """
+
+    protocol: str
+    link: str
+    profile: DriveProfile | None
+    prefix: int
+    homing: str
+    gimbals: tuple[str, ...]
+    poll_rate_hz: float
+    timeout_s: float
+    axes: Mapping[str, AxisConfig]
+    uncertainty: TableUncertainty | None
+
+    @property
+    def limits(self) -> dict[str, AxisLimits]:
+        """Limits by axis."""
+        return {name: axis.limits for name, axis in self.axes.items()}
+
+
+def read_table(table: Table, folder: Path) -> TableConfig:
+    """Read the section; the table's error with line and key for what is wrong."""
+    protocol = table.string("protocol", "modbus", one_of=PROTOCOLS)
+    gimbals = table.value("gimbals", ["z", "y", "x"])
+    if (
+        not isinstance(gimbals, list)
+        or not gimbals
+        or len(set(map(str, gimbals))) != len(gimbals)
+        or not all(g in ("x", "y", "z") for g in gimbals)
+    ):
+        raise table.fail("gimbals", f"must list different ones of x, y, z, outermost first; got {gimbals}")
+    if protocol == "aerosmith" and len(gimbals) != 1:
+        raise table.fail("gimbals", "an Aerosmith table (experimental) has one axis: list it alone")
+    config = TableConfig(
+        protocol=protocol,
+        link=table.string("link", "twin:"),
+        profile=_profile(table, folder) if protocol == "modbus" else None,
+        prefix=table.integer("reply_prefix", 8) if protocol == "acutrol" else 0,
+        homing=table.string("homing", "HM", one_of=("HM", "FI")) if protocol == "galil" else "",
+        gimbals=tuple(gimbals),
+        poll_rate_hz=table.quantity("poll_rate", "frequency", 20.0),
+        timeout_s=table.quantity("timeout", "time", 0.2),
+        axes={axis: _axis(table.table(axis), protocol) for axis in gimbals},
+        uncertainty=_uncertainty(table.table("uncertainty")) if table.has("uncertainty") else None,
+    )
+    if not 1 <= config.poll_rate_hz <= 1000:
+        raise table.fail("poll_rate", f"{config.poll_rate_hz:g} Hz; give 1 Hz to 1000 Hz")
+    if config.timeout_s <= 0:
+        raise table.fail("timeout", "must be above zero")
+    if config.prefix < 0:
+        raise table.fail("reply_prefix", "is a number of characters, 0 or more")
+    addresses = [axis.address for axis in config.axes.values()]
+    if len(set(addresses)) != len(addresses):
+        raise table.fail(None, f"two axes have the same address at the controller: {addresses}")
+    table.done()
+    return config
+
+
+def _profile(table: Table, folder: Path) -> DriveProfile:
+    try:
+        name = table.string("profile", "kinco")
+        return load_profile(str(folder / name) if name.endswith(".toml") else name)
+    except ProfileError as error:
+        raise table.fail("profile", str(error)) from None
+
+
+def _uncertainty(table: Table) -> TableUncertainty:
+    found = TableUncertainty(
+        rate=table.quantity("rate", "ratio", 0.0),
+        wobble_rad=table.quantity("wobble", "angle", 0.0),
+        orthogonality_rad=table.quantity("orthogonality", "angle", 0.0),
+        timing_s=table.quantity("timing", "time", 0.0),
+    )
+    if min(found.rate, found.wobble_rad, found.orthogonality_rad, found.timing_s) < 0:
+        raise table.fail(None, "a standard uncertainty is not negative")
+    table.done()
+    return found
+
+
+def _axis(table: Table, protocol: str) -> AxisConfig:
+    axis = AxisConfig(
+        address=_address(table, protocol),
+        # Angles of an ACUTROL and an Aerosmith are in degrees; their encoder's counts matter to a twin alone.
+        counts_per_turn=table.integer("counts_per_turn", None if protocol in ("modbus", "galil") else 3_600_000),
+        limits=AxisLimits(table.quantity("max_rate", "rate"), table.quantity("max_acceleration", "acceleration")),
+    )
+    if axis.counts_per_turn < 1:
+        raise table.fail("counts_per_turn", "must be 1 or more")
+    if axis.limits.rate_rps <= 0 or axis.limits.acceleration_rps2 <= 0:
+        raise table.fail(None, "max_rate and max_acceleration must be above zero")
+    table.done()
+    return axis
+
+
+def _address(table: Table, protocol: str) -> int | str:
+    if protocol == "galil":
+        return table.string("letter", one_of="ABCDEFGH")
+    if protocol == "aerosmith":
+        return 1
+    key, most, what = ("unit_id", 247, "Modbus unit id") if protocol == "modbus" else ("number", 3, "axis number")
+    address = table.integer(key)
+    if not 1 <= address <= most:
+        raise table.fail(key, f"{address} is no {what}: give 1 to {most}")
+    return address

@@ -1,0 +1,86 @@
+"""The driver of each protocol that a bench file may name, put on its link."""
+
+from __future__ import annotations
+
+from typing import Literal, cast
+
+from drivers.aceinna import Settings
+from drivers.acutrol_table import AcutrolAxis, AcutrolTable
+from drivers.aerosmith import AerosmithTable
+from drivers.can_imu import CanImu
+from drivers.galil_table import GalilAxis, GalilTable
+from drivers.j1939_imu import AceinnaImu
+from drivers.modbus_line import Address
+from drivers.modbus_table import DriveAxis, ModbusTable
+from drivers.seams import ByteLink, FrameLink, ImuSource, Turntable
+from drivers.stim300_imu import Stim300Imu
+from drivers.vectornav_imu import VectorNavImu
+from drivers.xsens_imu import XsensImu
+from station.bench_imu import ImuConfig
+from station.bench_table import TableConfig
+
+_ANSWER_S = 0.25  # one try of a question to a sensor, of which there are two: silence is known after half a second
+
+BAUD = {"modbus": 19200, "galil": 115200, "acutrol": 115200, "aerosmith": 9600}
+BAUD |= {"stim300": 921600, "vectornav": 115200, "xsens": 921600}
+"""Bits a second of a serial link that states none."""
+TCP_PORT = {"acutrol": 9888, "galil": 23}
+"""TCP port of a link that states none."""
+
+
+def modbus_table(config: TableConfig, address: Address, time_scale: float) -> Turntable:
+    """Return the driver of drives on Modbus at an address."""
+    assert config.profile is not None
+    axes = {name: DriveAxis(int(axis.address), axis.counts_per_turn, axis.limits) for name, axis in config.axes.items()}
+    return ModbusTable("table", address, config.profile, axes, config.timeout_s * time_scale)
+
+
+def byte_table(config: TableConfig, link: ByteLink, time_scale: float) -> Turntable:
+    """Return the driver of a controller that speaks lines of text."""
+    timeout_s = config.timeout_s * time_scale
+    if config.protocol == "galil":
+        letters = {
+            name: GalilAxis(str(axis.address), axis.counts_per_turn, axis.limits) for name, axis in config.axes.items()
+        }
+        return GalilTable("table", link, letters, timeout_s, homing=config.homing)
+    if config.protocol == "acutrol":
+        numbers = {name: AcutrolAxis(int(axis.address), axis.limits) for name, axis in config.axes.items()}
+        return AcutrolTable("table", link, numbers, timeout_s, prefix_length=config.prefix)
+    name, axis = next(iter(config.axes.items()))
+    return AerosmithTable("table", link, name, axis.limits, timeout_s)
+
+
+def byte_imu(config: ImuConfig, link: ByteLink, time_scale: float) -> ImuSource:
+    """Return the driver of an IMU on a byte link."""
+    name, options, answer_s = config.name, config.options, _ANSWER_S * time_scale
+    if config.protocol == "stim300":
+        unit, most = options.get("gyro_unit"), options.get("accel_range")
+        return Stim300Imu(
+            name,
+            link,
+            round(config.rate_hz),
+            gyro_unit=None if unit is None else str(unit),
+            accel_range_g=None if most is None else int(most),
+            timeout_s=answer_s,
+        )
+    if config.protocol == "xsens":
+        return XsensImu(name, link, config.rate_hz, configure=bool(options["configure"]), timeout_s=answer_s)
+    output = cast(Literal["binary", "ascii"], options["output"])
+    return VectorNavImu(name, link, config.rate_hz, output=output, timeout_s=answer_s)
+
+
+def frame_imu(config: ImuConfig, link: FrameLink) -> ImuSource:
+    """Return the driver of an IMU on a CAN bus."""
+    if config.can is not None:
+        can = config.can
+        return CanImu(config.name, link, can.dbc, can.channels, config.rate_hz, source_address=can.source_address)
+    order = config.options.get("axis_order")
+    return AceinnaImu(
+        config.name,
+        link,
+        config.rate_hz,
+        model=str(config.options["model"]),
+        axis_order=None if order is None else cast(Literal["xyz", "sae"], order),
+        address=int(config.options["address"]),
+        settings=Settings(rate_hz=config.rate_hz, packets=("ari", "accs")) if config.options["configure"] else None,
+    )

@@ -1,0 +1,80 @@
+"""What the tests of devices on CAN share: a driver on a bus in memory, in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from drivers.seams import ImuBlock, ImuSource
+from sims.body import Body
+from sims.geometry import MOUNTS_DEG, mounted
+from sims.gyro import GyroArray, GyroTruth
+from station.loops import VirtualLoop
+
+T = TypeVar("T")
+_buses = itertools.count()
+
+
+def vectors(name: str) -> list[dict[str, Any]]:
+    """Return the vectors of one file."""
+    path = Path(__file__).parents[1] / "vectors" / f"{name}.json"
+    return list(json.loads(path.read_text())["vectors"])
+
+
+def wire() -> str:
+    """Return the name of a bus in memory that nobody else uses."""
+    return f"can support {next(_buses)}"
+
+
+def in_virtual_time(main: Callable[[], Awaitable[T]]) -> T:
+    """Run a test's main in virtual time."""
+
+    async def run() -> T:
+        return await main()
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        return runner.run(run())
+
+
+async def collect(source: ImuSource, duration_s: float, *, flush: bool = True) -> dict[str, ImuBlock]:
+    """Return what an open source gives in this time, one block a name."""
+    found: dict[str, list[ImuBlock]] = {name: [] for name in source.names}
+
+    async def read() -> None:
+        async for name, block in source.blocks():
+            found[name].append(block)
+
+    reader = asyncio.create_task(read())
+    await asyncio.sleep(duration_s)
+    reader.cancel()
+    await asyncio.gather(reader, return_exceptions=True)
+    for name, block in source.flush() if flush else ():
+        found[name].append(block)
+    return {name: joined(blocks) for name, blocks in found.items() if blocks}
+
+
+def joined(blocks: list[ImuBlock]) -> ImuBlock:
+    """Return blocks as one."""
+
+    def column(name: str) -> Any:
+        parts = [getattr(block, name) for block in blocks]
+        return None if parts[0] is None else np.concatenate(parts)
+
+    return ImuBlock(*(column(name) for name in ImuBlock.__slots__))
+
+
+def gyros(
+    rate_hz: float, rate_dps: tuple[float, float, float] = (10.0, -20.0, 30.0), mount: str = "triad"
+) -> GyroArray:
+    """Return gyros without noise that see their part of a constant rate about x, y, z."""
+    mounting = mounted(MOUNTS_DEG[mount])
+    m = len(mounting.p)
+    truth = GyroTruth(np.zeros(m), -(mounting.p @ np.radians(rate_dps)), np.zeros(m), np.zeros(m), 0.0, 0.0)
+    still = Body(("z",), lambda _, t_s: np.zeros(len(t_s)), lambda: 0, 0.0, 0.0, earth_turns=False)
+    return GyroArray(mounting, truth, still, rate_hz, (1,))
