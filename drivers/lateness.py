@@ -79,7 +79,7 @@ class Lateness:
         jitter = self._rms_s / self._period_s
         return min(max(self.PROOF, round(8 * (1 + jitter**2) / self._share)), longest)
 
-    def guess(self, excess: Floats) -> None:
+    def guess(self, excess: Floats, least_s: float) -> None:
         """Learn from the first samples, of which some may have been lost: an edge and what they scatter above it."""
         if len(excess) < 2:
             excess = np.zeros(2)
@@ -89,7 +89,7 @@ class Lateness:
         level = float((excess - slope * at).std())
         steps = 2.0 * float(np.median(np.abs(np.diff(excess))))
         rms_s = max(min(level, steps), 0.05 * self._period_s)
-        self._learn(excess.min() - rms_s * np.log(1 - (np.arange(1000) + 0.5) / 1000))
+        self._learn(least_s - rms_s * np.log(1 - (np.arange(1000) + 0.5) / 1000))
 
     def add(self, device_s: Floats, excess: Floats, own: Flags, drifted_s: float, drift: float) -> None:
         """Learn from samples whose place is known; ``own`` are those that waited for no other.

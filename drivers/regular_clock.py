@@ -99,6 +99,19 @@ class RegularClock:
         t_ns = self._time_ns(place, arrival, own[: len(kept)][kept], known)
         return t_ns, arrival, np.array([row[1] for row, keep in zip(rows, kept, strict=True) if keep])
 
+    def _search(self, excess: Floats, own: Flags, equal: Flags) -> _Search:
+        """Look for what has been lost or doubled; if nothing is known yet of lateness, guess, and guess better."""
+        if not self._lateness.learned:
+            # Later samples may be late for a loss, or seem early for one doubled.
+            doubled = np.flatnonzero(equal[1:]) if equal.mean() < 0.5 else ()
+            self._lateness.guess(excess[own], float(excess[: doubled[0] + 1 if len(doubled) else None].min()))
+            excess_then = excess - self._searched(excess, own, equal).mean * self._period_s
+            self._lateness.guess(excess_then[own], float(excess_then.min()))
+        return self._searched(excess, own, equal)
+
+    def _searched(self, excess: Floats, own: Flags, equal: Flags) -> _Search:
+        return _Search(self._lateness, self._period_s, excess, own, equal, self._shifts, self._lost_share)
+
     def _time_ns(self, place: Floats, arrival: Stamps, own: Flags, known: Flags) -> Stamps:
         device_s = place * self._period_s
         drifted_s = float(self._fit.drifted(device_s[-1:])[0])
@@ -131,11 +144,7 @@ class RegularClock:
             return place[:0], own[:0], own[:0]
         raws = [self._last_raw, *(row[2] for row in self._held)]
         equal = np.array([now == before for before, now in pairwise(raws)])
-        if not self._lateness.learned:
-            self._lateness.guess(excess[own])
-            search = _Search(self._lateness, self._period_s, excess, own, equal, self._shifts, self._lost_share)
-            self._lateness.guess((excess - search.mean * self._period_s)[own])
-        search = _Search(self._lateness, self._period_s, excess, own, equal, self._shifts, self._lost_share)
+        search = self._search(excess, own, equal)
         if not certain and not self._lateness.steady((excess - search.mean * self._period_s)[own]):
             self._look_again = len(place) + max(self.HOLD, len(place) // 8)
             return place[:0], own[:0], own[:0]
