@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from drivers.can_samples import Companion, CountedSamples, Piece, RegularSamples, block_of
 from drivers.can_signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.errors import DeviceError
-from drivers.sampling import CounterClock
+from drivers.sampling import Alignment, CounterClock
 from drivers.seams import Frame, FrameLink, Identity, ImuBlock, SourceCounts, Stamps
 
 BUILT_IN_DBC = Path(__file__).with_name("gyro_nodes.dbc")
@@ -137,6 +137,10 @@ class CanImu:
         """Get the counts of one channel."""
         return self._sources[name].counts
 
+    def alignment(self, name: str) -> Alignment | None:
+        """Get how the clock of one channel lies to the loop's; None while that is not known."""
+        return self._sources[name].alignment
+
     async def open(self) -> None:
         """Open the bus."""
         await self._link.open()
@@ -232,6 +236,10 @@ class _Source:
     @property
     def inlets(self) -> list[_Inlet]:
         return [self._lead, *self._others.values()]
+
+    @property
+    def alignment(self) -> Alignment | None:
+        return self._regular.alignment if self._counted is None else self._counted.alignment
 
     def block(self, *, everything: bool = False) -> ImuBlock | None:
         """Return what can be timed of what has come, or None."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.sampling import CounterClock, RegularClock
+from drivers.sampling import Alignment, CounterClock, RegularClock
 from drivers.seams import ImuBlock, SourceCounts, Stamps
 
 Floats = NDArray[np.float64]
@@ -76,6 +76,11 @@ class RegularSamples:
         self._rows: list[Floats] = []
         self._first = 0  # serial number of the first row kept
 
+    @property
+    def alignment(self) -> Alignment | None:
+        """The sender's clock against the loop's; None in the first seconds."""
+        return self._clock.alignment
+
     def add(self, arrival_ns: Stamps, values: Floats, raw: list[bytes]) -> None:
         """Take in rows (n, k); ``raw`` is what equal samples share."""
         serial = self._first + len(self._rows)
@@ -105,6 +110,11 @@ class CountedSamples:
     def __init__(self, clock: CounterClock) -> None:
         """Take the clock with its tick and wrap."""
         self._clock = clock
+
+    @property
+    def alignment(self) -> Alignment | None:
+        """The device's clock against the loop's; None in the first seconds."""
+        return self._clock.alignment
 
     def block(self, arrival_ns: Stamps, count: Stamps, values: Floats, gyros: int) -> ImuBlock | None:
         """Return the new ones of these rows as a block, or None."""

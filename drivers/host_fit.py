@@ -23,6 +23,7 @@ _BUCKET_S = 1.0
 _BUCKETS = 120  # two minutes: short against the drift of a quartz that warms up
 _FEWEST = 3  # buckets to put a line through; before, the earliest arrival of all counts
 _DRIFT_SD = 100e-6  # of quartzes as they are sold: what a drift is taken for until arrivals tell
+_MOST_DRIFT = 0.05  # an oscillator without a quartz
 _SLEW = 1e-3  # how fast the line may move: 1 ms a second,
 _SETTLE_S, _SETTLE_AT_FIRST_S = 3.0, 0.5  # or as fast as it takes to be there in so many seconds,
 _AT_FIRST = 10  # the shorter time in so many buckets,
@@ -57,17 +58,22 @@ class _Bucket:
     sum_at_s: float = 0.0
     sum_excess: float = 0.0
     sum_squares: float = 0.0
-    least_at_s: float = 0.0
-    least: float = math.inf
+    earliest: tuple[float, float] = (0.0, math.inf)  # device time and excess
+    trusted: tuple[float, float] | None = None
 
     def add(self, at_s: Floats, excess: Floats) -> None:
-        best = int(excess.argmin())
-        if excess[best] < self.least:
-            self.least_at_s, self.least = float(at_s[best]), float(excess[best])
+        self.earliest = min(self.earliest, _earliest(at_s, excess), key=lambda point: point[1])
         self.count += len(excess)
         self.sum_at_s += float(at_s.sum())
         self.sum_excess += float(excess.sum())
         self.sum_squares += float(excess @ excess)
+
+    def trust(self, at_s: Floats, excess: Floats) -> None:
+        self.trusted = min(self.trusted or (0.0, math.inf), _earliest(at_s, excess), key=lambda point: point[1])
+
+    @property
+    def least(self) -> tuple[float, float]:
+        return self.trusted or self.earliest
 
     @property
     def mean(self) -> tuple[float, float]:
@@ -76,6 +82,11 @@ class _Bucket:
     @property
     def variance(self) -> float:
         return max(self.sum_squares / self.count - (self.sum_excess / self.count) ** 2, 0.0)
+
+
+def _earliest(at_s: Floats, excess: Floats) -> tuple[float, float]:
+    best = int(excess.argmin())
+    return float(at_s[best]), float(excess[best])
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,14 +112,15 @@ class HostFit:
 
     def __init__(self) -> None:
         """Start with nothing known."""
-        self.most_drift = 0.05
+        self.most_drift = _MOST_DRIFT
+        """What a drift is never taken to be above."""
         self._origin_ns: int | None = None
         self._seen_s = 0.0  # device time up to which times have been given
         # The line in use: the line wanted, and what is left of the one before.
         self._at_s, self._value, self._slope = 0.0, 0.0, 0.0
         self._rest, self._rest_from_s, self._rest_lasts_s = 0.0, 0.0, 1.0
         self._drifted, self._drifted_at_s = 0.0, 0.0
-        self._begun = False
+        self._started = False
         self._bucket: _Bucket | None = None
         self._buckets: deque[_Bucket] = deque(maxlen=_BUCKETS)
         self._above_mean: float | None = None  # how far the line runs from the mean, where it follows that
@@ -124,36 +136,37 @@ class HostFit:
         """The line in use with its uncertainty; None before three seconds of arrivals."""
         if self._fitted is None or self._origin_ns is None:
             return None
-        jitter = math.sqrt(float(np.median([b.variance for b in self._buckets])))
+        # What a drift adds within a second is no jitter.
+        variance = float(np.median([b.variance for b in self._buckets])) - (self._slope * _BUCKET_S) ** 2 / 12
         return Alignment(
             offset_s=self._origin_ns * 1e-9 + self._line(self._seen_s),
             drift_ppm=self._slope * 1e6,
             sd_offset_s=self._fitted.sd_at(self._seen_s),
             sd_drift_ppm=self._fitted.sd_slope * 1e6,
-            jitter_rms_s=jitter,
+            jitter_rms_s=math.sqrt(max(variance, 0.0)),
         )
 
     def add(self, device_s: Floats, arrival_ns: Stamps, trusted: NDArray[np.bool_] | None = None) -> None:
-        """Take in arrivals of samples taken at these device times; times asked for after are of these samples."""
+        """Take in arrivals of samples taken at these device times; times asked for thereafter are of these samples.
+
+        The earliest count of those ``trusted`` (n,) to have their place, where there are such.
+        """
         excess = self.excess_of(device_s, arrival_ns)
-        if not self._begun:
-            self._begun = True
+        if not self._started:
+            self._started = True
             self._seen_s = self._at_s = self._drifted_at_s = float(device_s[0])
             self._value = float(excess.min())
         newest_s = float(device_s[-1])
         if self._bucket is None:
             self._bucket = _Bucket(float(device_s[0]) + _BUCKET_S)
-        if trusted is not None:
-            device_s, excess = device_s[trusted], excess[trusted]
-        if len(excess):
-            self._bucket.add(device_s, excess)
-        if (
-            self._bucket.count
-            and len(self._buckets) < _FEWEST
-            and self._bucket.least < self._line(self._bucket.least_at_s)
-        ):
-            self._aim(self._bucket.least_at_s, self._bucket.least, 0.0, _SLEW_AT_ONCE)
-        if self._bucket.count and newest_s >= self._bucket.end_s:
+        self._bucket.add(device_s, excess)
+        if trusted is not None and trusted.any():
+            self._bucket.trust(device_s[trusted], excess[trusted])
+        if len(self._buckets) < _FEWEST:
+            at_s, least = self._bucket.least
+            if least < self._line(at_s):
+                self._aim(at_s, least, 0.0, _SLEW_AT_ONCE)
+        if newest_s >= self._bucket.end_s:
             self._buckets.append(self._bucket)
             self._bucket = None
             if len(self._buckets) >= _FEWEST:
@@ -207,7 +220,7 @@ class HostFit:
         self._rest, self._rest_from_s, self._rest_lasts_s = rest, self._seen_s, max(abs(rest) / slew, 1e-9)
 
     def _fit(self, now_s: float) -> None:
-        least = _line_through([(b.least_at_s, b.least) for b in self._buckets], self.most_drift)
+        least = _line_through([b.least for b in self._buckets], self.most_drift)
         mean = _line_through([b.mean for b in self._buckets], self.most_drift)
         sd_least, sd_mean = least.sd_at(now_s), mean.sd_at(now_s)
         if self._above_mean is None and sd_mean < _SWITCH * sd_least:

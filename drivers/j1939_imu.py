@@ -28,6 +28,7 @@ from drivers.aceinna import (
 )
 from drivers.can_samples import Companion, Piece, RegularSamples, block_of
 from drivers.errors import DeviceRefused, LinkLost
+from drivers.sampling import Alignment
 from drivers.seams import Frame, FrameLink, Identity, ImuBlock, SourceCounts
 
 _GATHER_S = 0.03
@@ -77,6 +78,10 @@ class AceinnaImu:
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are rate and acceleration messages of a wrong length."""
         return self._counts
+
+    def alignment(self, name: str) -> Alignment | None:
+        """Get how the device's clock lies to the loop's; None while that is not known."""
+        return self._samples.alignment
 
     async def open(self) -> None:
         """Open the bus and send the settings; DeviceRefused if the device does not take one.

@@ -16,7 +16,7 @@ _KEPT = 4096
 _OVER_S = 60.0  # what was learned longer ago is forgotten
 _FEWEST = 100
 _ROUGH = 512
-_MOST_DRIFT, _MOST_HIDDEN_DRIFT = 2e-3, 1e-4
+_HIDDEN_DRIFT = 1e-4
 _RELEARN_S = 2.0
 _HALF_LIFE_S = 10.0  # of what is known of the share of samples that wait for none, and of their correlation
 _FLOOR = 0.003  # density of what never comes, of the highest
@@ -63,12 +63,12 @@ class Lateness:
         return self._low
 
     @property
-    def most_drift(self) -> float:
-        """The most that a drift may be taken for: where jitter hides losses, they would pass for drift."""
+    def hidden_drift(self) -> float:
+        """The most that a drift may be taken for, where jitter hides losses, which would pass for drift; else 0."""
         if len(self._rough) < _FEWEST:
-            return _MOST_DRIFT
+            return 0.0
         jitter_s = float(np.median(np.abs(np.array(self._rough))))
-        return _MOST_DRIFT if jitter_s < 0.2 * self._period_s else _MOST_HIDDEN_DRIFT
+        return _HIDDEN_DRIFT if jitter_s > 0.2 * self._period_s else 0.0
 
     @property
     def hold(self) -> int:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.counter_clock import LATE_PERIODS, LATE_S
 from drivers.host_fit import Alignment, Floats, HostFit, Stamps
@@ -20,6 +21,7 @@ _LONG_GAP = 0.95  # longer losses: each sample more is so much less likely
 _REPEATED = 0.02  # share of samples like the one before that are the one before
 _CERTAIN = 0.999
 _UNLIKELY = 1e-4
+_MOST_DRIFT = 2e-3  # a larger one would not be told from losses
 _LEAST_STEP = 0.1  # in periods
 
 
@@ -60,6 +62,7 @@ class RegularClock:
         self._next = 0  # place of the first held sample, if nothing was lost
         self._shifts = np.ones(1)  # probabilities that 0, 1, 2 ... more were lost before it
         self._last_place = -1.0
+        self._least_s = math.inf  # excess of the earliest, until more is known
         self._lost_before = self._counts.lost
         self._given = 0
         self._look_again = 0
@@ -67,7 +70,16 @@ class RegularClock:
     @property
     def alignment(self) -> Alignment | None:
         """The device's clock against the loop's; None in the first seconds."""
-        return self._fit.alignment
+        found = self._fit.alignment
+        hidden = self._lateness.hidden_drift
+        if found is None or not hidden:
+            return found
+        # Where jitter hides single losses, they and a drift look alike.
+        return replace(
+            found,
+            sd_offset_s=math.hypot(found.sd_offset_s, self._period_s / math.sqrt(12)),
+            sd_drift_ppm=math.hypot(found.sd_drift_ppm, hidden * 1e6 / math.sqrt(3)),
+        )
 
     def add(self, arrival_ns: int, value: float, raw: bytes) -> None:
         """Take in one sample; ``raw`` is what equal samples share."""
@@ -99,24 +111,39 @@ class RegularClock:
         t_ns = self._time_ns(place, arrival, own[: len(kept)][kept], known)
         return t_ns, arrival, np.array([row[1] for row, keep in zip(rows, kept, strict=True) if keep])
 
-    def _search(self, excess: Floats, own: Flags, equal: Flags) -> _Search:
+    def _search(self, excess: Floats, own: Flags) -> _Search:
         """Look for what has been lost or doubled; if nothing is known yet of lateness, guess, and guess better."""
+        equal = self._equal()
         if not self._lateness.learned:
-            # Later samples may be late for a loss, or seem early for one doubled.
-            doubled = np.flatnonzero(equal[1:]) if equal.mean() < 0.5 else ()
-            self._lateness.guess(excess[own], float(excess[: doubled[0] + 1 if len(doubled) else None].min()))
-            excess_then = excess - self._searched(excess, own, equal).mean * self._period_s
-            self._lateness.guess(excess_then[own], float(excess_then.min()))
+            self._lateness.guess(excess[own], self._least(excess))
+            better = excess - self._searched(excess, own, equal).mean * self._period_s
+            self._lateness.guess(better[own], float(better.min()))
         return self._searched(excess, own, equal)
 
     def _searched(self, excess: Floats, own: Flags, equal: Flags) -> _Search:
         return _Search(self._lateness, self._period_s, excess, own, equal, self._shifts, self._lost_share)
 
+    def _equal(self) -> Flags:
+        """Return which of the held samples are like the one before."""
+        raws = [self._last_raw, *(row[2] for row in self._held)]
+        return np.array([now == before for before, now in pairwise(raws)])
+
+    def _least(self, excess: Floats) -> float:
+        """Return the excess of samples that are not late, as far as it is known."""
+        if self._lateness.learned:
+            return self._lateness.least_s
+        if self._given:
+            return self._least_s
+        equal = self._equal()
+        if equal.mean() > 0.5 or not equal[1:].any():
+            return float(excess.min())
+        return float(excess[: int(equal[1:].argmax()) + 1].min())  # after one that is doubled, all seem early
+
     def _time_ns(self, place: Floats, arrival: Stamps, own: Flags, known: Flags) -> Stamps:
         device_s = place * self._period_s
         drifted_s = float(self._fit.drifted(device_s[-1:])[0])
         self._lateness.add(device_s, self._fit.excess_of(device_s, arrival), own, drifted_s, self._fit.drift)
-        self._fit.most_drift = self._lateness.most_drift
+        self._fit.most_drift = self._lateness.hidden_drift or _MOST_DRIFT
         self._fit.add(device_s, arrival, known)
         t_ns = self._fit.time_ns(device_s)
         lateness_s = (arrival - t_ns) * 1e-9
@@ -136,15 +163,14 @@ class RegularClock:
         if self._in_time(excess):
             take = len(place) - (0 if everything else self.HOLD)
             self._next += take
+            self._least_s = min(self._least_s, float(excess[:take].min()))
             kept = np.ones(take, dtype=np.bool_)
             return place[:take], kept, kept
         hold = 0 if everything else self._lateness.hold
-        if not certain and len(place) < hold + hold // 4:
-            self._look_again = hold + hold // 4
+        if not certain and len(place) < hold + hold // 2:
+            self._look_again = hold + hold // 2
             return place[:0], own[:0], own[:0]
-        raws = [self._last_raw, *(row[2] for row in self._held)]
-        equal = np.array([now == before for before, now in pairwise(raws)])
-        search = self._search(excess, own, equal)
+        search = self._search(excess, own)
         if not certain and not self._lateness.steady((excess - search.mean * self._period_s)[own]):
             self._look_again = len(place) + max(self.HOLD, len(place) // 8)
             return place[:0], own[:0], own[:0]
@@ -168,8 +194,7 @@ class RegularClock:
 
     def _in_time(self, excess: Floats) -> bool:
         """Return whether the last samples are in time, so that nothing was lost or doubled before them."""
-        least = self._lateness.least_s if self._lateness.learned else float(excess.min())
-        late = (excess - least) / self._period_s
+        late = (excess - self._least(excess)) / self._period_s
         sharp = self._lateness.sharp and len(self._shifts) == 1
         return bool(sharp and late.min() > -0.5 and late[-self.HOLD :].min() < 0.6)
 

@@ -9,6 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.host_fit import Alignment
+
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
@@ -190,6 +192,9 @@ class ImuSource(Protocol):
 
     def counts(self, name: str) -> SourceCounts:
         """Get the counts of one source."""
+
+    def alignment(self, name: str) -> Alignment | None:
+        """Get how the clock of one source lies to the loop's; None while that is not known."""
 
     async def open(self) -> None:
         """Open the link."""

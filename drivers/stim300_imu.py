@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import DeviceRefused
-from drivers.sampling import CounterClock
+from drivers.sampling import Alignment, CounterClock
 from drivers.seams import ByteChunk, ByteLink, Identity, ImuBlock, SourceCounts
 from drivers.stim300 import (
     ASK_CONFIGURATION,
@@ -93,6 +93,10 @@ class Stim300Imu:
         counts = self._clock.counts
         counts.corrupt = self._decoder.bad_datagrams
         return counts
+
+    def alignment(self, name: str) -> Alignment | None:
+        """Get how the device's clock lies to the loop's; None while that is not known."""
+        return self._clock.alignment
 
     async def open(self) -> None:
         """Open the link."""

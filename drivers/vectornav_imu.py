@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
-from drivers.sampling import CounterClock, RegularClock
+from drivers.sampling import Alignment, CounterClock, RegularClock
 from drivers.seams import ByteChunk, ByteLink, Floats, Identity, ImuBlock, SourceCounts, Stamps
 from drivers.vectornav import (
     ASCII_RATES_HZ,
@@ -84,6 +84,10 @@ class VectorNavImu:
         """Get the counts; ``corrupt`` are frames and sentences that began well and were damaged."""
         self._counts.corrupt = self._decoder.bad_frames + self._decoder.bad_sentences + self._unreadable
         return self._counts
+
+    def alignment(self, name: str) -> Alignment | None:
+        """Get how the device's clock lies to the loop's; None while that is not known."""
+        return (self._stamped if self._output == "binary" else self._regular).alignment
 
     async def open(self) -> None:
         """Open the link."""

@@ -29,7 +29,7 @@ from drivers.mtdata2 import (
     name_of,
     parse_mtdata2,
 )
-from drivers.sampling import CounterClock
+from drivers.sampling import Alignment, CounterClock
 from drivers.seams import ByteLink, Floats, Identity, ImuBlock, SourceCounts, Stamps
 from drivers.xbus import Bytes, Messages, Mid, error_text, firmware_of, product_of, serial_of
 from drivers.xbus_link import XbusLink
@@ -85,6 +85,10 @@ class XsensImu:
         """Get the counts; ``corrupt`` are damaged messages, those with impossible contents included."""
         self._counts.corrupt = self._xbus.bad_messages + self._unusable
         return self._counts
+
+    def alignment(self, name: str) -> Alignment | None:
+        """Get how the device's clock lies to the loop's; None while that is not known."""
+        return None if self._timing is None else self._timing.alignment
 
     async def open(self) -> None:
         """Open the link."""
@@ -277,6 +281,10 @@ class _Timing:
         self._first = 0
         self._damaged = 0
         self._in_a_row = 0
+
+    @property
+    def alignment(self) -> Alignment | None:
+        return self._clock.alignment
 
     @property
     def astray(self) -> bool:

@@ -243,6 +243,13 @@ def write_attributes(path: Path, attributes: Mapping[str, Any]) -> None:
         file.attrs.update(attributes)
 
 
+def write_source_attributes(path: Path, by_source: Mapping[str, Mapping[str, Any]]) -> None:
+    """Set attributes of the sources of an existing recording."""
+    with h5py.File(path, "r+") as file:
+        for name, attributes in by_source.items():
+            file[f"imu/{name}"].attrs.update(attributes)
+
+
 def probe(path: Path, limit_s: float = PROBE_LIMIT_S) -> None:
     """Read the whole file in a process of its own; RecordingError if that process fails, dies or hangs.
 

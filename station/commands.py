@@ -56,12 +56,15 @@ def command_run(arguments: argparse.Namespace) -> int:
         return refuse(str(error), arguments.json, Outcome.FAULT)
     if arguments.json:
         found = result_object(result.verdict, str(result.recording), result.calibration)
-        print(json.dumps({**found, "ended_early": result.ended_early or None}))
+        sources = {report.name: report.as_object() for report in result.sources}
+        print(json.dumps({**found, "ended_early": result.ended_early or None, "sources": sources}))
     else:
         if result.ended_early:
             print(f"ended early {result.ended_early}")
         if result.calibration is not None:
             print_calibration(result.calibration)
+        for report in result.sources:
+            print(report.text())
         print_verdict(result.verdict, result.recording)
     return result.verdict.outcome.exit_code
 

@@ -25,10 +25,18 @@ from estimator.calibration import Calibration
 from estimator.error_model import ErrorModel
 from estimator.errors import EstimatorError
 from estimator.gram import solve
-from estimator.recording import Recording, RecordingWriter, read_recording, write_attributes, write_results
+from estimator.recording import (
+    Recording,
+    RecordingWriter,
+    read_recording,
+    write_attributes,
+    write_results,
+    write_source_attributes,
+)
 from estimator.results import write_calibration
 from estimator.rows import gram_of
 from estimator.sample_columns import SampleColumns, white_solution
+from estimator.timing import time_offset
 from station.early_end import EarlyEnd
 from station.live import LiveEstimate, LiveSource
 from station.loops import is_virtual
@@ -37,6 +45,7 @@ from station.outcome import Outcome, Verdict, judge
 from station.script import Script
 from station.sequencer import Sequencer
 from station.snapshot import Snapshot
+from station.sources import SourceReport
 from station.table_watch import check_axes, watch_table
 
 Floats = NDArray[np.float64]
@@ -63,6 +72,8 @@ class Result:
     """Largest difference between the live filter and the batch estimate, in sigmas, under the same noise."""
     ended_early: str = ""
     """When and why the script was not run to its end."""
+    sources: tuple[SourceReport, ...] = ()
+    """What was had of each source."""
 
 
 class Session:
@@ -94,6 +105,7 @@ class Session:
         self._reason = ""
         self._sequencer: Sequencer | None = None
         self._last_seen_s: dict[str, float] = {}
+        self._reports: dict[str, SourceReport] = {}
         self._half_width_ns = 0
         self._connected = False
         self._sync: asyncio.Future[Any] | None = None
@@ -105,6 +117,8 @@ class Session:
         self._writer.add_table(config.table.gimbals, config.table.uncertainty)
         for imu in bench.imus:
             self._add_sources(imu)
+        for source in self._live.sources.values():
+            source.keep_blocks()
         self._ended_early = ""
         self._early_end: EarlyEnd | None = None
         if end_early:
@@ -313,10 +327,8 @@ class Session:
             for name, block in imu.source.flush():
                 self._take_block(name, block)
             for name in imu.source.names:
-                counts = imu.source.counts(name)
-                self._writer.set_source(
-                    name, {key: getattr(counts, key) for key in ("lost", "repeated", "late", "corrupt")}
-                )
+                self._reports[name] = SourceReport(name, imu.source.counts(name), imu.source.alignment(name))
+                self._writer.set_source(name, self._reports[name].attributes())
         self._writer.set_attributes({"table_read_half_width_ns": self._half_width_ns})
         if self._ended_early:
             self._writer.set_attributes({"ended_early": self._ended_early})
@@ -332,7 +344,8 @@ class Session:
             except EstimatorError as error:
                 verdict = Verdict(Outcome.FAIL, str(error))
         write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
-        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early)
+        reports = tuple(self._reports.values())
+        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports)
 
     def _estimate(self) -> tuple[Calibration, float]:
         """Return the batch estimate from the recorded samples, and how far the live filter is from it."""
@@ -342,6 +355,10 @@ class Session:
         found = calibrate(recording, innovations=False, model=self._model)
         calibration = replace(found, nis_mean=self._live.nis_mean, notes=(*found.notes, *self._live.notes))
         agreement = self._agreement(recording)
+        for name, source in self._live.sources.items():
+            offset = time_offset(source.blocks(), source.array, source.prior)
+            self._reports[name] = replace(self._reports[name], offset=offset)
+        write_source_attributes(path, {name: report.attributes() for name, report in self._reports.items()})
         write_calibration(path, calibration, {"live_batch_difference_sigma": agreement})
         for name, source in self._live.sources.items():
             h = source.history

@@ -1,0 +1,67 @@
+"""Chunks that have arrived on a byte link and wait to be taken."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+
+from drivers.errors import LinkLost
+from drivers.seams import ByteChunk
+
+_MOST_BYTES = 1 << 22  # half a minute of the fastest serial line
+
+
+class Inbox:
+    """Chunks in their order, and the end of the link. What nobody takes is dropped, oldest first, and counted."""
+
+    def __init__(self, device: str) -> None:
+        """Start empty."""
+        self._device = device
+        self._chunks: deque[ByteChunk] = deque()
+        self._bytes = 0
+        self._wake = asyncio.Event()
+        self._ended = ""
+        self.dropped = 0
+        """Number of bytes dropped."""
+
+    @property
+    def ended(self) -> str:
+        """Why nothing more will come; empty while it may."""
+        return self._ended
+
+    def begin(self) -> None:
+        """Forget what was there, for a link that is opened again."""
+        self._chunks.clear()
+        self._bytes = 0
+        self._ended = ""
+
+    def put(self, chunk: ByteChunk) -> None:
+        """Add a chunk."""
+        self._chunks.append(chunk)
+        self._bytes += len(chunk.data)
+        while self._bytes > _MOST_BYTES:
+            lost = len(self._chunks.popleft().data)
+            self._bytes -= lost
+            self.dropped += lost
+        self._wake.set()
+
+    def end(self, reason: str) -> None:
+        """Let no more come, for the first reason given."""
+        self._ended = self._ended or reason
+        self._wake.set()
+
+    def fail(self, reason: str) -> None:
+        """End, and raise LinkLost."""
+        self.end(reason)
+        raise LinkLost(self._device, reason)
+
+    async def get(self) -> ByteChunk:
+        """Return the next chunk; LinkLost when there is none and none will come."""
+        while not self._chunks:
+            if self._ended:
+                raise LinkLost(self._device, self._ended)
+            self._wake.clear()
+            await self._wake.wait()
+        chunk = self._chunks.popleft()
+        self._bytes -= len(chunk.data)
+        return chunk

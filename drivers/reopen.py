@@ -1,0 +1,63 @@
+"""Opening again what was lost, with more and more patience."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from drivers.errors import LinkLost
+
+
+class Openable(Protocol):
+    """A link, a source, a table: what can be closed and opened again."""
+
+    async def open(self) -> None:
+        """Open; LinkLost if it is not there."""
+
+    def close(self) -> None:
+        """Close; twice is once."""
+
+
+@dataclass(frozen=True, slots=True)
+class BackOff:
+    """Pauses between tries: the first, doubled each time up to the longest; given up after the limit (s)."""
+
+    first_s: float = 0.1
+    longest_s: float = 5.0
+    limit_s: float = 60.0
+
+
+async def reopen(
+    lost: Openable,
+    back_off: BackOff | None = None,
+    on_failure: Callable[[LinkLost, float], None] | None = None,
+) -> int:
+    """Close and open until it opens; return how many tries it took, LinkLost when the limit is over.
+
+    ``on_failure(error, pause_s)`` is told of each try that failed, and of the pause before the next. What a device
+    answers otherwise (a fault, a refusal) is raised at once: it is back, and says so.
+    """
+    limits = back_off or BackOff()
+    loop = asyncio.get_running_loop()
+    deadline_s = loop.time() + limits.limit_s
+    pause_s, tries = limits.first_s, 0
+    while True:
+        lost.close()
+        await asyncio.sleep(pause_s)
+        tries += 1
+        try:
+            await lost.open()
+        except LinkLost as error:
+            pause_s = min(2 * pause_s, limits.longest_s)
+            if loop.time() + pause_s > deadline_s:
+                lost.close()
+                text = str(error).removeprefix(f"{error.device}: ")
+                raise LinkLost(
+                    error.device, f"{text} (tried {tries} times within {limits.limit_s:g} s)"
+                ) from None
+            if on_failure is not None:
+                on_failure(error, pause_s)
+        else:
+            return tries

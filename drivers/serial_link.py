@@ -1,0 +1,243 @@
+"""A serial port through pyserial: a device, or one at the far end of a network by pyserial's URLs.
+
+The port is opened, read and closed by a thread of its own: opening and closing may take long (rfc2217 negotiates,
+sockets connect), and stamps must not wait for the loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from drivers.errors import LinkLost
+from drivers.inbox import Inbox
+from drivers.seams import ByteChunk
+
+_MOST_AT_ONCE = 65536
+_LOOK_S = 0.1  # how often the thread looks whether it should end, where it cannot be woken
+_WRITE_LIMIT_S = 0.2
+_OPEN_LIMIT_S = 10.0
+_CLOSE_LIMIT_S = 0.5
+
+
+class SerialLink:
+    """A serial port, or what pyserial makes look like one.
+
+    ``url`` is a device (/dev/ttyUSB0, COM3), socket://host:port for a plain converter, or rfc2217://host:port for
+    one that is told the line's settings.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        url: str,
+        baud: int,
+        *,
+        parity: str = "N",
+        stop_bits: float = 1,
+        gather_s: float = 0.0,
+    ) -> None:
+        """Name the port; it is opened by ``open``. Eight data bits; ``parity`` N, E, O, M or S.
+
+        With ``gather_s`` bytes of a stream are handed over so seldom, by the wall's clock, which saves most of its
+        cost; what comes after a pause of that length is handed over at once.
+        """
+        self._device, self._url, self._gather_s = device, url, gather_s
+        self._settings: dict[str, Any] = {"baudrate": baud, "parity": parity, "stopbits": stop_bits}
+        self._inbox = Inbox(device)
+        self._reader: _Reader | None = None
+
+    @property
+    def dropped(self) -> int:
+        """Number of bytes that nobody took in time."""
+        return self._inbox.dropped
+
+    async def open(self) -> None:
+        """Open the port and start to read; LinkLost if it cannot be opened."""
+        self.close()
+        self._inbox.begin()
+        loop = asyncio.get_running_loop()
+        reader = _Reader(self._url, self._settings, self._gather_s, loop, self._inbox)
+        self._reader = reader
+        try:
+            async with asyncio.timeout(_OPEN_LIMIT_S * getattr(loop, "scale", 1.0)):
+                await reader.opened
+        except asyncio.CancelledError:
+            self.close()
+            raise
+        except TimeoutError:
+            self.close()
+            raise LinkLost(self._device, f"serial port {self._url} did not open within {_OPEN_LIMIT_S:g} s") from None
+        except (OSError, ValueError, NotImplementedError) as error:  # pyserial's SerialException is an OSError
+            self.close()
+            raise LinkLost(self._device, f"cannot open serial port {self._url}: {_why_not(self._url, error)}") from None
+
+    async def receive(self) -> ByteChunk:
+        """Return the next bytes; LinkLost when the port is gone."""
+        return await self._inbox.get()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; LinkLost if the port is gone or does not take them within 0.2 s."""
+        if self._reader is None or self._inbox.ended:
+            raise LinkLost(self._device, self._inbox.ended or f"serial port {self._url} is not open")
+        try:
+            self._reader.write(data)
+        except OSError as error:
+            timeout = type(error).__name__ == "SerialTimeoutException"
+            reason = "takes no more bytes: is its handshake or its cable stuck?" if timeout else "is gone"
+            self._inbox.fail(f"serial port {self._url} {reason}")
+
+    def close(self) -> None:
+        """Stop reading and close the port; twice is once."""
+        reader, self._reader = self._reader, None
+        if reader is not None:
+            reader.end()
+            self._inbox.end("the link was closed")
+
+
+class _Reader:
+    """One opening of a port: its thread, from opening to closing it."""
+
+    def __init__(
+        self,
+        url: str,
+        settings: dict[str, Any],
+        gather_s: float,
+        loop: asyncio.AbstractEventLoop,
+        inbox: Inbox,
+    ) -> None:
+        self._url, self._settings, self._gather_s, self._loop = url, settings, gather_s, loop
+        self._inbox = inbox
+        self._port: Any = None
+        self._closing = threading.Event()
+        self._woken, self._wakes = socket.socketpair()
+        self.opened: asyncio.Future[None] = loop.create_future()
+        # A daemon: what hangs in a driver must not keep the program from ending.
+        self._thread = threading.Thread(target=self._run, name=f"serial {url}", daemon=True)
+        self._thread.start()
+
+    def write(self, data: bytes) -> None:
+        self._port.write(data)
+
+    def end(self) -> None:
+        """Let the thread close the port; a port of this machine is closed on return, others soon after."""
+        self._closing.set()
+        with suppress(OSError):
+            self._wakes.send(b"x")
+        if self._port is not None and not _is_url(self._url):
+            self._thread.join(_CLOSE_LIMIT_S)
+        if self.opened.done() and not self.opened.cancelled():
+            self.opened.exception()  # whoever gave up waiting does not want to know
+        else:
+            self.opened.cancel()
+
+    def _run(self) -> None:
+        try:
+            port = self._open()
+        except Exception as error:  # handed over to whoever opens
+            self._call(_fail, self.opened, error)
+        else:
+            self._port = port
+            self._call(_succeed, self.opened)
+            try:
+                self._read(port)
+            except (OSError, TypeError, ValueError):  # what pyserial raises for a port that went away, or was closed
+                self._call(self._end_inbox)
+            with suppress(OSError):
+                port.close()
+        self._woken.close()
+        self._wakes.close()
+
+    def _open(self) -> Any:
+        import serial
+
+        settings = dict(self._settings, timeout=_LOOK_S, exclusive=True)
+        if not self._url.startswith("rfc2217:"):  # pyserial's rfc2217 knows no limit for writing
+            settings["write_timeout"] = _WRITE_LIMIT_S
+        port = serial.serial_for_url(self._url, do_not_open=True, **settings)
+        port.open()
+        return port
+
+    def _read(self, port: Any) -> None:
+        wait, take = self._ways(port)
+        handed_over = time.monotonic()
+        while not self._closing.is_set():
+            data = wait()
+            if not data:
+                continue
+            rest = self._gather_s - (time.monotonic() - handed_over)
+            if rest > 0 and self._closing.wait(rest):
+                return
+            try:
+                while len(data) < _MOST_AT_ONCE and (more := take()):
+                    data += more
+            finally:  # what came before the end still counts
+                handed_over = time.monotonic()
+                self._call(self._put, ByteChunk(round(self._loop.time() * 1e9), data))
+
+    def _ways(self, port: Any) -> tuple[Callable[[], bytes], Callable[[], bytes]]:
+        """Return how to wait for first bytes, and how to take what else has come, without waiting."""
+        if os.name == "nt" and not self._url.startswith("socket:") or self._url.startswith(("rfc2217:", "loop:")):
+            # No descriptor to wait on, but a buffer that tells how much is in it.
+            return lambda: bytes(port.read(1)), lambda: bytes(port.read(min(port.in_waiting, _MOST_AT_ONCE)))
+        # A descriptor; on sockets in_waiting tells only whether there is anything.
+        port.timeout = 0
+        descriptor = port.fileno()
+
+        def take() -> bytes:
+            return bytes(port.read(_MOST_AT_ONCE))
+
+        def wait() -> bytes:
+            ready, _, _ = select.select([descriptor, self._woken], [], [])
+            return take() if descriptor in ready else b""
+
+        return wait, take
+
+    def _put(self, chunk: ByteChunk) -> None:
+        if not self._closing.is_set():
+            self._inbox.put(chunk)
+
+    def _end_inbox(self) -> None:
+        if not self._closing.is_set():
+            what = "closed the connection" if _is_url(self._url) else "is gone: unplugged, or without power"
+            self._inbox.end(f"serial port {self._url} {what}")
+
+    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Call from the thread; a loop that has closed needs no more news."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+
+def _succeed(opened: asyncio.Future[None]) -> None:
+    if not opened.done():
+        opened.set_result(None)
+
+
+def _fail(opened: asyncio.Future[None], error: Exception) -> None:
+    if not opened.done():
+        opened.set_exception(error)
+
+
+def _is_url(url: str) -> bool:
+    return "://" in url
+
+
+def _why_not(url: str, error: Exception) -> str:
+    """Say in plain words why a port could not be opened, and what to do."""
+    text = str(error)
+    if isinstance(error, ValueError):
+        return f"{text}; write a device such as /dev/ttyUSB0, socket://host:port or rfc2217://host:port"
+    if "lock" in text:
+        return "another program has it open; close that first"
+    if _is_url(url):
+        return f"nothing there answers as it should ({text}); is the converter on, and the address right?"
+    if getattr(error, "errno", None) == 13:
+        return "it is not allowed to you; on Linux, join the group dialout"
+    return f"is it plugged in, and the name right? ({text})"
