@@ -150,7 +150,11 @@ class CanImu:
         return Identity()
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
-        """Yield blocks of each channel; LinkLost when the bus is gone."""
+        """Yield blocks of each channel; LinkLost when the bus is gone. Begun again, it goes on after the break."""
+        for name, held in self.flush():
+            yield name, held
+        for source in self._sources.values():
+            source.restart()
         while True:
             self._take(await self._link.receive())
             for name, source in self._sources.items():
@@ -240,6 +244,11 @@ class _Source:
     @property
     def alignment(self) -> Alignment | None:
         return self._regular.alignment if self._counted is None else self._counted.alignment
+
+    def restart(self) -> None:
+        """Begin anew after a break; nothing must be held any more."""
+        if self._counted is None:
+            self._regular.restart()
 
     def block(self, *, everything: bool = False) -> ImuBlock | None:
         """Return what can be timed of what has come, or None."""

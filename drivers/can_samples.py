@@ -88,6 +88,10 @@ class RegularSamples:
         for i, (t_ns, data) in enumerate(zip(arrival_ns.tolist(), raw, strict=True)):
             self._clock.add(t_ns, float(serial + i), data)
 
+    def restart(self) -> None:
+        """Begin anew after a break; nothing must be held any more."""
+        self._clock.restart()
+
     def ready(self, *, everything: bool = False) -> tuple[Stamps, Stamps, Floats] | None:
         """Return (t_ns, arrival_ns, values (n, k)) of the rows that can be timed, or None."""
         if not (everything or self._clock.due):

@@ -136,15 +136,19 @@ class HostFit:
         """The line in use with its uncertainty; None before three seconds of arrivals."""
         if self._fitted is None or self._origin_ns is None:
             return None
-        # What a drift adds within a second is no jitter.
-        variance = float(np.median([b.variance for b in self._buckets])) - (self._slope * _BUCKET_S) ** 2 / 12
         return Alignment(
             offset_s=self._origin_ns * 1e-9 + self._line(self._seen_s),
             drift_ppm=self._slope * 1e6,
             sd_offset_s=self._fitted.sd_at(self._seen_s),
             sd_drift_ppm=self._fitted.sd_slope * 1e6,
-            jitter_rms_s=math.sqrt(max(variance, 0.0)),
+            jitter_rms_s=self._jitter_s,
         )
+
+    @property
+    def _jitter_s(self) -> float:
+        # What a drift adds within a second is no jitter.
+        variance = float(np.median([b.variance for b in self._buckets])) - (self._slope * _BUCKET_S) ** 2 / 12
+        return math.sqrt(max(variance, 0.0))
 
     def add(self, device_s: Floats, arrival_ns: Stamps, trusted: NDArray[np.bool_] | None = None) -> None:
         """Take in arrivals of samples taken at these device times; times asked for thereafter are of these samples.
@@ -220,8 +224,10 @@ class HostFit:
         self._rest, self._rest_from_s, self._rest_lasts_s = rest, self._seen_s, max(abs(rest) / slew, 1e-9)
 
     def _fit(self, now_s: float) -> None:
-        least = _line_through([b.least for b in self._buckets], self.most_drift)
         mean = _line_through([b.mean for b in self._buckets], self.most_drift)
+        # The earliest of n cannot be trusted to scatter less than jitter / n: polls in step with samples seem to.
+        known_to = self._jitter_s / float(np.median([b.count for b in self._buckets]))
+        least = _line_through([b.least for b in self._buckets], self.most_drift, known_to)
         sd_least, sd_mean = least.sd_at(now_s), mean.sd_at(now_s)
         if self._above_mean is None and sd_mean < _SWITCH * sd_least:
             self._above_mean = least.at(now_s) - least.scatter - mean.at(now_s)
@@ -237,11 +243,11 @@ class HostFit:
         self._aim(now_s, wanted, self._fitted.slope, min(max(slew, _SLEW), _SLEW_AT_MOST))
 
 
-def _line_through(points: list[tuple[float, float]], most_drift: float) -> _Line:
+def _line_through(points: list[tuple[float, float]], most_drift: float, known_to: float = 0.0) -> _Line:
     """Return a line through points (t, y) of which a few may be far above or below all others.
 
     Least squares without outliers, begun from the median of the slopes of well separated pairs (Theil-Sen); the
-    slope is a priori zero within a quartz's drift.
+    slope is a priori zero within a quartz's drift. A point's standard deviation is ``known_to`` at the least.
     """
     t, y = np.array(points).T
     half = (len(t) + 1) // 2
@@ -260,7 +266,6 @@ def _line_through(points: list[tuple[float, float]], most_drift: float) -> _Line
         slope = min(max(slope, -most_drift), most_drift)
         residual = y - level - slope * (t - middle)
     count = int(kept.sum())
-    variance = float(residual[kept] @ residual[kept]) / max(count - 2, 1)
-    return _Line(
-        middle, level, slope, math.sqrt(variance / count), math.sqrt(variance / stiffness), math.sqrt(variance)
-    )
+    scatter = math.sqrt(float(residual[kept] @ residual[kept]) / max(count - 2, 1))
+    sd = max(scatter, known_to)
+    return _Line(middle, level, slope, sd / math.sqrt(count), sd / math.sqrt(stiffness), scatter)

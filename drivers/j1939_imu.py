@@ -104,7 +104,10 @@ class AceinnaImu:
         )
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
-        """Yield blocks as the frames come; LinkLost when the bus is gone."""
+        """Yield blocks as the frames come; LinkLost when the bus is gone. Begun again, it goes on after the break."""
+        for name, held in self.flush():
+            yield name, held
+        self._samples.restart()
         while True:
             self._take(await self._link.receive())
             if (block := self._block()) is not None:

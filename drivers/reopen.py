@@ -54,9 +54,7 @@ async def reopen(
             if loop.time() + pause_s > deadline_s:
                 lost.close()
                 text = str(error).removeprefix(f"{error.device}: ")
-                raise LinkLost(
-                    error.device, f"{text} (tried {tries} times within {limits.limit_s:g} s)"
-                ) from None
+                raise LinkLost(error.device, f"{text} (tried {tries} times within {limits.limit_s:g} s)") from None
             if on_failure is not None:
                 on_failure(error, pause_s)
         else:

@@ -184,7 +184,7 @@ class _Reader:
 
     def _ways(self, port: Any) -> tuple[Callable[[], bytes], Callable[[], bytes]]:
         """Return how to wait for first bytes, and how to take what else has come, without waiting."""
-        if os.name == "nt" and not self._url.startswith("socket:") or self._url.startswith(("rfc2217:", "loop:")):
+        if (os.name == "nt" and not self._url.startswith("socket:")) or self._url.startswith(("rfc2217:", "loop:")):
             # No descriptor to wait on, but a buffer that tells how much is in it.
             return lambda: bytes(port.read(1)), lambda: bytes(port.read(min(port.in_waiting, _MOST_AT_ONCE)))
         # A descriptor; on sockets in_waiting tells only whether there is anything.

@@ -42,6 +42,7 @@ from station.live import LiveEstimate, LiveSource
 from station.loops import is_virtual
 from station.open_bench import OpenBench, OpenImu
 from station.outcome import Outcome, Verdict, judge
+from station.reopening import Reopening
 from station.script import Script
 from station.sequencer import Sequencer
 from station.snapshot import Snapshot
@@ -106,6 +107,7 @@ class Session:
         self._sequencer: Sequencer | None = None
         self._last_seen_s: dict[str, float] = {}
         self._reports: dict[str, SourceReport] = {}
+        self._reopening = Reopening(self._moving, self._event, time_scale)
         self._half_width_ns = 0
         self._connected = False
         self._sync: asyncio.Future[Any] | None = None
@@ -205,6 +207,7 @@ class Session:
                 lambda: sequencer.driven_axis,
                 self._take_row,
                 self._take_half_width,
+                lambda error: self._reopening.restore(table, error),
             )
             services.append(group.create_task(watch))
             self._event("script begins")
@@ -230,8 +233,18 @@ class Session:
         enough.cancel()
 
     async def _acquire(self, imu: OpenImu) -> None:
-        async for name, block in imu.source.blocks():
-            self._take_block(name, block)
+        while True:
+            try:
+                async for name, block in imu.source.blocks():
+                    self._take_block(name, block)
+            except LinkLost as error:
+                await self._reopening.restore(imu.source, error)
+                now_s = asyncio.get_running_loop().time()
+                self._last_seen_s |= {name: now_s for name in imu.source.names if name in self._last_seen_s}
+
+    def _moving(self) -> bool:
+        """Return whether an axis is driven: then a lost link ends the run."""
+        return self._sequencer is not None and self._sequencer.driven_axis is not None
 
     def _take_block(self, name: str, block: ImuBlock) -> None:
         self._last_seen_s[name] = asyncio.get_running_loop().time()
@@ -282,7 +295,11 @@ class Session:
         while True:
             await asyncio.sleep(limit_s / 4)
             now = asyncio.get_running_loop().time()
-            silent = [name for name, seen in self._last_seen_s.items() if now - seen > limit_s]
+            silent = [
+                name
+                for name, seen in self._last_seen_s.items()
+                if now - seen > limit_s and self._device_of(name) not in self._reopening.under_way
+            ]
             if silent:
                 raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s")
 

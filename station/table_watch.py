@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 import statistics
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import DeviceFault
+from drivers.errors import DeviceFault, LinkLost
 from drivers.seams import AxisState, Turntable
 
 Floats = NDArray[np.float64]
@@ -129,8 +130,11 @@ async def watch_table(
     driven_axis: Callable[[], str | None],
     on_row: Callable[[tuple[int, Floats, Floats]], None],
     on_half_width: Callable[[int], None],
+    on_lost: Callable[[LinkLost], Awaitable[None]],
 ) -> None:
     """Read until cancelled; DeviceFault when an axis goes to fault or leaves operation by itself.
+
+    ``on_lost`` opens a link again that was lost, or raises.
 
     An axis that is driven or turns is read every time, of the others one in turn: what stands still and has
     not been told to move is still there, and a slow bus has its time for what turns.
@@ -141,25 +145,33 @@ async def watch_table(
     usual_ns: deque[int] = deque(maxlen=51)
     period_s = 1 / rate_hz
     due_s = loop.time()
-    count = 0
+    counter = itertools.count()
+
+    async def read_once() -> None:
+        count = next(counter)
+        busy = [a for a in axes if a == driven_axis() or states[a].rate_rps != 0.0]
+        in_turn = axes[count // _IDLE_EVERY % len(axes)]
+        if not busy or (count % _IDLE_EVERY == 0 and in_turn not in busy):
+            busy.append(in_turn)
+        fresh = await _read_quickly(table, busy, usual_ns)
+        if fresh is not None:
+            on_half_width(_slowest_ns(fresh))
+            states.update(fresh)
+            now_ns = states[busy[0]].angle_t_ns
+            for axis in axes:
+                if axis not in busy:
+                    states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns)
+            for row in aligner.add(states):
+                on_row(row)
+        if (count + 1) % _STATUS_EVERY == 0:
+            await check_axes(table, axes)
+
     try:
         while True:
-            busy = [a for a in axes if a == driven_axis() or states[a].rate_rps != 0.0]
-            in_turn = axes[count // _IDLE_EVERY % len(axes)]
-            if not busy or (count % _IDLE_EVERY == 0 and in_turn not in busy):
-                busy.append(in_turn)
-            fresh = await _read_quickly(table, busy, usual_ns)
-            if fresh is not None:
-                on_half_width(_slowest_ns(fresh))
-                states.update(fresh)
-                now_ns = states[busy[0]].angle_t_ns
-                for axis in axes:
-                    if axis not in busy:
-                        states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns)
-                for row in aligner.add(states):
-                    on_row(row)
-            count += 1
-            if count % _STATUS_EVERY == 0:
+            try:
+                await read_once()
+            except LinkLost as error:
+                await on_lost(error)
                 await check_axes(table, axes)
             due_s = max(due_s + period_s, loop.time())
             await asyncio.sleep(due_s - loop.time())
