@@ -26,6 +26,9 @@ _LONGEST_LINE = 256  # an FD frame of 64 bytes has 138 characters
 _HANDSHAKE_S = 2.0
 _POLL_S = 0.001
 
+Raw = tuple[int, bool, bytes]
+"""A frame without any ado: identifier, whether it is an extended one, data."""
+
 
 def open_bus(interface: str, channel: str, options: dict[str, Any]) -> can.BusABC:
     """Open a bus in python-can's terms; raises whatever python-can raises where it cannot."""
@@ -53,6 +56,26 @@ class SlcanBus(slcanBus):
             super().shutdown()
         finally:
             self.serialPortOrig.close()
+
+    def frames(self, timeout: float | None) -> list[Raw]:
+        """Return the data frames of all lines that have come; what else there is is dropped. Waits for the first."""
+        if not self._lines:
+            self._take_waiting(timeout)
+        lines, self._lines = self._lines, deque()
+        found = []
+        for line in lines:
+            digits = {"t": 3, "T": 8}.get(line[0])
+            if digits is None:
+                continue
+            try:
+                start, size = digits + 2, int(line[digits + 1])
+                data = bytes.fromhex(line[start : start + 2 * size])
+                if len(data) != size or size > 8:
+                    raise ValueError(line)
+                found.append((int(line[1 : digits + 1], 16), digits == 8, data))
+            except (ValueError, IndexError):
+                self.malformed += 1
+        return found
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         try:
@@ -122,6 +145,26 @@ class SocketcandBus(can.BusABC):
         """Leave the server."""
         super().shutdown()
         self._stream.close()
+
+    def frames(self, timeout: float | None) -> list[Raw]:
+        """Return the data frames that have come, waiting for the first."""
+        found: list[Raw] = []
+        for message in self._messages:
+            if not message.is_error_frame and not message.is_remote_frame:
+                found.append((message.arbitration_id, message.is_extended_id, bytes(message.data)))
+        self._messages.clear()
+        if found or not select.select([self._stream], [], [], timeout)[0]:
+            return found
+        for element in self._elements():
+            parts = element.split()
+            if len(parts) not in (5, 6) or parts[1] != "frame":
+                continue
+            try:
+                data = bytes.fromhex(parts[4]) if len(parts) == 6 else b""
+                found.append((int(parts[2], 16), len(parts[2]) != 3, data))
+            except ValueError:
+                self.malformed += 1
+        return found
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if not self._messages and select.select([self._stream], [], [], timeout)[0]:

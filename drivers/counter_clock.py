@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.host_fit import Alignment, HostFit, Stamps
+from drivers.host_fit import Alignment, Floats, HostFit, Stamps
 from drivers.seams import SourceCounts
 
 LATE_PERIODS = 2.0
@@ -48,7 +48,7 @@ class CounterClock:
             newest = np.maximum.accumulate(np.concatenate([[self._last], unwrapped]))[:-1]
             keep = unwrapped > newest
             fresh, arrival = unwrapped[keep], arrival_ns[keep]
-        device_s = fresh * self.tick_s
+        device_s: Floats = np.asarray(fresh * self.tick_s, dtype=np.float64)
         if len(fresh) and self._impossible(float(device_s[-1]), int(arrival[-1])):
             self.restart()
             return self.stamp(counter, arrival_ns)

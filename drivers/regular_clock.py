@@ -265,7 +265,7 @@ def _smooth(weights: Floats, start: Floats, twice: Flags, lost_share: float) -> 
     now = start
     for i, weight in enumerate(weights):
         now = (now @ (step_twice if twice[i] else step)) * weight
-        total = now.sum()
+        total = float(now.sum())
         now = now / total if total > 0 else weight / weight.sum()
         forward[i] = now
     back = np.ones(count)
@@ -276,9 +276,9 @@ def _smooth(weights: Floats, start: Floats, twice: Flags, lost_share: float) -> 
     posterior = forward * ahead
     posterior /= np.maximum(posterior.sum(axis=1, keepdims=True), 1e-300)
     repeated = np.zeros(len(weights))
-    for i in np.flatnonzero(twice):
-        before = forward[i - 1] if i else start
-        both = (weights[i] * ahead[i])[:-1] * before[1:] * _REPEATED
-        every = (before @ step_twice) @ (weights[i] * ahead[i])
-        repeated[i] = both.sum() / max(float(every), 1e-300)
+    for j in np.flatnonzero(twice):
+        before = forward[j - 1] if j else start
+        both = (weights[j] * ahead[j])[:-1] * before[1:] * _REPEATED
+        every = (before @ step_twice) @ (weights[j] * ahead[j])
+        repeated[j] = both.sum() / max(float(every), 1e-300)
     return posterior, forward, repeated

@@ -21,6 +21,7 @@ from drivers.inbox import Inbox
 from drivers.seams import ByteChunk
 
 _MOST_AT_ONCE = 65536
+_BACKLOG_S, _BACKLOG_LOOK_S = 0.3, 0.002
 _LOOK_S = 0.1  # how often the thread looks whether it should end, where it cannot be woken
 _WRITE_LIMIT_S = 0.2
 _OPEN_LIMIT_S = 10.0
@@ -75,7 +76,7 @@ class SerialLink:
         except TimeoutError:
             self.close()
             raise LinkLost(self._device, f"serial port {self._url} did not open within {_OPEN_LIMIT_S:g} s") from None
-        except (OSError, ValueError, NotImplementedError) as error:  # pyserial's SerialException is an OSError
+        except Exception as error:  # pyserial has no common kind for what a port can have wrong
             self.close()
             raise LinkLost(self._device, f"cannot open serial port {self._url}: {_why_not(self._url, error)}") from None
 
@@ -148,21 +149,23 @@ class _Reader:
             self._call(_succeed, self.opened)
             try:
                 self._read(port)
-            except (OSError, TypeError, ValueError):  # what pyserial raises for a port that went away, or was closed
+            except Exception:  # pyserial raises many kinds for a port that has gone
                 self._call(self._end_inbox)
-            with suppress(OSError):
-                port.close()
+            _close(port)
         self._woken.close()
         self._wakes.close()
 
     def _open(self) -> Any:
         import serial
 
-        settings = dict(self._settings, timeout=_LOOK_S, exclusive=True)
+        # Whoever has a descriptor waits on that; to change the time-out later would set up the line once more.
+        settings = dict(self._settings, timeout=0 if self._waits_on_descriptor else _LOOK_S, exclusive=True)
         if not self._url.startswith("rfc2217:"):  # pyserial's rfc2217 knows no limit for writing
             settings["write_timeout"] = _WRITE_LIMIT_S
         port = serial.serial_for_url(self._url, do_not_open=True, **settings)
         port.open()
+        if not _is_url(self._url):
+            _drop_backlog(port)
         return port
 
     def _read(self, port: Any) -> None:
@@ -182,13 +185,16 @@ class _Reader:
                 handed_over = time.monotonic()
                 self._call(self._put, ByteChunk(round(self._loop.time() * 1e9), data))
 
+    @property
+    def _waits_on_descriptor(self) -> bool:
+        scheme = self._url.partition("://")[0] if _is_url(self._url) else ""
+        return scheme == "socket" or (scheme not in ("rfc2217", "loop") and os.name != "nt")
+
     def _ways(self, port: Any) -> tuple[Callable[[], bytes], Callable[[], bytes]]:
         """Return how to wait for first bytes, and how to take what else has come, without waiting."""
-        if (os.name == "nt" and not self._url.startswith("socket:")) or self._url.startswith(("rfc2217:", "loop:")):
-            # No descriptor to wait on, but a buffer that tells how much is in it.
+        if not self._waits_on_descriptor:
+            # A buffer that tells how much is in it; on sockets in_waiting only tells whether there is anything.
             return lambda: bytes(port.read(1)), lambda: bytes(port.read(min(port.in_waiting, _MOST_AT_ONCE)))
-        # A descriptor; on sockets in_waiting tells only whether there is anything.
-        port.timeout = 0
         descriptor = port.fileno()
 
         def take() -> bytes:
@@ -215,6 +221,18 @@ class _Reader:
             self._loop.call_soon_threadsafe(function, *arguments)
 
 
+def _drop_backlog(port: Any) -> None:
+    """Drop what came before anybody listened: it has no time. A buffer behind the port's own may fill it again."""
+    ends = time.monotonic() + _BACKLOG_S
+    empty = 0
+    while empty < 3 and time.monotonic() < ends:
+        waiting = port.in_waiting
+        empty = 0 if waiting else empty + 1
+        if waiting:
+            port.reset_input_buffer()
+        time.sleep(_BACKLOG_LOOK_S)
+
+
 def _succeed(opened: asyncio.Future[None]) -> None:
     if not opened.done():
         opened.set_result(None)
@@ -223,6 +241,14 @@ def _succeed(opened: asyncio.Future[None]) -> None:
 def _fail(opened: asyncio.Future[None], error: Exception) -> None:
     if not opened.done():
         opened.set_exception(error)
+
+
+def _close(port: Any) -> None:
+    sock = getattr(port, "_socket", None)
+    with suppress(Exception):
+        port.close()
+    if sock is not None:  # pyserial leaves a socket open that the other end has reset
+        sock.close()
 
 
 def _is_url(url: str) -> bool:

@@ -33,7 +33,7 @@ class TcpLink:
         except TimeoutError:
             raise LinkLost(
                 self._device,
-                f"{self._host}:{self._port} does not answer within {self._timeout_s:g} s; is it on, and the address right?",
+                f"{self._host}:{self._port} does not answer within {self._timeout_s:g} s; is it on, the address right?",
             ) from None
         except OSError as error:
             raise LinkLost(

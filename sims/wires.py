@@ -1,6 +1,7 @@
-"""Wires at whose far end a twin of a byte device sits: a pseudo-terminal, a TCP port.
+"""Wires at whose far end a twin of a byte device sits: in memory, a pseudo-terminal, a TCP port.
 
-What nobody reads is dropped, oldest first, as the buffer of a serial port would.
+What nobody reads is dropped, as the buffer of a serial port would. Wires work by the loop alone, without
+threads. Each can be unplugged by its ``Plug``, and plugged in again.
 """
 
 from __future__ import annotations
@@ -8,10 +9,14 @@ from __future__ import annotations
 import asyncio
 import os
 import socket
+import tempfile
 import tty
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
+from pathlib import Path
 from typing import Protocol
+
+from drivers.memory_link import MemoryLink
 
 Write = Callable[[bytes], None]
 _MOST_WAITING = 65536
@@ -25,106 +30,228 @@ class ByteDevice(Protocol):
         """Take bytes from the host, cut anywhere."""
 
 
+class Plug:
+    """Where a wire ends at its device: it can be pulled, and put back."""
+
+    def __init__(self) -> None:
+        """Start plugged in, on no wire yet."""
+        self.out = False
+        self.timers: list[asyncio.TimerHandle] = []
+        """What will pull it or put it back; cancelled with the wire."""
+        self._pulled: Callable[[], None] = _nothing
+        self._put_back: Callable[[], None] = _nothing
+
+    def attach(self, pulled: Callable[[], None], put_back: Callable[[], None]) -> None:
+        """Let a wire know what happens to it."""
+        self._pulled, self._put_back = pulled, put_back
+
+    def detach(self) -> None:
+        """Take the wire away, and all that was still to come."""
+        for timer in self.timers:
+            timer.cancel()
+        self._pulled = self._put_back = _nothing
+
+    def pull(self) -> None:
+        """Unplug; twice is once."""
+        if not self.out:
+            self.out = True
+            self._pulled()
+
+    def push(self) -> None:
+        """Plug in again; twice is once."""
+        if self.out:
+            self.out = False
+            self._put_back()
+
+
+@contextmanager
+def in_memory(name: str, make: Callable[[Write], ByteDevice], plug: Plug | None = None) -> Iterator[MemoryLink]:
+    """Put a device on a wire in memory; yield the link that a station uses, for a device of this ``name``."""
+    heard: list[ByteDevice] = []
+    link = MemoryLink(name, lambda data: heard[0].received(data))
+    plug = plug or Plug()
+    plug.attach(link.unplug, link.plug)
+    heard.append(make(link.deliver))
+    try:
+        yield link
+    finally:
+        plug.detach()
+        link.unplug()
+
+
 @asynccontextmanager
 async def pty_pair() -> AsyncIterator[tuple[int, str]]:
     """Open a pseudo-terminal that passes bytes as they are; yield our end's descriptor, and the name of the other."""
-    ours, theirs = os.openpty()
-    try:
-        tty.setraw(ours)
-        tty.setraw(theirs)
-        os.set_blocking(ours, False)
-        # The far end is kept open, so that ours sees no error when a station leaves.
-        yield ours, os.ttyname(theirs)
-    finally:
-        os.close(ours)
-        os.close(theirs)
+    with ExitStack() as stack:
+        yield _open_pty(stack)
 
 
 @asynccontextmanager
 async def pty_joint() -> AsyncIterator[tuple[str, str]]:
     """Join two pseudo-terminals like two serial ports by a cable; yield their names."""
-    loop = asyncio.get_running_loop()
-    async with pty_pair() as (one, first), pty_pair() as (other, second):
-
-        def hand_on(source: int, sink: int) -> None:
-            with suppress(BlockingIOError):
-                os.write(sink, os.read(source, _READ))
-
-        loop.add_reader(one, hand_on, one, other)
-        loop.add_reader(other, hand_on, other, one)
-        try:
-            yield first, second
-        finally:
-            loop.remove_reader(one)
-            loop.remove_reader(other)
+    with ExitStack() as stack:
+        (one, first), (other, second) = _open_pty(stack), _open_pty(stack)
+        forth, back = _PtyEnd(other), _PtyEnd(one)
+        stack.callback(forth.close)
+        stack.callback(back.close)
+        back.hear(forth.write)
+        forth.hear(back.write)
+        yield first, second
 
 
 @asynccontextmanager
-async def on_pty(make: Callable[[Write], ByteDevice]) -> AsyncIterator[str]:
-    """Put a device on a pseudo-terminal; yield the name that a station opens. ``make`` is given what it writes by."""
-    loop = asyncio.get_running_loop()
-    async with pty_pair() as (ours, name):
-        waiting = bytearray()
+async def on_pty(make: Callable[[Write], ByteDevice], plug: Plug | None = None) -> AsyncIterator[str]:
+    """Put a device on a pseudo-terminal; yield the name that a station opens. ``make`` is given what it writes by.
 
-        def write(data: bytes) -> None:
-            waiting.extend(data)
-            if len(waiting) > _MOST_WAITING:
-                del waiting[: len(waiting) - _MOST_WAITING]
-            send()
+    With a ``plug`` the name is a link, which leads nowhere while unplugged, and to another terminal thereafter.
+    """
+    with ExitStack() as stack:
+        wire = _Pty(stack.enter_context(ExitStack()), plug is not None)
+        device = make(wire.write)
+        wire.plug_in(device.received)
+        if plug is not None:
+            plug.attach(wire.unplug, lambda: wire.plug_in(device.received))
+            stack.callback(plug.detach)
+        stack.callback(wire.unplug)
+        yield wire.name
 
-        def send() -> None:
+
+class _Pty:
+    """A pseudo-terminal that can be closed, as if unplugged, and opened again."""
+
+    def __init__(self, stack: ExitStack, replaceable: bool) -> None:
+        self._end: _PtyEnd | None = None
+        self._terminal = ExitStack()
+        self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory())) if replaceable else None
+        self.name = ""
+
+    def write(self, data: bytes) -> None:
+        if self._end is not None:
+            self._end.write(data)
+
+    def plug_in(self, received: Write) -> None:
+        ours, theirs = _open_pty(self._terminal)
+        self._end = _PtyEnd(ours)
+        self._terminal.callback(self._end.close)
+        self._end.hear(received)
+        self.name = theirs
+        if self._folder is not None:
+            (self._folder / "tty").symlink_to(theirs)
+            self.name = str(self._folder / "tty")
+
+    def unplug(self) -> None:
+        self._end = None
+        self._terminal.close()
+        if self._folder is not None:
+            (self._folder / "tty").unlink(missing_ok=True)
+
+
+class _PtyEnd:
+    """Our end of a pseudo-terminal, read and written by the loop."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._waiting = bytearray()
+        self._loop = asyncio.get_running_loop()
+
+    def hear(self, received: Write) -> None:
+        def read() -> None:
             with suppress(BlockingIOError):
-                while waiting:
-                    del waiting[: os.write(ours, waiting)]
-            if waiting:
-                loop.add_writer(ours, send)
-            else:
-                loop.remove_writer(ours)
+                received(os.read(self._descriptor, _READ))
 
-        device = make(write)
+        self._loop.add_reader(self._descriptor, read)
 
-        def hear() -> None:
-            with suppress(BlockingIOError):
-                device.received(os.read(ours, _READ))
+    def write(self, data: bytes) -> None:
+        self._waiting.extend(data)
+        if len(self._waiting) > _MOST_WAITING:
+            del self._waiting[: len(self._waiting) - _MOST_WAITING]
+        self._send()
 
-        loop.add_reader(ours, hear)
-        try:
-            yield name
-        finally:
-            loop.remove_reader(ours)
-            loop.remove_writer(ours)
+    def _send(self) -> None:
+        with suppress(BlockingIOError):
+            while self._waiting:
+                del self._waiting[: os.write(self._descriptor, self._waiting)]
+        if self._waiting:
+            self._loop.add_writer(self._descriptor, self._send)
+        else:
+            self._loop.remove_writer(self._descriptor)
+
+    def close(self) -> None:
+        self._loop.remove_reader(self._descriptor)
+        self._loop.remove_writer(self._descriptor)
+
+
+def _open_pty(stack: ExitStack) -> tuple[int, str]:
+    """Return our end of a new raw pseudo-terminal and the other's name; both are closed with the stack."""
+    ours, theirs = os.openpty()
+    stack.callback(os.close, ours)
+    stack.callback(os.close, theirs)  # kept open till then, so that ours sees no error when a station leaves
+    tty.setraw(ours)
+    tty.setraw(theirs)
+    os.set_blocking(ours, False)
+    return ours, os.ttyname(theirs)
 
 
 @asynccontextmanager
-async def on_tcp(make: Callable[[Write], ByteDevice], host: str, port: int = 0) -> AsyncIterator[tuple[str, int]]:
+async def on_tcp(
+    make: Callable[[Write], ByteDevice], host: str, port: int = 0, plug: Plug | None = None
+) -> AsyncIterator[tuple[str, int]]:
     """Put a device on a TCP port, for one station at a time; yield host and port. OSError if the port is taken."""
-    client: asyncio.StreamWriter | None = None
-
-    def write(data: bytes) -> None:
-        if client is None or client.is_closing() or client.transport.get_write_buffer_size() > _MOST_WAITING:
-            return
-        client.write(data)
-
-    device = make(write)
-
-    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        nonlocal client
-        before, client = client, writer
-        if before is not None:
-            before.close()
-        writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        with suppress(OSError):
-            while data := await reader.read(_READ):
-                device.received(data)
-        if client is writer:
-            client = None
-        writer.close()
-
-    server = await asyncio.start_server(serve, host, port)
+    wire = _Tcp()
+    device = make(wire.write)
+    server = await asyncio.start_server(wire.serve(device.received), host, port)
+    plug = plug or Plug()
+    plug.attach(wire.unplug, wire.plug_in)
     try:
         name = server.sockets[0].getsockname()
         yield str(name[0]), int(name[1])
     finally:
+        plug.detach()
         server.close()
-        if client is not None:
-            client.close()
+        wire.unplug()
+
+
+class _Tcp:
+    """The stations at a TCP port: who comes last is served."""
+
+    def __init__(self) -> None:
+        self._client: asyncio.StreamWriter | None = None
+        self._out = False
+
+    def write(self, data: bytes) -> None:
+        client = self._client
+        if client is None or client.is_closing() or client.transport.get_write_buffer_size() > _MOST_WAITING:
+            return
+        client.write(data)
+
+    def serve(self, received: Write) -> Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]:
+        async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            if self._out:
+                writer.transport.abort()
+                return
+            before, self._client = self._client, writer
+            if before is not None:
+                before.close()
+            writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            with suppress(OSError):
+                while data := await reader.read(_READ):
+                    received(data)
+            if self._client is writer:
+                self._client = None
+            writer.close()
+
+        return serve
+
+    def unplug(self) -> None:
+        """Reset the connection, and every other until plugged in."""
+        self._out = True
+        if self._client is not None:
+            self._client.transport.abort()
+            self._client = None
+
+    def plug_in(self) -> None:
+        self._out = False
+
+
+def _nothing() -> None:
+    """Do nothing."""

@@ -11,6 +11,8 @@ import numpy as np
 
 from drivers.can_imu import BUILT_IN_DBC, CanChannel
 from drivers.can_mappings import MappingError, channels_of, load_mapping
+from drivers.stim300_units import ACCEL_LSB_G, UNITS
+from drivers.vectornav import ASCII_RATES_HZ
 from estimator.array import SensorArray, cone, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.errors import GeometryError
 from estimator.model import Prior
@@ -22,6 +24,7 @@ ON_CAN = ("can", "j1939")
 STIM300_RATES_HZ = (125, 250, 500, 1000, 2000)
 J1939_RATES_HZ = (2, 4, 5, 10, 20, 25, 50, 100)
 _VECTORNAV_BASE_HZ = 800
+_XSENS_FASTEST_HZ = 2000
 _NOT_NAMES = ("table", "seed", "watchdog", "start", "fault", "faults", "hidden", "started", "wires")
 
 
@@ -86,7 +89,7 @@ def read_imu(table: Table, folder: Path) -> ImuConfig:
         raise table.fail("array", f"protocol {protocol} has three gyros, this array {len(array)}")
     _check_rate(table, protocol, rate_hz)
     can = _can(table, folder, name, array) if protocol == "can" else None
-    options = _options(table, protocol)
+    options = _options(table, protocol, rate_hz)
     noise, prior = _datasheet(table.table("datasheet"))
     config = ImuConfig(
         name,
@@ -114,18 +117,20 @@ def _check_rate(table: Table, protocol: str, rate_hz: float) -> None:
         legal = J1939_RATES_HZ
     elif protocol == "vectornav" and (rate_hz != round(rate_hz) or _VECTORNAV_BASE_HZ % round(rate_hz)):
         legal = tuple(n for n in range(1, _VECTORNAV_BASE_HZ + 1) if _VECTORNAV_BASE_HZ % n == 0)
-    elif protocol == "xsens" and rate_hz != round(rate_hz):
-        raise table.fail("rate", "an Xsens MTi sends at a whole number of Hz")
+    elif protocol == "xsens" and (rate_hz != round(rate_hz) or rate_hz > _XSENS_FASTEST_HZ):
+        raise table.fail("rate", f"an Xsens MTi sends at a whole number of Hz, up to {_XSENS_FASTEST_HZ}")
     if legal and rate_hz not in legal:
         raise table.fail("rate", f"protocol {protocol} sends at {', '.join(map(str, legal))} Hz")
 
 
-def _options(table: Table, protocol: str) -> dict[str, str | int | bool]:
+def _options(table: Table, protocol: str, rate_hz: float) -> dict[str, str | int | bool]:
     options: dict[str, str | int | bool] = {}
     if protocol in ("xsens", "j1939"):
         options["configure"] = table.flag("configure", True)
     if protocol == "vectornav":
         options["output"] = table.string("output", "binary", one_of=("binary", "ascii"))
+        if options["output"] == "ascii" and rate_hz not in ASCII_RATES_HZ:
+            raise table.fail("rate", f"in ASCII it sends at {', '.join(map(str, ASCII_RATES_HZ))} Hz")
     elif protocol == "j1939":
         options["model"] = table.string("model", "openimu300ri", one_of=("openimu300ri", "mtlt305d"))
         if table.has("axis_order"):
@@ -135,9 +140,11 @@ def _options(table: Table, protocol: str) -> dict[str, str | int | bool]:
             raise table.fail("address", f"{options['address']} is no J1939 address: give 0 to 253")
     elif protocol == "stim300":
         if table.has("gyro_unit"):
-            options["gyro_unit"] = table.string("gyro_unit")
+            options["gyro_unit"] = table.string("gyro_unit", one_of=UNITS.values())
         if table.has("accel_range"):
             options["accel_range"] = table.integer("accel_range")
+            if options["accel_range"] not in ACCEL_LSB_G:
+                raise table.fail("accel_range", f"is one of {', '.join(map(str, ACCEL_LSB_G))} g")
     return options
 
 

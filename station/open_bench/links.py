@@ -36,7 +36,7 @@ def byte_link(link: str, device: str, *, baud: int, time_scale: float, port: int
         host, number = tcp_address(link, device, port)
         return TcpLink(device, host, number, _TCP_LIMIT_S * time_scale)
     serial = _serial(link, device, baud)
-    return SerialLink(device, serial.port, serial.baud)
+    return SerialLink(device, serial.port, serial.baud, parity=serial.parity, stop_bits=serial.stop_bits)
 
 
 def modbus_address(link: str, device: str) -> Address:
