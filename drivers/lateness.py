@@ -18,6 +18,7 @@ _FEWEST = 100
 _ROUGH = 512
 _HIDDEN_DRIFT = 1e-4
 _HIDING = 0.6  # jitter, in periods, that hides single losses
+_HIDING_SHARE = 0.3  # or where no more than these waited for no other
 _RELEARN_S = 2.0
 _HALF_LIFE_S = 10.0  # of what is known of the share of samples that wait for none, and of their correlation
 _FLOOR = 0.003  # density of what never comes, of the highest
@@ -69,7 +70,8 @@ class Lateness:
         if len(self._rough) < _FEWEST:
             return 0.0
         jitter_s = float(np.median(np.abs(np.array(self._rough))))
-        return _HIDDEN_DRIFT if jitter_s > _HIDING * self._period_s else 0.0
+        hiding = jitter_s > _HIDING * self._period_s or self._share < _HIDING_SHARE
+        return _HIDDEN_DRIFT if hiding else 0.0
 
     @property
     def hold(self) -> int:

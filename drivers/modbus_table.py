@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from drivers.cia402 import (
@@ -109,6 +109,7 @@ class ModbusTable:
                     break
                 await self._command(axis, command)
                 await self._wait_for_state(axis, state)
+                await self._hail(list(self._axes)[: list(self._axes).index(axis)])
 
     async def home(self) -> None:
         """Run the drives' own homing on all axes at once; DeviceRefused if one does not end."""
@@ -119,6 +120,7 @@ class ModbusTable:
             await self._write_motion(axis, "homing_rate_2", _HOMING_RATE_RPS / 4)
             await self._command(axis, "enable")
             await self._command(axis, "home")
+            await self._hail(self._axes)
         deadline = asyncio.get_running_loop().time() + _HOMING_LIMIT_S
         waiting = set(self._axes)
         while waiting:
@@ -138,6 +140,11 @@ class ModbusTable:
                     self._device, f"axis {', '.join(sorted(waiting))} found no home within {_HOMING_LIMIT_S:.0f} s"
                 )
             await asyncio.sleep(_POLL_S)
+
+    async def _hail(self, axes: Iterable[str]) -> None:
+        """Ask drives for no more than a sign of life from us: each watches for its master's silence by itself."""
+        for axis in axes:
+            await self._read(axis, "statusword")
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate (profile-velocity mode) until told otherwise."""

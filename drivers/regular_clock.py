@@ -54,6 +54,7 @@ class RegularClock:
         self._held: list[tuple[int, float, bytes]] = []  # arrival_ns, value, raw bytes
         self._last_raw = b""
         self._last_arrival_ns: int | None = None
+        self._resumed_ns: int | None = None  # last arrival before a break
         self._begin()
 
     def _begin(self) -> None:
@@ -88,6 +89,7 @@ class RegularClock:
     def restart(self) -> None:
         """Begin anew after a break, whose length tells how many were lost; nothing must be held any more."""
         self._begin()
+        self._resumed_ns = self._last_arrival_ns
 
     @property
     def due(self) -> bool:
@@ -150,6 +152,10 @@ class RegularClock:
         self._given += len(place)
         self._counts.samples += len(place)
         self._counts.late += int(np.count_nonzero(lateness_s > max(LATE_PERIODS * self._period_s, LATE_S)))
+        if self._resumed_ns is not None:  # nobody counted meanwhile: the pause tells
+            missed = round((int(arrival[0]) - self._resumed_ns) * 1e-9 / self._period_s) - 1
+            self._lost_before += max(missed, 0)
+            self._resumed_ns = None
         lost = self._lost_before + round(float(place[-1])) + 1 - self._given
         self._counts.lost = max(self._counts.lost, lost)
         self._last_place, self._last_arrival_ns = float(place[-1]), int(arrival[-1])

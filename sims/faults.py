@@ -135,8 +135,8 @@ class FaultyBytes:
         """Write by ``write`` what comes through; must be made within a running loop."""
         self._faults = faults
         self._random = np.random.default_rng(seed)
-        self._line = _Line(self._deliver, faults, self._random)
-        self._silence = _Silence(faults)
+        self._line = Line(self._deliver, faults, self._random)
+        self._silence = Silence(faults)
         self._write = write
 
     def __call__(self, data: bytes) -> None:
@@ -174,8 +174,8 @@ class FaultyFrames:
         self._hand_on = sink if callable(sink) else sink.send
         self._faults = faults
         self._random = np.random.default_rng(seed)
-        self._line = _Line(self._deliver, faults, self._random)
-        self._silence = _Silence(faults, unplugged_too=True)
+        self._line = Line(self._deliver, faults, self._random)
+        self._silence = Silence(faults, unplugged_too=True)
 
     def send(self, msg: can.Message) -> None:
         """Send a frame."""
@@ -220,7 +220,7 @@ class _Behind:
         self._hear(data)
 
 
-class _Line(Generic[T]):
+class Line(Generic[T]):
     """Delivers late, in order."""
 
     def __init__(self, deliver: Callable[[T], None], faults: WireFaults, random: np.random.Generator) -> None:
@@ -248,7 +248,7 @@ class _Line(Generic[T]):
             loop.call_at(self._under_way[0][0], self._arrive)
 
 
-class _Silence:
+class Silence:
     """Whether nothing comes through now."""
 
     def __init__(self, faults: WireFaults, *, unplugged_too: bool = False) -> None:

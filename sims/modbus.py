@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
+import numpy as np
 from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
@@ -11,7 +13,43 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from drivers.modbus_line import Address, SerialPort
 from drivers.registers import DriveProfile, Register
 from sims.drive import Drive
+from sims.faults import Line, Silence, WireFaults
 from sims.table import TableModel
+
+
+class FaultyModbus:
+    """What a wire does to requests and replies on it; a plug that is pulled is a wire that stays silent."""
+
+    def __init__(self, faults: WireFaults, seed: int | tuple[int, ...]) -> None:
+        """Must be made within a running loop."""
+        self._faults = faults
+        self._random = np.random.default_rng(seed)
+        self._silence = Silence(faults, unplugged_too=True)
+        # A reply is late by what request and reply take: the stock server has no place for two requests at once.
+        both = replace(faults, latency_s=2 * faults.latency_s, jitter_s=2 * faults.jitter_s)
+        self._line = Line(self._write, both, self._random)
+        self.server: ModbusTcpServer | ModbusSerialServer | None = None
+
+    def trace(self, sending: bool, data: bytes) -> bytes:
+        """Return what comes through of a frame at once."""
+        data = self._damaged(data)
+        if not sending or not (self._faults.latency_s or self._faults.jitter_s):
+            return data
+        self._line.put(data)
+        return b""
+
+    def _write(self, data: bytes) -> None:
+        for connection in list(self.server.active_connections.values()) if self.server is not None else ():
+            if connection.transport is not None:
+                connection.transport.write(data)  # type: ignore[attr-defined]
+
+    def _damaged(self, data: bytes) -> bytes:
+        if self._silence.now or self._random.random() < self._faults.loss:
+            return b""
+        octets = np.frombuffer(data, dtype=np.uint8).copy()
+        flipped = self._random.random(len(octets)) < self._faults.bit_flips
+        octets[flipped] ^= (1 << self._random.integers(0, 8, int(flipped.sum()))).astype(np.uint8)
+        return octets[self._random.random(len(octets)) >= self._faults.byte_loss].tobytes()
 
 
 class DriveRegisters:
@@ -49,18 +87,35 @@ class DriveRegisters:
 
 
 def modbus_server(
-    table: TableModel, profile: DriveProfile, unit_ids: Mapping[str, int], address: Address, watchdog_s: float
+    table: TableModel,
+    profile: DriveProfile,
+    unit_ids: Mapping[str, int],
+    address: Address,
+    watchdog_s: float,
+    faults: FaultyModbus | None = None,
 ) -> ModbusTcpServer | ModbusSerialServer:
     """Return a server, not yet listening, with one unit id an axis; at a host and port, or on a serial line."""
     devices = []
     low = min(r.address for r in profile.registers.values())
     high = max(r.address + r.words for r in profile.registers.values())
     for axis, unit_id in unit_ids.items():
-        registers = DriveRegisters(Drive(table, axis, profile, watchdog_s), profile, table.data[axis].counts_per_turn)
+        drive = Drive(table, axis, profile, watchdog_s)
+        registers = DriveRegisters(drive, profile, table.data[axis].counts_per_turn)
         block = SimData(low, count=high - low, datatype=DataType.REGISTERS)
         devices.append(SimDevice(unit_id, simdata=[block], action=registers.act))
+    trace = None if faults is None else faults.trace
+    server: ModbusTcpServer | ModbusSerialServer
     if not isinstance(address, SerialPort):
-        return ModbusTcpServer(devices, address=address)
-    return ModbusSerialServer(
-        devices, port=address.port, baudrate=address.baud, parity=address.parity, stopbits=address.stop_bits
-    )
+        server = ModbusTcpServer(devices, address=address, trace_packet=trace)
+    else:
+        server = ModbusSerialServer(
+            devices,
+            trace_packet=trace,
+            port=address.port,
+            baudrate=address.baud,
+            parity=address.parity,
+            stopbits=address.stop_bits,
+        )
+    if faults is not None:
+        faults.server = server
+    return server

@@ -31,6 +31,7 @@ from drivers.stim300 import (
 from drivers.stim300_special import BiasTrim, ExtendedError, PartNumber, SerialNumber, Special
 from drivers.stim300_units import ACCEL_LSB_G, UNITS
 from drivers.stim300_utility import DATAGRAM_CODES, UtilityMessage, encode_message
+from sims.burst import burst_of
 from sims.gyro import GyroArray
 from sims.stim300_output import GyroOutput
 from sims.stim300_settings import Refused, Settings, banner, service_lines, utility_reply
@@ -38,7 +39,6 @@ from sims.stim300_settings import Refused, Settings, banner, service_lines, util
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_BURST_S = 0.01
 _START_UP_TICKS = INTERNAL_RATE_HZ // 2
 _LONGEST_LINE = 200
 _GYRO_OVERLOAD_BIT = 101  # of x in the extended error register
@@ -143,7 +143,7 @@ class Stim300Device:
         """Send until cancelled."""
         loop = asyncio.get_running_loop()
         start, sent = loop.time(), 0
-        burst = max(round(self._base_hz * _BURST_S), 1)
+        burst = burst_of(self._base_hz)
         tick = INTERNAL_RATE_HZ // self._base_hz
         while True:
             at = np.asarray(start + np.arange(sent + 1, sent + 1 + burst) * self._period_s, dtype=np.float64)

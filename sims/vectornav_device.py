@@ -23,6 +23,7 @@ from drivers.vectornav import (
     encode_sentence,
     layout_of_header,
 )
+from sims.burst import burst_of
 from sims.gyro import GyroArray
 
 Floats = NDArray[np.float64]
@@ -30,7 +31,6 @@ Floats = NDArray[np.float64]
 STANDARD_GRAVITY_MPS2 = 9.80665
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 128000, 230400, 460800, 921600)
 
-_BURST_S = 0.01
 _TICK_NS = 1_000_000_000 // IMU_RATE_HZ
 _ON_SINCE_NS = 30_000_000_000
 _GYRO_RANGE_RPS = np.radians(2000.0)
@@ -124,7 +124,7 @@ class VectorNavDevice:
         """Send until cancelled, in bursts of about 10 ms, as an operating system hands them over."""
         loop = asyncio.get_running_loop()
         start = loop.time()
-        burst = max(round(IMU_RATE_HZ / self._ticks_per_sample * _BURST_S), 1)
+        burst = burst_of(IMU_RATE_HZ / self._ticks_per_sample)
         while True:
             ticks = self._tick + self._ticks_per_sample * np.arange(1, burst + 1)
             at = np.asarray(start + ticks * self._tick_s, dtype=np.float64)

@@ -11,10 +11,10 @@ import os
 import socket
 import tempfile
 import tty
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from drivers.memory_link import MemoryLink
 
@@ -198,25 +198,25 @@ async def on_tcp(
 ) -> AsyncIterator[tuple[str, int]]:
     """Put a device on a TCP port, for one station at a time; yield host and port. OSError if the port is taken."""
     wire = _Tcp()
-    device = make(wire.write)
-    server = await asyncio.start_server(wire.serve(device.received), host, port)
+    wire.received = make(wire.write).received
+    bound = await wire.listen(host, port)
     plug = plug or Plug()
-    plug.attach(wire.unplug, wire.plug_in)
+    plug.attach(wire.unplug, lambda: wire.plug_in(bound))
     try:
-        name = server.sockets[0].getsockname()
-        yield str(name[0]), int(name[1])
+        yield bound
     finally:
         plug.detach()
-        server.close()
-        wire.unplug()
+        await wire.close()
 
 
 class _Tcp:
-    """The stations at a TCP port: who comes last is served."""
+    """A TCP port and the stations at it: who comes last is served."""
 
     def __init__(self) -> None:
+        self.received: Write = _ignore
+        self._server: asyncio.Server | None = None
         self._client: asyncio.StreamWriter | None = None
-        self._out = False
+        self._tasks: set[asyncio.Task[object]] = set()
 
     def write(self, data: bytes) -> None:
         client = self._client
@@ -224,34 +224,54 @@ class _Tcp:
             return
         client.write(data)
 
-    def serve(self, received: Write) -> Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]:
-        async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            if self._out:
-                writer.transport.abort()
-                return
-            before, self._client = self._client, writer
-            if before is not None:
-                before.close()
-            writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            with suppress(OSError):
-                while data := await reader.read(_READ):
-                    received(data)
-            if self._client is writer:
-                self._client = None
-            writer.close()
-
-        return serve
+    async def listen(self, host: str, port: int) -> tuple[str, int]:
+        self._server = await asyncio.start_server(self._serve, host, port)
+        name = self._server.sockets[0].getsockname()
+        return str(name[0]), int(name[1])
 
     def unplug(self) -> None:
-        """Reset the connection, and every other until plugged in."""
-        self._out = True
+        """Reset the connection, and listen no more."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
         if self._client is not None:
             self._client.transport.abort()
             self._client = None
 
-    def plug_in(self) -> None:
-        self._out = False
+    def plug_in(self, bound: tuple[str, int]) -> None:
+        self._keep(asyncio.get_running_loop().create_task(self.listen(*bound)))
+
+    async def close(self) -> None:
+        """Leave the port, and wait until all connections are gone."""
+        self.unplug()
+        await asyncio.gather(*self._tasks)
+        self.unplug()  # what had just been put back
+
+    def _keep(self, task: asyncio.Task[Any]) -> None:
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._keep(task)
+        before, self._client = self._client, writer
+        if before is not None:
+            before.close()
+        writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with suppress(OSError):
+            while data := await reader.read(_READ):
+                self.received(data)
+        if self._client is writer:
+            self._client = None
+        writer.close()
+        with suppress(OSError):
+            await writer.wait_closed()
 
 
 def _nothing() -> None:
     """Do nothing."""
+
+
+def _ignore(data: bytes) -> None:
+    """Do nothing with bytes."""

@@ -30,12 +30,12 @@ from drivers.mtdata2 import (
     kind_of,
 )
 from drivers.xbus import Mid, XbusDecoder, encode
+from sims.burst import burst_of
 from sims.gyro import GyroArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_BURST_S = 0.01
 _TICKS_PER_S = round(1 / SAMPLE_TIME_TICK_S)
 _GYRO_RANGE_RPS = math.radians(2000)
 _STANDARD_GRAVITY_MPS2 = 9.80665
@@ -113,7 +113,7 @@ class XsensDevice:
     async def serve(self) -> None:
         """Send until cancelled."""
         loop = asyncio.get_running_loop()
-        start, burst, sent = loop.time(), max(round(self._rate_hz * _BURST_S), 1), 0
+        start, burst, sent = loop.time(), burst_of(self._rate_hz), 0
         while True:
             at = np.asarray(start + np.arange(sent + 1, sent + 1 + burst) * self._period_s, dtype=np.float64)
             await asyncio.sleep(max(float(at[-1]) - loop.time(), 0.0))

@@ -18,7 +18,7 @@ from drivers.seams import AxisState, Turntable
 
 Floats = NDArray[np.float64]
 
-_STATUS_EVERY = 5  # condition is asked for in every so many-th reading
+_STATUS_EVERY_S = 0.25  # so seldom is condition asked for; often enough for a drive that stops when it hears nothing
 _QUICK, _SLOW = 1.5, 4.0  # times the usual round trip: read again beyond the first, leave out beyond the second
 _TRIES = 2
 _ALWAYS_QUICK_NS = 1_000_000
@@ -45,6 +45,9 @@ class Aligner:
     def add(self, states: Mapping[str, AxisState]) -> list[tuple[int, Floats, Floats]]:
         """Take in one reading of all axes; return the rows (t_ns, angles, rates) that are known now."""
         self._readings.append(dict(states))
+        if len(self._readings) > 1 and self._at_ns(-1) <= self._at_ns(-2):
+            self._readings.pop()  # an answer that came at the second try has the middle of both for its instant
+            return []
         rows = []
         while self._next < len(self._readings) - 1 and self._rates_reach(self._next):
             rows += self._row(self._next)
@@ -146,6 +149,7 @@ async def watch_table(
     period_s = 1 / rate_hz
     due_s = loop.time()
     counter = itertools.count()
+    checked_s = dict.fromkeys(axes, due_s)
 
     async def read_once() -> None:
         count = next(counter)
@@ -163,8 +167,10 @@ async def watch_table(
                     states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns)
             for row in aligner.add(states):
                 on_row(row)
-        if (count + 1) % _STATUS_EVERY == 0:
-            await check_axes(table, axes)
+        for axis in axes:
+            if loop.time() - checked_s[axis] >= _STATUS_EVERY_S - 0.5 * period_s:
+                await check_axes(table, (axis,))
+                checked_s[axis] = loop.time()
 
     try:
         while True:

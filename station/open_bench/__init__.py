@@ -5,7 +5,7 @@ The only package of the station that knows that there are twins.
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
 
@@ -50,6 +50,8 @@ class OpenBench:
     bench: Bench
     table: Turntable
     imus: tuple[OpenImu, ...]
+    at_rest: Callable[[], bool] = lambda: True
+    """Whether the table of the twins is at rest, for trying what the station leaves behind."""
 
 
 def with_links(bench: Bench, links: dict[str, str], devices: Sequence[str]) -> Bench:
@@ -91,7 +93,7 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
         twins = Twins(bench, stack)
         table = await _table(bench, twins, time_scale)
         imus = tuple([OpenImu(imu, await _source(imu, twins, time_scale)) for imu in used])
-        yield OpenBench(bench, table, imus)
+        yield OpenBench(bench, table, imus, twins.table.at_rest)
 
 
 async def _table(bench: Bench, twins: Twins, time_scale: float) -> Turntable:

@@ -15,7 +15,7 @@ from drivers.errors import DeviceError
 from drivers.modbus_line import SerialPort
 from sims.slcan_adapter import SlcanAdapter
 from sims.socketcand_server import SocketcandServer
-from sims.wires import on_pty, on_tcp, pty_joint
+from sims.wires import ByteDevice, Plug, Write, on_pty, on_tcp, pty_joint
 from station.bench import Bench
 from station.bench_imu import ON_CAN, ImuConfig
 from station.open_bench.twins import Twins
@@ -69,19 +69,17 @@ class _Serving:
             return {"link": f"tcp://{bound[0]}:{bound[1]}", **said}
         said["axes"] = addresses
         if wire == "serial":
-            name = await self._stack.enter_async_context(
-                on_pty(lambda write: self._twins.table_device(write, watchdog_s))
-            )
+            name = await self._pty("table", lambda write: self._twins.table_device(write, watchdog_s))
             return {"link": f"serial://{name}", **said}
-        bound = await self._tcp(lambda write: self._twins.table_device(write, watchdog_s), port)
+        bound = await self._tcp("table", lambda write: self._twins.table_device(write, watchdog_s), port)
         return {"link": f"tcp://{bound[0]}:{bound[1]}", **said}
 
     async def imu(self, imu: ImuConfig) -> str:
         """Serve a device that speaks bytes; return its link."""
         if self._twins.wire(imu.name) == "tcp":
-            bound = await self._tcp(lambda write: self._twins.imu_device(imu, write), 0)
+            bound = await self._tcp(imu.name, lambda write: self._twins.imu_device(imu, write), 0)
             return f"tcp://{bound[0]}:{bound[1]}"
-        name = await self._stack.enter_async_context(on_pty(lambda write: self._twins.imu_device(imu, write)))
+        name = await self._pty(imu.name, lambda write: self._twins.imu_device(imu, write))
         return f"serial://{name}"
 
     async def bus(self, imu: ImuConfig) -> str:
@@ -122,9 +120,15 @@ class _Serving:
         heard.by = self._twins.bus_device(imu, server)
         return f"can:socketcand:{_BUS}?host={bound[0]}&port={bound[1]}"
 
-    async def _tcp(self, make: Any, port: int) -> tuple[str, int]:
+    async def _pty(self, device: str, make: Callable[[Write], ByteDevice]) -> str:
+        plug = Plug()
+        return await self._stack.enter_async_context(on_pty(self._twins.faulty(device, make, plug), plug))
+
+    async def _tcp(self, device: str, make: Callable[[Write], ByteDevice], port: int) -> tuple[str, int]:
+        plug = Plug()
         try:
-            return await self._stack.enter_async_context(on_tcp(make, self._host, port))
+            wire = on_tcp(self._twins.faulty(device, make, plug), self._host, port, plug)
+            return await self._stack.enter_async_context(wire)
         except OSError as error:
             raise DeviceError("twin", f"cannot listen on {self._host}:{port} ({error}); is the port free?") from None
 

@@ -7,16 +7,16 @@ import itertools
 import math
 from collections.abc import Callable, Coroutine
 from contextlib import AsyncExitStack, suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pymodbus.transport import NULLMODEM_HOST
 
-from drivers.byte_links import MemoryLink
 from drivers.can_link import CanLink
 from drivers.can_memory import MemoryBus
-from drivers.errors import DeviceError, LinkLost
+from drivers.errors import DeviceError
 from drivers.modbus_line import Address, SerialPort
 from drivers.seams import ByteLink, FrameLink
 from sims.aceinna_device import AceinnaDevice
@@ -24,21 +24,23 @@ from sims.acutrol_controller import AcutrolController
 from sims.aerosmith_controller import AerosmithController
 from sims.body import Body
 from sims.can_nodes import CanNodes
-from sims.frames import FrameSink
+from sims.faults import DeviceFaults, FaultyFrames, faulty_device
+from sims.frames import FrameSink, NodeFaults
 from sims.galil_controller import GalilController
 from sims.geometry import MOUNTS_DEG, Mounting, along, mounted
 from sims.gyro import GyroArray, GyroTruth
 from sims.hidden import Hidden, HiddenError
 from sims.hidden.table import TableFaults
-from sims.modbus import modbus_server
+from sims.modbus import FaultyModbus, modbus_server
 from sims.stim300_device import Stim300Device
 from sims.table import AxisData, TableModel
 from sims.vectornav_device import VectorNavDevice
-from sims.wires import ByteDevice, Write
+from sims.wires import ByteDevice, Plug, Write, in_memory
 from sims.xsens_device import XsensDevice
 from station.bench import Bench
 from station.bench_imu import ON_CAN, ImuConfig
 from station.errors import BenchError
+from station.open_bench.faults import read_faults, turn_knobs, turn_node_knobs
 from station.tables import Table
 
 Floats = NDArray[np.float64]
@@ -73,9 +75,14 @@ class Twins:
             directions=faults.directions(bench.table.gimbals),
         )
         self._wires = self._read_wires(truths)
+        self._faults = read_faults(truths, bench)
         self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
-        self._read_faults(truths)
         truths.done()
+        if (fault := self._faults.table) is not None:
+            strike = loop.call_later(
+                fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.protocol == "modbus")
+            )
+            stack.callback(strike.cancel)
 
     async def modbus_in_memory(self) -> Address:
         """Serve the drives on a wire in memory; return where."""
@@ -88,7 +95,15 @@ class Twins:
         config = self.bench.table
         assert config.profile is not None
         units = {name: int(axis.address) for name, axis in config.axes.items()}
-        server = modbus_server(self.table, config.profile, units, address, watchdog_s)
+        faults = self._faults.wires["table"]
+        server = modbus_server(
+            self.table,
+            config.profile,
+            units,
+            address,
+            watchdog_s,
+            FaultyModbus(faults, self._seed("table")) if faults.any else None,
+        )
         try:
             await server.serve_forever(background=True)
         except RuntimeError:
@@ -110,28 +125,26 @@ class Twins:
 
     def table_in_memory(self) -> ByteLink:
         """Return the near end of a wire to the controller."""
-        near, far = MemoryLink.pair("table")
-        self._hear(far, self.table_device(far.write, self.bench.twin.watchdog_s))
-        return near
+        return self._in_memory("table", lambda write: self.table_device(write, self.bench.twin.watchdog_s))
 
     def imu_device(self, imu: ImuConfig, write: Write) -> ByteDevice:
         """Return a device that speaks bytes, which sends from now on."""
-        gyros, up = self.gyros(imu), self._up(imu)
+        gyros, up, faults = self.gyros(imu), self._up(imu), self._faults.devices[imu.name]
+        ppm = faults.clock_ppm
         device: Stim300Device | XsensDevice | VectorNavDevice
         if imu.protocol == "stim300":
-            device = Stim300Device(gyros, write, round(imu.rate_hz), specific_force_g=up)
+            device = Stim300Device(gyros, write, round(imu.rate_hz), specific_force_g=up, clock_ppm=ppm)
         elif imu.protocol == "xsens":
-            device = XsensDevice(gyros, write, round(imu.rate_hz), specific_force_g=up)
+            device = XsensDevice(gyros, write, round(imu.rate_hz), specific_force_g=up, clock_ppm=ppm)
         else:
-            device = VectorNavDevice(gyros, write, rate_hz=imu.rate_hz, up=up)
+            device = VectorNavDevice(gyros, write, rate_hz=imu.rate_hz, up=up, clock_ppm=ppm)
+        self._turn(faults, partial(turn_knobs, device, faults))
         self.run(device.serve())
         return device
 
     def imu_in_memory(self, imu: ImuConfig) -> ByteLink:
         """Return the near end of a wire to a device that speaks bytes."""
-        near, far = MemoryLink.pair(imu.name)
-        self._hear(far, self.imu_device(imu, far.write))
-        return near
+        return self._in_memory(imu.name, lambda write: self.imu_device(imu, write))
 
     def bus_device(self, imu: ImuConfig, bus: FrameSink) -> Callable[[Any], None] | None:
         """Put a device on a bus, where it sends from now on; return what hears the host's frames, if it listens."""
@@ -140,8 +153,21 @@ class Twins:
         def force(t_s: Floats) -> Floats:
             return up(t_s) * _STANDARD_GRAVITY_MPS2
 
+        faults, wire = self._faults.devices[imu.name], self._faults.wires[imu.name]
+        knobs = NodeFaults(clock_ppm=faults.clock_ppm, seed=self.bench.twin.seed)
+        self._turn(faults, partial(turn_node_knobs, knobs, faults))
+        if wire.any:
+            bus = FaultyFrames(bus, wire, self._seed(imu.name))
         if imu.can is not None:
-            nodes = CanNodes(self.gyros(imu), bus, imu.can.dbc, imu.can.channels, imu.rate_hz, specific_force=force)
+            nodes = CanNodes(
+                self.gyros(imu),
+                bus,
+                imu.can.dbc,
+                imu.can.channels,
+                imu.rate_hz,
+                specific_force=force,
+                faults=knobs,
+            )
             self.run(nodes.serve())
             return None
         options = imu.options
@@ -152,9 +178,10 @@ class Twins:
             model=str(options["model"]),
             address=int(options["address"]),
             specific_force=force,
+            faults=knobs,
         )
         self.run(device.serve())
-        return device.received
+        return FaultyFrames(device.received, wire, (*self._seed(imu.name), 1)) if wire.any else device.received
 
     def bus_in_memory(self, imu: ImuConfig) -> FrameLink:
         """Return the link to a bus in memory with the device on it."""
@@ -211,25 +238,23 @@ class Twins:
         p = mounting_of(imu).p[:3]
         return lambda t_s: self._body.up(t_s) @ p.T
 
-    def _hear(self, far: MemoryLink, device: ByteDevice) -> None:
-        async def listen() -> None:
-            with suppress(LinkLost):
-                while True:
-                    device.received((await far.receive()).data)
+    def faulty(self, device: str, make: Callable[[Write], ByteDevice], plug: Plug) -> Callable[[Write], ByteDevice]:
+        """Return ``make`` with what the bench file says is wrong with the wire of this device."""
+        return faulty_device(make, self._faults.wires[device], self._seed(device), plug)
 
-        self.run(listen())
+    def _in_memory(self, device: str, make: Callable[[Write], ByteDevice]) -> ByteLink:
+        plug = Plug()
+        return self._stack.enter_context(in_memory(device, self.faulty(device, make, plug), plug))
 
-    def _read_faults(self, truths: Table) -> None:
-        """Arm the fault input of one axis, for trying what the station does about it."""
-        if not truths.has("fault"):
-            return
-        fault = truths.table("fault")
-        axis = fault.string("axis", one_of=self.bench.table.axes)
-        at_s = fault.quantity("at", "time")
-        fault.done()
+    def _seed(self, device: str) -> tuple[int, int]:
+        return self.bench.twin.seed, 1000 + list(self._faults.wires).index(device)
+
+    def _turn(self, faults: DeviceFaults, knobs: Callable[[bool], None]) -> None:
+        """Turn a device's knobs when its faults begin, and back when they end."""
         loop = asyncio.get_running_loop()
-        handle = loop.call_at(loop.time() + at_s, self.table.trip, axis, "fault input")
-        self._stack.callback(handle.cancel)
+        for at_s, on in ((faults.from_s, True), (faults.until_s, False)):
+            if math.isfinite(at_s):
+                self._stack.callback(loop.call_later(at_s, knobs, on).cancel)
 
 
 def hidden_of(bench: Bench) -> Hidden | None:
@@ -244,6 +269,7 @@ def hidden_of(bench: Bench) -> Hidden | None:
 
 def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
     table = truths.table(imu.name, optional=True)
+    table.value("fault", {})  # read by read_faults
     n = len(imu.array)
     truth = GyroTruth(
         k=np.array(table.quantities("k", "ratio", n, 0.0)),

@@ -16,6 +16,7 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -169,7 +170,8 @@ def figures(run: Callable[[int], Timed], seeds: int) -> str:
         f"{max(t.held_s for _, t in done):5.2f}  {100 * float(np.mean([t.cpu for _, t in done])):5.1f}  "
         f"{1e3 * min(float(np.diff(t.t_s).min()) for _, t in done):8.3f}  "
         f"{float(np.mean([a.sd_offset_s for _, _, a in aligned])) * 1e3:7.3f} "
-        f"{float(np.mean([a.sd_drift_ppm for _, _, a in aligned])):6.2f} {float(np.sqrt(np.mean(np.square(drift)))):5.1f}"
+        f"{float(np.mean([a.sd_drift_ppm for _, _, a in aligned])):6.2f} "
+        f"{float(np.sqrt(np.mean(np.square(drift)))):5.1f}"
     )
 
 
@@ -189,14 +191,7 @@ def main() -> None:
         for delay in asked.delays.split(","):
             for order in DELAYS[delay][1]:
                 for rate in map(float, asked.rates.split(",")):
-
-                    def run(
-                        seed: int,
-                        timed: Callable[..., Timed] = timed,
-                        of: tuple[str, str, float] = (delay, order, rate),
-                    ) -> Timed:
-                        return timed(*of, asked.seconds, seed)
-
+                    run = partial(timed, delay, order, rate, asked.seconds)
                     print(f"{name:8s} {delay:13s} {order:9s} {rate:5.0f} {figures(run, asked.seeds)}", flush=True)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from clocks import Timed, counted, drift_of, regular
 
 from drivers.sampling import CounterClock, RegularClock
 from drivers.seams import SourceCounts
@@ -211,3 +212,104 @@ def test_a_gap_within_a_chunk_is_counted_and_does_not_run_backwards(missing: int
     assert clock.counts.lost == missing
     assert clock.counts.repeated == 0
     assert np.all(np.diff(t_ns) > 0)
+
+
+def rms_after_s(run: Timed, since_s: float = 5.0) -> float:
+    return float(np.sqrt(np.mean(run.error_s[run.true_s >= since_s] ** 2)))
+
+
+LONG_S = {100: 60.0, 500: 30.0, 2000: 15.0}
+JITTER = [("usb polls", "in order"), ("uneven polls", "in order"), ("uniform", "free"), ("exponential", "free")]
+
+
+@pytest.mark.parametrize("rate_hz", [100, 500, 2000])
+@pytest.mark.parametrize(("delay", "order"), JITTER)
+def test_with_a_counter_times_are_right_to_200_us_beneath_5_ms_of_jitter(delay: str, order: str, rate_hz: int) -> None:
+    runs = [counted(delay, order, rate_hz, LONG_S[rate_hz], seed) for seed in range(2)]
+    assert np.sqrt(np.mean([rms_after_s(run) ** 2 for run in runs])) < 0.2e-3
+    for run in runs:
+        assert np.diff(run.t_s).min() > 0
+        assert run.lost == 1.0
+
+
+@pytest.mark.parametrize("rate_hz", [100, 500, 2000])
+@pytest.mark.parametrize(("delay", "order"), JITTER)
+def test_without_a_counter_times_are_right_to_1_ms_and_losses_are_counted_beneath_5_ms_of_jitter(
+    delay: str, order: str, rate_hz: int
+) -> None:
+    runs = [regular(delay, order, rate_hz, LONG_S[rate_hz], seed) for seed in range(2)]
+    assert np.sqrt(np.mean([rms_after_s(run) ** 2 for run in runs])) < 1e-3
+    for run in runs:
+        assert np.diff(run.t_s).min() > 0
+        assert run.lost == pytest.approx(1.0, abs=0.05)
+        assert run.held_s < 0.5
+
+
+@pytest.mark.parametrize("timed", [counted, regular])
+def test_jitter_to_both_sides_leaves_an_offset_that_stays(timed: object) -> None:
+    for seed in range(2):
+        run = timed("normal", "free", 500, 60.0, seed)  # type: ignore[operator]
+        late = run.error_s[run.true_s >= 10.0]
+        assert late.std() < (0.2e-3 if timed is counted else 1e-3)
+
+
+@pytest.mark.parametrize(("delay", "order"), JITTER)
+def test_a_counted_clock_tells_its_drift_and_how_well_it_is_known(delay: str, order: str) -> None:
+    scores = []
+    for seed in range(6):
+        found = counted(delay, order, 250, 40.0, seed).alignment
+        assert found is not None
+        assert 0 < found.sd_offset_s < 0.2e-3
+        assert 3e-3 < found.jitter_rms_s < 7e-3
+        scores.append((found.drift_ppm - 1e6 * drift_of(seed)) / found.sd_drift_ppm)
+    assert np.sqrt(np.mean(np.square(scores))) < 3.0
+
+
+def test_where_losses_could_pass_for_drift_the_drift_is_said_to_be_unknown() -> None:
+    found = regular("exponential", "free", 2000, 20.0, 1).alignment
+    assert found is not None
+    assert found.sd_drift_ppm > 50
+
+
+def test_the_offset_is_that_of_the_line_in_use() -> None:
+    samples = np.arange(1000)
+    clock = CounterClock(TICK_S, MODULUS, TICKS)
+    assert clock.alignment is None
+    clock.stamp(samples[:1] * TICKS % MODULUS, ns(7.0 + samples[:1] * COUNTER_PERIOD_S))
+    for i in range(1, 1000):
+        clock.stamp(samples[i : i + 1] * TICKS % MODULUS, ns(7.0 + samples[i : i + 1] * COUNTER_PERIOD_S))
+    assert clock.alignment is not None
+    assert clock.alignment.offset_s == pytest.approx(7.0, abs=1e-8)
+    assert clock.alignment.jitter_rms_s < 1e-6
+
+
+@pytest.mark.parametrize("away_s", [0.5, 20.0])
+def test_a_device_that_begins_to_count_anew_gets_right_times_again(away_s: float) -> None:
+    clock = CounterClock(1e-4, 1 << 32, 100)  # a clock of 10 kHz that wraps after five days
+    before = 5.0 + np.arange(3000) * 0.01
+    after = before[-1] + away_s + np.arange(1000) * 0.01
+    counter = np.concatenate([7_000_000 + np.arange(3000) * 100, np.arange(1000) * 100])
+    true_s = np.concatenate([before, after])
+    times = [clock.stamp(counter[i : i + 1], ns(true_s[i : i + 1]))[1] for i in range(len(true_s))]
+    np.testing.assert_allclose(np.concatenate(times) * 1e-9, true_s, atol=2e-9)
+    assert clock.counts.lost == round(away_s / 0.01) - 1
+
+
+def test_a_clock_that_is_told_of_a_break_goes_on_by_arrivals() -> None:
+    counts = SourceCounts()
+    clock = RegularClock(PERIOD_S, counts)
+    true_s = np.concatenate([np.arange(300), 500 + np.arange(300)]) * PERIOD_S
+    times = []
+    for i, at_ns in enumerate(ns(true_s)):
+        if i == 300:
+            last = clock.ready(everything=True)
+            assert last is not None
+            times.append(last[0])
+            clock.restart()
+        clock.add(int(at_ns), float(i), i.to_bytes(4))
+        if (ready := clock.ready()) is not None:
+            times.append(ready[0])
+    last = clock.ready(everything=True)
+    assert last is not None
+    np.testing.assert_allclose(np.concatenate([*times, last[0]]) * 1e-9, true_s, atol=2e-9)
+    assert (counts.samples, counts.lost) == (600, 200)
