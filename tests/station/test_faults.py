@@ -1,0 +1,36 @@
+"""Faults of twins and wires: the table comes to rest, the file is readable, the reason names the right device."""
+
+from __future__ import annotations
+
+import pytest
+from faults import Fault, campaign, ended, faults_of
+
+SHORT = ("galil_xsens", "rtu_stim300")
+
+
+@pytest.mark.parametrize("bench", SHORT)
+@pytest.mark.parametrize("kind", ["unplug", "silence", "servo trip", "bit flips", "stuck"])
+def test_a_run_with_a_fault_ends_as_it_should(bench: str, kind: str) -> None:
+    for fault in [fault for fault in faults_of(bench) if fault.kind == kind]:
+        found = ended((bench, (fault,), 0))
+        assert not found.wrong, f"{fault}: {found}"
+
+
+def test_a_link_that_drops_at_rest_is_opened_again_and_the_loss_counted() -> None:
+    fault = Fault("stim300", "unplug", 'unplug = "5 s"\nreplug = "6 s"')
+    found = ended(("rtu_stim300", (fault,), 0))
+    assert found.outcome == "FAIL"  # of its sigmas: the script is short
+    assert not found.reason.startswith("stim300:")
+    assert "lost" in found.reason
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("case", campaign(200), ids=lambda case: f"{case[2]}-{case[0]}")
+def test_random_pairs_of_faults_end_as_they_should(case: tuple[str, tuple[Fault, ...], int]) -> None:
+    assert not ended(case).wrong
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("case", campaign(0), ids=lambda case: f"{case[0]} {case[1][0].device} {case[1][0].kind}")
+def test_each_fault_on_each_bench_ends_as_it_should(case: tuple[str, tuple[Fault, ...], int]) -> None:
+    assert not ended(case).wrong
