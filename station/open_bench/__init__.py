@@ -35,6 +35,9 @@ __all__ = [
 ]
 
 
+_GATHER_S = 0.005
+
+
 @dataclass(frozen=True, slots=True)
 class OpenImu:
     """A device under test with its driver."""
@@ -118,4 +121,5 @@ async def _source(imu: ImuConfig, twins: Twins, time_scale: float) -> ImuSource:
         return frame_imu(imu, CanLink(imu.name, interface, channel, options))
     if imu.link == TWIN:
         return byte_imu(imu, twins.imu_in_memory(imu), time_scale)
-    return byte_imu(imu, byte_link(imu.link, imu.name, baud=BAUD[imu.protocol], time_scale=time_scale), time_scale)
+    link = byte_link(imu.link, imu.name, baud=BAUD[imu.protocol], time_scale=time_scale, gather_s=_GATHER_S)
+    return byte_imu(imu, link, time_scale)

@@ -27,16 +27,26 @@ class _Serial:
     stop_bits: int
 
 
-def byte_link(link: str, device: str, *, baud: int, time_scale: float, port: int | None = None) -> ByteLink:
+def byte_link(
+    link: str, device: str, *, baud: int, time_scale: float, port: int | None = None, gather_s: float = 0.0
+) -> ByteLink:
     """Return the link to a device that speaks bytes; BenchError if it is none.
 
-    ``baud`` is that of a serial link that states none, ``port`` that of a TCP link that states none.
+    ``baud`` is that of a serial link that states none, ``port`` that of a TCP link that states none; ``gather_s`` is
+    for streams, whose bytes may come in handfuls.
     """
     if urlsplit(link).scheme == "tcp":
         host, number = tcp_address(link, device, port)
         return TcpLink(device, host, number, _TCP_LIMIT_S * time_scale)
     serial = _serial(link, device, baud)
-    return SerialLink(device, serial.port, serial.baud, parity=serial.parity, stop_bits=serial.stop_bits)
+    return SerialLink(
+        device,
+        serial.port,
+        serial.baud,
+        parity=serial.parity,
+        stop_bits=serial.stop_bits,
+        gather_s=gather_s / time_scale,
+    )
 
 
 def modbus_address(link: str, device: str) -> Address:
