@@ -22,7 +22,7 @@ BUILT_IN_DBC = Path(__file__).with_name("gyro_nodes.dbc")
 Floats = NDArray[np.float64]
 Octets = NDArray[np.uint8]
 
-_GATHERED, _LEAST_GATHER_S, _MOST_GATHER_S = 16, 0.05, 0.2  # samples taken in together, and how long that may take
+_GATHERED, _LEAST_GATHER_S, _MOST_GATHER_S = 32, 0.05, 0.33  # samples taken in together, and how long that may take
 _COUNT_BITS = 32  # of longer counters the lower bits will do: they wrap, as all do
 
 

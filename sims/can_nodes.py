@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,8 @@ class CanNodes:
             signals = ChannelSignals(_BUILT, database, dbc, channel)
             self._nodes.append(_Node(signals, slice(first, first + len(signals.rates))))
             first += len(signals.rates)
+        # A temperature that has a message of its own, or none, is only looked at when it is sent.
+        self._rarely = all(node.tells_temperature_apart for node in self._nodes)
 
     async def serve(self) -> None:
         """Send until cancelled."""
@@ -66,8 +69,9 @@ class CanNodes:
             at = np.array([start])
             rates = self.faults.rates(self._gyros.sample(at)[0])
             force = np.zeros(3) if self._specific_force is None else self._specific_force(at)[0]
-            told = _Told(sample, device_s, self._gyros.temperature_c(start), force)
-            with_temperature = sample % every == 0
+            with_temperature = sample % every == 0 or not self._rarely
+            temperature_c = self._gyros.temperature_c(start) if with_temperature else math.nan
+            told = _Told(sample, device_s, temperature_c, force)
             times = self.faults.times_to_send()
             for node in self._nodes:
                 messages = node.messages(rates[node.gyros], told, with_temperature=with_temperature)
@@ -94,6 +98,7 @@ class _Node:
         self._fields = {id(signal): signal.message.get_signal_by_name(signal.name) for signal in signals.all}
         of_a_sample = {signal.key for signal in signals.all if signal is not signals.temperature}
         self._rare = set(by_key) - of_a_sample
+        self.tells_temperature_apart = signals.temperature is None or signals.temperature.key in self._rare
         self._values: dict[tuple[int, bool], dict[str, float]] = {
             key: {signal.name: 0.0 for signal in message.signals if not signal.is_multiplexer}
             for key, message in by_key.items()
@@ -105,7 +110,7 @@ class _Node:
             self._put(signal, rate)
         for signal, force in zip(signals.acceleration, told.force_mps2.tolist(), strict=False):
             self._put(signal, force)
-        if signals.temperature is not None:
+        if signals.temperature is not None and with_temperature:
             self._put(signals.temperature, told.temperature_c)
         if signals.counter is not None:
             self._values[signals.counter.key][signals.counter.name] = told.sample % (1 << signals.counter.bits)

@@ -55,6 +55,9 @@ class NodeFaults:
 
     def rates(self, rates_rps: Floats) -> Floats:
         """Return what the gyros (m,) put out instead of these rates; infinite is the end of the range."""
+        if not self.stuck and not self.saturated:
+            self._last = rates_rps
+            return rates_rps
         out = rates_rps.copy()
         for i in self.stuck:
             out[i] = rates_rps[i] if self._last is None else self._last[i]
