@@ -63,9 +63,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         """Nothing sleeps, so nothing needs waking."""
 
 
-class _ScaledSelector(selectors.SelectSelector):
-    """Waits by select: epoll rounds up to whole milliseconds, of which a scaled clock makes many."""
-
+class _ScaledSelector(selectors.DefaultSelector):
     def __init__(self, scale: float) -> None:
         super().__init__()
         self._scale = scale

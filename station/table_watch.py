@@ -18,7 +18,8 @@ from drivers.seams import AxisState, Turntable
 
 Floats = NDArray[np.float64]
 
-_STATUS_EVERY_S = 0.25  # so seldom is condition asked for; often enough for a drive that stops when it hears nothing
+_STATUS_EVERY = 5  # condition is asked for in every so many-th reading
+_STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops that hears nothing
 _QUICK, _SLOW = 1.5, 4.0  # times the usual round trip: read again beyond the first, leave out beyond the second
 _TRIES = 2
 _ALWAYS_QUICK_NS = 1_000_000
@@ -168,7 +169,7 @@ async def watch_table(
             for row in aligner.add(states):
                 on_row(row)
         for axis in axes:
-            if loop.time() - checked_s[axis] >= _STATUS_EVERY_S - 0.5 * period_s:
+            if (count + 1) % _STATUS_EVERY == 0 or loop.time() - checked_s[axis] >= _STATUS_AT_LATEST_S:
                 await check_axes(table, (axis,))
                 checked_s[axis] = loop.time()
 
