@@ -1,0 +1,297 @@
+"""From the outputs of gyros to the rate of their body: the error model undone, sample by sample.
+
+With the sensitivity G (n, 3) of the array, rows (1 - k)(p - sigma_k j + sigma_j k), and the effects e of the error
+model, gyros put out ``y = G w - b + e``, so ``w = H (y + b - e)`` with H the inverse of G, by least squares where
+there are more gyros than axes. What an effect needs of a sample (temperature, specific force, the samples before it)
+must be given; effects of the rate itself are undone by iteration. No sample is waited for: rates of change are
+differences from the sample before, so they lag by half a period.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array import TOLERANCE, SensorArray
+from estimator.calibration import GyroCalibration
+from estimator.effects.conditions import Conditions
+from estimator.effects.thermal import REFERENCE_C
+from estimator.error_model import ErrorModel, KnownEffect
+from estimator.errors import EstimatorError
+from estimator.model import decode, predicted_output
+
+Floats = NDArray[np.float64]
+
+MOST_ITERATIONS = 30
+"""After which effects of the rate that are not undone to ``TOLERANCE_RPS`` are beyond what the model can be undone."""
+TOLERANCE_RPS = 1e-13
+SLOPE_S = 10.0
+"""Time constant over which the slope of the temperature is taken: readings are too coarse for differences."""
+
+ADDED = ("thermal_bias", "thermal_bias_quadratic", "warm_up", "g_sensitivity")
+"""Effects that add to the output whatever the rate."""
+OF_THE_RATE = ("thermal_scale", "scale_asymmetry", "scale_quadratic", "scale_cubic")
+"""Effects that follow the rate itself."""
+OF_THE_PAST = ("thermal_gradient", "bandwidth", "acceleration_sensitivity")
+"""Effects of rates of change, for which the samples before are needed."""
+OF_THE_STAMPS = ("latency", "sample_hold")
+"""Effects that are undone by taking the delay off the stamps of the samples."""
+_LEFT_OUT = {
+    "earth_rate": "it is Earth rate that the site of the table lacked: the gyros sense it rightly",
+    "table_axes": "it is an error of the table, not of the gyros",
+    "table_rate": "it is an error of the table, not of the gyros",
+    "table_harmonic": "it goes round with an axis of the table: away from that table it is not there",
+    "bias_drift": "it counts from the start of that run, and says nothing of another",
+    "tone": "its phase is another each time: a notch filter takes it away",
+    "dead_band": "what a gyro does not answer cannot be got back",
+}
+
+
+class CompensationError(EstimatorError):
+    """Gyros that do not tell a body rate, or samples without what the effects need."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldEffect:
+    """An effect that is undone: ``values`` (n, p) are its parameters on each gyro, in the SI units of the catalogue."""
+
+    known: KnownEffect
+    values: Floats
+
+    @property
+    def name(self) -> str:
+        """Name in the catalogue."""
+        return self.known.name
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compensation:
+    """What turns outputs of n gyros into the rate of their body.
+
+    ``states`` (n, 4) are those of ``model.STATES``. ``delay_s``: stamps of samples are late by so much. ``left_out``
+    are effects of the error model that are not undone, with the reason.
+    """
+
+    array: SensorArray
+    states: Floats
+    effects: tuple[HeldEffect, ...] = ()
+    delay_s: float = 0.0
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray], model: str = "") -> Compensation:
+        """Return that of calibrated gyros; ``arrays`` are those of their sources, ``model`` is ``Calibration.model``.
+
+        Gyros of one name in two devices get the device's before it. Raises ModelError for a model of another version,
+        CompensationError for an effect that this version does not know how to undo.
+        """
+        known = {effect.called: effect for effect in ErrorModel.parse(model, "calibration").effects} if model else {}
+        effects: list[HeldEffect] = []
+        left_out: dict[str, str] = {}
+        delay_s = 0.0
+        listed = gyros[0].effects if gyros else ()
+        for called, group in groupby(range(len(listed)), key=lambda number: listed[number].effect):
+            columns = list(group)
+            values = np.array([[gyro.effects[column].value for column in columns] for gyro in gyros])
+            name = known[called].name
+            if name in OF_THE_STAMPS:
+                delay_s += float(values[0, 0])
+            elif name in _LEFT_OUT:
+                left_out[called] = _LEFT_OUT[name]
+            elif name in (*ADDED, *OF_THE_RATE, *OF_THE_PAST):
+                effects.append(HeldEffect(known[called], values))
+            else:
+                raise CompensationError(f"the calibration has the effect {called}, which this version cannot undo")
+        return cls(_joined(gyros, arrays), np.array([g.states for g in gyros]), tuple(effects), delay_s, left_out)
+
+    @property
+    def bias_rps(self) -> Floats:
+        """Biases b (n,): what is to be added to the outputs."""
+        return self.states[:, 1]
+
+    @property
+    def sensitivity(self) -> Floats:
+        """Sensitivity G (n, 3): outputs per body rate."""
+        return (predicted_output(self.array, self.states, np.eye(3)) + self.bias_rps).T
+
+    @property
+    def solution(self) -> Floats:
+        """Inverse H (3, n) of the sensitivity; CompensationError if the gyros do not span space."""
+        g = self.sensitivity
+        if len(g) < 3 or np.linalg.svd(g, compute_uv=False)[2] < TOLERANCE:
+            raise CompensationError(
+                f"the gyros {', '.join(self.array.names)} do not span three dimensions: they tell rates about their "
+                "own axes, no rate of the body"
+            )
+        return np.asarray(np.linalg.pinv(g))
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What samples must come with: "temperature", "specific force", "time"."""
+        needed = set().union(*(effect.known.effect(()).needs for effect in self.effects))
+        if any(effect.name in (*OF_THE_PAST, "warm_up") for effect in self.effects):
+            needed.add("time")
+        return frozenset(needed)
+
+    def held(self, name: str) -> Floats | None:
+        """Return the parameters (n, p) of an effect that there is once at most, None if there is none."""
+        return next((effect.values for effect in self.effects if effect.name == name), None)
+
+    def simplified(self, keep: Collection[str], temperature_c: float) -> tuple[Compensation, dict[str, str]]:
+        """Return what is left for a form that holds only some effects, and why each other one is not in it.
+
+        Effects of the temperature are then those at ``temperature_c``, and a warm-up is over.
+        """
+        g, b = self.sensitivity, self.bias_rps.copy()
+        above = temperature_c - REFERENCE_C if np.isfinite(temperature_c) else 0.0
+        held, dropped = [], {}
+        for effect in self.effects:
+            theta = effect.values[:, 0]
+            if effect.name in keep:
+                held.append(effect)
+                continue
+            why = f"its part at {REFERENCE_C + above:.4g} degC is in the constants"
+            if effect.name == "thermal_bias":
+                b -= theta * above
+            elif effect.name == "thermal_bias_quadratic":
+                b -= theta * above**2
+            elif effect.name == "thermal_scale":
+                g = g + (theta * above)[:, None] * self.array.p
+            elif effect.name == "warm_up":
+                b -= theta
+                why = "the bias is that after it"
+            else:
+                why = "it is not corrected"
+            dropped[effect.known.called] = why
+        axes = self.array
+        x = np.stack([1 - _dot(g, axes.p), b, _dot(g, axes.k), -_dot(g, axes.j)], axis=1)
+        states = np.array([decode(row, np.zeros((4, 4)))[0] for row in x])
+        return replace(self, states=states, effects=tuple(held)), dropped
+
+    def less_added(
+        self,
+        rate_rps: Floats,
+        t_s: Floats,
+        temperature_c: Floats | None = None,
+        accel_mps2: Floats | None = None,
+    ) -> Floats:
+        """Return outputs (N, n) in rad/s rid of bias and of all effects that do not depend on the rate.
+
+        Arguments as for ``compensate``.
+        """
+        self._check(temperature_c, accel_mps2)
+        conditions = _conditions(t_s, np.zeros((len(t_s), 3)), temperature_c, accel_mps2)
+        left = np.array(rate_rps, dtype=np.float64)
+        lag = self.held("bandwidth")
+        if lag is not None:
+            left += lag[:, 0] * _slope(left, t_s)
+        left += self.bias_rps - self._effects(ADDED, conditions)
+        gradient = self.held("thermal_gradient")
+        if gradient is not None and temperature_c is not None:
+            left -= gradient[:, 0] * smoothed_slope(t_s, temperature_c)[:, None]
+        return left
+
+    def compensate(
+        self,
+        rate_rps: Floats,
+        t_s: Floats,
+        temperature_c: Floats | None = None,
+        accel_mps2: Floats | None = None,
+    ) -> Floats:
+        """Return the rate (N, 3) of the body in rad/s and body axes from outputs (N, n) in rad/s at instants (N,).
+
+        ``temperature_c`` (N,) in degC and ``accel_mps2`` (N, 3), the specific force in body axes, are needed where an
+        effect depends on them. A warm-up counts from the first instant. The rate is that at ``t_s - delay_s``. It is
+        NaN where effects of the rate cannot be undone, which is far beyond the rates that they were found at.
+
+        Raises CompensationError for gyros that do not span space, and if something is lacking.
+        """
+        left = self.less_added(rate_rps, t_s, temperature_c, accel_mps2)
+        w = self._inverted(left, t_s, temperature_c)
+        if self.held("acceleration_sensitivity") is not None:
+            moved = _conditions(t_s, w, temperature_c, None, _slope(w, t_s))
+            w = self._inverted(left - self._effects(("acceleration_sensitivity",), moved), t_s, temperature_c)
+        return w
+
+    def _check(self, temperature_c: Floats | None, accel_mps2: Floats | None) -> None:
+        given = {"temperature": temperature_c, "specific force": accel_mps2}
+        lacking = [what for what, values in given.items() if values is None and what in self.needs]
+        if lacking:
+            raise CompensationError(f"the effects of these gyros cannot be undone without {' and '.join(lacking)}")
+
+    def _inverted(self, left: Floats, t_s: Floats, temperature_c: Floats | None) -> Floats:
+        """Return body rates (N, 3) from outputs (N, n) that only the rate has a part in."""
+        solution = self.solution.T
+        w = left @ solution
+        if not any(effect.name in OF_THE_RATE for effect in self.effects):
+            return np.asarray(w)
+        change = np.full(len(w), np.inf)
+        with np.errstate(over="ignore", invalid="ignore"):  # of rows that come to no end
+            for _ in range(MOST_ITERATIONS):
+                before = w
+                w = (left - self._effects(OF_THE_RATE, _conditions(t_s, w, temperature_c, None))) @ solution
+                change = np.abs(w - before).sum(axis=1)
+                if not (change > TOLERANCE_RPS).any():
+                    break
+        w[~(change <= TOLERANCE_RPS)] = np.nan
+        return np.asarray(w)
+
+    def _effects(self, names: Collection[str], conditions: Conditions) -> Floats:
+        """Return what effects of these names add to the outputs (N, n), by the catalogue's own regressors."""
+        added = np.zeros((len(conditions.t_s), len(self.array)))
+        for held in self.effects:
+            if held.name in names:
+                effect = held.known.effect(())
+                for gyro, values in enumerate(held.values):
+                    added[:, gyro] += effect.columns(conditions, self.array, gyro) @ values
+        return added
+
+
+def smoothed_slope(t_s: Floats, temperature_c: Floats) -> Floats:
+    """Return the slope (N,) in K/s of a temperature that is smoothed by a first-order lag of ``SLOPE_S``."""
+    slopes = np.zeros(len(t_s))
+    smooth = temperature_c[0] if len(t_s) else 0.0
+    for row in range(1, len(t_s)):
+        step = max(t_s[row] - t_s[row - 1], 0.0)
+        smooth += (temperature_c[row] - smooth) * step / (SLOPE_S + step)
+        slopes[row] = (temperature_c[row] - smooth) / SLOPE_S
+    return slopes
+
+
+def _joined(gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray]) -> SensorArray:
+    """Return the gyros, of whatever sources, as one array."""
+    names = [gyro.name for gyro in gyros]
+    if len(set(names)) < len(names):
+        names = [f"{gyro.device or gyro.source} {gyro.name}" for gyro in gyros]
+    parts = [arrays[gyro.source].select([arrays[gyro.source].names.index(gyro.name)]) for gyro in gyros]
+    p, j, k = (np.vstack([getattr(part, axis) for part in parts]) for axis in "pjk")
+    return SensorArray(tuple(names), p, j, k)
+
+
+def _conditions(
+    t_s: Floats,
+    w_rps: Floats,
+    temperature_c: Floats | None,
+    accel_mps2: Floats | None,
+    wdot_rps2: Floats | None = None,
+) -> Conditions:
+    none = np.empty((len(t_s), 0))
+    force = np.full((len(t_s), 3), np.nan) if accel_mps2 is None else accel_mps2
+    wdot = np.zeros_like(w_rps) if wdot_rps2 is None else wdot_rps2
+    return Conditions(t_s, w_rps, wdot, none, none, none, (), force, temperature_c)
+
+
+def _slope(values: Floats, t_s: Floats) -> Floats:
+    """Return the rate of change (N, m) since the sample before; zero at the first, and where no time has passed."""
+    step = np.diff(t_s)
+    slope = np.zeros_like(values)
+    slope[1:] = np.where((step > 0)[:, None], np.diff(values, axis=0) / np.where(step > 0, step, 1.0)[:, None], 0.0)
+    return slope
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.einsum("ij,ij->i", a, b))

@@ -1,0 +1,1 @@
+"""Calibrations written for what is to use them: data, robotics tools, autopilots, source code."""

@@ -1,0 +1,39 @@
+"""Text files that are there whole or not at all, and are not written over unasked."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from station.errors import UsageError
+
+
+def write_whole(
+    path: Path, text: str, *, replace: bool = False, verify: Callable[[Path], object] | None = None
+) -> None:
+    """Write a text as UTF-8; with ``replace`` in place of a file that is there.
+
+    ``verify`` is shown the file before it has its name, in the same folder, and may refuse it with UsageError.
+
+    Raises UsageError, which says why, if that cannot be done; what was there is then as it was.
+    """
+    if path.exists() and (not replace or not path.is_file()):
+        what = "is there already, and is not written over" if path.is_file() else "is no file"
+        raise UsageError(f"{path} {what}: give another name")
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("x", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        if verify is not None:
+            verify(part)
+        part.replace(path)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror or error}") from None
+    finally:
+        with suppress(OSError):
+            part.unlink()

@@ -1,0 +1,520 @@
+"""station export: every form, applied to raw samples, gives the rates that our own compensation gives."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import yaml
+from support import station
+
+from estimator.array import SensorArray, dodecahedron, sensor_array, tetrahedron, triad
+from estimator.calibration import Calibration, EffectValue, GyroCalibration
+from estimator.coloured import NoiseFound
+from estimator.compensation import Compensation
+from estimator.effects.entries import entries
+from estimator.error_model import ErrorModel, KnownEffect, Size
+from estimator.noise import NoiseModel
+from estimator.recording import ImuData, Recording, write_recording
+from estimator.reference import TableReadings
+from estimator.results import write_calibration
+from station.cli import main
+from station.exporting.exported import Exported, exported_of
+from station.exporting.formats import FORMATS
+
+SAMPLES = 400
+PERIOD_S = 0.01
+SAME = 1e-9
+EFFECTS: dict[str, tuple[float, ...]] = {
+    "thermal_bias": (2e-4,),
+    "thermal_bias_quadratic": (3e-6,),
+    "warm_up": (2e-3,),
+    "g_sensitivity": (2e-4, -1e-4, 3e-4),
+    "thermal_gradient": (0.2,),
+    "thermal_scale": (1e-4,),
+    "scale_asymmetry": (2e-3,),
+    "scale_quadratic": (3e-3,),
+    "scale_cubic": (2e-3,),
+    "acceleration_sensitivity": (2e-3, -1e-3),
+    "bandwidth": (4e-3,),
+    "latency": (5e-3,),
+}
+LEFT_OUT: dict[str, tuple[float, ...]] = {
+    "tone": (1e-4, 1e-4),
+    "bias_drift": (1e-7,),
+    "dead_band": (0.5,),
+    "table_harmonic": (1e-4, 1e-4),
+    "table_rate": (1e-5, 1e-5, 1e-5),
+    "earth_rate": (7e-5, 0.0, 0.0),
+}
+SETTINGS: dict[str, dict[str, float | int | str]] = {
+    "warm_up": {"time_constant_s": 40.0},
+    "tone": {"frequency_hz": 7.3},
+    "dead_band": {"width_rps": 1e-3},
+    "table_harmonic": {"axis": "x", "order": 2},
+}
+ARRAYS = {
+    "three": triad(),
+    "four": tetrahedron(),
+    "six": dodecahedron(),
+    "skewed": sensor_array([[0.6, 0.8, 0.0], [0.0, 0.6, 0.8], [0.8, 0.0, 0.6]]),
+}
+
+Record = Callable[..., Path]
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> Record:
+    """Write a recording of arbitrary samples with a calibration that nobody estimated, effects and all."""
+
+    def made(array: SensorArray, sizes: dict[str, tuple[float, ...]], *devices: str) -> Path:
+        random = np.random.default_rng(5)
+        t_ns = np.arange(SAMPLES, dtype=np.int64) * round(PERIOD_S * 1e9)
+        gyros, sources, model = [], {}, _model(sizes)
+        for device in devices or ("my-gyro 1",):
+            sources[device] = ImuData(
+                array,
+                t_ns,
+                random.normal(0, 0.4, (SAMPLES, len(array))),
+                temperature_c=27 + 6 * np.sin(t_ns * 1e-9),
+                accel_mps2=random.normal(0, 5, (SAMPLES, 3)),
+                device=device,
+            )
+            gyros += [_gyro(random, array, i, device, model, sizes) for i in range(len(array))]
+        still = TableReadings(t_ns[[0, -1]], np.zeros((2, 3)), np.zeros((2, 3)), ("z", "y", "x"))
+        path = tmp_path / "run.h5"
+        identity = {"device_serial": "SN 7 \n*/ /* ü", "operator": "A. Müller", "script": 'the "script"'}
+        write_recording(path, Recording(sources, still, attributes=identity))
+        text = model.text() if sizes else ""
+        write_calibration(path, Calibration(tuple(gyros), 1.0, SAMPLES, 0, (), model=text))
+        return path
+
+    return made
+
+
+def _model(sizes: dict[str, tuple[float, ...]]) -> ErrorModel:
+    listed = {entry.name.removesuffix("_1"): entry for entry in entries() if entry.parameters}
+    return ErrorModel(
+        tuple(
+            KnownEffect(
+                name,
+                listed[name].shared,
+                tuple(
+                    Size(f"part {n}", listed[name].parameters[0].unit, 0.0, abs(value) + 1e-9)
+                    for n, value in enumerate(values)
+                ),
+                SETTINGS.get(name, {}),
+            )
+            for name, values in sizes.items()
+        )
+    )
+
+
+def _gyro(
+    random: np.random.Generator,
+    array: SensorArray,
+    i: int,
+    device: str,
+    model: ErrorModel,
+    sizes: dict[str, tuple[float, ...]],
+) -> GyroCalibration:
+    effects = tuple(
+        EffectValue(
+            e.called,
+            size.name,
+            value * (1 if e.shared else float(random.uniform(0.5, 1.5))),
+            1e-6,
+            size.unit,
+            size.sd,
+            e.shared,
+        )
+        for e in model.effects
+        for size, value in zip(e.sizes, sizes[e.name], strict=True)
+    )
+    states = random.normal(0, (5e-3, 2e-2, 2e-3, 2e-3))
+    noise = NoiseFound(NoiseModel(1e-4, 1e-6, 1e-7), 2e-6, 2e-7)
+    return GyroCalibration(
+        array.names[i], device, states, np.eye(4) * 1e-10, 1e-3, array.p[i], device, noise=noise, effects=effects
+    )
+
+
+def export(path: Path, form: str, *options: str) -> Path:
+    """Run the command; return the file that it wrote."""
+    target = path.with_name(f"out-{form}")
+    target.unlink(missing_ok=True)
+    assert main(["export", str(path), "--format", form, "-o", str(target), *options]) == 0
+    return target
+
+
+def samples(exported: Exported) -> tuple[Any, ...]:
+    """Return the raw samples that a form is applied to: outputs, instants, temperature, specific force."""
+    with h5py.File(exported.path) as file:
+        groups = [file[f"imu/{source}"] for source in dict.fromkeys(gyro.source for gyro in exported.gyros)]
+        rate = np.hstack([group["rate_rps"][()] for group in groups])
+        first = groups[0]
+        return rate, first["t_ns"][()] * 1e-9, first["temperature_c"][()], first["accel_mps2"][()]
+
+
+def ours(exported: Exported) -> Any:
+    """Return the body rates of our own compensation."""
+    return exported.compensation.compensate(*samples(exported))
+
+
+CASES = {"none": {}, "all": EFFECTS, **{name: {name: value} for name, value in EFFECTS.items()}}
+
+
+EACH = [(array, effects) for array in ("three", "four", "six") for effects in ("none", "all")]
+EACH += [("four", name) for name in EFFECTS]
+
+
+@pytest.mark.parametrize(("array", "effects"), EACH)
+def test_the_python_module_gives_our_rates(record: Record, array: str, effects: str) -> None:
+    exported = exported_of(record(ARRAYS[array], CASES[effects]))
+    text = FORMATS["python"].write(exported, 0).text
+    assert "numpy" not in text
+    module = exported.path.with_name("made.py")
+    module.write_text(text, encoding="utf-8")
+    spec = importlib.util.spec_from_file_location("made", module)
+    assert spec is not None
+    assert spec.loader is not None
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    rate, _, warm, force = samples(exported)
+    correct = made.Correction().correct if hasattr(made, "Correction") else made.correct
+    names = correct.__code__.co_varnames[: correct.__code__.co_argcount]
+    given = {"rate_rps": rate.tolist(), "temperature_c": warm.tolist(), "accel": force.tolist()}
+    given["dt_s"] = [PERIOD_S] * SAMPLES
+    found = [correct(**{name: given[name][row] for name in names if name != "self"}) for row in range(SAMPLES)]
+    assert np.abs(np.array(found) - ours(exported)).max() < SAME
+    assert pytest.approx(EFFECTS["latency"][0] if "latency" in CASES[effects] else 0.0) == made.DELAY_S
+
+
+MAIN = """
+#include <stdio.h>
+#include "made.h"
+#include "made.h"
+int main(void)
+{{
+    double rate_rps[my_gyro_1_gyros], temperature_c, accel[3], dt_s, w_rps[3];
+    int i;
+    {state}
+    for (;;) {{
+        for (i = 0; i < my_gyro_1_gyros; i++)
+            if (scanf("%lf", &rate_rps[i]) != 1) return 0;
+        if (scanf("%lf %lf %lf %lf %lf", &temperature_c, &accel[0], &accel[1], &accel[2], &dt_s) != 5) return 1;
+        if (my_gyro_1_correct({arguments}) != 0) return 2;
+        printf("%.17g %.17g %.17g\\n", w_rps[0], w_rps[1], w_rps[2]);
+    }}
+}}
+"""
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) here")
+@pytest.mark.parametrize(("array", "effects"), EACH)
+def test_the_c_header_compiles_without_a_warning_and_gives_our_rates(record: Record, array: str, effects: str) -> None:
+    exported = exported_of(record(ARRAYS[array], CASES[effects]))
+    path, text = exported.path, FORMATS["c"].write(exported, 0).text
+    signature = text.rpartition("static inline int my_gyro_1_correct(")[2].partition(")")[0]
+    arguments = [word.split("[")[0].split()[-1].lstrip("*") for word in signature.split(",")]
+    state = "my_gyro_1_state kept; my_gyro_1_reset(&kept);" if "state" in arguments else ""
+    source = MAIN.format(state=state, arguments=", ".join(arguments).replace("state,", "&kept,"))
+    path.with_name("made.h").write_text(text, encoding="utf-8")
+    path.with_name("made.c").write_text(source, encoding="utf-8")
+    program = path.with_name("made")
+    flags = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+    built = subprocess.run(
+        ["cc", *flags, str(path.with_name("made.c")), "-o", str(program), "-lm"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert built.returncode == 0, built.stderr
+    rate, _, warm, force = samples(exported)
+    rows = np.column_stack([rate, warm, force, np.full(SAMPLES, PERIOD_S)])
+    fed = "\n".join(" ".join(f"{value:.17g}" for value in row) for row in rows)
+    run = subprocess.run([str(program)], input=fed, capture_output=True, text=True, check=False)
+    assert run.returncode == 0
+    found = np.array([[float(word) for word in line.split()] for line in run.stdout.splitlines()])
+    assert np.abs(found - ours(exported)).max() < SAME
+
+
+@pytest.mark.parametrize("array", ["three", "four", "six"])
+def test_json_and_yaml_hold_all_that_our_rates_are_made_of(record: Record, array: str) -> None:
+    exported = exported_of(record(ARRAYS[array], {**EFFECTS, **LEFT_OUT}))
+    held = json.loads(FORMATS["json"].write(exported, 0).text)
+    assert held == yaml.safe_load(FORMATS["yaml"].write(exported, 0).text)
+    rate, t_s, _, _ = samples(exported)
+    plain = Compensation(exported.compensation.array, exported.compensation.states)
+    found = (rate + np.array(held["bias_b_rps"])) @ np.array(held["solution_h"]).T
+    assert np.abs(found - plain.compensate(rate, t_s)).max() < SAME
+    assert held["identity"]["operator"] == "A. Müller"
+    assert held["identity"]["serial_number"] == "SN 7 */ /* ü"
+    assert {entry["effect"] for entry in held["effects"]} == set(EFFECTS) - {"latency"}
+    for entry in held["effects"]:
+        effect = next(e for e in exported.compensation.effects if e.name == entry["effect"])
+        assert np.array_equal(entry["values"], effect.values)
+    assert held["delay_s"] == pytest.approx(5e-3)
+    assert len(held["not_corrected"]) == len(LEFT_OUT)
+    for told, gyro in zip(held["gyros"], exported.gyros, strict=True):
+        assert np.array_equal(list(told["states"].values()), gyro.states)
+        assert np.array_equal(told["covariance"], gyro.covariance)
+
+
+@pytest.mark.parametrize("array", ["three", "four", "six"])
+def test_csv_holds_the_rows_that_our_rates_are_made_of(record: Record, array: str) -> None:
+    path = record(ARRAYS[array], {"scale_asymmetry": EFFECTS["scale_asymmetry"]})
+    with export(path, "csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    exported = exported_of(path)
+    rate, t_s, _, _ = samples(exported)
+    g = np.array([[float(row[f"g_{axis}"]) for axis in "xyz"] for row in rows])
+    b = np.array([float(row["b_rps (rad/s)"]) for row in rows])
+    plain = Compensation(exported.compensation.array, exported.compensation.states)
+    assert np.abs((rate + b) @ np.linalg.pinv(g).T - plain.compensate(rate, t_s)).max() < SAME
+    asymmetry = [float(row["scale_asymmetry: part 0 (1)"]) for row in rows]
+    assert asymmetry == [gyro.effects[0].value for gyro in exported.gyros]
+
+
+def at_mean_temperature(path: Path, keep: tuple[str, ...]) -> tuple[Compensation, tuple[Any, ...]]:
+    """Return our compensation less what a form says that it does not hold, and the raw samples."""
+    exported = exported_of(path)
+    return exported.compensation.simplified(keep, exported.seen.temperature_c[1])[0], samples(exported)
+
+
+@pytest.mark.parametrize("array", ["three", "skewed"])
+def test_the_ros_file_holds_scale_misalignment_and_bias(
+    record: Record, array: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = record(ARRAYS[array], EFFECTS)
+    held = yaml.safe_load(export(path, "ros").read_text(encoding="utf-8"))
+    said = capsys.readouterr().err
+    assert held["SM"] == np.eye(3).ravel().tolist()
+    assert held["bias"] == [0.0, 0.0, 0.0]
+    plain, (rate, t_s, _, _) = at_mean_temperature(path, ())
+    found = rate @ np.reshape(held["gyro_SM"], (3, 3)).T - held["gyro_bias"]
+    assert np.abs(found - plain.compensate(rate, t_s)).max() < SAME
+    for word in ("g sensitivity", "scale cubic", "delay", "accelerometer", "does not read gyro_SM"):
+        assert word in said, word
+
+
+@pytest.mark.parametrize("array", ["three", "skewed"])
+def test_the_kalibr_file_predicts_the_outputs_that_we_undo(record: Record, array: str) -> None:
+    path = record(ARRAYS[array], EFFECTS)
+    held = yaml.safe_load(export(path, "kalibr").read_text(encoding="utf-8"))
+    m, a, c = (np.array(held["gyroscopes"][key]) for key in ("M", "A", "C_gyro_i"))
+    assert np.array_equal(m, np.tril(m))
+    assert np.abs(c @ c.T - np.eye(3)).max() < 1e-12
+    assert np.linalg.det(c) > 0
+    assert held["model"] == "scale-misalignment"
+    assert held["update_rate"] == pytest.approx(1 / PERIOD_S)
+    assert held["gyroscope_noise_density"] == pytest.approx(1e-4)
+    plain, (rate, t_s, _, force) = at_mean_temperature(path, ("g_sensitivity",))
+    w = plain.compensate(rate, t_s, None, force)
+    predicted = w @ (m @ c).T + force @ (a @ c).T - plain.bias_rps
+    assert np.abs(predicted - rate).max() < SAME
+
+
+def parameters(path: Path) -> dict[str, float]:
+    """Return the parameters of a PX4 or ArduPilot file by name."""
+    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    fields = [line.split("\t")[2:4] if "\t" in line else line.split(",") for line in lines]
+    return {name: float(value) for name, value in fields}
+
+
+@pytest.mark.parametrize("thermal", [False, True])
+def test_px4_takes_off_what_we_take_off(record: Record, thermal: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    kept = {name: EFFECTS[name] for name in ("thermal_bias", "thermal_bias_quadratic")} if thermal else {}
+    path = record(triad(), {**kept, "scale_asymmetry": (1e-3,)})
+    held = parameters(export(path, "px4", "--instance", "1"))
+    said = capsys.readouterr().err
+    plain, (rate, t_s, warm, _) = at_mean_temperature(path, tuple(kept))
+    offset = np.array([held[f"CAL_GYRO1_{axis}OFF"] for axis in "XYZ"])
+    if thermal:
+        assert held["TC_G_ENABLE"] == 1
+        above = warm[:, None] - held["TC_G1_TREF"]
+        offset = offset + sum(
+            np.array([held[f"TC_G1_X{order}_{axis}"] for axis in range(3)]) * above**order for order in range(4)
+        )
+    assert np.abs(rate - offset - plain.less_added(rate, t_s, warm)).max() < SAME
+    for word in ("scale factor", "CAL_GYRO1_ID", "scale asymmetry"):
+        assert word in said, word
+
+
+@pytest.mark.parametrize("thermal", [False, True])
+def test_ardupilot_takes_off_what_we_take_off(
+    record: Record, thermal: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = {name: EFFECTS[name] for name in ("thermal_bias", "thermal_bias_quadratic")} if thermal else {}
+    path = record(triad(), kept)
+    held = parameters(export(path, "ardupilot", "--instance", "1"))
+    plain, (rate, t_s, warm, _) = at_mean_temperature(path, tuple(kept))
+    found = rate - np.array([held[f"INS_GYR2OFFS_{axis}"] for axis in "XYZ"])
+    if thermal:
+        coefficients = [np.array([held[f"INS_TCAL2_GYR{order}_{axis}"] for axis in "XYZ"]) for order in (1, 2, 3)]
+
+        def polynomial(temperature_c: Any) -> Any:
+            above = np.atleast_1d(temperature_c)[:, None] - 35.0
+            return sum(c * 1e-6 * above**order for order, c in enumerate(coefficients, 1))
+
+        found = found - polynomial(warm) + polynomial(held["INS_GYR2_CALTEMP"])
+        assert held["INS_TCAL2_TMIN"] <= warm.min() + 1e-9
+        assert held["INS_TCAL2_TMAX"] >= warm.max() - 1e-9
+    assert np.abs(found - plain.less_added(rate, t_s, warm)).max() < SAME
+    assert "INS_GYR_CAL" in capsys.readouterr().err
+    assert "INS_GYROFFS_X" in parameters(export(path, "ardupilot"))
+
+
+def test_gyros_along_minus_axes_and_in_another_order_get_the_right_parameter(record: Record) -> None:
+    array = sensor_array([[0, 0, 1.0], [-1.0, 0, 0], [0, 1.0, 0]], names=("c", "a", "b"))
+    path = record(array, {})
+    held = parameters(export(path, "px4"))
+    b = {gyro.name: gyro.states[1] for gyro in exported_of(path).gyros}
+    assert held == {"CAL_GYRO0_XOFF": b["a"], "CAL_GYRO0_YOFF": -b["b"], "CAL_GYRO0_ZOFF": -b["c"]}
+
+
+@pytest.mark.parametrize("form", ["ros", "kalibr", "px4", "ardupilot"])
+def test_an_array_of_four_is_not_squeezed_into_three(
+    record: Record, form: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = record(tetrahedron(), {})
+    assert main(["export", str(path), "--format", form]) == 2
+    assert "--format c" in capsys.readouterr().err
+
+
+def test_every_text_form_says_what_of_the_calibration_is_not_in_it(
+    record: Record, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = record(triad(), {**EFFECTS, **LEFT_OUT})
+    for form in ("c", "python", "ros", "kalibr", "px4", "ardupilot"):
+        text = export(path, form).read_text(encoding="utf-8")
+        said = capsys.readouterr().err
+        for name in LEFT_OUT:
+            for where in (text, said):
+                assert name.replace("_", " ") in where, (form, name)
+        assert "0.005" in said  # the delay
+
+
+def test_two_devices_are_told_apart_or_taken_as_one_array(record: Record, capsys: pytest.CaptureFixture[str]) -> None:
+    path = record(triad(), {}, "left", "right")
+    assert main(["export", str(path), "--format", "c"]) == 2
+    assert "left, right" in capsys.readouterr().err
+    assert "right_correct(" in export(path, "c", "--device", "right").read_text()
+    both = export(path, "python", "--device", "left", "--device", "right")
+    names: dict[str, Any] = {}
+    exec(both.read_text(encoding="utf-8"), names)
+    assert names["GYROS"] == ["left x", "left y", "left z", "right x", "right y", "right z"]
+    exported = exported_of(path)
+    rate = samples(exported)[0]
+    found = np.array([names["correct"](row) for row in rate.tolist()])
+    assert np.abs(found - ours(exported)).max() < SAME
+    assert main(["export", str(path), "--format", "c", "--device", "middle"]) == 2
+    assert "left, right" in capsys.readouterr().err
+
+
+def test_a_recording_of_the_station_is_exported_to_stdout(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    turn = '[[step]]\nkind = "rotate"\naxis = "{}"\nrate = "40 deg/s"\nacceleration = "20 deg/s2"\nduration = "11 s"\n'
+    rest = '[[step]]\nkind = "rest"\nduration = "4 s"\n'
+    script = tmp_path / "s.toml"
+    script.write_text('name = "s"\n' + rest + "".join(map(turn.format, "xyz")))
+    path = tmp_path / "run.h5"
+    assert main(["run", "--script", str(script), "--device", "stim300", "-o", str(path)]) in (0, 1)
+    capfd.readouterr()
+    assert main(["export", str(path), "--format", "json"]) == 0
+    assert len(json.loads(capfd.readouterr().out)["gyros"]) == 3
+    assert main(["export", str(path), "--format", "kalibr"]) == 0
+    held = yaml.safe_load(capfd.readouterr().out)
+    assert held["gyroscopes"]["M"][0][0] == pytest.approx(1 - 300e-6, abs=5e-4)
+    assert main(["export", str(path), "--format", "px4", "-o", str(tmp_path / "new" / "p.params"), "--json"]) == 0
+    told = json.loads(capfd.readouterr().out)
+    assert Path(told["file"]).is_file()
+    assert told["not_held"]
+
+
+def test_bad_input_is_refused_with_what_to_do(
+    record: Record, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = record(triad(), {})
+    good = path.read_bytes()
+
+    def refused(*arguments: str | Path) -> str:
+        assert main(["export", *map(str, arguments)]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        return said.err
+
+    assert "station export --list" in refused(path)
+    with h5py.File(path, "r+") as file:
+        del file["calibration"]
+    assert f"station calibrate --write {path}" in refused(path, "--format", "c")
+    path.write_bytes(good)
+    with h5py.File(path, "r+") as file:
+        del file["calibration/covariance"]
+    assert "damaged calibration" in refused(path, "--format", "c")
+    path.write_bytes(good)
+    with h5py.File(path, "r+") as file:
+        file.attrs["format_version"] = 99
+    assert "format version 99" in refused(path, "--format", "c")
+    path.write_bytes(good[: len(good) // 2])
+    assert "cannot be read" in refused(path, "--format", "c")
+    assert "is not a file" in refused(tmp_path / "none.h5", "--format", "c")
+    model = tmp_path / "model.json"
+    model.write_text(_model({"scale_cubic": (1e-3,)}).text())
+    assert "station calibrate --model" in refused(model, "--format", "c")
+    path.write_bytes(good)
+    there = tmp_path / "there.h"
+    there.write_text("mine")
+    assert "not written over" in refused(path, "--format", "c", "-o", there)
+    assert there.read_text() == "mine"
+    assert main(["export", str(path), "--format", "c", "-o", str(there), "--force"]) == 0
+    assert "my_gyro_1_correct" in there.read_text()
+    capsys.readouterr()
+    assert "cannot be written" in refused(path, "--format", "c", "-o", there / "x.h")
+    assert "no file" in refused(path, "--format", "c", "-o", tmp_path, "--force")
+    assert main(["export", str(path), "--format", "c", "--json"]) == 2
+    assert "--output" in json.loads(capsys.readouterr().out)["reason"]
+    assert "0 to 3" in refused(path, "--format", "px4", "--instance", "4")
+
+
+def test_a_run_that_was_no_pass_is_exported_with_a_warning(record: Record, capsys: pytest.CaptureFixture[str]) -> None:
+    path = record(triad(), {})
+    with h5py.File(path, "r+") as file:
+        file.attrs.update({"outcome": "FAIL", "reason": "k of gyro x is beyond 1 %"})
+        file["calibration"].attrs["notes"] = ["x: bias b is not seen by this run"]
+    text = export(path, "c").read_text(encoding="utf-8")
+    said = capsys.readouterr().err
+    assert "no pass: FAIL k of gyro x" in said
+    assert "not seen by this run" in said
+    assert "outcome: FAIL" in text
+
+
+def test_gyros_that_tell_no_body_rate_are_exported_as_data_only(
+    record: Record, capsys: pytest.CaptureFixture[str]
+) -> None:
+    array = sensor_array([[1.0, 0, 0]], part_of_array=True)
+    path = record(array, {})
+    assert json.loads(export(path, "json").read_text())["solution_h"] is None
+    assert main(["export", str(path), "--format", "c"]) == 2
+    assert "do not span" in capsys.readouterr().err
+
+
+def test_the_list_of_formats_has_all_of_them(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", "--list", "--json"]) == 0
+    assert list(json.loads(capsys.readouterr().out)) == list(FORMATS)
+    assert main(["export", "--list"]) == 0
+    assert "CAL_GYROn" in capsys.readouterr().out
+
+
+def test_whatever_the_locale_the_file_is_utf_8(record: Record) -> None:
+    path = record(triad(), {})
+    done = station("export", path, "--format", "yaml")
+    assert done.returncode == 0
+    assert "Müller" in done.stdout
