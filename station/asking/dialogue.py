@@ -1,0 +1,85 @@
+"""Questions to a person, each answered, checked and if need be asked again."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+
+from station.errors import UsageError
+
+
+class EndedError(Exception):
+    """The person, or the file that answers come from, has no more answers."""
+
+
+class Dialogue:
+    """Asks on stdout and reads from stdin; with ``asks`` false it takes every proposal without a word."""
+
+    def __init__(self, asks: bool) -> None:
+        """A pipe may answer, too: it is shown what it answered."""
+        self.asks = asks
+        self._echo = asks and not sys.stdin.isatty()
+
+    def say(self, text: str = "") -> None:
+        """Say something, if anything is asked at all."""
+        if self.asks:
+            print(text)
+
+    def ask(self, question: str, proposed: str, check: Callable[[str], object] | None = None) -> str:
+        """Return an answer that ``check`` takes: it raises UsageError, whose message is shown, for what is wrong.
+
+        Nothing typed is the proposal, a single - is an empty answer. Raises UsageError if the proposal itself is wrong
+        and nobody is asked, EndedError at the end of the input.
+        """
+        if not self.asks:
+            if check is not None:
+                check(proposed)
+            return proposed
+        while True:
+            answer = self._read(f"{question} [{proposed or '-'}]: ").strip()
+            answer = {"": proposed, "-": ""}.get(answer, answer)
+            try:
+                if not answer.isprintable():
+                    raise UsageError("that holds characters that cannot be printed")
+                if check is not None:
+                    check(answer)
+            except UsageError as error:
+                self.say(f"  {error}")
+            else:
+                return answer
+
+    def choose(self, question: str, options: Mapping[str, str], proposed: str) -> str:
+        """Return one of the options, by its name or a beginning that no other has; each is shown with what it is."""
+        for name, what in options.items():
+            self.say(f"    {name:<12} {what}")
+
+        def one_of(answer: str) -> None:
+            if len(_meant(answer, options)) != 1:
+                raise UsageError(f"{answer!r} is not one of {', '.join(options)}")
+
+        return _meant(self.ask(question, proposed, one_of), options)[0]
+
+    def agrees(self, question: str, proposed: bool) -> bool:
+        """Return whether the answer is yes."""
+
+        def one_of(answer: str) -> None:
+            if not answer or not any(word.startswith(answer.lower()) for word in ("yes", "no")):
+                raise UsageError("answer yes or no")
+
+        return self.ask(question, "yes" if proposed else "no", one_of).lower().startswith("y")
+
+    def _read(self, prompt: str) -> str:
+        try:
+            answer = input(prompt)
+        except EOFError:
+            print()
+            raise EndedError from None
+        except UnicodeDecodeError:
+            raise EndedError from None
+        if self._echo:
+            print(answer)
+        return answer
+
+
+def _meant(answer: str, options: Mapping[str, str]) -> list[str]:
+    return [answer] if answer in options else [name for name in options if answer and name.startswith(answer)]

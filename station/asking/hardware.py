@@ -1,0 +1,47 @@
+"""What this machine has to reach devices by: serial ports and CAN interfaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+_NETWORK = Path("/sys/class/net")
+_ARPHRD_CAN = "280"  # linux/if_arp.h
+
+
+@dataclass(frozen=True, slots=True)
+class SerialFound:
+    """A serial port: the link to it, what it says of itself, and whether it is an adapter that was plugged in."""
+
+    link: str
+    description: str
+    plugged_in: bool
+
+
+def serial_ports() -> list[SerialFound]:
+    """Return the serial ports of this machine, those that were plugged in first."""
+    from serial.tools import list_ports
+
+    found = []
+    for port in sorted(list_ports.comports(), key=lambda port: str(port.device)):
+        name = str(port.device)
+        link = f"serial://{name}" if name.startswith("/") else f"serial:{name}"
+        said = str(port.description or "")
+        found.append(SerialFound(link, "" if said in ("n/a", name) else said, port.vid is not None))
+    return sorted(found, key=lambda port: not port.plugged_in)
+
+
+def can_interfaces() -> list[str]:
+    """Return links to the SocketCAN interfaces of this machine; none where there is no SocketCAN."""
+    try:
+        names = sorted(path.name for path in _NETWORK.iterdir() if _kind(path) == _ARPHRD_CAN)
+    except OSError:
+        return []
+    return [f"can:socketcan:{name}" for name in names]
+
+
+def _kind(path: Path) -> str:
+    try:
+        return (path / "type").read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError):
+        return ""

@@ -1,0 +1,98 @@
+"""What is asked about a device under test."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from station.asking.bench_text import ImuAnswer, imu_text
+from station.asking.checks import read_section
+from station.asking.dialogue import Dialogue
+from station.asking.gyros import GYROS, ask_gyros, built_in_channels
+from station.asking.links import Links
+from station.bench_imu import read_imu
+from station.bench_table import TWIN
+from station.errors import UsageError
+
+IMUS: Mapping[str, str] = {
+    "can": "any gyros on CAN that a DBC describes",
+    "j1939": "Aceinna OpenIMU300RI, MTLT305D",
+    "stim300": "Sensonor STIM300",
+    "vectornav": "VectorNav VN-100, 200, 300",
+    "xsens": "Xsens MTi",
+}
+"""The devices by protocol."""
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*\Z")
+
+
+@dataclass(frozen=True, slots=True)
+class _Usual:
+    """What is proposed for a device. Noise is typical of its kind; its data sheet says what holds."""
+
+    name: str
+    array: str
+    rate: str
+    arw: str
+    bias_instability: str
+
+
+_USUAL: Mapping[str, _Usual] = {
+    "can": _Usual("array", "tetrahedron", "100 Hz", "0.005 deg/s/rtHz", "2 deg/h"),
+    "j1939": _Usual("openimu", "triad", "100 Hz", "0.005 deg/s/rtHz", "6 deg/h"),
+    "stim300": _Usual("stim300", "triad", "500 Hz", "0.0025 deg/s/rtHz", "0.5 deg/h"),
+    "vectornav": _Usual("vectornav", "triad", "200 Hz", "0.0035 deg/s/rtHz", "7 deg/h"),
+    "xsens": _Usual("mti", "triad", "400 Hz", "0.01 deg/s/rtHz", "10 deg/h"),
+}
+
+
+def ask_imu(
+    dialogue: Dialogue, links: Links, folder: Path, protocol: str, link: str, names: Sequence[str]
+) -> ImuAnswer:
+    """Return a device under test whose name is not among ``names``; ``protocol``, ``link`` are proposed, if given."""
+
+    def checked(made: ImuAnswer) -> None:
+        read_section(imu_text(made), lambda top: read_imu(top.tables("imu")[0], folder))
+
+    dialogue.say("\nA device under test. What is it?")
+    protocol = dialogue.choose("device", IMUS, protocol or "stim300")
+    usual = _USUAL[protocol]
+    channels = built_in_channels(GYROS[usual.array]) if protocol == "can" else ()
+    geometry = {"array": json.dumps(usual.array)}
+    answer = ImuAnswer(
+        _free(usual.name, names), protocol, TWIN, geometry, usual.rate, usual.arw, usual.bias_instability,
+        channels=channels,
+    )  # fmt: skip
+
+    def check_name(text: str) -> None:
+        if not _NAME.match(text) or text in names:
+            raise UsageError("give a name that no other device has: a letter, then letters, digits, _ and -")
+        checked(replace(answer, name=text))
+
+    answer = replace(answer, name=dialogue.ask("its name on the bench", answer.name, check_name))
+    answer = replace(answer, link=links.ask(dialogue, protocol, answer.name, link))
+    if protocol == "can" and dialogue.asks:
+        answer = ask_gyros(dialogue, answer, folder, checked)
+    answer = _ask_key(dialogue, answer, "rate", "samples a second", checked)
+    answer = _ask_key(dialogue, answer, "arw", "angle random walk, by its data sheet", checked)
+    return _ask_key(dialogue, answer, "bias_instability", "bias instability, by its data sheet", checked)
+
+
+def _free(name: str, names: Sequence[str]) -> str:
+    """Return a name, with a number if it is taken."""
+    number, free = 1, name
+    while free in names:
+        number += 1
+        free = f"{name}_{number}"
+    return free
+
+
+def _ask_key(
+    dialogue: Dialogue, answer: ImuAnswer, key: str, question: str, checked: Callable[[ImuAnswer], object]
+) -> ImuAnswer:
+    def made(text: str) -> ImuAnswer:
+        return replace(answer, **{key: text})  # type: ignore[arg-type]
+
+    return made(dialogue.ask(question, str(getattr(answer, key)), lambda text: checked(made(text))))
