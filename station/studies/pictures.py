@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,8 +20,6 @@ _LABELS = ("$b$", "$k$", r"$\sigma_j$", r"$\sigma_k$")
 
 def check_picture(path: Path) -> None:
     """See that a picture can be drawn and saved there, before any long work; UsageError if not."""
-    if importlib.util.find_spec("matplotlib") is None:
-        raise UsageError("--plot needs matplotlib: pip install 'turntable-station[plot]'")
     if path.suffix.lower() not in FORMATS:
         raise UsageError(f"--plot {path}: the name must end in one of {', '.join(FORMATS)}")
     if not path.resolve().parent.is_dir():

@@ -1,0 +1,131 @@
+"""Figures as people read them, each with its full precision beside it."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.plan_printed import STATE_UNITS
+from station.report.html import Markup, element
+
+COVERAGE = 2.0
+"""Coverage factor of expanded uncertainties: about 95 % of a normal distribution."""
+UNKNOWN = "not known"
+_DEG = 180 / np.pi
+_SIGNS = (
+    ("degC", "°C"),
+    ("deg", "°"),
+    ("urad", "µrad"),
+    ("rtHz", "√Hz"),
+    ("rth", "√h"),
+    ("(°/s)2", "(°/s)²"),
+    ("°C2", "°C²"),
+    ("s2", "s²"),
+)
+
+
+def typographic(text: str) -> str:
+    """Return a text with units as typeset: "deg/h" becomes "°/h"."""
+    for plain, sign in _SIGNS:
+        text = text.replace(plain, sign)
+    return re.sub(r"-(?=\d)", "−", text)
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """What a figure in SI is shown in."""
+
+    name: str
+    factor: float
+
+
+PPM = Unit("ppm", 1e6)
+DEG_PER_H = Unit("°/h", _DEG * 3600)
+DEG_PER_S = Unit("°/s", _DEG)
+DEG = Unit("°", _DEG)
+ARCSEC = Unit('"', _DEG * 3600)
+ONE = Unit("", 1.0)
+PERCENT = Unit("%", 1e2)
+CELSIUS = Unit("°C", 1.0)
+SECONDS = Unit("s", 1.0)
+MILLISECONDS = Unit("ms", 1e3)
+MICROSECONDS = Unit("µs", 1e6)
+ARW = Unit("°/s/√Hz", _DEG)
+WALK = Unit("°/h/√h", _DEG * 3600 * 60)
+
+STATES = tuple(
+    (Markup(symbol), Unit(typographic(unit), factor))
+    for symbol, (_, unit, factor) in zip(
+        ("<var>k</var>", "<var>b</var>", "<var>σ</var><sub>j</sub>", "<var>σ</var><sub>k</sub>"),
+        STATE_UNITS,
+        strict=True,
+    )
+)
+"""Symbol and unit of each state, in the order of every vector of states."""
+
+
+def figure(value: float, unit: Unit, text: str, source: str | None = None, times: float | None = None) -> Markup:
+    """Return a figure whose value in SI stands in full beside the text.
+
+    ``source`` says where the recording has it: "group/dataset[row,column]" or "group@attribute"; ``times`` by what that
+    was multiplied.
+    """
+    return element(
+        "data", text, value=repr(float(value)), data_factor=repr(float(unit.factor)), data_h5=source, data_times=times
+    )
+
+
+def plain(value: float, unit: Unit, digits: int = 3, source: str | None = None) -> Markup:
+    """Return a figure to so many significant digits, without an exponent where that is readable."""
+    return figure(value, unit, significant(value * unit.factor, digits), source)
+
+
+def fixed(value: float, unit: Unit, decimals: int, source: str | None = None) -> Markup:
+    """Return a figure to so many decimals."""
+    text = _minus(f"{value * unit.factor:.{decimals}f}") if math.isfinite(value) else UNKNOWN
+    return figure(value, unit, text, source)
+
+
+def with_uncertainty(
+    value: float, expanded: float, unit: Unit, sources: tuple[str | None, str | None] = (None, None)
+) -> tuple[Markup, Markup]:
+    """Return a value and its expanded uncertainty to two digits of the latter (GUM 7.2.6)."""
+    shown = [rounded(x * unit.factor, expanded * unit.factor) for x in (value, expanded)]
+    return (
+        figure(value, unit, shown[0], sources[0]),
+        figure(expanded, unit, shown[1], sources[1], COVERAGE if sources[1] else None),
+    )
+
+
+def rounded(value: float, uncertainty: float) -> str:
+    """Return a value to the place at which its uncertainty has its second digit, at most nine decimals."""
+    if not math.isfinite(value):
+        return UNKNOWN
+    if not math.isfinite(uncertainty) or uncertainty <= 0:
+        return significant(value, 6)
+    place = min(1 - math.floor(math.log10(uncertainty)), 9)
+    return _minus(f"{round(value, place):.{max(place, 0)}f}")
+
+
+def stated(value: float, unit: Unit) -> Markup:
+    """Return a figure that somebody stated, as it was most likely written."""
+    return figure(value, unit, _minus(f"{value * unit.factor:.6g}"))
+
+
+def significant(value: float, digits: int) -> str:
+    """Return so many significant digits."""
+    if not math.isfinite(value):
+        return UNKNOWN
+    if value == 0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if not -5 <= exponent < 7:
+        return _minus(f"{value:.{digits - 1}e}")
+    return _minus(f"{value:.{max(digits - 1 - exponent, 0)}f}")
+
+
+def _minus(text: str) -> str:
+    return text.replace("-", "−")

@@ -1,0 +1,296 @@
+"""Pictures of a report as SVG, the same bytes for the same data; matplotlib is imported only here."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, STATES
+from station.report.html import Markup, picture
+from station.report.recorded import Course
+from station.report.traced import Residual, Spectrum
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+WIDTH_IN = 6.85  # of the text on A4
+BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#777777"
+"""Okabe and Ito's colours, which the colour-blind tell apart; lines differ in style, too."""
+_STYLES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), ("#CC79A7", ":"), ("#56B4E9", "-"), ("#E69F00", "--"))
+_SYMBOLS = ("k", "b", "σⱼ", "σₖ")
+_RIGHT_IN = 0.06
+_MOST_POINTS = 400  # of a curve as wide as the text: more are not seen on paper
+_FEW_POINTS = 200  # of one in a small panel
+_FONTS = "Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
+_SETTINGS: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "turntable-station",
+    "font.family": "DejaVu Sans",
+    "font.size": 7,
+    "axes.titlesize": 7.5,
+    "axes.linewidth": 0.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.4,
+    "lines.linewidth": 0.9,
+    "xtick.major.width": 0.5,
+    "ytick.major.width": 0.5,
+    "xtick.major.size": 2,
+    "ytick.major.size": 2,
+    "axes.formatter.useoffset": False,
+    "axes.unicode_minus": True,
+}
+
+
+def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str) -> Markup:
+    """Return the rates (N, axes) of named axes over time."""
+    with _drawn((WIDTH_IN, 0.62 * len(names) + 0.42), len(names), 1, between=0.12) as (figure, panels):
+        for column, (name, panel) in enumerate(zip(names, panels[:, 0], strict=True)):
+            at, shown = _thinned(t_s, rate_rps[:, column] * DEG_PER_S.factor)
+            panel.axhline(0, color=GREY, lw=0.5)
+            panel.plot(at, shown, color=BLUE)
+            panel.set_ylabel(f"{name}, °/s")
+            panel.margins(x=0, y=0.15)
+        panels[-1, 0].set_xlabel("time since the script began, s")
+        span = f"{t_s[-1] - t_s[0]:.0f} s"
+        largest = [f"{name} {np.nanmin(r):.4g} to {np.nanmax(r):.4g}" for name, r in _in_dps(names, rate_rps)]
+        return _done(
+            figure,
+            f"Line plots of the {what} over {span}, one panel each, in degrees per second: {'; '.join(largest)}.",
+            f"{what[0].upper()}{what[1:]} over time, as measured.",
+        )
+
+
+def convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, turns_s: Sequence[float]) -> Markup:
+    """Return how the states of one gyro and their sigmas went, a panel a state; grey lines where steps begin."""
+    t_s = np.asarray((course.t_ns - start_ns) * 1e-9, dtype=np.float64)
+    each = slice((len(t_s) - 1) % _every(t_s), None, _every(t_s))  # the last among them
+    with _drawn((WIDTH_IN, 1.45), 1, 4, left=0.42, top=0.2) as (figure, panels):
+        for s, (panel, symbol) in enumerate(zip(panels[0], _SYMBOLS, strict=True)):
+            unit = STATES[s][1]
+            value, sd = course.states[each, channel, s] * unit.factor, course.sd[each, channel, s] * unit.factor
+            for at in turns_s:
+                panel.axvline(at, color="#c8c8c8", lw=0.4, zorder=0)
+            panel.fill_between(t_s[each], value - sd, value + sd, color=BLUE, alpha=0.25, lw=0)
+            panel.plot(t_s[each], value, color=BLUE)
+            _close_up(panel, value, sd)
+            panel.locator_params(nbins=4)  # more labels would not fit, and each costs time
+            panel.set_title(f"{symbol}, {unit.name}")
+            panel.set_xlabel("time, s")
+            panel.margins(x=0)
+        last = ", ".join(
+            f"{word} {course.states[-1, channel, s] * unit.factor:.4g} ± {course.sd[-1, channel, s] * unit.factor:.2g} "
+            f"{unit.name}"
+            for s, (word, (_, unit)) in enumerate(zip(("k", "b", "sigma j", "sigma k"), STATES, strict=True))
+        )
+        return _done(
+            figure,
+            f"Four line plots of the live estimates of {gyro} over time with bands of one sigma that narrow; at the "
+            f"end: {last}.",
+            f"{gyro}: live estimate and ± 1 sigma over time, on an axis that fits the end of the run.",
+        )
+
+
+def nis_picture(courses: Sequence[tuple[str, Course]], start_ns: int) -> Markup:
+    """Return the normalised innovations squared of each source over time, means of some seconds."""
+    columns = min(len(courses) + 1, 6)
+    bottom = 0.4 + 0.15 * -(-(len(courses) + 1) // columns)
+    with _drawn((WIDTH_IN, 1.25 + bottom), 1, 1, bottom=bottom) as (figure, panels):
+        panel = panels[0, 0]
+        means = []
+        for number, (name, course) in enumerate(courses):
+            t_s = (course.nis_t_ns - start_ns) * 1e-9
+            rows = max(len(t_s) // 60, 1)
+            edges = np.arange(0, len(t_s) - rows + 1, rows)
+            dof = np.add.reduceat(course.dof, edges)
+            nis = np.add.reduceat(course.nis, edges) / np.maximum(dof, 1)
+            colour, style = _STYLES[number % len(_STYLES)]
+            panel.plot(t_s[edges], nis, style, color=colour, label=name)
+            means.append((name, float(course.nis.sum() / max(course.dof.sum(), 1)), float(np.median(dof))))
+        # Of a sum of d squares of standard normal values the mean scatters by sqrt(2 / d).
+        half = 1.96 * np.sqrt(2 / max(min(d for _, _, d in means), 1))
+        panel.axhspan(1 - half, 1 + half, color="#e9e9e9", lw=0, zorder=0, label="95 % of the means, if all is right")
+        panel.set_xlabel("time since the script began, s")
+        panel.set_ylabel("NIS / degree of freedom")
+        panel.margins(x=0)
+        panel.set_ylim(bottom=0)
+        figure.legend(loc="lower center", ncols=columns, frameon=False)
+        return _done(
+            figure,
+            "Line plot of the normalised innovations squared per degree of freedom over time, one line a source; means "
+            f"of the run: {', '.join(f'{name} {mean:.3f}' for name, mean, _ in means)}.",
+            "Innovations of the live filter: normalised squares per degree of freedom, 1 if the sigmas are true.",
+        )
+
+
+def allan_picture(names: Sequence[str], tau_s: Floats, deviation_rps: Floats) -> Markup:
+    """Return the Allan deviations (n, t) of the gyros at rest."""
+    with _drawn((WIDTH_IN / 2 + 0.6, 2.1), 1, 1) as (figure, panels):
+        panel = panels[0, 0]
+        for number, name in enumerate(names):
+            colour, style = _STYLES[number % len(_STYLES)]
+            panel.loglog(tau_s[number], deviation_rps[number] * DEG_PER_H.factor, style, color=colour, label=name)
+        panel.set_xlabel("averaging time, s")
+        panel.set_ylabel("Allan deviation, °/h")
+        panel.legend(frameon=False, ncols=1 + len(names) // 9)
+        lowest = [f"{name} {np.nanmin(d) * DEG_PER_H.factor:.2g}" for name, d in zip(names, deviation_rps, strict=True)]
+        return _done(
+            figure,
+            "Allan deviation at rest against averaging time, both logarithmic, one line a gyro; lowest values in "
+            f"degrees per hour: {', '.join(lowest)}.",
+            "Overlapping Allan deviation while the table rested.",
+        )
+
+
+def residual_picture(residual: Residual, spectrum: Spectrum | None) -> Markup:
+    """Return the residual of one gyro before and after: over time, against the rate, and its spectrum."""
+    columns = 3 if spectrum is not None else 2
+    with _drawn((WIDTH_IN, 1.75), 1, columns, bottom=0.55, widths=[1.9, 1, 1][:columns]) as (figure, panels):
+        over_time, against_rate, *rest = panels[0]
+        both = (("before", ORANGE, residual.before_rps), ("after", BLUE, residual.after_rps))
+        since = residual.t_s - residual.t_s[0]
+        for label, colour, values in both:
+            at, means = _means(since, values * DEG_PER_H.factor)
+            over_time.plot(at, means, color=colour, label=label, lw=0.7)
+        # Over many rows a scatter is as plain with some of them.
+        each = slice(None, None, _every(since))
+        for (_, colour, values), mark in zip(both, ("x", "o"), strict=True):
+            against_rate.plot(
+                residual.rate_rps[each] * DEG_PER_S.factor,
+                values[each] * DEG_PER_H.factor,
+                mark,
+                ms=1.4,
+                mew=0.3,
+                mfc="none",
+                color=colour,
+            )
+        over_time.set_xlabel("time, s")
+        over_time.set_ylabel("residual, °/h")
+        over_time.margins(x=0)
+        against_rate.set_xlabel("rate about the sense axis, °/s")
+        against_rate.sharey(over_time)
+        against_rate.tick_params(labelleft=False)
+        if spectrum is not None:
+            panel = rest[0]
+            for colour, style, density, label in (
+                (ORANGE, "-", spectrum.before, "_before"),
+                (BLUE, "-", spectrum.after, "_after"),
+                (GREY, "--", spectrum.noise, "noise model"),
+            ):
+                panel.loglog(
+                    spectrum.frequency_hz, np.sqrt(density) * ARW.factor * 3600, style, color=colour, label=label
+                )
+            panel.yaxis.set_minor_formatter("")
+            panel.set_xlabel("frequency, Hz")
+            panel.set_ylabel("°/h/√Hz")
+        figure.legend(loc="lower center", ncols=3, frameon=False)
+        rms = [float(np.sqrt(np.mean(values**2))) * DEG_PER_H.factor for _, _, values in both]
+        return _done(
+            figure,
+            f"Residual of {residual.gyro} before and after the traced effects were added, over time, against the rate"
+            f"{' and as a spectrum' if spectrum is not None else ''}; rms of its block means {rms[0]:.3g} and "
+            f"{rms[1]:.3g} degrees per hour.",
+            f"{residual.gyro}: residual of {residual.run} before and after"
+            f"{', and its spectra' if spectrum is not None else ''}.",
+        )
+
+
+@contextmanager
+def _drawn(
+    size: tuple[float, float],
+    rows: int,
+    columns: int,
+    *,
+    left: float = 0.5,
+    bottom: float = 0.34,
+    top: float = 0.08,
+    between: float = 0.5,
+    widths: Sequence[float] | None = None,
+) -> Iterator[tuple[Figure, NDArray[np.object_]]]:
+    """Give a figure with panels, in the style of the report.
+
+    Margins and the space ``between`` panels are in inches: to have matplotlib find them doubles the time.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(_SETTINGS):
+        figure = Figure(figsize=size)
+        wide, high = size[0] - left - _RIGHT_IN, size[1] - bottom - top
+        across, down = ((side - between * (n - 1)) / n for side, n in ((wide, columns), (high, rows)))
+        spaces = {"wspace": between / across, "hspace": between / down}
+        edges = {"left": left / size[0], "right": 1 - _RIGHT_IN / size[0]}
+        edges |= {"bottom": bottom / size[1], "top": 1 - top / size[1]}
+        panels = figure.subplots(
+            rows, columns, squeeze=False, sharex=rows > 1, width_ratios=widths, gridspec_kw={**edges, **spaces}
+        )
+        yield figure, panels
+
+
+def _done(figure: Figure, alternative: str, caption: str) -> Markup:
+    out = io.StringIO()
+    figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = out.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.DOTALL)
+    text = text.replace("'DejaVu Sans'", _FONTS.replace("'", "&#39;"))
+    text = re.sub(r'(?<= )(d|x|y|transform)="[^"]*"', _shortened, text)
+    text = re.sub(r">\s+<", "><", text)
+    data = base64.b64encode(text.encode()).decode()
+    size = figure.get_size_inches()
+    return picture(f"data:image/svg+xml;base64,{data}", alternative, caption, (float(size[0]), float(size[1])))
+
+
+def _shortened(attribute: re.Match[str]) -> str:
+    """Return a place on the paper to a tenth of a point, which is 0.04 mm."""
+    return re.sub(r"(\.\d)\d+", r"\1", attribute.group())
+
+
+def _every(t_s: Floats) -> int:
+    """Return how many rows make one point of a small panel."""
+    return max(-(-len(t_s) // _FEW_POINTS), 1)
+
+
+def _thinned(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return a curve with fewer points that looks the same: the least and the largest of each stretch."""
+    if len(t_s) <= 2 * _MOST_POINTS:
+        return t_s, values
+    edges = np.linspace(0, len(t_s), _MOST_POINTS + 1).astype(int)
+    kept = []
+    for a, b in pairwise(edges.tolist()):
+        part = values[a:b]
+        if np.isfinite(part).any():
+            kept += sorted({a + int(np.nanargmin(part)), a + int(np.nanargmax(part))})
+    return t_s[kept], values[kept]
+
+
+def _means(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return means over stretches of a curve that is mostly noise."""
+    rows = max(len(t_s) // _MOST_POINTS, 1)
+    count = len(t_s) // rows
+    at, means = (v[: count * rows].reshape(count, rows).mean(axis=1) for v in (t_s, values))
+    return np.asarray(at), np.asarray(means)
+
+
+def _close_up(panel: Axes, value: Floats, sd: Floats) -> None:
+    """Show of a curve that begins at the prior what it came to: twelve of its last sigmas to each side."""
+    half = 12 * float(sd[-1])
+    if np.isfinite(half) and half > 0 and np.isfinite(value[-1]):
+        panel.set_ylim(float(value[-1]) - half, float(value[-1]) + half)
+
+
+def _in_dps(names: Sequence[str], rate_rps: Floats) -> list[tuple[str, Floats]]:
+    return [(name, rate_rps[:, column] * DEG_PER_S.factor) for column, name in enumerate(names)]

@@ -1,0 +1,182 @@
+"""What a report needs of a recording beside its samples: calibration, live estimates, steps, events."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.calibration import Calibration
+from estimator.errors import RecordingError
+from estimator.recording import Recording, read_recording
+from estimator.stored_calibration import read_calibration
+from station.outcome import Outcome
+
+if TYPE_CHECKING:
+    from h5py import Group
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_MAY_LACK_ESTIMATE = (Outcome.FAIL, Outcome.ABORTED, Outcome.FAULT)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """How a live filter went: states and sigmas (b, m, 4) at ``t_ns`` (b,); NIS and its degrees of freedom by block."""
+
+    t_ns: Stamps
+    states: Floats
+    sd: Floats
+    nis_t_ns: Stamps
+    nis: Floats
+    dof: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step of the script as it was driven."""
+
+    label: str
+    start_ns: int
+    end_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened, or a note by the operator."""
+
+    t_ns: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """A recording and what was kept beside its samples.
+
+    ``calibration`` is None of a run that came to no estimate. ``allan`` are averaging times and Allan deviations at
+    rest, (n, t) each, NaN beyond the last. ``courses`` and ``source_attributes`` are by source.
+    """
+
+    path: Path
+    recording: Recording
+    calibration: Calibration | None
+    allan: tuple[Floats, Floats] | None
+    courses: Mapping[str, Course]
+    source_attributes: Mapping[str, Mapping[str, Any]]
+    steps: tuple[Step, ...]
+    events: tuple[Event, ...]
+
+    def label(self, source: str, name: str) -> str:
+        """Return what to call a gyro, different for each."""
+        return labels_of(self.recording).get((source, name), name)
+
+    def has(self, name: str) -> bool:
+        """Return whether the file has an attribute."""
+        return name in self.recording.attributes
+
+    def text(self, name: str) -> str:
+        """Return an attribute of the file as text, empty if it has none."""
+        value = self.recording.attributes.get(name, "")
+        return ", ".join(map(str, value)) if isinstance(value, np.ndarray) else str(value)
+
+    @property
+    def start_ns(self) -> int:
+        """Instant that times in the report count from: the first step, else the first sample."""
+        if self.steps:
+            return self.steps[0].start_ns
+        return min(int(data.t_ns[0]) for data in self.recording.sources.values() if len(data.t_ns))
+
+    @property
+    def end_ns(self) -> int:
+        """Instant at which the last step ended, else that of the last sample."""
+        if self.steps:
+            return self.steps[-1].end_ns
+        return max(int(data.t_ns[-1]) for data in self.recording.sources.values() if len(data.t_ns))
+
+
+def read_recorded(path: Path) -> Recorded:
+    """Read a recording with its results.
+
+    Raises RecordingError for a file that cannot be read, is damaged, or holds neither a calibration nor the reason why
+    its run came to none.
+    """
+    import h5py
+
+    recording = read_recording(path)
+    if not any(len(data.t_ns) for data in recording.sources.values()):
+        raise RecordingError(f"{path} holds no samples: there is nothing to report")
+    with _laid_out(path), h5py.File(path, "r") as file:
+        calibration = None
+        if "calibration" in file or recording.attributes.get("outcome") not in _MAY_LACK_ESTIMATE:
+            calibration = read_calibration(path, trusted=True)
+        estimates, innovations = file.get("estimate", {}), file.get("innovation", {})
+        return Recorded(
+            path,
+            recording,
+            calibration,
+            _allan(file["calibration"]) if calibration is not None else None,
+            {name: _course(estimates[name], innovations[name]) for name in estimates if name in innovations},
+            {name: {k: plain(v) for k, v in group.attrs.items()} for name, group in file["imu"].items()},
+            _steps(file["steps"]) if "steps" in file else (),
+            _events(file["events"]) if "events" in file else (),
+        )
+
+
+def labels_of(recording: Recording) -> dict[tuple[str, str], str]:
+    """Return what to call each gyro, by its source and name: the name, after its source where two have the same."""
+    keys = [(source, name) for source, data in recording.sources.items() for name in data.array.names]
+    names = [name for _, name in keys]
+    return {(s, name): name if names.count(name) == 1 else f"{s} {name}" for s, name in keys}
+
+
+def plain(value: Any) -> Any:
+    """Return a value from an HDF5 file as Python's own: text, number, or array."""
+    if isinstance(value, bytes):
+        return value.decode(errors="replace")
+    return value.item() if isinstance(value, np.generic) else value
+
+
+@contextmanager
+def _laid_out(path: Path) -> Iterator[None]:
+    """Turn what a group made by hand, or cut short, can raise into a RecordingError."""
+    try:
+        yield
+    except (OSError, AttributeError, TypeError, ValueError, KeyError, IndexError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RecordingError(f"{path}: its results are not laid out as the station writes them: {reason}") from None
+
+
+def _allan(group: Group) -> tuple[Floats, Floats] | None:
+    if "allan_tau_s" not in group:
+        return None
+    tau_s, deviation = (np.asarray(group[f"allan_{key}"][()], dtype=np.float64) for key in ("tau_s", "deviation_rps"))
+    if tau_s.shape != deviation.shape or len(tau_s) != len(group["name"]):
+        raise ValueError("the Allan deviation is not of these gyros")
+    return tau_s, deviation
+
+
+def _course(estimate: Group, innovation: Group) -> Course:
+    states, sd, nis, dof = (
+        np.asarray(group[name][()], dtype=np.float64)
+        for group, name in ((estimate, "states"), (estimate, "sd"), (innovation, "nis"), (innovation, "dof"))
+    )
+    course = Course(estimate["t_ns"][()], states, sd, innovation["t_ns"][()], nis, dof)
+    if states.ndim != 3 or states.shape != sd.shape or len(states) != len(course.t_ns) or len(nis) != len(dof):
+        raise ValueError("the live estimates are of different lengths")
+    return course
+
+
+def _steps(group: Group) -> tuple[Step, ...]:
+    rows = zip(group["label"][()], group["t_start_ns"][()], group["t_end_ns"][()], strict=False)
+    return tuple(Step(str(plain(label)), int(start), int(end)) for label, start, end in rows)
+
+
+def _events(group: Group) -> tuple[Event, ...]:
+    rows = zip(group["t_ns"][()], group["text"][()], strict=False)
+    return tuple(Event(int(t), str(plain(text))) for t, text in rows)

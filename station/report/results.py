@@ -1,0 +1,255 @@
+"""What was found: states with their uncertainties, the comparison with the limits, the budget, traceability."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimator.budget import TYPE_A
+from estimator.calibration import Calibration
+from estimator.reference import TableReadings, TableUncertainty
+from estimator.tracing.investigation import Value
+from station.investigation_printed import human, words
+from station.report.figures import (
+    ARCSEC,
+    COVERAGE,
+    MICROSECONDS,
+    ONE,
+    PPM,
+    STATES,
+    Unit,
+    figure,
+    plain,
+    rounded,
+    stated,
+    typographic,
+    with_uncertainty,
+)
+from station.report.front import badge
+from station.report.html import Content, Markup, bullets, element, grouped, joined, paragraph, table
+from station.report.recorded import Recorded
+from station.report.standing import Line, Standing
+from station.report.traced import Traced
+from station.report.unseen import Unseen
+
+_NEXT_TO_NOTHING = 0.01  # ppm, deg/h, urad
+_SOURCES = {
+    "noise": "noise of the gyro, and what its course leaves open",
+    "effects": "effects of the error model",
+    "rate": "rate of the table",
+    "wobble": "wobble of the table's axes",
+    "orthogonality": "orthogonality of the table's axes",
+    "timing": "timing of the table's readings",
+}
+
+
+def states(recorded: Recorded, found: Calibration, unseen: Unseen | None, traced: Traced | None) -> Markup:
+    """Return the states of every gyro with standard and expanded uncertainty, and what these do not cover."""
+    heads: list[Content] = [
+        "gyro",
+        "quantity",
+        "value",
+        "standard uncertainty u",
+        f"expanded uncertainty U = {COVERAGE:g} u",
+        "unit",
+    ]
+    groups = []
+    for i, gyro in enumerate(found.gyros):
+        rows: list[Sequence[Content]] = []
+        for s, (symbol, unit) in enumerate(STATES):
+            value, sd = float(gyro.states[s]), float(gyro.sd[s])
+            where = f"calibration/sd[{i},{s}]"
+            shown, expanded = with_uncertainty(value, COVERAGE * sd, unit, (f"calibration/states[{i},{s}]", where))
+            standard = figure(sd, unit, rounded(sd * unit.factor, sd * unit.factor), where)
+            rows.append([symbol, shown, standard, expanded, unit.name])
+        groups.append((recorded.label(gyro.source, gyro.name), rows))
+    notes = (
+        f"U is the standard uncertainty u times a coverage factor of {COVERAGE:g}, which for a normal distribution is "
+        "a coverage probability of about 95 %. u combines the lines of the uncertainty budget in squares."
+    )
+    parts: list[Content] = [
+        paragraph(
+            "Of each gyro: scale factor error ",
+            STATES[0][0],
+            ", bias ",
+            STATES[1][0],
+            ", and the misalignments ",
+            STATES[2][0],
+            " and ",
+            STATES[3][0],
+            " of its sense axis, as the correction below defines them.",
+        ),
+        grouped("Results of the calibration", heads, groups, align="llrrrl", notes=notes),
+    ]
+    if any(gyro.effects for gyro in found.gyros):
+        parts.append(_effects(recorded, found))
+    parts += _cautions(recorded, found, unseen, traced)
+    parts.append(bullets(found.notes))
+    return joined(parts)
+
+
+def _cautions(recorded: Recorded, found: Calibration, unseen: Unseen | None, traced: Traced | None) -> list[Content]:
+    """Return what the uncertainties do not cover: effects that the run does not show, and those that were traced."""
+    said: list[Content] = []
+    hidden = unseen.unnoticed if unseen is not None else []
+    if hidden:
+        said.append(
+            paragraph(
+                "The uncertainties hold for the error model of this calibration. They do not cover effects that the "
+                f"run could not show: {', '.join(map(words, hidden))} (see “What this run could not see”).",
+                class_="caution",
+            )
+        )
+    if traced is not None and traced.added and not found.model:
+        labelled = [(gyro, recorded.label(gyro.source, gyro.name)) for gyro in found.gyros]
+        moved = [
+            np.abs(traced.states[traced.names.index(label)] - gyro.states) / gyro.sd
+            for gyro, label in labelled
+            if label in traced.names
+        ]
+        added = dict.fromkeys(str(effect["effect"]) for effect in traced.what["added"])
+        said.append(
+            paragraph(
+                f"An investigation added {', '.join(map(words, added))} to the model. With it the states are other by "
+                "up to ",
+                plain(float(np.max(moved, initial=0.0)), ONE, 2),
+                " u: see the correction with the traced effects.",
+                class_="caution",
+            )
+        )
+    return said
+
+
+def _effects(recorded: Recorded, found: Calibration) -> Markup:
+    """Return the effects of the error model that were estimated beside the states."""
+    rows: list[Sequence[Content]] = []
+    for column, effect in enumerate(found.gyros[0].effects):
+        for i, gyro in enumerate(found.gyros[:1] if effect.shared else found.gyros):
+            value = gyro.effects[column]
+            expanded = COVERAGE * value.sd
+            text = typographic(human(Value(value.value, expanded, value.unit)))
+            who = "all gyros" if effect.shared else recorded.label(gyro.source, gyro.name)
+            shown = figure(value.value, Unit(value.unit, 1.0), text, f"calibration/effects[{i},{column}]")
+            rows.append([f"{words(effect.effect)}, {effect.parameter}", who, shown])
+    heads = ("effect", "gyro", "value ± U")
+    return table("Effects estimated beside the states", heads, rows, align="llr")
+
+
+def compliance(standing: Standing) -> Markup:
+    """Return each limit beside what was found, and the decision."""
+    if not standing.lines:
+        return paragraph("The recording states no limits: nothing was judged.")
+    groups: dict[str, list[Sequence[Content]]] = {}
+    for line in standing.lines:
+        verdict = badge("PASS" if line.within else "FAIL")
+        groups.setdefault(line.gyro, []).append([line.what, *_line(line), line.unit.name, verdict])
+    broken = [line for line in standing.lines if not line.within]
+    count = len(standing.lines)
+    said = f"{len(broken)} of {count} limits are not met." if broken else f"All {count} limits are met."
+    rule = (
+        "Decision rule: simple acceptance. Each value is compared with its limit as it stands; its uncertainty is not "
+        "added to it, but has a limit of its own. The limits are those of the bench file that the recording carries."
+    )
+    heads = ("gyro", "quantity", "found", "limit", "unit", "verdict")
+    return joined(
+        [
+            paragraph(said),
+            grouped("Limits", heads, list(groups.items()), align="llrrll", notes=rule),
+        ]
+    )
+
+
+def _line(line: Line) -> tuple[Content, Content]:
+    if line.note:
+        return f"not estimated: {line.note}", "estimated"
+    found = plain(line.value, line.unit, 4, line.source)
+    high = stated(line.high, line.unit) if math.isfinite(line.high) else Markup("any")
+    if line.low == -line.high:
+        return found, joined([Markup("± "), high])
+    if line.low == 0.0:
+        return found, joined([Markup("≤ "), high])
+    return found, joined([stated(line.low, line.unit), Markup(" to "), high])
+
+
+def budget(recorded: Recorded, found: Calibration) -> Markup:
+    """Return the lines of the budget of every gyro, which add in squares to its standard uncertainties."""
+    if not any(gyro.budget for gyro in found.gyros):
+        return paragraph(
+            "This calibration keeps no budget: against a reference of this kind the uncertainties come from the "
+            "scatter of the residual alone."
+        )
+    groups: list[tuple[Content, Sequence[Sequence[Content]]]] = []
+    for i, gyro in enumerate(found.gyros):
+        rows: list[Sequence[Content]] = []
+        for n, line in enumerate(gyro.budget):
+            kind = "A" if line.name in TYPE_A else "B"
+            cells = [
+                _share(float(u), unit, f"calibration/budget[{i},{n},{s}]")
+                for s, (u, (_, unit)) in enumerate(zip(line.u, STATES, strict=True))
+            ]
+            rows.append([_SOURCES.get(line.name, line.name), kind, *cells])
+        total = [
+            plain(float(sd), unit, 2, f"calibration/sd[{i},{s}]")
+            for s, (sd, (_, unit)) in enumerate(zip(gyro.sd, STATES, strict=True))
+        ]
+        rows.append([element("strong", "combined standard uncertainty"), None, *total])
+        groups.append((recorded.label(gyro.source, gyro.name), rows))
+    heads: list[Content] = ["gyro", "source", "type"]
+    heads += [joined([Markup("<var>u</var>("), symbol, Markup(f"), {unit.name}")]) for symbol, unit in STATES]
+    notes = (
+        "Standard uncertainties, normal distributions; they add in squares. Type A: evaluated from the scatter of the "
+        "data, bias instability and random walk included as found in them. Type B: from the standard uncertainties of "
+        "the table as stated, worked out for the motion that was driven."
+    )
+    return grouped("Uncertainty budget", heads, groups, align="lllrrrr", notes=notes)
+
+
+def _share(u: float, unit: Unit, source: str) -> Markup:
+    """Return a line of the budget; what is next to nothing is said to be so."""
+    return figure(u, unit, "< 0.01", source) if u * unit.factor < _NEXT_TO_NOTHING else plain(u, unit, 2, source)
+
+
+def traceability(recorded: Recorded) -> Markup:
+    """Return what is stated of the reference, and nothing beyond it."""
+    reference = recorded.recording.reference
+    if not isinstance(reference, TableReadings):
+        return paragraph(
+            "The reference was measured elsewhere. The recording states no uncertainty of it, and nothing on which "
+            "traceability to a standard could be based."
+        )
+    own: list[Content] = []
+    if reference.uncertainty is None:
+        own.append(
+            paragraph(
+                "The bench file states no uncertainty of the table. The uncertainties of this document hold nothing of "
+                "it, and nothing here is a basis for traceability to a standard."
+            )
+        )
+    else:
+        own += [
+            paragraph(
+                "The bench file that the recording carries states these standard uncertainties of the table; the "
+                "uncertainty budget rests on them. The recording holds no evidence of the table's own calibration."
+            ),
+            _stated(reference.uncertainty),
+        ]
+    own.append(
+        paragraph(
+            "Certificate of the table's calibration, and date, to be entered by the laboratory: ",
+            element("span", class_="blank"),
+        )
+    )
+    return joined(own)
+
+
+def _stated(uncertainty: TableUncertainty) -> Markup:
+    lines = (
+        ("its rate (time base), relative", uncertainty.rate, PPM, "u_rate"),
+        ("wobble of an axis", uncertainty.wobble_rad, ARCSEC, "u_wobble_rad"),
+        ("orthogonality of each axis to the others", uncertainty.orthogonality_rad, ARCSEC, "u_orthogonality_rad"),
+        ("timing of its readings", uncertainty.timing_s, MICROSECONDS, "u_timing_s"),
+    )
+    rows = [[name, plain(value, unit, 3, f"table@{key}"), unit.name] for name, value, unit, key in lines]
+    return table("Standard uncertainties of the table, as stated", ("quantity", "u", "unit"), rows, align="lrl")

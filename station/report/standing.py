@@ -1,0 +1,192 @@
+"""What a document may call itself: every limit compared with what was found, and a certificate only of a pass."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import Enum
+
+from estimator.calibration import Calibration
+from station.bench import Limits, read_limits
+from station.outcome import Outcome, Verdict, judge
+from station.report.figures import ONE, PERCENT, STATES, Unit
+from station.report.html import Markup, joined
+from station.report.recorded import Recorded
+
+_TWIN = "twin:"
+
+
+class Kind(Enum):
+    """Kinds of documents: title, and what is to be said beside it."""
+
+    CERTIFICATE = ("Calibration certificate", "")
+    SPECIMEN = (
+        "Specimen of a calibration certificate",
+        "This is not a calibration certificate of any real device.",
+    )
+    ELSEWHERE = (
+        "Calibration report",
+        "This is not a calibration certificate: no run of the station made the recording.",
+    )
+    UNJUDGED = (
+        "Calibration report",
+        "This is not a calibration certificate: the recording states no limits, so nothing was judged.",
+    )
+    FAILED = (
+        "Calibration report: not within limits",
+        "This is not a calibration certificate: the calibration failed its limits.",
+    )
+    NO_ESTIMATE = (
+        "Report of a failed calibration",
+        "This is not a calibration certificate: the run came to no estimate.",
+    )
+    ABORTED = (
+        "Report of an aborted run",
+        "This is not a calibration certificate: the run was ended before its time.",
+    )
+    FAULT = (
+        "Report of a run that ended by a fault",
+        "This is not a calibration certificate: a device failed during the run.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One limit: what it is of, the value found, the bounds, SI. ``source`` says where the recording has the value."""
+
+    gyro: str
+    what: Markup
+    unit: Unit
+    value: float
+    low: float
+    high: float
+    source: str | None = None
+    note: str = ""
+
+    @property
+    def stated(self) -> bool:
+        """Whether there is a bound at all."""
+        return math.isfinite(self.high) or self.low > 0
+
+    @property
+    def within(self) -> bool:
+        """Whether the value is within its bounds; what is not known is not."""
+        return self.low <= self.value <= self.high
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What the document is, how the run ended or was judged (None: not at all), each limit beside what was found."""
+
+    kind: Kind
+    verdict: Verdict | None
+    lines: tuple[Line, ...]
+    simulated: bool
+
+    @property
+    def certificate(self) -> bool:
+        """Whether the document is a certificate."""
+        return self.kind is Kind.CERTIFICATE
+
+    @property
+    def title(self) -> str:
+        """Title of the document."""
+        return str(self.kind.value[0])
+
+    @property
+    def warning(self) -> str:
+        """What it is not, empty for a certificate."""
+        twins = "Simulated devices: table and gyros of this run were twins in software." if self.simulated else ""
+        return " ".join(filter(None, (twins, str(self.kind.value[1]))))
+
+
+def standing_of(recorded: Recorded) -> Standing:
+    """Judge a recording; BenchError if the bench text that it carries cannot be read."""
+    limits = limits_of(recorded)
+    found = recorded.calibration
+    labels = [recorded.label(gyro.source, gyro.name) for gyro in found.gyros] if found is not None else []
+    lines = limit_lines(found, labels, limits) if found is not None and limits is not None else ()
+    simulated = is_simulated(recorded)
+    kind, verdict = _kind_of(recorded, limits, lines)
+    if kind is Kind.CERTIFICATE and simulated:
+        kind = Kind.SPECIMEN
+    return Standing(kind, verdict, lines, simulated)
+
+
+def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[Line, ...]) -> tuple[Kind, Verdict | None]:
+    ended = _ended(recorded)
+    if ended is not None and ended.outcome in (Outcome.ABORTED, Outcome.FAULT):
+        return Kind[ended.outcome.name], ended
+    if recorded.calibration is None:
+        return Kind.NO_ESTIMATE, ended
+    judged = judge(recorded.calibration, limits) if limits is not None and lines else None
+    if judged is not None and judged.outcome is not Outcome.PASS:
+        return Kind.FAILED, judged
+    if ended is None:
+        return Kind.ELSEWHERE, judged
+    if judged is None:
+        return Kind.UNJUDGED, None
+    if ended.outcome is not Outcome.PASS:  # calibrated again since, but the run itself was never judged a pass
+        return Kind.FAILED, ended
+    return Kind.CERTIFICATE, judged
+
+
+def is_simulated(recorded: Recorded) -> bool:
+    """Return whether a run was made with twins within the station: by their links, or in virtual time.
+
+    Twins on real ports look like devices, and cannot be told from them.
+    """
+    devices = [str(device) for device in recorded.recording.attributes.get("devices", ())]
+    virtual = bool(devices) and "clock_zero_utc_s" not in recorded.recording.attributes
+    return virtual or any(f"{_TWIN})" in device for device in devices)
+
+
+def limits_of(recorded: Recorded) -> Limits | None:
+    """Return the limits of the bench that a recording carries, None if it carries none."""
+    text = recorded.text("bench")
+    return read_limits(text) if text else None
+
+
+def limit_lines(found: Calibration, labels: Sequence[str], limits: Limits) -> tuple[Line, ...]:
+    """Return each limit that is stated beside what was found, as ``station.outcome.judge`` compares them."""
+    sizes = (limits.k, limits.b_rps, limits.sigma_rad, limits.sigma_rad)
+    doubts = (limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad)
+    lines = [Line(e.name, Markup("estimate"), ONE, math.nan, 0.0, 1.0, note=e.reason) for e in found.excluded]
+    for i, (gyro, label) in enumerate(zip(found.gyros, labels, strict=True)):
+        for s, (symbol, unit) in enumerate(STATES):
+            value, sd = float(gyro.states[s]), float(gyro.sd[s])
+            lines.append(Line(label, symbol, unit, value, -sizes[s], sizes[s], f"calibration/states[{i},{s}]"))
+            doubt = joined([Markup("<var>u</var>("), symbol, Markup(")")])
+            lines.append(Line(label, doubt, unit, sd, 0.0, doubts[s], f"calibration/sd[{i},{s}]"))
+    if math.isfinite(found.nis_mean):
+        low, high = limits.nis_low, limits.nis_high
+        lines.append(Line("all", Markup("mean NIS"), ONE, found.nis_mean, low, high, "calibration@nis_mean"))
+    if limits.lost < 1:
+        share = found.lost / max(found.samples + found.lost, 1)
+        lines.append(Line("all", Markup("samples lost"), PERCENT, share, 0.0, limits.lost))
+    return tuple(line for line in lines if line.stated)
+
+
+def number_of(recorded: Recorded, hashes: tuple[str, ...]) -> str:
+    """Return a number for the document from its date and what its sources hash to: the same sources give the same."""
+    digest = hashlib.sha256("".join(hashes).encode()).hexdigest()[:10].upper()
+    begun = begun_utc(recorded)
+    return f"{begun:%Y%m%d}-{digest}" if begun else digest
+
+
+def begun_utc(recorded: Recorded) -> datetime | None:
+    """Return when the measurement began; None where that is not known: in virtual time, in imports."""
+    zero = recorded.recording.attributes.get("clock_zero_utc_s")
+    try:
+        return None if zero is None else datetime.fromtimestamp(float(zero) + recorded.start_ns * 1e-9, UTC)
+    except (TypeError, OverflowError, OSError, ValueError):
+        return None
+
+
+def _ended(recorded: Recorded) -> Verdict | None:
+    """Return how the run ended; None for data that no run of the station made."""
+    text = recorded.text("outcome")
+    return Verdict(Outcome(text), recorded.text("reason")) if text in list(Outcome) else None

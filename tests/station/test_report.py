@@ -1,0 +1,546 @@
+"""station report: what the document says, that it says what the recording holds, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import html5lib
+import numpy as np
+import pytest
+from test_investigate import ASYMMETRY, simulated
+
+from estimator.array import tetrahedron
+from estimator.calibration import EffectValue, GyroCalibration
+from estimator.compensation import Compensation
+from estimator.error_model import ErrorModel, KnownEffect, Size
+from estimator.model import predicted_output
+from estimator.recording import read_recording, write_recording
+from estimator.stored_calibration import read_calibration
+from station.bench import default_bench_text
+from station.cli import main
+from station.loop_scripts import exploration_script
+from station.report.correction import Correction, snippet
+from station.report.hashes import raw_sha256
+from station.report.recorded import read_recorded
+from station.report.standing import Kind, standing_of
+from station.report.traced import read_traced
+
+FERRARIS = Path(__file__).parents[1] / "data" / "ferraris"
+SCRIPT = "name = 'short'\n" + "".join(
+    f"[[step]]\nkind = 'rest'\nduration = '6 s'\n[[step]]\nkind = 'rotate'\naxis = '{axis}'\nrate = '40 deg/s'\n"
+    "acceleration = '20 deg/s2'\nduration = '11 s'\n"
+    for axis in "xyz"
+)
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a short run on the built-in twins, with operator and serial number."""
+    folder = tmp_path_factory.mktemp("run")
+    text = default_bench_text()
+    for key, wide in (("sd_scale_factor_error", "9 %"), ("sd_bias", "9 deg/s"), ("sd_misalignment", "9 deg")):
+        text = re.sub(rf'^{key} = ".*?"', f'{key} = "{wide}"', text, flags=re.MULTILINE)
+    (folder / "bench.toml").write_text(text)
+    (folder / "short.toml").write_text(SCRIPT)
+    path = folder / "run.h5"
+    options = ["--bench", str(folder / "bench.toml"), "--script", str(folder / "short.toml"), "-o", str(path)]
+    assert main(["run", "--json", *options, "--operator", "A. Turing", "--serial-number", "TG-0042"]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def traced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Return a calibrated recording of gyros whose scale factors differ by direction, and its investigation."""
+    folder = tmp_path_factory.mktemp("traced")
+    path, results = folder / "explore.h5", folder / "investigation.h5"
+    write_recording(path, simulated(exploration_script(), 3, ASYMMETRY))
+    assert main(["calibrate", "--write", "--json", str(path)]) in (0, 1)
+    assert main(["investigate", "--json", str(path), "-o", str(results)]) == 0
+    return path, results
+
+
+@pytest.fixture(scope="module")
+def html(run: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the report of the run."""
+    return reported(run, tmp_path_factory.mktemp("html"))
+
+
+@pytest.fixture
+def copy(run: Path, tmp_path: Path) -> Path:
+    """Return a copy of the run to be changed."""
+    return Path(shutil.copy(run, tmp_path / "copy.h5"))
+
+
+def reported(path: Path, folder: Path, *options: str | Path) -> str:
+    """Return the HTML of a report."""
+    out = folder / "report.html"
+    assert main(["report", str(path), "-o", str(out), *map(str, options)]) == 0
+    return out.read_text(encoding="utf-8")
+
+
+def parsed(text: str) -> Any:
+    """Return the tree of a document that has no error of syntax."""
+    apart = re.sub(r"</(?:t[dh]|p|h\d|li|caption|figcaption)>", r" \g<0>", text)
+    return html5lib.HTMLParser(strict=True, namespaceHTMLElements=False).parse(apart)
+
+
+def words_of(element: Any) -> str:
+    return " ".join("".join(element.itertext()).split())
+
+
+def title_of(text: str) -> str:
+    return words_of(next(parsed(text).iter("h1")))
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    """Return what `station report` says on stderr when it refuses."""
+    capsys.readouterr()
+    assert main(["report", *map(str, arguments)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("station: ")
+    assert "Traceback" not in said
+    return said
+
+
+def held(file: h5py.File, where: str) -> float:
+    """Return the number that "group/dataset[row,column]" or "group@attribute" of a file names."""
+    path, at, name = where.partition("@")
+    if at:
+        return float(file[path or "/"].attrs[name])
+    match = re.fullmatch(r"(.*)\[([\d,]+)\]", path)
+    assert match is not None, where
+    return float(file[match[1]][tuple(map(int, match[2].split(",")))])
+
+
+def test_the_figures_are_those_of_the_recording(run: Path, html: str) -> None:
+    tree = parsed(html)
+    shown: dict[str, list[float]] = {}
+    with h5py.File(run) as file:
+        for element in tree.iter("data"):
+            value, where = float(element.get("value")), element.get("data-h5")
+            if where is not None:
+                times = float(element.get("data-times") or 1)
+                assert value == pytest.approx(times * held(file, where), rel=1e-14), where
+                shown.setdefault(where, []).append(value)
+            text = words_of(element).replace("−", "-")
+            factor = float(element.get("data-factor"))
+            if re.fullmatch(r"-?[\d.]+(e-?\d+)?", text):
+                digits = text.partition("e")[0]
+                zeros = len(digits) - len(digits.rstrip("0")) if "." not in digits else 0
+                place = 10.0 ** (zeros - len(digits.partition(".")[2]))
+                place *= 10.0 ** float(text.partition("e")[2] or 0)
+                assert abs(float(text) - value * factor) <= 0.5001 * place, (text, value * factor)
+        n, states = file["calibration/states"].shape
+    # Each state is there with its sigma and with twice that.
+    for i in range(n):
+        for s in range(states):
+            assert f"calibration/states[{i},{s}]" in shown
+            assert len({*shown[f"calibration/sd[{i},{s}]"]}) == 2
+
+
+def test_it_is_one_file_that_a_validator_and_a_screen_reader_take(html: str) -> None:
+    tree = parsed(html)
+    assert tree.get("lang") == "en"
+    ids = [element.get("id") for element in tree.iter() if element.get("id")]
+    assert len(ids) == len(set(ids))
+    assert {e.get("aria-labelledby") for e in tree.iter("section")} <= set(ids)
+    images = list(tree.iter("img"))
+    assert len(images) > 5
+    for image in images:
+        assert len(image.get("alt")) > 40
+        assert image.get("src").startswith("data:image/svg+xml;base64,")
+    assert all(head.get("scope") in ("col", "row", "rowgroup") for head in tree.iter("th"))
+    assert all(table.find("caption") is not None for table in tree.iter("table") if table.find("thead") is not None)
+    # Nothing is fetched, nothing runs.
+    assert not [e for e in tree.iter() if e.tag in ("script", "link", "iframe", "object", "embed", "base")]
+    assert not [e for e in tree.iter() if {"href", "srcset", "onload"} & set(e.attrib)]
+    assert not re.search(r"url\(|@import", html)
+
+
+def test_who_what_and_how_are_on_it(run: Path, html: str) -> None:
+    text = words_of(parsed(html))
+    for wanted in ("TG-0042", "A. Turing", "Kinco", "run.h5", "latitude 45.0000°", "Script short", raw_sha256(run)):
+        assert wanted in text, wanted
+    for chapter in ("Uncertainty budget", "Traceability", "What this run could not see", "Signatures"):
+        assert chapter in text
+    assert "script begins" in text
+    assert "coverage factor of 2" in text
+    assert "no evidence of the table's own calibration" in text
+
+
+def test_the_same_recording_gives_the_same_bytes_and_json_says_what_was_written(
+    run: Path, html: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "again.html"
+    capsys.readouterr()
+    assert main(["report", str(run), "-o", str(out), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert out.read_text(encoding="utf-8") == html
+    assert (said["html"], said["pdf"]) == (str(out), None)
+    assert (said["outcome"], said["certificate"], said["simulated"]) == ("PASS", False, True)
+    assert said["sha256"]["data"] == raw_sha256(run)
+    assert f"No. {said['number']}" in html
+
+
+def test_what_the_motion_does_not_show_is_named(html: str) -> None:
+    text = words_of(parsed(html))
+    assert "saturated: 4 steady conditions" in text
+    table = text[text.index("Effects that would have passed unnoticed") :]
+    assert re.search(r"scale asymmetry ∞ 5000 ppm", table)
+    assert "They do not cover effects that the run could not show: scale asymmetry" in text
+
+
+def without_estimate(path: Path, outcome: str) -> None:
+    """Let a recording look like that of a run that came to no estimate."""
+    with h5py.File(path, "r+") as file:
+        del file["calibration"], file["estimate"], file["innovation"], file["events"]
+        file.attrs.update({"outcome": outcome, "reason": "stopped by Ctrl-C in phase 'x at 40 deg/s'"})
+
+
+def real(path: Path) -> None:
+    """Let a recording on twins look like one of hardware."""
+    with h5py.File(path, "r+") as file:
+        file.attrs["devices"] = ["array (can, can:socketcan:can0)"]
+        file.attrs["clock_zero_utc_s"] = 1_795_000_000.0
+
+
+def test_only_a_pass_of_real_devices_is_a_certificate(html: str, copy: Path, tmp_path: Path) -> None:
+    assert title_of(html) == "Specimen of a calibration certificate"
+    assert "Simulated devices" in html
+    real(copy)
+    certificate = reported(copy, tmp_path)
+    assert title_of(certificate) == "Calibration certificate"
+    assert "not a calibration certificate" not in certificate
+    assert "2026-11-18" in certificate
+    assert "Simulated" not in certificate
+
+
+def test_a_broken_limit_is_named_and_makes_it_a_report(copy: Path, tmp_path: Path) -> None:
+    real(copy)
+    with h5py.File(copy, "r+") as file:
+        bench = str(file.attrs["bench"]).replace('scale_factor_error = "10000 ppm"', 'scale_factor_error = "3000 ppm"')
+        file.attrs["bench"] = bench
+    text = reported(copy, tmp_path)
+    assert title_of(text) == "Calibration report: not within limits"
+    rows = [words_of(row) for row in parsed(text).iter("tr")]
+    assert sum(row.endswith("ppm FAIL") for row in rows) == 4
+    assert any(re.search(r"mean NIS .* PASS", row) for row in rows)
+    standing = standing_of(read_recorded(copy))
+    assert standing.verdict is not None
+    assert str(standing.verdict.outcome) == "FAIL"
+    assert sum(not line.within for line in standing.lines) == 4
+
+
+@pytest.mark.parametrize(
+    ("outcome", "title"),
+    [
+        ("ABORTED", "Report of an aborted run"),
+        ("FAULT", "Report of a run that ended by a fault"),
+        ("FAIL", "Report of a failed calibration"),
+    ],
+)
+def test_a_run_without_an_estimate_gets_a_report_that_says_so(
+    copy: Path, tmp_path: Path, outcome: str, title: str
+) -> None:
+    without_estimate(copy, outcome)
+    text = reported(copy, tmp_path)
+    assert title_of(text) == title
+    assert "This is not a calibration certificate" in text
+    assert "stopped by Ctrl-C" in text
+    assert "Simulated devices" in text
+    assert "Clocks and losses" in text
+    assert "Correction" not in text
+
+
+@pytest.mark.parametrize(
+    ("outcome", "kind"), [("ABORTED", Kind.ABORTED), ("FAIL", Kind.FAILED), (None, Kind.ELSEWHERE)]
+)
+def test_a_run_that_did_not_pass_is_no_certificate_however_it_is_calibrated_since(
+    copy: Path, outcome: str | None, kind: Kind
+) -> None:
+    real(copy)
+    with h5py.File(copy, "r+") as file:
+        del file.attrs["outcome"]
+        if outcome is not None:
+            file.attrs["outcome"] = outcome
+    standing = standing_of(read_recorded(copy))
+    assert standing.kind is kind
+    assert all(line.within for line in standing.lines)
+    assert not standing.certificate
+
+
+def code_of(text: str, name: str = "correction") -> dict[str, Any]:
+    """Return what the snippet of a report defines."""
+    (code,) = (e for e in parsed(text).iter("pre") if e.get("data-snippet") == name)
+    found: dict[str, Any] = {}
+    exec("".join(code.itertext()), found)
+    return found
+
+
+def test_the_snippet_gives_the_compensated_rate(run: Path, html: str) -> None:
+    body_rate: Callable[..., Any] = code_of(html)["body_rate"]
+    recording, calibration = read_recording(run), read_calibration(run)
+    arrays = {name: data.array for name, data in recording.sources.items()}
+    n = min(len(data.t_ns) for data in recording.sources.values())
+    raw = np.hstack([data.rate_rps[:n] for data in recording.sources.values()])
+    ours = Compensation.of(calibration.gyros, arrays).compensate(raw, np.arange(n) * 0.01)
+    assert np.abs(body_rate(raw) - ours).max() < 1e-9
+    # And of outputs that the states made, the rate that made them.
+    w = np.random.default_rng(1).normal(size=(200, 3))
+    states = np.array([gyro.states for gyro in calibration.gyros])
+    made = predicted_output(tetrahedron(), states, w)
+    assert np.abs(body_rate(made) - w).max() < 1e-12
+
+
+def test_with_an_investigation_the_traced_effects_are_corrected_and_verified(
+    traced: tuple[Path, Path], tmp_path: Path
+) -> None:
+    path, results = traced
+    text = reported(path, tmp_path, "--investigation", results)
+    words = words_of(parsed(text))
+    assert "Verdict: added. Added scale asymmetry." in words
+    assert "An investigation added scale asymmetry to the model" in words
+    assert "No verification run was given" in words
+    assert re.search(r"The rms error became [\d.]+ times smaller", words)
+    with h5py.File(results) as file:
+        states = file["investigation/states_after"][()]
+        model = json.loads(file["investigation/error_model"][()])
+        what = json.loads(file["investigation"].attrs["json"])
+    shown = {float(e.get("value")) for e in parsed(text).iter("data")}
+    assert {what["before"]["rms_rps"], what["after"]["rms_rps"]} <= shown
+    half = np.array([model["effects"][0]["found"][f"gyro{i}"][0][0] for i in (1, 2, 3, 4)])
+    w = np.random.default_rng(2).normal(size=(200, 3))
+    made = predicted_output(tetrahedron(), states, w) + half * np.abs(w @ tetrahedron().p.T)
+    assert np.abs(code_of(text, "traced")["body_rate"](made) - w).max() < 1e-9
+    assert title_of(text).startswith("Calibration report")
+
+
+def test_an_investigation_that_the_recording_holds_is_found_there(traced: tuple[Path, Path], tmp_path: Path) -> None:
+    path = Path(shutil.copy(traced[0], tmp_path / "both.h5"))
+    assert read_traced(None, read_recorded(path)) is None
+    with h5py.File(traced[1]) as results, h5py.File(path, "r+") as file:
+        results.copy("investigation", file)
+    found = read_traced(None, read_recorded(path))
+    assert found is not None
+    assert found.added
+    assert len(found.residuals) == 4
+
+
+def gyros_with(effects: list[KnownEffect]) -> tuple[list[GyroCalibration], str]:
+    """Return four gyros that have these effects in sizes of their own, and the text of their model."""
+    rng = np.random.default_rng(5)
+    gyros = []
+    for i, name in enumerate(tetrahedron().names):
+        values = tuple(
+            EffectValue(e.called, s.name, float(s.sd * rng.normal()), 0.1 * s.sd, s.unit, s.sd, False)
+            for e in effects
+            for s in e.sizes
+        )
+        states = np.array([0.005, 0.002, 0.0017, -0.0017]) * rng.normal(size=4)
+        p = tetrahedron().p[i]
+        gyros.append(GyroCalibration(name, "array", states, np.eye(4) * 1e-9, 1e-4, p, "array", effects=values))
+    return gyros, ErrorModel(tuple(effects)).text()
+
+
+def test_the_snippet_undoes_effects_of_temperature_force_time_and_rate() -> None:
+    effects = [
+        KnownEffect("thermal_bias", False, (Size("linear", "rad/s/K", 0.0, 1e-4),)),
+        KnownEffect("thermal_bias_quadratic", False, (Size("quadratic", "rad/s/K2", 0.0, 1e-6),)),
+        KnownEffect("thermal_scale", False, (Size("linear", "1/K", 0.0, 2e-4),)),
+        KnownEffect("g_sensitivity", False, tuple(Size(f"along body {a}", "rad/s/g", 0.0, 1e-3) for a in "xyz")),
+        KnownEffect("warm_up", False, (Size("with 90 s", "rad/s", 0.0, 2e-3),), {"time_constant_s": 90.0}),
+        KnownEffect("scale_quadratic", False, (Size("u^2", "1/(rad/s)", 0.0, 3e-3),)),
+        KnownEffect("scale_cubic", False, (Size("u^3", "1/(rad/s)2", 0.0, 3e-3),)),
+    ]
+    gyros, model = gyros_with(effects)
+    compensation = Compensation.of(gyros, {"array": tetrahedron()}, model)
+    defined: dict[str, Any] = {}
+    exec(snippet(Correction("array", compensation, False, {}), "made by hand"), defined)
+    rng = np.random.default_rng(6)
+    raw, t_s = rng.normal(size=(300, 4)), np.arange(300) * 0.5
+    warm, force = 25 + rng.normal(size=300) * 5, rng.normal(size=(300, 3)) * 9.8
+    ours = compensation.compensate(raw, t_s, warm, force)
+    given = {"temperature_c": warm, "accel_mps2": force, "t_s": t_s}
+    assert np.abs(defined["body_rate"](raw, **given) - ours).max() < 1e-9
+
+
+def test_gyros_that_do_not_span_space_are_corrected_about_their_own_axes(copy: Path, tmp_path: Path) -> None:
+    with h5py.File(copy, "r+") as file:
+        for name in ("gyro3", "gyro4"):
+            for group in ("imu", "estimate", "innovation"):
+                del file[f"{group}/{name}"]
+        group = file["calibration"]
+        for name in list(group):
+            kept = group[name][:2]
+            del group[name]
+            group[name] = kept
+    own_rates = code_of(reported(copy, tmp_path))["own_rates"]
+    states = np.array([gyro.states for gyro in read_calibration(copy).gyros])
+    w = np.random.default_rng(1).normal(size=(50, 3))
+    array = tetrahedron().select([0, 1])
+    about = array.p - states[:, 3:4] * array.j + states[:, 2:3] * array.k
+    assert np.abs(own_rates(predicted_output(array, states, w)) - w @ about.T).max() < 1e-12
+
+
+def test_gyros_of_the_same_name_are_kept_apart(copy: Path) -> None:
+    with h5py.File(copy, "r+") as file:
+        file["imu/gyro2"].attrs["names"] = ["gyro1"]
+        file["calibration/name"][1] = b"gyro1"
+    lines = standing_of(read_recorded(copy)).lines
+    assert {line.gyro for line in lines} == {"gyro1 gyro1", "gyro2 gyro1", "gyro3", "gyro4", "all"}
+
+
+def test_data_measured_elsewhere_get_a_report(tmp_path: Path) -> None:
+    path = tmp_path / "imported.h5"
+    assert main(["import", str(FERRARIS / "mapping.toml"), str(FERRARIS / "session.csv"), "-o", str(path)]) == 0
+    assert main(["calibrate", "--write", "--json", str(path)]) == 0
+    text = reported(path, tmp_path)
+    assert title_of(text) == "Calibration report"
+    words = words_of(parsed(text))
+    assert "NOT JUDGED" in words
+    assert "turns of known angle that were measured elsewhere" in words
+    assert "states no uncertainty of it" in words
+
+
+def test_text_from_a_file_is_never_taken_for_html(copy: Path, tmp_path: Path) -> None:
+    nasty = """</style><script>alert("1")</script>' " \\ & <b>"""
+    with h5py.File(copy, "r+") as file:
+        file.attrs.update({"device_serial": nasty, "operator": nasty, "reason": nasty})
+        file.attrs.update({"accepted_by": "G. Hopper", "accepted_utc": "2026-11-21T10:15:02+00:00"})
+        file["events/text"][0] = f"note: {nasty}".encode()
+    tree = parsed(reported(copy, tmp_path))
+    assert not list(tree.iter("script"))
+    assert nasty in "".join(tree.itertext())
+    assert re.search(r"note of the operator </style>", words_of(tree))
+    assert "G. Hopper on 2026-11-21T10:15:02+00:00" in words_of(tree)
+
+
+def test_the_raw_data_keep_their_hash_whatever_is_estimated(copy: Path) -> None:
+    before = raw_sha256(copy)
+    assert main(["calibrate", "--write", "--json", str(copy)]) == 0
+    with h5py.File(copy, "r+") as file:
+        file.attrs["accepted_by"] = "somebody"
+    assert raw_sha256(copy) == before
+    with h5py.File(copy, "r+") as file:
+        file["imu/gyro1/rate_rps"][7] += 1e-12
+    assert raw_sha256(copy) != before
+
+
+def test_without_a_name_it_is_written_beside_the_recording_and_never_over_another(copy: Path) -> None:
+    without_estimate(copy, "ABORTED")  # such a report is short
+    for name in ("copy.html", "copy-2.html"):
+        assert main(["report", str(copy)]) == 0
+        assert copy.with_name(name).is_file()
+
+
+def damaged(path: Path) -> None:
+    raw = bytearray(path.read_bytes())
+    raw[600 : len(raw) // 2] = bytes(len(raw) // 2 - 600)
+    path.write_bytes(raw)
+
+
+def later(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file.attrs["format_version"] = 99
+
+
+def uncalibrated(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        del file["calibration"]
+
+
+def not_finite(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file["calibration/states"][0, 0] = np.nan
+
+
+def misshapen(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        del file["estimate/gyro1/sd"]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (damaged, "cannot be read|damaged"),
+        (later, "format version 99.*update"),
+        (uncalibrated, "station calibrate --write"),
+        (not_finite, "station calibrate --write"),
+        (misshapen, "not laid out"),
+    ],
+)
+def test_a_recording_that_cannot_be_reported_is_refused_with_the_reason(
+    copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], spoil: Callable[[Path], None], told: str
+) -> None:
+    spoil(copy)
+    out = tmp_path / "r.html"
+    assert re.search(told, refused(capsys, copy, "-o", out))
+    assert not out.exists()
+
+
+def test_files_that_are_there_or_cannot_be_are_refused_before_the_work(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "there.html").write_text("kept")
+    assert "is there already" in refused(capsys, run, "-o", tmp_path / "there.html")
+    assert "is there already" in refused(capsys, run, "-o", tmp_path / "there.pdf")
+    assert (tmp_path / "there.html").read_text() == "kept"
+    assert "no directory" in refused(capsys, run, "-o", tmp_path / "none" / "r.html")
+    assert ".html or .pdf" in refused(capsys, run, "-o", tmp_path / "r.docx")
+    assert "not a file" in refused(capsys, tmp_path / "missing.h5", "-o", tmp_path / "r.html")
+
+
+def test_an_investigation_of_other_gyros_or_none_is_refused(
+    run: Path, traced: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "holds no investigation" in refused(capsys, run, "-o", tmp_path / "r.html", "--investigation", run)
+    other = Path(shutil.copy(traced[1], tmp_path / "other.h5"))
+    with h5py.File(other, "r+") as file:
+        file["investigation/name"][0] = b"gyroX"
+    assert "gyroX" in refused(capsys, run, "-o", tmp_path / "r.html", "--investigation", other)
+
+
+def test_without_a_browser_the_html_is_kept_and_said_what_to_install(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("STATION_BROWSER", raising=False)
+    said = refused(capsys, run, "-o", tmp_path / "r.pdf")
+    assert "install Chromium" in said
+    assert str(tmp_path / "r.html") in said
+    assert (tmp_path / "r.html").is_file()
+    assert not (tmp_path / "r.pdf").exists()
+
+
+@pytest.fixture(scope="module")
+def printed(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the PDF of the run."""
+    if BROWSER is None:
+        pytest.skip("no Chromium or Chrome on this machine")
+    path = tmp_path_factory.mktemp("printed") / "r.pdf"
+    assert main(["report", str(run), "-o", str(path)]) == 0
+    return path
+
+
+def test_the_pdf_is_on_a4_with_numbered_pages(printed: Path) -> None:
+    assert printed.with_suffix(".html").is_file()
+    if shutil.which("pdftotext") is None:
+        pytest.skip("no poppler on this machine")
+    size = subprocess.run(["pdfinfo", printed], capture_output=True, text=True, check=True).stdout
+    assert re.search(r"Page size: .*\(A4\)", size)
+    text = subprocess.run(["pdftotext", "-layout", printed, "-"], capture_output=True, text=True, check=True).stdout
+    pages = text.split("\f")[:-1]
+    for number, page in enumerate(pages, 1):
+        assert f"Page {number} of {len(pages)}" in page
+    # Every row of the results is on one page with the heading of its table.
+    results = next(page for page in pages if "Results of the calibration" in page)
+    assert "expanded uncertainty" in results
+    assert all(f"gyro{i}" in results for i in (1, 2, 3, 4))
