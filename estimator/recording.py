@@ -46,6 +46,7 @@ TEXT_BYTES = 240
 UNITS = {
     "t_ns": "ns",
     "arrival_ns": "ns",
+    "half_width_ns": "ns",
     "t_start_ns": "ns",
     "t_end_ns": "ns",
     "angle_rad": "rad",
@@ -204,6 +205,8 @@ def write_recording(path: Path, recording: Recording) -> None:
         if isinstance(reference, TableReadings):
             writer.add_table(reference.gimbals, reference.uncertainty)
             root, names = "table", ("t_ns", "angle_rad", "rate_rps")
+            if reference.half_width_ns is not None:
+                names = (*names, "half_width_ns")
         elif isinstance(reference, RateReadings):
             root, names = "reference", ("t_ns", "rate_rps")
         elif isinstance(reference, AttitudeReadings):
@@ -376,7 +379,13 @@ def _read_reference(path: Path, file: Any) -> Reference:
         finite = np.isfinite(angle[:n]).all(axis=1) & np.isfinite(rate[:n]).all(axis=1)
         keys = [f.name for f in fields(TableUncertainty) if f"u_{f.name}" in group.attrs]
         stated = TableUncertainty(**{key: float(group.attrs[f"u_{key}"]) for key in keys}) if keys else None
-        return TableReadings(t_ns[:n][finite], angle[:n, order][finite], rate[:n, order][finite], gimbals, stated)
+        width = None
+        if "half_width_ns" in group:
+            width = _column(where, group, "half_width_ns", 1, np.int64)
+            width = np.pad(width[:n], (0, max(n - len(width), 0)), mode="edge")[finite]
+        return TableReadings(
+            t_ns[:n][finite], angle[:n, order][finite], rate[:n, order][finite], gimbals, stated, width
+        )
     if "reference" not in file:
         raise RecordingError(f"{path} has neither /table nor /reference: nothing says how the body turned")
     where, group = f"{path}: /reference", file["reference"]

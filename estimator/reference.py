@@ -14,13 +14,23 @@ from estimator.kinematics import Site, body_rate, check_gimbals
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 GAP_NS = 150_000_000
 GAP_ANGLE_RAD = float(np.radians(0.02))
-"""Readings further apart than the one that disagree by more than the other hide what happened between them."""
+"""Readings further apart than the one hide what happened between them, unless the turn was steady and their angles
+agree with that to the other, and to what the doubt of their instants is in angle."""
+
+STEADY_SHARE, STEADY_RPS = 0.005, 2e-4
+"""Rates that differ by less than this share of them and this much are those of a steady turn."""
 
 ANCHOR_HALF_WINDOW_NS = 3_000_000_000
 """Half of the window over which the angles correct the rates."""
+
+_ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
+_RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
+_LEAST_SURE_RPS = float(np.radians(0.02))  # a rate within a ramp must be known to this
+_TERMS = 7  # of the sums a gimbal
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +45,17 @@ class TableUncertainty:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableReadings:
-    """Angles and rates (k, gimbals) that the table reported; columns as ``gimbals``, outermost first."""
+    """Angles and rates (k, gimbals) that the table reported; columns as ``gimbals``, outermost first.
+
+    ``half_width_ns`` (k,) is how far the instant of a reading can be off, half of its round trip; None for not at all.
+    """
 
     t_ns: Stamps
     angle_rad: Floats
     rate_rps: Floats
     gimbals: tuple[str, ...]
     uncertainty: TableUncertainty | None = None
+    half_width_ns: Stamps | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,23 +119,41 @@ class BodyRates:
     within three seconds to each side, of what the angle says beyond the summed rate. A row is final once a
     reading three seconds later is there; ``finish`` makes the rest final. Feeding row by row or all at once gives
     the same numbers, so the live filter and the batch estimate see the same regressors.
+
+    On a slow link the instant of a reading is not known well. Its angle then counts less; how much the instants really
+    scatter within their half widths is seen in what the angles scatter about the summed rates. Where the
+    rate changes so fast that it is not known for that, it is not given.
     """
 
-    def __init__(self, gimbals: Sequence[str], site: Site | None) -> None:
-        """Start empty, for gimbals named outermost first."""
+    def __init__(self, gimbals: Sequence[str], site: Site | None, timing_s: float = 0.0) -> None:
+        """Start empty, for gimbals named outermost first; ``timing_s`` is how well readings are timed to the gyros."""
+        self._timing_s = timing_s
         self._gimbals = check_gimbals(gimbals)
         self._site = site
         n = len(self._gimbals)
         self._times = _Rows((), np.int64)
         self._angle, self._rate, self._summed, self._refined = (_Rows((n,)) for _ in range(4))
+        self._half_width_s = _Rows(())
         self._known = _Rows((), np.bool_)  # whether what happened since the reading before is known
-        self._sums = _Rows((2 + 2 * n,))  # running sums of [s, s^2, d, s d] before each row
-        self._sums.append(np.zeros((1, 2 + 2 * n)))
+        self._sure = _Rows((), np.bool_)  # the same once the row is final
+        # Running sums of w [1, s, s^2, d, s d, d^2, u] before each row: s time, d angle less summed rate, u the
+        # variance that the doubt of the instant may give it, w its weight.
+        self._sums = _Rows((_TERMS, n))
+        self._sums.append(np.zeros((1, _TERMS, n)))
 
-    def add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats) -> None:
-        """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before."""
+    @classmethod
+    def of(cls, readings: TableReadings, site: Site | None) -> BodyRates:
+        """Return those of readings that are all there, final to the last."""
+        rates = cls(readings.gimbals, site, readings.uncertainty.timing_s if readings.uncertainty else 0.0)
+        rates.add(readings.t_ns, readings.angle_rad, readings.rate_rps, readings.half_width_ns)
+        rates.finish()
+        return rates
+
+    def add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats, half_width_ns: Stamps | None = None) -> None:
+        """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,)."""
         if not len(t_ns):
             return
+        half_width_s = np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns * 1e-9
         first = not len(self._times)
         before = t_ns[:1] if first else self._times.all[-1:]
         step_ns = np.diff(np.concatenate([before, t_ns]))
@@ -134,14 +166,22 @@ class BodyRates:
         drift = self._unwrapped(angle_rad, summed) - summed
         drift_before = drift[:1] if first else (self._angle.all[-1:] - self._summed.all[-1:])
         unexplained = np.diff(np.vstack([drift_before, drift]), axis=0)
-        known_step = (step_ns <= GAP_NS) | (np.abs(unexplained).max(axis=1) <= GAP_ANGLE_RAD)
+        widths = np.concatenate([half_width_s[:1] if first else self._half_width_s.all[-1:], half_width_s])
+        doubt = np.abs(rate_rps) * (widths[1:] + widths[:-1])[:, None]
+        steady = np.abs(np.diff(rates, axis=0)) <= STEADY_RPS + STEADY_SHARE * np.abs(rate_rps)
+        explained = np.abs(unexplained) <= GAP_ANGLE_RAD + doubt
+        known_step = (step_ns <= GAP_NS) | (steady & explained).all(axis=1)
         self._known.append(known_step)
+        self._half_width_s.append(half_width_s)
         # What happened in a gap is no error of the rates beside it: there the angles alone count.
         hidden = np.cumsum(np.where(known_step[:, None], 0.0, unexplained), axis=0)
         summed, drift = summed + hidden, drift - hidden
-        s = (t_ns - (t_ns[0] if first else self._times.all[0])) * 1e-9
-        terms = np.column_stack([s, s * s, drift, s[:, None] * drift])
-        self._sums.append(np.cumsum(np.vstack([self._sums.all[-1:], terms]), axis=0)[1:])
+        s = ((t_ns - (t_ns[0] if first else self._times.all[0])) * 1e-9)[:, None]
+        may_scatter = (rate_rps * half_width_s[:, None]) ** 2 / 3
+        ones = np.ones_like(drift)
+        terms = np.stack([ones, s * ones, s * s * ones, drift, s * drift, drift**2, may_scatter], axis=1)
+        terms /= (_ANGLE_SD_RAD**2 + may_scatter)[:, None]
+        self._sums.append(np.cumsum(np.concatenate([self._sums.all[-1:], terms]), axis=0)[1:])
         self._times.append(t_ns)
         self._angle.append(drift + summed)
         self._rate.append(rate_rps)
@@ -172,7 +212,7 @@ class BodyRates:
         angle, rate = self.gimbals_at(t_ns)
         w = body_rate(angle, rate, self._gimbals, self._site)
         ends = np.searchsorted(self._times.all[: len(self._refined)], t_ns, side="left")
-        w[~self._known.all[ends]] = np.nan
+        w[~self._sure.all[ends]] = np.nan
         return w
 
     def gimbals_at(self, t_ns: Stamps) -> tuple[Floats, Floats]:
@@ -213,13 +253,27 @@ class BodyRates:
         times, sums = self._times.all, self._sums.all
         low = np.searchsorted(times, times[start:stop] - ANCHOR_HALF_WINDOW_NS, side="left")
         high = np.searchsorted(times, times[start:stop] + ANCHOR_HALF_WINDOW_NS, side="right")
-        window = sums[high] - sums[low]
-        count = (high - low).astype(np.float64)[:, None]
-        n = len(self._gimbals)
-        s, ss, d, sd = window[:, :1], window[:, 1:2], window[:, 2 : 2 + n], window[:, 2 + n :]
-        spread = ss - s * s / count
-        slope = np.where(count >= 5, (sd - s * d / count) / np.where(spread > 0, spread, np.inf), 0.0)
-        self._refined.append(self._rate.all[start:stop] + slope)
+        weight, s, ss, d, sd, dd, u = (sums[high] - sums[low]).transpose(1, 0, 2)
+        count = (high - low)[:, None]
+        spread = ss - s * s / weight
+        across = sd - s * d / weight
+        enough = (count >= 5) & (spread > 0)
+        spread = np.where(enough, spread, np.inf)
+        scatter = np.maximum(dd - d * d / weight - across**2 / spread, 0.0)
+        share = np.minimum(scatter / np.where(u > 0, u, np.inf) * count / np.maximum(count - 2, 1), 1.0)
+        slope = np.where(enough, across / (spread + share / _RATE_SD_RPS**2), 0.0)
+        refined = self._rate.all[start:stop] + slope
+        self._sure.append(self._known.all[start:stop] & self._timed(start, stop, share))
+        self._refined.append(refined)
+
+    def _timed(self, start: int, stop: int, share: Floats) -> Flags:
+        """Return whether rates since the reading before are known for all the doubt (share) of its instant."""
+        before = np.maximum(np.arange(start, stop) - 1, 0)
+        change = np.abs(self._rate.all[start:stop] - self._rate.all[before])
+        step_s = np.maximum((self._times.all[start:stop] - self._times.all[before]) * 1e-9, 1e-9)[:, None]
+        doubt_s = np.maximum(self._half_width_s.all[start:stop], self._half_width_s.all[before])[:, None]
+        doubt_s = np.hypot(doubt_s * np.sqrt(share / 3), self._timing_s)
+        return np.asarray((change / step_s * doubt_s <= _LEAST_SURE_RPS).all(axis=1))
 
 
 def rates_from_attitude(readings: AttitudeReadings) -> RateReadings:

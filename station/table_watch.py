@@ -9,6 +9,7 @@ import statistics
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,15 @@ _IDLE_EVERY = 4  # while an axis turns, another is looked at in every so many-th
 _STRAIGHT_RPS = math.radians(0.02)  # by which mean rates may bend where a ramp's corner is not
 
 
+class TableRow(NamedTuple):
+    """Angles and rates (axes,) at one instant, which may be off by the half width of the round trips."""
+
+    t_ns: int
+    angle_rad: Floats
+    rate_rps: Floats
+    half_width_ns: int
+
+
 class Aligner:
     """Turns readings of single axes, each at its own instant, into rows at one instant.
 
@@ -43,8 +53,8 @@ class Aligner:
         self._readings: deque[dict[str, AxisState]] = deque()
         self._next = 0  # index of the reading whose row is given next
 
-    def add(self, states: Mapping[str, AxisState]) -> list[tuple[int, Floats, Floats]]:
-        """Take in one reading of all axes; return the rows (t_ns, angles, rates) that are known now."""
+    def add(self, states: Mapping[str, AxisState]) -> list[TableRow]:
+        """Take in one reading of all axes; return the rows that are known now."""
         self._readings.append(dict(states))
         if len(self._readings) > 1 and self._at_ns(-1) <= self._at_ns(-2):
             self._readings.pop()  # an answer that came at the second try has the middle of both for its instant
@@ -56,7 +66,7 @@ class Aligner:
         self._forget()
         return rows
 
-    def last(self) -> list[tuple[int, Floats, Floats]]:
+    def last(self) -> list[TableRow]:
         """Return the rows of the readings that are left, when no other will come."""
         return [row for index in range(self._next, len(self._readings)) for row in self._row(index)]
 
@@ -74,7 +84,7 @@ class Aligner:
             return True
         return min(state.rate_t_ns for state in self._readings[-1].values()) >= self._at_ns(index) + window // 2
 
-    def _row(self, index: int) -> list[tuple[int, Floats, Floats]]:
+    def _row(self, index: int) -> list[TableRow]:
         """Return the row of a reading, or nothing where its rates are not known."""
         at_ns = self._at_ns(index)
         angles = np.empty(len(self._axes))
@@ -88,7 +98,8 @@ class Aligner:
             rates[column] = np.interp(0.0, times, series)
             rate = rates[column] if state.rate_window_ns else state.rate_rps
             angles[column] = state.angle_rad + rate * (at_ns - state.angle_t_ns) * 1e-9
-        return [(at_ns, angles, rates)]
+        half_width_ns = max(state.half_width_ns for state in self._readings[index].values())
+        return [TableRow(at_ns, angles, rates, half_width_ns)]
 
     def _forget(self) -> None:
         """Keep the readings whose rates rows to come still need."""
@@ -132,8 +143,7 @@ async def watch_table(
     axes: tuple[str, ...],
     rate_hz: float,
     driven_axis: Callable[[], str | None],
-    on_row: Callable[[tuple[int, Floats, Floats]], None],
-    on_half_width: Callable[[int], None],
+    on_row: Callable[[TableRow], None],
     on_lost: Callable[[LinkLost], Awaitable[None]],
 ) -> None:
     """Read until cancelled; DeviceFault when an axis goes to fault or leaves operation by itself.
@@ -160,12 +170,12 @@ async def watch_table(
             busy.append(in_turn)
         fresh = await _read_quickly(table, busy, usual_ns)
         if fresh is not None:
-            on_half_width(_slowest_ns(fresh))
             states.update(fresh)
             now_ns = states[busy[0]].angle_t_ns
             for axis in axes:
                 if axis not in busy:
-                    states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns)
+                    still = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns, half_width_ns=0)
+                    states[axis] = still
             for row in aligner.add(states):
                 on_row(row)
         for axis in axes:

@@ -11,11 +11,13 @@ from dataclasses import dataclass, replace
 
 from drivers.can_link import CanLink
 from drivers.seams import ImuSource, Turntable
+from estimator.reference import TableUncertainty
 from station.bench import Bench
 from station.bench_imu import ON_CAN, ImuConfig
+from station.bench_table import TWIN
 from station.errors import BenchError
 from station.open_bench.devices import BAUD, TCP_PORT, byte_imu, byte_table, frame_imu, modbus_table
-from station.open_bench.links import TWIN, byte_link, can_address, modbus_address
+from station.open_bench.links import byte_link, can_address, modbus_address
 from station.open_bench.serving import serve_twins
 from station.open_bench.simulate import DeviceTruth, Hidden, simulate, simulate_bench
 from station.open_bench.twins import Twins
@@ -36,6 +38,7 @@ __all__ = [
 
 
 _GATHER_S = 0.005
+_HOST_DELAY_S = 0.001  # by which the arrival of a sample and the answer of a table may differ on one machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +63,8 @@ class OpenBench:
 def with_links(bench: Bench, links: dict[str, str], devices: Sequence[str]) -> Bench:
     """Return the bench with other links (by device name, or "table"), and with only these devices used.
 
+    Another link of the table is that of all its axes.
+
     BenchError for a name that the bench does not have.
     """
     names = [imu.name for imu in bench.imus]
@@ -74,7 +79,7 @@ def with_links(bench: Bench, links: dict[str, str], devices: Sequence[str]) -> B
         )
         for imu in bench.imus
     )
-    return replace(bench, table=replace(bench.table, link=links.get("table", bench.table.link)), imus=imus)
+    return replace(bench, table=bench.table.at(links["table"]) if "table" in links else bench.table, imus=imus)
 
 
 def needs_only_memory(bench: Bench) -> bool:
@@ -96,15 +101,25 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
         twins = Twins(bench, stack)
         table = await _table(bench, twins, time_scale)
         imus = tuple([OpenImu(imu, await _source(imu, twins, time_scale)) for imu in used])
-        yield OpenBench(bench, table, imus, twins.table.at_rest)
+        yield OpenBench(_as_timed(bench, time_scale), table, imus, twins.table.at_rest)
+
+
+def _as_timed(bench: Bench, time_scale: float) -> Bench:
+    """Return the bench with what its readings are timed to: in scaled time the host's own delays grow with it."""
+    if time_scale <= 1.0:
+        return bench
+    stated = bench.table.uncertainty or TableUncertainty()
+    timed = replace(stated, timing_s=max(stated.timing_s, _HOST_DELAY_S) * time_scale)
+    return replace(bench, table=replace(bench.table, uncertainty=timed))
 
 
 async def _table(bench: Bench, twins: Twins, time_scale: float) -> Turntable:
     config = bench.table
     if config.protocol == "modbus":
-        in_memory = config.link == TWIN
-        address = await twins.modbus_in_memory() if in_memory else modbus_address(config.link, "table")
-        return modbus_table(config, address, time_scale)
+        if config.link == TWIN:
+            return modbus_table(config, await twins.modbus_in_memory(), {}, time_scale)
+        own = {name: modbus_address(axis.link, f"axis {name}") for name, axis in config.axes.items() if axis.link}
+        return modbus_table(config, modbus_address(config.link, "table"), own, time_scale)
     if config.link == TWIN:
         return byte_table(config, twins.table_in_memory(), time_scale)
     link = byte_link(

@@ -12,8 +12,6 @@ from drivers.modbus_line import Address, SerialPort
 from drivers.seams import ByteLink
 from station.errors import BenchError
 
-TWIN = "twin:"
-
 _BYTE_LINKS = "write serial:///dev/ttyUSB0?baud=921600, tcp://host:port, rfc2217://host:port, or twin:"
 _SERIAL_OPTIONS = {"baud", "parity", "stop_bits"}
 _TCP_LIMIT_S = 2.0
@@ -45,7 +43,7 @@ def byte_link(
         serial.baud,
         parity=serial.parity,
         stop_bits=serial.stop_bits,
-        gather_s=gather_s / time_scale,
+        gather_s=gather_s,
     )
 
 
