@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import threading
+from collections import deque
 from collections.abc import AsyncIterator, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,6 +117,9 @@ class CanImu:
         self._device, self._link, self._address = device, link, source_address
         database = load_dbc(device, dbc)
         self._order = 0
+        self._arrived: list[Frame] = []
+        self._timed: deque[tuple[str, ImuBlock]] = deque()
+        self._timing = threading.Lock()
         self._sources = {
             channel.name: _Source(ChannelSignals(device, database, dbc, channel), rate_hz) for channel in channels
         }
@@ -155,22 +160,38 @@ class CanImu:
             yield name, held
         for source in self._sources.values():
             source.restart()
+        loop = asyncio.get_running_loop()
         while True:
-            self._take(await self._link.receive())
-            for name, source in self._sources.items():
-                if (block := source.block()) is not None:
-                    yield name, block
+            self._arrived += await self._link.receive()
+            # In a thread: whoever waits for an answer of the table should not wait for numbers.
+            await loop.run_in_executor(None, self._time)
+            while self._timed:
+                yield self._timed.popleft()
             # Frames are stamped by the link: to take them in handfuls costs no accuracy and a tenth of the work.
             await asyncio.sleep(self._gather_s)
 
     def flush(self) -> list[tuple[str, ImuBlock]]:
         """Return what is still held back for its timing, or for a part to come."""
-        last = [(name, source.block(everything=True)) for name, source in self._sources.items()]
-        return [(name, block) for name, block in last if block is not None]
+        self._time(everything=True)
+        last = list(self._timed)
+        self._timed.clear()
+        return last
 
     def close(self) -> None:
         """Leave the bus."""
         self._link.close()
+
+    def _time(self, *, everything: bool = False) -> None:
+        """Put what can be timed of the frames that have arrived with the blocks to be given.
+
+        Under a lock: who stops taking blocks leaves a thread behind that may not be done yet.
+        """
+        with self._timing:
+            arrived, self._arrived = self._arrived, []
+            self._take(arrived)
+            for name, source in self._sources.items():
+                if (block := source.block(everything=everything)) is not None:
+                    self._timed.append((name, block))
 
     def _take(self, frames: Iterable[Frame]) -> None:
         for frame in frames:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.host_fit import Floats
+from drivers.host_fit import Floats, median
 
 Flags = NDArray[np.bool_]
 
@@ -28,6 +27,27 @@ _LEAST_WEIGHT = 0.1
 _LITTLE_PERIODS = 0.03
 
 
+class _Newest:
+    """The newest so many rows, in any order."""
+
+    def __init__(self, most: int, columns: int) -> None:
+        self._kept = np.empty((most, columns))
+        self._count = 0
+
+    def __len__(self) -> int:
+        return min(self._count, len(self._kept))
+
+    @property
+    def rows(self) -> Floats:
+        return self._kept[: len(self)]
+
+    def add(self, rows: Floats) -> None:
+        rows = rows[-len(self._kept) :]
+        at = (self._count + np.arange(len(rows))) % len(self._kept)
+        self._kept[at] = rows
+        self._count += len(rows)
+
+
 class Lateness:
     """Histogram of the excess (arrival less device time, in s) of samples that waited for no other.
 
@@ -41,8 +61,8 @@ class Lateness:
     def __init__(self, period_s: float) -> None:
         """Know nothing yet of samples that are taken every ``period_s``."""
         self._period_s = period_s
-        self._seen: deque[tuple[float, float]] = deque(maxlen=_KEPT)  # device time and excess
-        self._rough: deque[float] = deque(maxlen=_ROUGH)  # changes of excess from one to the next
+        self._seen = _Newest(_KEPT, 2)  # device time and excess
+        self._rough = _Newest(_ROUGH, 1)  # changes of excess from one to the next
         self._every = max(1, round(_OVER_S / period_s / _KEPT))
         self._new = 0
         self._lagged, self._square = 0.0, 1e-18  # sums of products of neighbours
@@ -69,7 +89,7 @@ class Lateness:
         """The most that a drift may be taken for, where jitter hides losses, which would pass for drift; else 0."""
         if len(self._rough) < _FEWEST:
             return 0.0
-        jitter_s = float(np.median(np.abs(np.array(self._rough))))
+        jitter_s = median(np.abs(self._rough.rows[:, 0]))
         hiding = jitter_s > _HIDING * self._period_s or self._share < _HIDING_SHARE
         return _HIDDEN_DRIFT if hiding else 0.0
 
@@ -104,9 +124,9 @@ class Lateness:
         self._new += len(own)
         newest_s = float(device_s[-1])
         device_s, excess = device_s[own], excess[own]
-        self._seen.extend(zip(device_s[:: self._every].tolist(), excess[:: self._every].tolist(), strict=True))
+        self._seen.add(np.column_stack([device_s[:: self._every], excess[:: self._every]]))
         if len(excess) > 1:
-            self._rough.extend(np.diff(excess).tolist())
+            self._rough.add((excess[1:] - excess[:-1])[:, None])
             about = np.clip(excess - drifted_s, self._low, self._high) - self._middle
             # Next to what is far less than a period nothing is late, together or not.
             little = len(about) * (_LITTLE_PERIODS * self._period_s) ** 2
@@ -115,7 +135,7 @@ class Lateness:
         enough = min(len(self._seen) * self._every // 4, round(_RELEARN_S / self._period_s))
         if len(self._seen) >= _FEWEST and self._new >= enough:
             self._new = 0
-            at, all_excess = np.array(self._seen).T
+            at, all_excess = self._seen.rows.T
             self._learn(all_excess - drifted_s - drift * (at - newest_s))
 
     def _learn(self, excess: Floats) -> None:
