@@ -23,6 +23,7 @@ _CERTAIN = 0.999
 _UNLIKELY = 1e-4
 _MOST_DRIFT = 2e-3  # a larger one would not be told from losses
 _LEAST_STEP = 0.1  # in periods
+_TOO_EARLY_PERIODS, _TOO_EARLY_S = 5.0, 0.05  # nothing arrives before it was taken
 
 
 class RegularClock:
@@ -35,6 +36,9 @@ class RegularClock:
     Where arrivals jitter by less than the period each loss can be placed, a few samples later. Where they jitter
     by more, a sample's place is given as its mean over all that may have happened (forward-backward smoothing of
     a hidden Markov chain), at the latest ``LONGEST_S`` later; losses are then right in number.
+
+    A sender that falls behind for seconds looks like one that loses. When it catches up, samples seem to come before
+    they were taken: as many as that are dropped, for which others have been counted as lost, and the clock begins anew.
     """
 
     HOLD = 8
@@ -52,6 +56,7 @@ class RegularClock:
         self._counts = counts
         self._most = max(self.MOST, round(1 / period_s))
         self._held: list[tuple[int, float, bytes]] = []  # arrival_ns, value, raw bytes
+        self._to_drop = 0
         self._last_raw = b""
         self._last_arrival_ns: int | None = None
         self._resumed_ns: int | None = None  # last arrival before a break
@@ -84,6 +89,9 @@ class RegularClock:
 
     def add(self, arrival_ns: int, value: float, raw: bytes) -> None:
         """Take in one sample; ``raw`` is what equal samples share."""
+        if self._to_drop:
+            self._to_drop -= 1
+            return
         self._held.append((arrival_ns, value, raw))
 
     def restart(self) -> None:
@@ -107,11 +115,27 @@ class RegularClock:
         place, known, kept = self._places(arrival, own, certain=certain, everything=everything)
         if not len(place):
             return None
+        if (early_s := self._early_s(place, arrival[: len(kept)][kept])) > 0:
+            self._drop(round(early_s / self._period_s))
+            return None
         rows, self._held, self._look_again = self._held[: len(kept)], self._held[len(kept) :], 0
         self._last_raw = rows[-1][2]
         arrival = arrival[: len(kept)][kept]
         t_ns = self._time_ns(place, arrival, own[: len(kept)][kept], known)
         return t_ns, arrival, np.array([row[1] for row, keep in zip(rows, kept, strict=True) if keep])
+
+    def _early_s(self, place: Floats, arrival: Stamps) -> float:
+        """Return by how much samples seem to come before they were taken, all of them; 0 if they do not."""
+        if not self._given:
+            return 0.0
+        early_s = -float(self._fit.lateness_of(place * self._period_s, arrival).max())
+        return early_s if early_s > max(_TOO_EARLY_PERIODS * self._period_s, _TOO_EARLY_S) else 0.0
+
+    def _drop(self, count: int) -> None:
+        """Drop so many samples from now on and begin anew: they are those that were counted as lost."""
+        here = min(count, len(self._held))
+        self._held, self._to_drop, self._last_raw = self._held[here:], count - here, b""
+        self._begin()
 
     def _search(self, excess: Floats, own: Flags) -> _Search:
         """Look for what has been lost or doubled; if nothing is known yet of lateness, guess, and guess better."""

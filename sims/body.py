@@ -12,6 +12,8 @@ Floats = NDArray[np.float64]
 
 SIDEREAL_DAY_S = 86164.0905
 _HALF_STEP_S = 1e-4
+_AHEAD_S = 0.1
+_SAME_INSTANT_S = 1e-6
 
 
 # q @ _RIGHT[axis] is the quaternion product q e, with e the unit quaternion along x, y or z.
@@ -76,6 +78,24 @@ class Body:
         """Return the unit vector up, which is the specific force at rest in g, in body axes at each instant, (n, 3)."""
         w, x, y, z = self._turned(np.tile([1.0, 0.0, 0.0, 0.0], (len(t_s), 1)), t_s).T
         return np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+
+    def up_in_turn(self, period_s: float) -> Callable[[Floats], Floats]:
+        """Return ``up`` for who asks for one instant after the other: worked out ahead until the motion changes."""
+        count = max(round(_AHEAD_S / period_s), 1)
+        first_s, ahead, revision = math.inf, np.empty((0, 3)), -1
+
+        def up(t_s: Floats) -> Floats:
+            nonlocal first_s, ahead, revision
+            if len(t_s) != 1:
+                return self.up(t_s)
+            place = (float(t_s[0]) - first_s) / period_s
+            row = round(place) if 0 <= place < count - 0.5 else 0
+            if revision != self.revision or abs(place - row) * period_s > _SAME_INSTANT_S:
+                first_s, row = float(t_s[0]), 0
+                ahead, revision = self.up(first_s + period_s * np.arange(count, dtype=np.float64)), self.revision
+            return ahead[row : row + 1]
+
+        return up
 
     def _attitude(self, t_s: Floats, origin_s: float) -> Floats:
         earth = 0.5 * self._spin * (t_s - origin_s)

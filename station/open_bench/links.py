@@ -15,6 +15,7 @@ from station.errors import BenchError
 _BYTE_LINKS = "write serial:///dev/ttyUSB0?baud=921600, tcp://host:port, rfc2217://host:port, or twin:"
 _SERIAL_OPTIONS = {"baud", "parity", "stop_bits"}
 _TCP_LIMIT_S = 2.0
+_LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would be more than what a pty holds
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,7 @@ def byte_link(
         serial.baud,
         parity=serial.parity,
         stop_bits=serial.stop_bits,
-        gather_s=gather_s,
+        gather_s=max(gather_s / time_scale, _LEAST_GATHER_S) if gather_s else 0.0,
     )
 
 
