@@ -11,6 +11,7 @@ from typing import Any
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
+from pymodbus.transport import NULLMODEM_HOST
 
 from drivers.errors import BadReply, DeviceRefused, LinkLost
 from drivers.modbus_order import READ, WRITE_ONE, LineCounts, Pending, Request, RtuGate, TcpGate
@@ -18,6 +19,8 @@ from drivers.modbus_order import READ, WRITE_ONE, LineCounts, Pending, Request, 
 # pymodbus dumps its recent frames at ERROR for every time-out; the station says it in one line of its own.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
+_HEARD_OUT = 0.25  # of a time-out, for the reply to a request that was cancelled
+_LISTEN = 0.0025
 _FORGOTTEN = 50  # time-outs, after which nothing on the way holds a reply back any more
 
 _EXCEPTIONS = {
@@ -79,7 +82,8 @@ class ModbusLine:
         self.counts = LineCounts()
         self._client: Any = None
         self._lock = asyncio.Lock()
-        self._rtu = RtuGate(self.counts)
+        self._rtu, self._tcp = RtuGate(self.counts), TcpGate(self.counts)
+        self._unheard_until_s = 0.0
         self._pending: dict[int, Pending] = defaultdict(Pending)
         self._quiet_until_s = 0.0
 
@@ -102,9 +106,9 @@ class ModbusLine:
             )
         else:
             host, port = self._address
-            reason = f"nothing answers at {host}:{port}; is the table's controller on, and the address right?"
+            reason = f"nothing answers at {_text(self._address)}; is the table's controller on, and the address right?"
             self._client = AsyncModbusTcpClient(
-                host, port=port, timeout=self._timeout_s, retries=1, trace_packet=TcpGate(self.counts), **common
+                host, port=port, timeout=self._timeout_s, retries=1, trace_packet=self._tcp, **common
             )
         cancels = _cancels()
         try:
@@ -125,10 +129,12 @@ class ModbusLine:
         """Return the reply, asking twice at most; LinkLost without one, BadReply, DeviceRefused with its code."""
         async with self._lock:
             self._check_connected()
+            began_s = self._now()
+            await self._hear_out()
             foreign = self.counts.foreign
             try:
                 if isinstance(self._address, SerialPort):
-                    return await self._ask_in_step(request, self._address)
+                    return await self._ask_in_step(request, self._address, began_s)
                 return await self._execute(request, None)  # the client asks twice
             except _NoReply as error:
                 self.counts.timeouts += 1
@@ -148,6 +154,7 @@ class ModbusLine:
         async with self._lock:
             self._check_connected()
             limit_s = self._now() + self._timeout_s
+            await self._hear_out()
             try:
                 if isinstance(self._address, SerialPort):
                     await self._exchange(request, limit_s, self._address)
@@ -157,6 +164,20 @@ class ModbusLine:
                 self.counts.timeouts += 1
                 message = f"{_who(request)} does not answer within {self._timeout_s:g} s ({error})"
                 raise LinkLost(self._device, message) from None
+
+    async def _hear_out(self) -> None:
+        """Wait a little for the reply to a request whose asker was cancelled, as a stop cancels all.
+
+        A device that has not answered yet may lose what comes next, and on a serial line both would collide.
+        """
+        if not self._unheard_until_s:
+            return
+        gate = self._rtu if isinstance(self._address, SerialPort) else self._tcp
+        while not gate.answered and self._now() < self._unheard_until_s:
+            await asyncio.sleep(_LISTEN * self._timeout_s)
+        self._unheard_until_s = 0.0
+        if isinstance(self._address, SerialPort):
+            self._quiet_until_s = self._now() + self._address.silence_s
 
     def _doubt_all(self) -> None:
         """Take it that each unit still has replies on their way, to whoever used the line before."""
@@ -171,13 +192,13 @@ class ModbusLine:
                 if probe.head not in self._pending[unit]:
                     self._pending[unit].add(probe.head, self._now())
 
-    async def _ask_in_step(self, request: Request, line: SerialPort) -> Reply:
-        deadline_s = self._now() + 2 * self._timeout_s
+    async def _ask_in_step(self, request: Request, line: SerialPort, began_s: float) -> Reply:
+        deadline_s = began_s + 2 * self._timeout_s
         pending = self._pending[request.unit_id]
         pending.forget(self._now() - _FORGOTTEN * self._timeout_s)
         if request.head not in pending:
             try:
-                return await self._exchange(request, self._now() + self._timeout_s, line)
+                return await self._exchange(request, began_s + self._timeout_s, line)
             except _NoReply:
                 self.counts.timeouts += 1
         while pending:
@@ -226,6 +247,9 @@ class ModbusLine:
         try:
             async with asyncio.timeout_at(limit_s):
                 reply = await self._call(request)
+        except asyncio.CancelledError:
+            self._unheard_until_s = self._now() + _HEARD_OUT * self._timeout_s
+            raise
         except ModbusException as error:
             raise _NoReply(_brief(error)) from None
         except TimeoutError:
@@ -290,7 +314,9 @@ def _who(request: Request) -> str:
 
 
 def _text(address: Address) -> str:
-    return address.port if isinstance(address, SerialPort) else f"{address[0]}:{address[1]}"
+    if isinstance(address, SerialPort):
+        return address.port
+    return "the wire in memory" if address[0] == NULLMODEM_HOST else f"{address[0]}:{address[1]}"
 
 
 def _brief(error: Exception) -> str:

@@ -110,6 +110,11 @@ class RtuGate:
         self._seen = 0
         self._damaged = False
 
+    @property
+    def answered(self) -> bool:
+        """Whether what the last request awaits has come."""
+        return not self._expected
+
     def expect(self, *heads: bytes) -> None:
         """Let through the first frame that begins with one of these, once the next request has been sent."""
         self._armed = heads
@@ -143,18 +148,22 @@ class TcpGate:
         self._counts = counts
         self._number = b""
         self._seen = 0
+        self.answered = True
+        """Whether the reply to the last request has come."""
 
     def __call__(self, sending: bool, data: bytes) -> bytes:
         """Return what the client may send or see of these bytes."""
         if sending:
             self._number = data[:2]
             self._seen = 0
+            self.answered = False
             return data
         kept, at = b"", 0
         while at < len(data):
             end = at + _TCP_HEADER + int.from_bytes(data[at + 4 : at + 6])
             if data[at : at + 2] == self._number:
                 kept += data[at:end]
+                self.answered = self.answered or end <= len(data)
             elif self._seen < end <= len(data) and at + _TCP_HEADER <= len(data):
                 # Numbers count up from 1, and begin again long after everything old has come.
                 number, asked = int.from_bytes(data[at : at + 2]), int.from_bytes(self._number)

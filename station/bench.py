@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,8 +13,10 @@ from pathlib import Path
 from estimator.kinematics import Site
 from station.bench_imu import ImuConfig, read_imu
 from station.bench_table import TableConfig, read_table
-from station.errors import BenchError
+from station.errors import BenchError, UsageError
 from station.tables import Table
+
+_LONGEST_NAME = 100  # characters of an operator's name or a serial number
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,11 @@ class TwinConfig:
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """A whole bench, and the text of its file."""
+    """A whole bench, and the text of its file.
+
+    ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
+    like there (regular expressions for the whole of it), empty for anything.
+    """
 
     name: str
     text: str
@@ -56,6 +63,17 @@ class Bench:
     imus: tuple[ImuConfig, ...]
     limits: Limits
     twin: TwinConfig
+    station: str
+    operator_pattern: str
+    serial_pattern: str
+
+    def checked_operator(self, text: str) -> str:
+        """Return an operator's name as it is to be kept; UsageError with the pattern if it does not match."""
+        return _matched(text, self.operator_pattern, "--operator", "operator_pattern")
+
+    def checked_serial(self, text: str) -> str:
+        """Return a device's serial number as it is to be kept; UsageError with the pattern if it does not match."""
+        return _matched(text, self.serial_pattern, "--serial-number", "serial_pattern")
 
 
 def default_bench_text() -> str:
@@ -73,15 +91,20 @@ def load_bench(path: Path | None) -> Bench:
         except (OSError, UnicodeDecodeError) as error:
             raise BenchError(f"cannot read bench file {path}: {error}") from None
     top = Table.parse(text, file, BenchError)
+    name, place = top.string("name", path.stem if path else "bench"), top.table("station", optional=True)
     bench = Bench(
-        name=top.string("name", path.stem if path else "bench"),
+        name=name,
         text=text,
         site=_site(top),
         table=read_table(top.table("table"), folder),
         imus=_distinct([read_imu(t, folder) for t in top.tables("imu")]),
         limits=_limits(top.table("limits", optional=True)),
         twin=_twin(top.table("twin", optional=True), folder),
+        station=place.string("name", name),
+        operator_pattern=_pattern(place, "operator_pattern"),
+        serial_pattern=_pattern(place, "serial_pattern"),
     )
+    place.done()
     top.done()
     names = [imu.name for imu in bench.imus]
     if not names or len(set(names)) != len(names):
@@ -108,6 +131,24 @@ def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:
 def read_limits(text: str) -> Limits:
     """Return the limits of a bench file's text, for instance the one that a recording carries."""
     return _limits(Table.parse(text, "bench in the recording", BenchError).table("limits", optional=True))
+
+
+def _pattern(table: Table, key: str) -> str:
+    text = table.string(key, "")
+    try:
+        re.compile(text)
+    except re.error as error:
+        raise table.fail(key, f"not a regular expression: {error}") from None
+    return text
+
+
+def _matched(text: str, pattern: str, option: str, key: str) -> str:
+    kept = text.strip()
+    if not kept.isprintable() or not 0 < len(kept) <= _LONGEST_NAME:
+        raise UsageError(f"{option} {text!r}: give 1 to {_LONGEST_NAME} printable characters")
+    if pattern and not re.fullmatch(pattern, kept):
+        raise UsageError(f"{option} {kept!r} is not what this bench expects: {pattern} ({key} in [station])")
+    return kept
 
 
 def _site(top: Table) -> Site | None:

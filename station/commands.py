@@ -7,11 +7,13 @@ import asyncio
 import json
 import signal
 import sys
-from contextlib import suppress
+from collections.abc import Mapping
+from contextlib import AsyncExitStack, nullcontext, suppress
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from drivers.errors import DeviceError
 from estimator.error_model import ErrorModel
@@ -20,34 +22,51 @@ from estimator.recording import write_recording
 from station.bench import Bench, load_bench
 from station.early_end import check_early_end
 from station.errors import UsageError
+from station.hosting import Host, introduction
+from station.lasting_streams import lasting_streams
 from station.loops import ScaledLoop, VirtualLoop
 from station.open_bench import needs_only_memory, open_bench, serve_twins, with_links
 from station.outcome import Outcome
 from station.printing import Progress, print_calibration, print_verdict, refuse, result_object
 from station.script import Script, check, load_script, paper_script
 from station.session import Result, Session
+from station.signals import ignore_hang_up
 
 
 def command_run(arguments: argparse.Namespace) -> int:
-    """Run a script on a bench."""
+    """Run a script on a bench; a hosted run goes on when its terminal is gone."""
+    if arguments.host:
+        ignore_hang_up()
+    with lasting_streams() if arguments.host else nullcontext():
+        return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
     try:
         bench = chosen_bench(arguments)
+        operator = bench.checked_operator(arguments.operator) if arguments.operator is not None else ""
+        serial = bench.checked_serial(arguments.serial_number) if arguments.serial_number is not None else ""
         script = load_script(Path(arguments.script)) if arguments.script else paper_script()
         check(script, bench.table.limits)
         if arguments.end_early:
             check_early_end(bench)
         model = _model_of(arguments, bench)
         path = Path(arguments.output) if arguments.output else _new_recording_path()
-        with clock(bench, arguments.scale) as runner:
+        scale = arguments.scale or (1.0 if arguments.host else None)  # virtual time has no sockets
+        with clock(bench, scale) as runner:
             work = drive(
                 bench,
                 script,
                 path,
-                arguments.scale or 1.0,
+                scale or 1.0,
                 reset_fault=arguments.reset_fault,
                 end_early=arguments.end_early,
                 quiet=arguments.json,
                 model=model,
+                operator=operator,
+                device_serial=serial,
+                host=Host(scale or 1.0) if arguments.host else None,
+                bench_file=arguments.bench,
             )
             result = runner.run(work)
     except (UsageError, EstimatorError) as error:
@@ -55,9 +74,7 @@ def command_run(arguments: argparse.Namespace) -> int:
     except DeviceError as error:
         return refuse(str(error), arguments.json, Outcome.FAULT)
     if arguments.json:
-        found = result_object(result.verdict, str(result.recording), result.calibration)
-        sources = {report.name: report.as_object() for report in result.sources}
-        print(json.dumps({**found, "ended_early": result.ended_early or None, "sources": sources}))
+        print(json.dumps(_run_object(result)))
     else:
         if result.ended_early:
             print(f"ended early {result.ended_early}")
@@ -67,6 +84,13 @@ def command_run(arguments: argparse.Namespace) -> int:
             print(report.text())
         print_verdict(result.verdict, result.recording)
     return result.verdict.outcome.exit_code
+
+
+def _run_object(result: Result) -> Mapping[str, Any]:
+    """Return what --json prints of a run."""
+    found = result_object(result.verdict, str(result.recording), result.calibration)
+    sources = {report.name: report.as_object() for report in result.sources}
+    return {**found, "ended_early": result.ended_early or None, "sources": sources}
 
 
 def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
@@ -159,22 +183,39 @@ async def drive(
     end_early: bool,
     quiet: bool,
     model: ErrorModel | None = None,
+    operator: str = "",
+    device_serial: str = "",
+    host: Host | None = None,
+    bench_file: str | None = None,
 ) -> Result:
-    """Run a script on a bench into a recording, with its progress on stderr."""
-    async with open_bench(bench, time_scale=scale) as opened:
-        with Progress(quiet) as progress:
-            session = Session(
-                opened,
-                script,
-                path,
-                seed=bench.twin.seed,
-                reset_fault=reset_fault,
-                end_early=end_early,
-                model=model,
-                time_scale=scale,
-                on_progress=progress.show,
-            )
+    """Run a script on a bench into a recording, with its progress on stderr, and for whom a host lets look on."""
+    async with AsyncExitStack() as stack:
+        if host is not None:
+            await stack.enter_async_context(host)
+        opened = await stack.enter_async_context(open_bench(bench, time_scale=scale))
+        progress = stack.enter_context(Progress(quiet))
+        session = Session(
+            opened,
+            script,
+            path,
+            seed=bench.twin.seed,
+            reset_fault=reset_fault,
+            end_early=end_early,
+            model=model,
+            operator=operator,
+            device_serial=device_serial,
+            outlives_terminal=host is not None,
+            time_scale=scale,
+            on_progress=progress.show,
+            on_event=host.tell if host is not None else None,
+        )
+        if host is None:
             return await session.run()
+        told = {"time_scale": scale, "operator": operator, "device_serial": device_serial}
+        await host.begin(session, {**introduction(bench, bench_file, script, path, session.gyros), **told})
+        result = await session.run()
+        await host.end(_run_object(result))
+        return result
 
 
 def chosen_bench(arguments: argparse.Namespace) -> Bench:

@@ -16,12 +16,16 @@ from estimator.model import Prior, decode
 from estimator.reference import BodyRates, TableReadings, TableUncertainty
 from estimator.rows import BLOCK_S
 from estimator.sample_columns import SampleColumns
+from station.table_watch import TableRow
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _KEEP_EVERY = 5  # states are kept every so many-th block
 _ROWS_AT_ONCE = 20  # table readings are taken in by handfuls: a second at 20 Hz
+_RECENT_S = 30.0
+_RECENT_BLOCKS = round(_RECENT_S / BLOCK_S)
+_FEWEST_PAIRS = 20  # of blocks, for a correlation that says anything
 
 
 @dataclass(slots=True, eq=False)
@@ -35,6 +39,25 @@ class History:
     state_t_ns: list[int] = field(default_factory=list)
     states: list[Floats] = field(default_factory=list)
     sd: list[Floats] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recent:
+    """What one filter said in the last half minute, and where its states are now.
+
+    ``nis`` and ``dof`` are sums over the blocks; ``by_gyro`` (m,) is the mean square of each gyro's normalised
+    innovation; ``products`` sums those of each block with those of the block before (``pairs`` of them), ``squares``
+    what they are to be compared with. ``states`` and ``sd`` (m, 4) are decoded.
+    """
+
+    nis: float
+    dof: int
+    by_gyro: Floats
+    products: float
+    squares: float
+    pairs: int
+    states: Floats
+    sd: Floats
 
 
 class LiveSource:
@@ -59,6 +82,8 @@ class LiveSource:
         self._y: Floats = np.empty((0, len(array)))
         self._temperature_c: Floats = np.empty(0)
         self._new: list[ImuBlock] = []
+        self._recent: Recent | None = None
+        self._recent_at = -1
 
     def add(self, block: ImuBlock) -> None:
         """Take in samples."""
@@ -91,6 +116,28 @@ class LiveSource:
         x, p = self.filter.state()
         pairs = [decode(xi, pi) for xi, pi in zip(x, p, strict=True)]
         return np.array([s for s, _ in pairs]), np.array([np.sqrt(np.diag(c)) for _, c in pairs])
+
+    def recent(self) -> Recent:
+        """Return what the filter said lately; worked out once for each handful of blocks."""
+        count = len(self.history.t_ns)
+        if self._recent is None or self._recent_at != count:
+            self._recent, self._recent_at = self._work_out_recent(), count
+        return self._recent
+
+    def _work_out_recent(self) -> Recent:
+        last = slice(-_RECENT_BLOCKS, None)
+        states, sd = self.decoded()
+        x = np.array(self.history.normalised[last]).reshape(-1, len(self.array))
+        return Recent(
+            nis=sum(self.history.nis[last]),
+            dof=sum(self.history.dof[last]),
+            by_gyro=np.asarray((x**2).mean(axis=0)) if len(x) else np.full(len(self.array), np.nan),
+            products=float((x[1:] * x[:-1]).sum()),
+            squares=float((x[1:] ** 2).sum() + (x[:-1] ** 2).sum()) / 2,
+            pairs=x[1:].size,
+            states=states,
+            sd=sd,
+        )
 
     def keep_blocks(self) -> None:
         """Sum the rows by block from now on, for estimates under coloured noise."""
@@ -140,13 +187,13 @@ class LiveSource:
 class LiveEstimate:
     """All sources of a run on one table."""
 
-    def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
-        """Start without sources."""
-        self.rates = BodyRates(gimbals, site)
+    def __init__(self, gimbals: tuple[str, ...], site: Site | None, timing_s: float = 0.0) -> None:
+        """Start without sources; ``timing_s`` is how well the table's readings are timed to the gyros'."""
+        self.rates = BodyRates(gimbals, site, timing_s)
         self.sources: dict[str, LiveSource] = {}
-        self._rows: list[tuple[int, Floats, Floats]] = []
+        self._rows: list[TableRow] = []
         self._gimbals = gimbals
-        self._kept_rows: list[tuple[int, Floats, Floats]] | None = None
+        self._kept_rows: list[TableRow] | None = None
 
     def keep_blocks(self) -> None:
         """Keep from now on what estimates under coloured noise need: sums of rows by block, readings of the table."""
@@ -156,16 +203,14 @@ class LiveEstimate:
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
         """Return the readings of the table that have been kept."""
-        t_ns, angle, rate = zip(*(self._kept_rows or ()), strict=True)
-        return TableReadings(
-            np.array(t_ns, dtype=np.int64), np.array(angle), np.array(rate), self._gimbals, uncertainty
-        )
+        t_ns, angle_rad, rate_rps, half_width_ns = _columns(self._kept_rows or [])
+        return TableReadings(t_ns, angle_rad, rate_rps, self._gimbals, uncertainty, half_width_ns)
 
-    def add_row(self, t_ns: int, angle_rad: Floats, rate_rps: Floats) -> None:
+    def add_row(self, row: TableRow) -> None:
         """Take in one row of table readings; now and then use the samples that they cover."""
-        self._rows.append((t_ns, angle_rad, rate_rps))
+        self._rows.append(row)
         if self._kept_rows is not None:
-            self._kept_rows.append((t_ns, angle_rad, rate_rps))
+            self._kept_rows.append(row)
         if len(self._rows) >= _ROWS_AT_ONCE:
             self._take_rows()
             for source in self.sources.values():
@@ -180,8 +225,7 @@ class LiveEstimate:
 
     def _take_rows(self) -> None:
         if self._rows:
-            t_ns, angle, rate = zip(*self._rows, strict=True)
-            self.rates.add(np.array(t_ns, dtype=np.int64), np.array(angle), np.array(rate))
+            self.rates.add(*_columns(self._rows))
             self._rows.clear()
 
     @property
@@ -195,3 +239,28 @@ class LiveEstimate:
         total = sum(s.filter.nis_sum for s in self.sources.values())
         dof = sum(s.filter.nis_dof for s in self.sources.values())
         return total / dof if dof else float("nan")
+
+    @property
+    def nis_recent(self) -> float:
+        """Mean normalised innovation squared per degree of freedom over the last half minute of all sources."""
+        recent = [source.recent() for source in self.sources.values()]
+        dof = sum(r.dof for r in recent)
+        return sum(r.nis for r in recent) / dof if dof else float("nan")
+
+    @property
+    def whiteness(self) -> float:
+        """Correlation of normalised innovations with those of the block before, over the last half minute.
+
+        0 for a filter that is right, within 1 / sqrt(pairs of blocks); NaN before there are enough.
+        """
+        recent = [source.recent() for source in self.sources.values()]
+        squares = sum(r.squares for r in recent)
+        if sum(r.pairs for r in recent) < _FEWEST_PAIRS or not squares:
+            return float("nan")
+        return sum(r.products for r in recent) / squares
+
+
+def _columns(rows: list[TableRow]) -> tuple[Stamps, Floats, Floats, Stamps]:
+    t_ns, angle_rad, rate_rps, half_width_ns = zip(*rows, strict=True)
+    stamps = np.array(t_ns, dtype=np.int64), np.array(half_width_ns, dtype=np.int64)
+    return stamps[0], np.array(angle_rad), np.array(rate_rps), stamps[1]

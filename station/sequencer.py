@@ -8,34 +8,84 @@ from collections.abc import Callable
 
 from drivers.errors import DeviceRefused
 from drivers.seams import Turntable
+from station.errors import UsageError
 from station.script import Move, Rest, Rotate, Script
+from station.snapshot import AFTER_THIS_STEP, PAUSED
 
 _WATCH_S = 0.05  # how often arrival is asked for, from this long before it is due
 _OVERDUE_S = 5.0
 _ON_TARGET_RAD = math.radians(0.05)
+_PAUSE = "pause"
 
 
 class Sequencer:
     """Runs steps in order; tells when each begins and ends. The table must be enabled and homed."""
 
-    def __init__(self, table: Turntable, script: Script, on_step: Callable[[str, int, int], None]) -> None:
-        """``on_step(label, start_ns, end_ns)`` is called after each step."""
-        self._table, self._script, self._on_step = table, script, on_step
+    def __init__(
+        self,
+        table: Turntable,
+        script: Script,
+        on_step: Callable[[str, int, int], None],
+        tell: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """``on_step(label, start_ns, end_ns)`` is called after each step and pause; ``tell`` keeps what happened."""
+        self._table, self._script, self._on_step, self._tell = table, script, on_step, tell
         self._target_rad: dict[str, float] = dict.fromkeys(table.limits, 0.0)
         self._durations_s = script.durations_s()
         self._index = 0
         self._step_began_s = 0.0
+        self._way_rad = 0.0  # of the step under way
+        self._paused = ""
+        self._resumed = asyncio.Event()
 
     @property
     def driven_axis(self) -> str | None:
         """Axis that the step under way turns."""
         step = self._script.steps[self._index]
-        return None if isinstance(step, Rest) else step.axis
+        return None if isinstance(step, Rest) or self._paused == PAUSED else step.axis
 
     @property
     def label(self) -> str:
         """Label of the step under way."""
-        return self._script.steps[self._index].label
+        return _PAUSE if self._paused == PAUSED else self._script.steps[self._index].label
+
+    @property
+    def paused(self) -> str:
+        """Empty, AFTER_THIS_STEP or PAUSED."""
+        return self._paused
+
+    def pause(self) -> None:
+        """Hold once the step under way has ended, until ``resume``; UsageError in the last step."""
+        if self._paused:
+            return
+        if self._index == len(self._durations_s) - 1:
+            raise UsageError("the last step is under way: the run ends with it")
+        self._resumed.clear()
+        self._paused = AFTER_THIS_STEP
+        self._tell(f"to be paused after step {self.label!r}")
+
+    def resume(self) -> None:
+        """Go on, or take back a pause that has not begun; UsageError if there is none."""
+        if not self._paused:
+            raise UsageError("the run is not paused")
+        self._tell("resumed" if self._paused == PAUSED else "pause taken back")
+        self._paused = ""
+        self._resumed.set()
+
+    async def going_on(self) -> None:
+        """Wait for the end of a pause, if there is one."""
+        if self._paused == PAUSED:
+            await self._resumed.wait()
+
+    def setpoint_rps(self, axis: str, now_s: float) -> float:
+        """Return the rate that the script asks of an axis at an instant of the loop's clock."""
+        step = self._script.steps[self._index]
+        if isinstance(step, Rest) or step.axis != axis or self._paused == PAUSED:
+            return 0.0
+        since_s = now_s - self._step_began_s
+        ramp_s = min(since_s, self._durations_s[self._index] - since_s)
+        rate_rps = min(abs(step.rate_rps), step.acceleration_rps2 * max(ramp_s, 0.0))
+        return math.copysign(rate_rps, self._way_rad)
 
     def times_s(self, now_s: float) -> tuple[float, float]:
         """Return time done and time remaining by plan."""
@@ -53,10 +103,21 @@ class Sequencer:
             else:
                 await self._drive(step, due_s)
             self._on_step(step.label, round(self._step_began_s * 1e9), round(loop.time() * 1e9))
+            if self._paused:
+                await self._hold()
+
+    async def _hold(self) -> None:
+        """Leave the table as it is, at rest under power, until told to go on; time done stands still meanwhile."""
+        began_s = asyncio.get_running_loop().time()
+        self._tell(f"paused after step {self.label!r}")
+        self._paused = PAUSED
+        await self._resumed.wait()
+        self._on_step(_PAUSE, round(began_s * 1e9), round(asyncio.get_running_loop().time() * 1e9))
 
     async def _drive(self, step: Move | Rotate, due_s: float) -> None:
         axis = step.axis
         target = step.angle_rad if isinstance(step, Move) else self._target_rad[axis] + step.turn_rad
+        self._way_rad = target - self._target_rad[axis]
         self._target_rad[axis] = target
         await self._table.move(axis, target, abs(step.rate_rps), step.acceleration_rps2)
         loop = asyncio.get_running_loop()

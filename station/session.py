@@ -7,11 +7,11 @@ import hashlib
 import importlib.metadata
 import logging
 import os
-import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,34 +20,26 @@ from numpy.typing import NDArray
 
 from drivers.errors import DeviceError, LinkLost
 from drivers.seams import Identity, ImuBlock
-from estimator.calibrate import calibrate
 from estimator.calibration import Calibration
 from estimator.error_model import ErrorModel
 from estimator.errors import EstimatorError
-from estimator.gram import solve
-from estimator.recording import (
-    Recording,
-    RecordingWriter,
-    read_recording,
-    write_attributes,
-    write_results,
-    write_source_attributes,
-)
-from estimator.results import write_calibration
-from estimator.rows import gram_of
-from estimator.sample_columns import SampleColumns, white_solution
-from estimator.timing import time_offset
+from estimator.recording import TEXT_BYTES, RecordingWriter, write_attributes
+from estimator.sample_columns import SampleColumns
 from station.early_end import EarlyEnd
+from station.errors import UsageError
+from station.final_estimate import final_estimate
 from station.live import LiveEstimate, LiveSource
 from station.loops import is_virtual
+from station.monitor import Monitor
 from station.open_bench import OpenBench, OpenImu
 from station.outcome import Outcome, Verdict, judge
 from station.reopening import Reopening
 from station.script import Script
 from station.sequencer import Sequencer
+from station.signals import heeded_signals
 from station.snapshot import Snapshot
 from station.sources import SourceReport
-from station.table_watch import check_axes, watch_table
+from station.table_watch import TableRow, check_axes, watch_table
 
 Floats = NDArray[np.float64]
 
@@ -60,6 +52,8 @@ _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
 _STOP_LIMIT_S = 15.0
 _UNFINISHED = "the run did not end: the station died without closing the file"
+_NOTE = "note: "
+_TERMINAL_GONE = "the terminal is gone (SIGHUP): the run goes on"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,20 +84,31 @@ class Session:
         reset_fault: bool = False,
         end_early: bool = False,
         model: ErrorModel | None = None,
+        operator: str = "",
+        device_serial: str = "",
+        outlives_terminal: bool = False,
         time_scale: float = 1.0,
         on_progress: Callable[[Callable[[], Snapshot]], None] = lambda look: None,
+        on_event: Callable[[float, str], None] | None = None,
     ) -> None:
         """Create the recording; nothing is opened yet.
 
-        ``model``: effects to estimate beside the states; it must fit the table. RecordingError if the file cannot be
+        ``model``: effects to estimate beside the states; it must fit the table. ``operator`` and ``device_serial`` are
+        recorded; without the latter, what the device under test says if there is one. ``outlives_terminal``: SIGHUP
+        does not end the run. ``on_event(t_s, text)`` is told of every event. RecordingError if the file cannot be
         created.
         """
         config = bench.bench
         self._model = model if model is not None and model.effects else None
         self._open, self._bench, self._script = bench, config, script
-        self._reset_fault, self._time_scale, self._on_progress = reset_fault, time_scale, on_progress
+        self._reset_fault, self._time_scale = reset_fault, time_scale
+        self._on_progress, self._on_event = on_progress, on_event
+        self._device_serial, self._outlives_terminal = device_serial, outlives_terminal
         self._phase = "connecting"
         self._reason = ""
+        self._running: asyncio.Task[None] | None = None
+        self._closed = False
+        self._terminal_gone = False
         self._sequencer: Sequencer | None = None
         self._last_seen_s: dict[str, float] = {}
         self._reports: dict[str, SourceReport] = {}
@@ -111,8 +116,10 @@ class Session:
         self._half_width_ns = 0
         self._connected = False
         self._sync: asyncio.Future[Any] | None = None
-        self._live = LiveEstimate(config.table.gimbals, config.site)
-        self._writer = RecordingWriter(path, _attributes(bench, script, seed))
+        stated = config.table.uncertainty
+        self._live = LiveEstimate(config.table.gimbals, config.site, stated.timing_s if stated else 0.0)
+        told = {"operator": operator, "device_serial": device_serial}
+        self._writer = RecordingWriter(path, _attributes(bench, script, seed) | {k: v for k, v in told.items() if v})
         loop = asyncio.get_running_loop()
         if not is_virtual(loop):  # a simulated clock has no place in the day
             self._writer.set_attributes({"clock_zero_utc_s": time.time() - loop.time() / time_scale})
@@ -122,6 +129,7 @@ class Session:
         for source in self._live.sources.values():
             source.keep_blocks()
         self._ended_early = ""
+        self._monitor = Monitor(bench, self._live, self._reopening, time_scale)
         self._early_end: EarlyEnd | None = None
         if end_early:
             configs = {name: imu.config for imu in bench.imus for name in imu.source.names}
@@ -129,39 +137,80 @@ class Session:
 
     async def run(self) -> Result:
         """Run to the end. Whatever happens, the table is brought to rest and the recording is closed."""
-        loop = asyncio.get_running_loop()
-        work = loop.create_task(self._work())
+        work = self._running = asyncio.get_running_loop().create_task(self._work())
+        if self._reason:
+            work.cancel()
         verdict: Verdict | None = None
-        with _signals(self._abort, work):
+        with heeded_signals(self.stop, self._outlive if self._outlives_terminal else None):
             try:
                 await work
             except asyncio.CancelledError:
                 verdict = Verdict(Outcome.ABORTED, self._reason or "cancelled")
             except DeviceError as error:
-                verdict = Verdict(Outcome.FAULT, str(error))
+                verdict = self._fault(error)
             except BaseExceptionGroup as group:
-                verdict = _verdict_of(group)
+                verdict = self._verdict_of(group)
             finally:
                 stop_error = await self._rest()
-        if stop_error:
-            verdict = verdict or Verdict(Outcome.FAULT, stop_error)
-            if stop_error not in verdict.reason:
-                verdict = replace(verdict, reason=f"{verdict.reason}; {stop_error}")
-        return await self._conclude(verdict)
+            if stop_error:
+                verdict = verdict or Verdict(Outcome.FAULT, stop_error)
+                if stop_error not in verdict.reason:
+                    verdict = replace(verdict, reason=f"{verdict.reason}; {stop_error}")
+            return await self._conclude(verdict)
 
     def snapshot(self) -> Snapshot:
-        """Return the state of the run now."""
-        now = asyncio.get_running_loop().time()
-        elapsed, remaining = self._sequencer.times_s(now) if self._sequencer else (0.0, self._script.duration_s)
-        counts = [imu.source.counts(name) for imu in self._open.imus for name in imu.source.names]
-        return Snapshot(
-            self._phase,
-            elapsed,
-            remaining,
-            sum(c.samples for c in counts),
-            sum(c.lost for c in counts),
-            self._live.nis_mean,
-        )
+        """Return the state of the run now, as a whole: for ten looks a second, not for each row."""
+        return self._monitor.full(self._phase, self._times_s(), self._sequencer)
+
+    @property
+    def gyros(self) -> tuple[str, ...]:
+        """Names of the gyros, as snapshots have them."""
+        return self._monitor.gyros
+
+    def stop(self, who: str = "the operator") -> None:
+        """Bring the table to rest by a controlled stop and end the run, in whatever phase it is."""
+        if not self._reason:
+            self._reason = f"stopped by {who} in phase {self._phase!r}"
+        if self._running is not None:
+            self._running.cancel()
+
+    def pause(self) -> None:
+        """Hold after the step under way; UsageError where there is nothing to pause."""
+        self._script_under_way().pause()
+
+    def resume(self) -> None:
+        """Go on after a pause, or take it back; UsageError if there is none."""
+        self._script_under_way().resume()
+
+    def note(self, text: str) -> None:
+        """Keep a note of the operator in the record; UsageError if it is empty, too long, or too late.
+
+        Control characters are dropped, line ends become spaces.
+        """
+        kept = "".join(c for c in " ".join(text.split()) if c.isprintable())
+        size, most = len(kept.encode()), TEXT_BYTES - len(_NOTE)
+        if not kept or size > most:
+            raise UsageError(f"a note can have 1 to {most} bytes, this one has {size}")
+        if self._closed:
+            raise UsageError("the recording is closed: the note was not kept")
+        self._event(_NOTE + kept)
+
+    def _script_under_way(self) -> Sequencer:
+        """Return the sequencer; UsageError if there is no script under way."""
+        if self._sequencer is None:
+            raise UsageError("the script has not begun")
+        if self._running is None or self._running.done() or self._phase == "finishing":
+            raise UsageError("the script has ended")
+        return self._sequencer
+
+    def _brief(self) -> Snapshot:
+        return self._monitor.brief(self._phase, self._times_s())
+
+    def _times_s(self) -> tuple[float, float]:
+        """Return time done and time remaining by plan."""
+        if self._sequencer is None:
+            return 0.0, self._script.duration_s
+        return self._sequencer.times_s(asyncio.get_running_loop().time())
 
     def _add_sources(self, imu: OpenImu) -> None:
         config = imu.config
@@ -186,9 +235,11 @@ class Session:
             self._writer.set_attributes(_identity("table_", await table.identify()))
             for imu in self._open.imus:
                 await imu.source.open()
-                told = _identity("", await imu.source.identify())
+                identity = await imu.source.identify()
                 for name in imu.source.names:
-                    self._writer.set_source(name, told)
+                    self._writer.set_source(name, _identity("", identity))
+                if identity.serial and not self._device_serial and len(self._open.imus) == 1:
+                    self._writer.set_attributes({"device_serial": identity.serial})
                 services.append(group.create_task(self._acquire(imu)))
             await self._first_samples()
             services.append(group.create_task(self._watch_silence()))
@@ -199,14 +250,13 @@ class Session:
             self._phase = "homing"
             await table.home()
             await check_axes(table, axes)
-            sequencer = self._sequencer = Sequencer(table, self._script, self._end_step)
+            sequencer = self._sequencer = Sequencer(table, self._script, self._end_step, self._event)
             watch = watch_table(
                 table,
                 axes,
                 self._bench.table.poll_rate_hz,
                 lambda: sequencer.driven_axis,
                 self._take_row,
-                self._take_half_width,
                 lambda error: self._reopening.restore(table, error),
             )
             services.append(group.create_task(watch))
@@ -221,7 +271,13 @@ class Session:
 
     async def _run_until_enough(self, group: asyncio.TaskGroup, sequencer: Sequencer, early_end: EarlyEnd) -> None:
         """Run the script to its end, or until enough has been seen: the table is then still to be stopped."""
-        script, enough = group.create_task(sequencer.run()), group.create_task(early_end.wait())
+
+        async def enough_seen() -> str:
+            reason = await early_end.wait()
+            await sequencer.going_on()
+            return reason
+
+        script, enough = group.create_task(sequencer.run()), group.create_task(enough_seen())
         await asyncio.wait((script, enough), return_when=asyncio.FIRST_COMPLETED)
         if not script.done() and enough.done() and not enough.cancelled() and enough.exception() is None:
             now_s = asyncio.get_running_loop().time()
@@ -248,6 +304,7 @@ class Session:
 
     def _take_block(self, name: str, block: ImuBlock) -> None:
         self._last_seen_s[name] = asyncio.get_running_loop().time()
+        self._monitor.take_block(name, block)
         where = f"imu/{name}"
         self._writer.append(f"{where}/t_ns", block.t_ns)
         self._writer.append(f"{where}/arrival_ns", block.arrival_ns)
@@ -264,18 +321,17 @@ class Session:
         p = self._live.sources[name].array.p
         return np.asarray(np.linalg.solve(p, accel_mps2.T).T) if p.shape == (3, 3) else accel_mps2
 
-    def _take_row(self, row: tuple[int, Any, Any]) -> None:
-        t_ns, angle_rad, rate_rps = row
-        self._writer.append("table/t_ns", np.array([t_ns], dtype=np.int64))
-        self._writer.append("table/angle_rad", angle_rad[None])
-        self._writer.append("table/rate_rps", rate_rps[None])
-        self._live.add_row(t_ns, angle_rad, rate_rps)
+    def _take_row(self, row: TableRow) -> None:
+        self._writer.append("table/t_ns", np.array([row.t_ns], dtype=np.int64))
+        self._writer.append("table/angle_rad", row.angle_rad[None])
+        self._writer.append("table/rate_rps", row.rate_rps[None])
+        self._writer.append("table/half_width_ns", np.array([row.half_width_ns], dtype=np.int64))
+        self._half_width_ns = max(self._half_width_ns, row.half_width_ns)
+        self._live.add_row(row)
+        self._monitor.take_row(row)
         if self._sequencer is not None and self._phase != "finishing":
             self._phase = self._sequencer.label
-        self._on_progress(self.snapshot)
-
-    def _take_half_width(self, half_width_ns: int) -> None:
-        self._half_width_ns = max(self._half_width_ns, half_width_ns)
+        self._on_progress(self._brief)
 
     async def _first_samples(self) -> None:
         limit_s = _FIRST_SAMPLE_S * self._time_scale
@@ -306,23 +362,26 @@ class Session:
     async def _keep_flushing(self) -> None:
         """Hand rows to the operating system five times a second, and have it write them out twice a second.
 
-        A simulated run needs no protection from a power cut and is flushed less often. An fsync holds up whoever
-        writes to the file, so it keeps to the host's time, however fast the loop's clock runs.
+        By the host's time, however fast the loop's clock runs: it is the host that may die. A simulated run needs no
+        protection from a power cut and is flushed less often.
         """
         loop = asyncio.get_running_loop()
         sync_due_s = loop.time()
-        every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S
+        every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S * self._time_scale
         while True:
             await asyncio.sleep(every_s)
+            self._monitor.mark()
+            if self._sync is not None and not self._sync.done():
+                continue  # a write now would wait for the disk, and everything for that write
             self._writer.flush()
-            synced = self._sync is None or self._sync.done()
-            if not is_virtual(loop) and synced and loop.time() >= sync_due_s:
+            if not is_virtual(loop) and loop.time() >= sync_due_s:
                 sync_due_s = loop.time() + _SYNC_S * self._time_scale
                 self._sync = loop.run_in_executor(None, os.fsync, self._writer.descriptor)
 
     async def _rest(self) -> str:
         """Bring the table to rest; return what went wrong with that, in words."""
         table = self._open.table
+        self._phase = "coming to rest"
         try:
             if self._connected:
                 async with asyncio.timeout(_STOP_LIMIT_S * self._time_scale):
@@ -334,6 +393,7 @@ class Session:
             self._event(f"controlled stop not confirmed: {reason}")
             return f"the stop could not be confirmed ({reason}): the table's own watchdog must stop it"
         finally:
+            self._monitor.end()
             table.close()
             for imu in self._open.imus:
                 imu.source.close()
@@ -352,11 +412,16 @@ class Session:
         if self._sync is not None:
             with suppress(OSError):
                 await self._sync
+        self._closed = True
         self._writer.close()
         calibration, agreement = None, float("nan")
         if verdict is None:
+            self._phase = "estimating"
             try:
-                calibration, agreement = self._estimate()
+                self._live.finish()
+                # In a thread: who looks on is not to think that the session hangs.
+                work = partial(final_estimate, self._writer.path, self._live, self._model, dict(self._reports))
+                calibration, agreement, self._reports = await asyncio.get_running_loop().run_in_executor(None, work)
                 verdict = judge(calibration, self._bench.limits)
             except EstimatorError as error:
                 verdict = Verdict(Outcome.FAIL, str(error))
@@ -364,66 +429,39 @@ class Session:
         reports = tuple(self._reports.values())
         return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports)
 
-    def _estimate(self) -> tuple[Calibration, float]:
-        """Return the batch estimate from the recorded samples, and how far the live filter is from it."""
-        self._live.finish()
-        path = self._writer.path
-        recording = read_recording(path, trusted=True)
-        found = calibrate(recording, innovations=False, model=self._model)
-        calibration = replace(found, nis_mean=self._live.nis_mean, notes=(*found.notes, *self._live.notes))
-        agreement = self._agreement(recording)
-        for name, source in self._live.sources.items():
-            offset = time_offset(source.blocks(), source.array, source.prior)
-            self._reports[name] = replace(self._reports[name], offset=offset)
-        write_source_attributes(path, {name: report.attributes() for name, report in self._reports.items()})
-        write_calibration(path, calibration, {"live_batch_difference_sigma": agreement})
-        for name, source in self._live.sources.items():
-            h = source.history
-            innovation = {"t_ns": h.t_ns, "nis": h.nis, "dof": h.dof, "normalised": h.normalised}
-            estimate = {"t_ns": h.state_t_ns, "states": h.states, "sd": h.sd}
-            write_results(path, f"innovation/{name}", {k: np.array(v) for k, v in innovation.items()}, {})
-            write_results(path, f"estimate/{name}", {k: np.array(v) for k, v in estimate.items()}, {})
-        return calibration, agreement
-
-    def _agreement(self, recording: Recording) -> float:
-        largest = 0.0
-        for name, source in self._live.sources.items():
-            data = recording.sources[name]
-            if source.effects is None:
-                batch = solve(gram_of(recording, name, data), source.array, source.prior, source.noise_rps)
-            else:
-                batch = white_solution(recording, data, source.effects, source.prior, source.noise_rps)
-            x, _ = source.filter.state()
-            sd = np.sqrt(np.diagonal(batch.covariance, axis1=1, axis2=2))
-            largest = max(largest, float(np.abs((x - batch.x) / sd).max()))
-        return largest
-
-    def _abort(self, name: str) -> None:
-        if not self._reason:
-            self._reason = f"stopped by {name} in phase {self._phase!r}"
-
     def _end_step(self, label: str, start_ns: int, end_ns: int) -> None:
         self._writer.append_text("steps", {"t_start_ns": start_ns, "t_end_ns": end_ns}, "label", label)
 
     def _event(self, text: str) -> None:
         now_ns = round(asyncio.get_running_loop().time() * 1e9)
         self._writer.append_text("events", {"t_ns": now_ns}, "text", text)
+        if self._on_event is not None:
+            self._on_event(now_ns * 1e-9, text)
 
     def _device_of(self, source: str) -> str:
         return next(imu.config.name for imu in self._open.imus if source in imu.source.names)
 
+    def _verdict_of(self, group: BaseExceptionGroup[BaseException]) -> Verdict:
+        """Return the verdict for what ended the tasks: a device's error first, else a defect of the station."""
+        errors = list(_leaves(group))
+        for error in errors:
+            if isinstance(error, DeviceError):
+                return self._fault(error)
+        first = errors[0]
+        if isinstance(first, EstimatorError):
+            return Verdict(Outcome.FAULT, str(first))
+        _log.error("the run ended by a defect of the station", exc_info=first)
+        return Verdict(Outcome.ABORTED, f"defect of the station, please report it: {type(first).__name__}: {first}")
 
-def _verdict_of(group: BaseExceptionGroup[BaseException]) -> Verdict:
-    """Return the verdict for what ended the tasks: a device's error first, else a defect of the station."""
-    errors = list(_leaves(group))
-    for error in errors:
-        if isinstance(error, DeviceError):
-            return Verdict(Outcome.FAULT, str(error))
-    first = errors[0]
-    if isinstance(first, EstimatorError):
-        return Verdict(Outcome.FAULT, str(first))
-    _log.error("the run ended by a defect of the station", exc_info=first)
-    return Verdict(Outcome.ABORTED, f"defect of the station, please report it: {type(first).__name__}: {first}")
+    def _fault(self, error: DeviceError) -> Verdict:
+        if error.device == "table":
+            self._monitor.table_fault = error.message
+        return Verdict(Outcome.FAULT, str(error))
+
+    def _outlive(self) -> None:
+        if not self._terminal_gone and not self._closed:
+            self._terminal_gone = True
+            self._event(_TERMINAL_GONE)
 
 
 def _leaves(group: BaseExceptionGroup[BaseException]) -> Iterator[BaseException]:
@@ -437,7 +475,7 @@ def _leaves(group: BaseExceptionGroup[BaseException]) -> Iterator[BaseException]
 def _attributes(bench: OpenBench, script: Script, seed: int) -> dict[str, Any]:
     config = bench.bench
     attributes: dict[str, Any] = {
-        "station": config.name,
+        "station": config.station,
         "software_version": importlib.metadata.version("turntable-station"),
         "bench": config.text,
         "bench_sha256": hashlib.sha256(config.text.encode()).hexdigest(),
@@ -457,28 +495,3 @@ def _attributes(bench: OpenBench, script: Script, seed: int) -> dict[str, Any]:
 def _identity(prefix: str, identity: Identity) -> dict[str, Any]:
     """Return as attributes what a device says it is."""
     return {f"{prefix}{key}": value for key, value in asdict(identity).items() if value}
-
-
-@contextmanager
-def _signals(note: Callable[[str], None], work: asyncio.Task[None]) -> Iterator[None]:
-    """Let Ctrl-C and the polite signals cancel the work; the stop that follows is not cut short by more of them."""
-    loop = asyncio.get_running_loop()
-    names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
-    if hasattr(signal, "SIGHUP"):
-        names[signal.SIGHUP] = "SIGHUP (the terminal is gone)"
-
-    def handle(number: int, _frame: Any) -> None:
-        note(names[signal.Signals(number)])
-        loop.call_soon_threadsafe(work.cancel)
-
-    before = {}
-    for number in names:
-        try:
-            before[number] = signal.signal(number, handle)
-        except ValueError:  # not the main thread: signals are somebody else's
-            break
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)

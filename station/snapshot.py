@@ -1,13 +1,79 @@
-"""What a screen may look at while a run goes on."""
+"""What a screen may look at while a run goes on: one frozen value, also as JSON.
+
+All figures in SI units; NaN where nothing is known, null in JSON.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, is_dataclass
+from typing import Any
+
+AFTER_THIS_STEP, PAUSED = "after this step", "paused"
+"""Words of ``Snapshot.paused``, beside ""."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisSnapshot:
+    """One axis of the table: the last readback, and the rate that the script asks for now.
+
+    ``state``: "at rest", "turning", what is done to the table before the script ("connecting", "enabling", "homing"),
+    or its fault in its own words.
+    """
+
+    name: str
+    angle_rad: float
+    rate_rps: float
+    setpoint_rps: float
+    state: str
+
+
+@dataclass(frozen=True, slots=True)
+class GyroSnapshot:
+    """One gyro as the live filter sees it now.
+
+    ``values`` (k, b_rps, sigma_j_rad, sigma_k_rad) and their standard deviations ``sds``; ``nis``: mean square of
+    its normalised innovations of the last half minute, 1 for a filter that is right.
+    """
+
+    name: str
+    source: str
+    values: tuple[float, ...]
+    sds: tuple[float, ...]
+    nis: float
+
+
+@dataclass(frozen=True, slots=True)
+class SourceSnapshot:
+    """One source: its counts, its rate over the last two seconds, how late and how unevenly its samples come.
+
+    ``latency_s`` from the instant of a sample to its arrival, without the least delay, which cannot be known;
+    ``jitter_s`` what arrivals scatter, rms; ``link``: "ok", "reopening" or "silent".
+    """
+
+    name: str
+    device: str
+    rate_hz: float
+    samples: int
+    lost: int
+    repeated: int
+    late: int
+    corrupt: int
+    latency_s: float
+    jitter_s: float
+    temperature_c: float
+    link: str
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """State of a run at one instant; times in seconds of the loop's clock."""
+    """State of a run at one instant; times in seconds of the loop's clock.
+
+    ``nis_mean`` per degree of freedom over the whole run, ``nis_recent`` over the last half minute; ``whiteness``:
+    correlation of the innovations with those of the block before, 0 for a good filter. ``paused``: "",
+    ``AFTER_THIS_STEP`` or ``PAUSED``.
+    """
 
     phase: str
     elapsed_s: float
@@ -15,8 +81,92 @@ class Snapshot:
     samples: int
     lost: int
     nis_mean: float
+    nis_recent: float = math.nan
+    whiteness: float = math.nan
+    paused: str = ""
+    axes: tuple[AxisSnapshot, ...] = ()
+    sources: tuple[SourceSnapshot, ...] = ()
+    gyros: tuple[GyroSnapshot, ...] = ()
 
     @property
     def share(self) -> float:
         """How much of the run is done, 0 to 1."""
         return self.elapsed_s / max(self.elapsed_s + self.remaining_s, 1e-9)
+
+
+def snapshot_object(snapshot: Snapshot) -> dict[str, Any]:
+    """Return a snapshot as what JSON can hold."""
+    found: dict[str, Any] = json_object(snapshot)
+    return found
+
+
+def json_object(value: Any) -> Any:
+    """Return dataclasses, dicts, sequences and numbers as what JSON can hold: null for what is not finite."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: json_object(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_object(item) for item in value]
+    if is_dataclass(value):  # dataclasses.asdict copies all that it meets, and costs four times as much
+        return {name: json_object(getattr(value, name)) for name in value.__dataclass_fields__}
+    return value
+
+
+def snapshot_of(found: Mapping[str, Any]) -> Snapshot:
+    """Return the snapshot of an object; what it holds beside the fields is passed over.
+
+    KeyError, TypeError or ValueError if it is none.
+    """
+    return Snapshot(
+        phase=str(found["phase"]),
+        elapsed_s=_number(found["elapsed_s"]),
+        remaining_s=_number(found["remaining_s"]),
+        samples=int(found["samples"]),
+        lost=int(found["lost"]),
+        nis_mean=_number(found["nis_mean"]),
+        nis_recent=_number(found["nis_recent"]),
+        whiteness=_number(found["whiteness"]),
+        paused=str(found["paused"]),
+        axes=tuple(
+            AxisSnapshot(
+                str(axis["name"]),
+                _number(axis["angle_rad"]),
+                _number(axis["rate_rps"]),
+                _number(axis["setpoint_rps"]),
+                str(axis["state"]),
+            )
+            for axis in found["axes"]
+        ),
+        sources=tuple(
+            SourceSnapshot(
+                str(source["name"]),
+                str(source["device"]),
+                _number(source["rate_hz"]),
+                int(source["samples"]),
+                int(source["lost"]),
+                int(source["repeated"]),
+                int(source["late"]),
+                int(source["corrupt"]),
+                _number(source["latency_s"]),
+                _number(source["jitter_s"]),
+                _number(source["temperature_c"]),
+                str(source["link"]),
+            )
+            for source in found["sources"]
+        ),
+        gyros=tuple(
+            GyroSnapshot(
+                str(gyro["name"]),
+                str(gyro["source"]),
+                tuple(map(_number, gyro["values"])),
+                tuple(map(_number, gyro["sds"])),
+                _number(gyro["nis"]),
+            )
+            for gyro in found["gyros"]
+        ),
+    )
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)

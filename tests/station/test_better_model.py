@@ -25,6 +25,7 @@ from station.live import LiveEstimate, LiveSource
 from station.loop_scripts import exploration_script
 from station.open_bench import DeviceTruth, simulate
 from station.script import Script, load_script, paper_script
+from station.table_watch import TableRow
 
 DEG = np.pi / 180
 REST = '[[step]]\nkind = "rest"\nduration = "6 s"\n'
@@ -151,7 +152,7 @@ def test_every_effect_that_can_be_live_gives_the_batch_estimate_however_the_samp
             part = slice(used, until)
             source.add(ImuBlock(data.t_ns[part], data.t_ns[part], data.rate_rps[part], warm[part]))
             used = until
-        live.add_row(t_ns, reference.angle_rad[row], reference.rate_rps[row])
+        live.add_row(TableRow(t_ns, reference.angle_rad[row], reference.rate_rps[row], 0))
     rest = slice(used, None)
     source.add(ImuBlock(data.t_ns[rest], data.t_ns[rest], data.rate_rps[rest], warm[rest]))
     live.finish()

@@ -1,0 +1,63 @@
+"""The estimate at the end of a run: from the recorded samples, beside what the live filter came to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from estimator.calibrate import calibrate
+from estimator.calibration import Calibration
+from estimator.error_model import ErrorModel
+from estimator.gram import solve
+from estimator.recording import Recording, read_recording, write_results, write_source_attributes
+from estimator.results import write_calibration
+from estimator.rows import gram_of
+from estimator.sample_columns import white_solution
+from estimator.timing import time_offset
+from station.live import LiveEstimate
+from station.sources import SourceReport
+
+
+def final_estimate(
+    path: Path, live: LiveEstimate, model: ErrorModel | None, reports: Mapping[str, SourceReport]
+) -> tuple[Calibration, float, dict[str, SourceReport]]:
+    """Return the batch estimate from a closed recording, how far the live filter is from it, and fuller reports.
+
+    Results are written into the recording. The live estimate is finished. EstimatorError if the samples do not
+    suffice.
+    """
+    recording = read_recording(path, trusted=True)
+    found = calibrate(recording, innovations=False, model=model)
+    calibration = replace(found, nis_mean=live.nis_mean, notes=(*found.notes, *live.notes))
+    agreement = _agreement(recording, live)
+    fuller = {}
+    for name, source in live.sources.items():
+        offset = time_offset(source.blocks(), source.array, source.prior)
+        fuller[name] = replace(reports[name], offset=offset)
+    write_source_attributes(path, {name: report.attributes() for name, report in fuller.items()})
+    write_calibration(path, calibration, {"live_batch_difference_sigma": agreement})
+    for name, source in live.sources.items():
+        h = source.history
+        innovation = {"t_ns": h.t_ns, "nis": h.nis, "dof": h.dof, "normalised": h.normalised}
+        estimate = {"t_ns": h.state_t_ns, "states": h.states, "sd": h.sd}
+        write_results(path, f"innovation/{name}", {k: np.array(v) for k, v in innovation.items()}, {})
+        write_results(path, f"estimate/{name}", {k: np.array(v) for k, v in estimate.items()}, {})
+    return calibration, agreement, fuller
+
+
+def _agreement(recording: Recording, live: LiveEstimate) -> float:
+    """Return the largest difference between live filter and batch estimate, in sigmas, under the same noise."""
+    largest = 0.0
+    for name, source in live.sources.items():
+        data = recording.sources[name]
+        if source.effects is None:
+            batch = solve(gram_of(recording, name, data), source.array, source.prior, source.noise_rps)
+        else:
+            batch = white_solution(recording, data, source.effects, source.prior, source.noise_rps)
+        x, _ = source.filter.state()
+        sd = np.sqrt(np.diagonal(batch.covariance, axis1=1, axis2=2))
+        largest = max(largest, float(np.abs((x - batch.x) / sd).max()))
+    return largest

@@ -1,0 +1,44 @@
+"""Signals that end a run politely, and the hang-up that need not."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+_HANG_UP = getattr(signal, "SIGHUP", None)
+
+
+@contextmanager
+def heeded_signals(stop: Callable[[str], None], hang_up: Callable[[], None] | None = None) -> Iterator[None]:
+    """Call ``stop(name)`` on the event loop for Ctrl-C, SIGTERM and SIGHUP; for SIGHUP ``hang_up()`` if given."""
+    loop = asyncio.get_running_loop()
+    names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
+    if _HANG_UP is not None:
+        names[_HANG_UP] = "SIGHUP (the terminal is gone)"
+
+    def handle(number: int, _frame: Any) -> None:
+        if number == _HANG_UP and hang_up is not None:
+            loop.call_soon_threadsafe(hang_up)
+        else:
+            loop.call_soon_threadsafe(stop, names[signal.Signals(number)])
+
+    before = {}
+    for number in names:
+        try:
+            before[number] = signal.signal(number, handle)
+        except ValueError:  # not the main thread: signals are somebody else's
+            break
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+def ignore_hang_up() -> None:
+    """Have SIGHUP do nothing from now on, before and after the run too."""
+    if _HANG_UP is not None:
+        signal.signal(_HANG_UP, signal.SIG_IGN)
