@@ -27,6 +27,7 @@ EVERYBODY = 0xFF
 
 INTERNAL_RATE_HZ = 100
 DIVIDERS = (0, 1, 2, 4, 5, 10, 20, 25, 50)
+RATES_HZ = tuple(INTERNAL_RATE_HZ / divider for divider in DIVIDERS[1:])
 FILTERS_HZ = (0, 2, 5, 10, 25, 40, 50)
 # fmt: off
 ORIENTATIONS = (
@@ -100,8 +101,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         """ValueError for what the device cannot do."""
-        if self.rate_hz is not None and (self.rate_hz <= 0 or INTERNAL_RATE_HZ / self.rate_hz not in DIVIDERS[1:]):
-            rates = ", ".join(f"{INTERNAL_RATE_HZ / d:g}" for d in DIVIDERS[1:])
+        if self.rate_hz is not None and self.rate_hz not in RATES_HZ:
+            rates = ", ".join(f"{rate_hz:g}" for rate_hz in RATES_HZ)
             raise ValueError(f"rate {self.rate_hz:g} Hz: the device sends at {rates} Hz")
         if self.packets is not None and not set(self.packets) <= set(PACKETS):
             raise ValueError(f"packets {', '.join(self.packets)}: the device has {', '.join(PACKETS)}")

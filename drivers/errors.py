@@ -4,12 +4,13 @@ from __future__ import annotations
 
 
 class DeviceError(Exception):
-    """Something about a device; ``device`` is its name on the bench."""
+    """Something about a device: ``device`` is its name on the bench, ``message`` what is said without that name."""
 
     def __init__(self, device: str, message: str) -> None:
-        """Keep the device's name apart from the message."""
+        """Keep the device's name and the message apart, too."""
         super().__init__(f"{device}: {message}")
         self.device = device
+        self.message = message
 
 
 class LinkLost(DeviceError):

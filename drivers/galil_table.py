@@ -43,16 +43,15 @@ _LARGEST_COUNT = 2**31 - 1
 
 @dataclass(frozen=True, slots=True)
 class GalilAxis:
-    """One axis: its letter, counts of its encoder per turn, limits.
+    """One axis: its letter, counts of its encoder per turn, limits; its travel is set as soft limits once it is home.
 
-    ``travel_rad`` are soft limits from home, set once home is found; ``error_limit_rad`` is the following error
-    at which the controller switches the motor off, left as it is there if not given.
+    ``error_limit_rad`` is the following error at which the controller switches the motor off, left as it is there if
+    not given.
     """
 
     letter: str
     counts_per_turn: int
     limits: AxisLimits
-    travel_rad: tuple[float, float] | None = None
     error_limit_rad: float | None = None
 
 
@@ -78,6 +77,8 @@ class GalilTable:
         velocity_window_s: float = VELOCITY_WINDOW_S,
     ) -> None:
         """Name the axes. ``homing`` is HM (home switch) or FI (index pulse, in positive direction).
+
+        ``velocity_window_s``: the time that TV is the mean of, which goes with the controller's sample time (TM).
 
         A request is tried twice, each for ``timeout_s``. ValueError for letters that cannot be.
         """
@@ -166,8 +167,8 @@ class GalilTable:
                 await asyncio.sleep(_POLL_S)
         for axis, own in self._axes.items():
             await self._tell(f"DP{own.letter}=0")
-            if own.travel_rad is not None:
-                low, high = (self._counts(axis, angle) for angle in own.travel_rad)
+            if own.limits.travel_rad is not None:
+                low, high = (self._counts(axis, angle) for angle in own.limits.travel_rad)
                 await self._tell(f"BL{own.letter}={low}")
                 await self._tell(f"FL{own.letter}={high}")
 

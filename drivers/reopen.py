@@ -53,8 +53,8 @@ async def reopen(
             pause_s = min(2 * pause_s, limits.longest_s)
             if loop.time() + pause_s > deadline_s:
                 lost.close()
-                text = str(error).removeprefix(f"{error.device}: ")
-                raise LinkLost(error.device, f"{text} (tried {tries} times within {limits.limit_s:g} s)") from None
+                tried = f"(tried {tries} times within {limits.limit_s:g} s)"
+                raise LinkLost(error.device, f"{error.message} {tried}") from None
             if on_failure is not None:
                 on_failure(error, pause_s)
         else:

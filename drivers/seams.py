@@ -27,10 +27,11 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
-    """What an axis may be asked for."""
+    """What an axis may be asked for. ``travel_rad``: the angles from home that it stays between, None for all."""
 
     rate_rps: float
     acceleration_rps2: float
+    travel_rad: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

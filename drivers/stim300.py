@@ -17,7 +17,6 @@ Ints = NDArray[np.int64]
 INTERNAL_RATE_HZ = 2000
 """The counter counts samples at this rate, whatever the datagram rate."""
 COUNTER_MODULUS = 256
-RATES_HZ = (125, 250, 500, 1000, 2000)
 TEMPERATURE_LSB_C = 2.0**-8
 INCLINOMETER_LSB_G = 2.0**-22
 

@@ -21,7 +21,6 @@ from drivers.stim300 import (
     COUNTER_MODULUS,
     INTERNAL_RATE_HZ,
     LAYOUTS,
-    RATES_HZ,
     STATUS_INTEGRITY,
     STATUS_START_UP,
     TEMPERATURE_LSB_C,
@@ -29,7 +28,7 @@ from drivers.stim300 import (
     Stim300Decoder,
     invalid_channels,
 )
-from drivers.stim300_special import Configuration, PartNumber, SerialNumber, Special
+from drivers.stim300_special import RATES_HZ, Configuration, PartNumber, SerialNumber, Special
 from drivers.stim300_units import UNITS, accel_unit_mps2, gyro_unit_rps
 
 Stamps = NDArray[np.int64]

@@ -6,8 +6,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
+RATES_HZ = (125, 250, 500, 1000, 2000)
+"""Datagram rates, by their code."""
+
 _DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
-_RATES_HZ = (125, 250, 500, 1000, 2000)
 _EXTERNAL_TRIGGER = 5
 _BIT_RATES = (374400, 460800, 921600, 1843200)
 _USER_BIT_RATE = 0xF
@@ -87,7 +89,7 @@ class Configuration:
         data = bytearray(21)
         data[0], data[1] = ord(revision), firmware
         flags = (pps << 4) | (temperature << 3) | (inclinometer << 2) | (accelerometer << 1) | line_termination
-        data[2] = _RATES_HZ.index(rate_hz) << 5 | flags
+        data[2] = RATES_HZ.index(rate_hz) << 5 | flags
         data[3] = (_BIT_RATES.index(bit_rate) if bit_rate in _BIT_RATES else _USER_BIT_RATE) << 4
         data[4], data[7], data[10] = _ALL_AXES | gyro_unit, _ALL_AXES | accel_unit, _ALL_AXES
         data[5] = data[8] = data[11] = 0x44
@@ -120,7 +122,7 @@ class Configuration:
     def rate_hz(self) -> int | None:
         """Rate of normal datagrams; None when they wait for an external trigger."""
         code = self.data[2] >> 5
-        return _RATES_HZ[code] if code < _EXTERNAL_TRIGGER else None
+        return RATES_HZ[code] if code < _EXTERNAL_TRIGGER else None
 
     @property
     def pps(self) -> bool:

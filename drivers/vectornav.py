@@ -20,6 +20,12 @@ IMU_RATE_HZ = 800
 ASCII_RATES_HZ = (1, 2, 4, 5, 10, 20, 25, 40, 50, 100, 200)
 """What register 7 takes."""
 
+RATES_HZ: Mapping[str, tuple[int, ...]] = {
+    "binary": tuple(rate_hz for rate_hz in range(1, IMU_RATE_HZ + 1) if IMU_RATE_HZ % rate_hz == 0),
+    "ascii": ASCII_RATES_HZ,
+}
+"""Rates of each output."""
+
 COMMON, TIME, IMU, GPS, ATTITUDE, INS, GPS2 = range(7)
 """Output groups by their bit."""
 

@@ -14,10 +14,10 @@ from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
 from drivers.sampling import Alignment, CounterClock, RegularClock
 from drivers.seams import ByteChunk, ByteLink, Floats, Identity, ImuBlock, SourceCounts, Stamps
 from drivers.vectornav import (
-    ASCII_RATES_HZ,
     COMMON,
     IMU,
     IMU_RATE_HZ,
+    RATES_HZ,
     Frames,
     Sentence,
     VectorNavDecoder,
@@ -271,11 +271,9 @@ class VectorNavImu:
 
 
 def _legal_rate(device: str, rate_hz: float, output: Output) -> int:
-    rates = [n for n in range(1, IMU_RATE_HZ + 1) if IMU_RATE_HZ % n == 0] if output == "binary" else ASCII_RATES_HZ
-    if rate_hz not in rates:
-        raise ValueError(
-            f"{device}: a VectorNav has no {output} output at {rate_hz:g} Hz, only at {', '.join(map(str, rates))} Hz"
-        )
+    if rate_hz not in RATES_HZ[output]:
+        rates = ", ".join(map(str, RATES_HZ[output]))
+        raise ValueError(f"{device}: a VectorNav has no {output} output at {rate_hz:g} Hz, only at {rates} Hz")
     return round(rate_hz)
 
 

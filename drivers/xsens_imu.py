@@ -34,8 +34,9 @@ from drivers.seams import ByteLink, Floats, Identity, ImuBlock, SourceCounts, St
 from drivers.xbus import Bytes, Messages, Mid, error_text, firmware_of, product_of, serial_of
 from drivers.xbus_link import XbusLink
 
+HIGHEST_RATE_HZ = 2000
+
 _BLOCK_S = 0.01
-_HIGHEST_RATE_HZ = 2000
 _EARLY_S = 0.25  # no sample comes this long before its time, so its count is damaged
 _SETTLED_S = 2.0  # how long the clock takes to know what is early
 _ASTRAY_S = 1.0  # samples out of sequence for this long mean that the device counts anew
@@ -64,9 +65,9 @@ class XsensImu:
         With ``configure=False`` nothing is ever sent to a device that already streams at this rate. ``timeout_s``
         is for one try, of which each request has two. ValueError for a rate that no MTi has.
         """
-        if rate_hz != round(rate_hz) or not 1 <= rate_hz <= _HIGHEST_RATE_HZ:
+        if rate_hz != round(rate_hz) or not 1 <= rate_hz <= HIGHEST_RATE_HZ:
             raise ValueError(
-                f"{device}: an MTi sends at a whole number of Hz from 1 to {_HIGHEST_RATE_HZ}, not at {rate_hz:g} Hz"
+                f"{device}: an MTi sends at a whole number of Hz from 1 to {HIGHEST_RATE_HZ}, not at {rate_hz:g} Hz"
             )
         self._device, self._rate_hz = device, round(rate_hz)
         self._format, self._configures = number_format, configure

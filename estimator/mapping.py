@@ -33,7 +33,7 @@ from estimator.mapping_reference import (
     SectionTurns,
     read_reference,
 )
-from estimator.strict_toml import Section
+from estimator.strict_toml import StrictTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,12 +103,12 @@ def read_mapping(path: Path) -> Mapping:
         raise RecordingError(f"{path} cannot be read: {error.strerror}; give the path of a mapping (.toml)") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path} is not TOML: {error}") from None
-    top = Section(path.name, text, "", values)
+    top = StrictTable(values, (), text, path.name, RecordingError)
     for name in ("device", "file", "time", "gyro", "reference"):
         if not top.has(name):
             raise RecordingError(f"{path.name} has no table [{name}]: add it")
     device = top.table("device")
-    named = (device.text("name"), device.text("licence", ""), device.text("source", ""))
+    named = (device.string("name"), device.string("licence", ""), device.string("source", ""))
     device.done()
     file_format = _format(top.table("file"))
     timing = _timing(top.table("time"), file_format)
@@ -124,11 +124,11 @@ def read_mapping(path: Path) -> Mapping:
     return mapping
 
 
-def _check(mapping: Mapping, section: Section) -> None:
+def _check(mapping: Mapping, section: StrictTable) -> None:
     """Refuse tables that do not go together."""
     reference = mapping.reference
     if isinstance(reference, (SectionTurns, Rests)) and reference.cuts.column and mapping.format.kind == "mat":
-        raise section.wrong("section_column", "is for text files: write section_list, or start_s and end_s in sections")
+        raise section.fail("section_column", "is for text files: write section_list, or start_s and end_s in sections")
     if isinstance(reference, (Rests, FileTurns, SectionTurns)):
         for key, asked in (("sign", mapping.gyro.sign_from_data), ("scale", mapping.gyro.scale_from_data)):
             if asked:
@@ -139,61 +139,61 @@ def _check(mapping: Mapping, section: Section) -> None:
     if not isinstance(reference, (AngleColumn, Rests)) or not reference.earth_rate:
         return
     if mapping.site is None:
-        raise section.wrong("earth_rate", "needs the latitude: add a table [site] with latitude_deg")
+        raise section.fail("earth_rate", "needs the latitude: add a table [site] with latitude_deg")
     if isinstance(reference, Rests) and mapping.accelerometer is None:
         poses = [reference.pose, *reference.files.values()] if not reference.sections else reference.sections.values()
         if any(pose.up is None for pose in poses) and not (reference.files and reference.pose.up is None):
-            raise section.wrong(
+            raise section.fail(
                 "earth_rate", 'needs to know what points up: add up = "z" (the body axis) or an [accelerometer]'
             )
 
 
-def _format(section: Section) -> FileFormat:
-    kind = section.text("format", one_of=("csv", "tsv", "mat"))
+def _format(section: StrictTable) -> FileFormat:
+    kind = section.string("format", one_of=("csv", "tsv", "mat"))
     if kind == "mat":
         section.done()
         return FileFormat("mat")
-    delimiter = section.text("delimiter", "\t" if kind == "tsv" else ",")
+    delimiter = section.string("delimiter", "\t" if kind == "tsv" else ",")
     delimiter = {"tab": "\t", "space": " "}.get(delimiter, delimiter)
-    decimal = section.text("decimal", ".", one_of=(".", ","))
+    decimal = section.string("decimal", ".", one_of=(".", ","))
     if len(delimiter) != 1 or delimiter == decimal:
-        raise section.wrong("delimiter", f"is {delimiter!r}: write one character that is not the decimal mark")
-    columns = section.texts("columns") if section.has("columns") else ()
+        raise section.fail("delimiter", f"{delimiter!r}: write one character that is not the decimal mark")
+    columns = section.strings("columns") if section.has("columns") else ()
     section.done(also=("columns",))
     return FileFormat("csv", delimiter.strip(" "), decimal, columns)
 
 
-def _timing(section: Section, file_format: FileFormat) -> Timing:
+def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
     given = [key for key in ("rate_hz", "rate_variable", "column") if section.has(key)]
     if len(given) != 1:
-        raise section.wrong(given[0] if given else "rate_hz", "or column or rate_variable: give one of the three")
+        raise section.fail(given[0] if given else None, "give one of rate_hz, rate_variable, column")
     timing: Timing
     if given[0] == "column":
-        unit = section.text("unit", one_of=tuple(TIME_UNITS))
-        timing = Timing(stamps=Columns((section.text("column"),), TIME_UNITS[unit]))
+        unit = section.string("unit", one_of=tuple(TIME_UNITS))
+        timing = Timing(stamps=Columns((section.string("column"),), TIME_UNITS[unit]))
     elif given[0] == "rate_variable":
         if file_format.kind != "mat":
-            raise section.wrong("rate_variable", "is for .mat files: write rate_hz or column")
-        timing = Timing(rate_variable=section.text("rate_variable"))
+            raise section.fail("rate_variable", "is for .mat files: write rate_hz or column")
+        timing = Timing(rate_variable=section.string("rate_variable"))
     else:
         timing = Timing(rate_hz=section.number("rate_hz", positive=True))
     section.done(also=("rate_hz", "rate_variable", "column", "unit"))
     return timing
 
 
-def _gyro(section: Section, file_format: FileFormat) -> GyroColumns:
-    sign = section.text("sign", "stated", one_of=("stated", "from data")) == "from data"
-    scale = section.text("scale", "stated", one_of=("stated", "from data")) == "from data"
+def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
+    sign = section.string("sign", "stated", one_of=("stated", "from data")) == "from data"
+    scale = section.string("scale", "stated", one_of=("stated", "from data")) == "from data"
     columns = stated_columns(section, RATE_UNITS, count_needed=not scale)
     where = "axes" if section.has("axes") else "columns"
-    axes = section.any("axes", ("x", "y", "z"))
+    axes = section.value("axes", ("x", "y", "z"))
     if isinstance(axes, str):
         axes = [axes]
     if not isinstance(axes, (list, tuple)):
-        raise section.wrong("axes", 'must be a list: ["x", "-y", "z"] or one row of three numbers for each gyro')
+        raise section.fail("axes", 'must be a list: ["x", "-y", "z"] or one row of three numbers for each gyro')
     p = [body_axis(section, "axes", axis) for axis in axes]
     if file_format.kind != "mat" and len(columns.names) != len(axes):
-        raise section.wrong(
+        raise section.fail(
             where,
             f"does not fit: there are {len(columns.names)} columns and {len(axes)} axes (x, y, z if none are stated); "
             'state the sense axis of each column, for instance axes = ["z"] for one gyro',
@@ -201,39 +201,39 @@ def _gyro(section: Section, file_format: FileFormat) -> GyroColumns:
     fallback = [a.lstrip("+-") if isinstance(a, str) else f"gyro{i + 1}" for i, a in enumerate(axes)]
     if len(set(fallback)) < len(fallback):
         fallback = [f"gyro{i + 1}" for i in range(len(axes))]
-    names = section.texts("names", tuple(fallback))
+    names = section.strings("names", tuple(fallback))
     try:
         array = sensor_array(p, names=names, part_of_array=True)
     except GeometryError as error:
-        raise section.wrong("axes", f"cannot be used: {error}") from None
+        raise section.fail("axes", f"cannot be used: {error}") from None
     section.done()
     return GyroColumns(columns, array, sign, scale)
 
 
-def _accelerometer(section: Section) -> Accelerometer:
+def _accelerometer(section: StrictTable) -> Accelerometer:
     columns = stated_columns(section, ACCEL_UNITS)
-    stated = section.any("axes", ["x", "y", "z"])
+    stated = section.value("axes", ["x", "y", "z"])
     if not isinstance(stated, list) or len(stated) != 3:
-        raise section.wrong("axes", 'must be the body axes of the three columns: ["x", "-y", "-z"]')
+        raise section.fail("axes", 'must be the body axes of the three columns: ["x", "-y", "-z"]')
     x, y, z = (body_axis(section, "axes", axis) for axis in stated)
     square = np.array([x, y, z])
     if np.abs(square @ square.T - np.eye(3)).max() > 0.01:
-        raise section.wrong("axes", "must be three directions of length 1 at right angles")
+        raise section.fail("axes", "must be three directions of length 1 at right angles")
     section.done()
     return Accelerometer(columns, (x, y, z))
 
 
-def _temperature(section: Section) -> Columns:
-    unit = section.text("unit", one_of=tuple(TEMPERATURE_UNITS))
-    columns = Columns((section.text("column"),), shift=TEMPERATURE_UNITS[unit])
+def _temperature(section: StrictTable) -> Columns:
+    unit = section.string("unit", one_of=tuple(TEMPERATURE_UNITS))
+    columns = Columns((section.string("column"),), shift=TEMPERATURE_UNITS[unit])
     section.done()
     return columns
 
 
-def _site(section: Section) -> Site:
+def _site(section: StrictTable) -> Site:
     latitude = section.number("latitude_deg", least=-90.0)
     if latitude > 90:
-        raise section.wrong("latitude_deg", f"is {latitude:g}: write -90 to 90")
+        raise section.fail("latitude_deg", f"{latitude:g}: write -90 to 90")
     site = Site(math.radians(latitude), math.radians(section.number("heading_deg", 0.0)))
     section.done()
     return site

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.strict_toml import Section
+from estimator.strict_toml import StrictTable
 
 RATE_UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180}
 ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180}
@@ -32,19 +32,19 @@ class Columns:
 
 
 def stated_columns(
-    section: Section, units: Dict[str, float], *, key: str = "columns", count_needed: bool = True
+    section: StrictTable, units: Dict[str, float], *, key: str = "columns", count_needed: bool = True
 ) -> Columns:
     """Return the columns of a table with what makes SI of them: their unit, or the size of a count.
 
     Where the size is not needed and not stated, a count is one degree (a second).
     """
-    names = section.texts(key)
-    unit = section.text("unit", one_of=(*units, "raw"))
+    names = section.strings(key)
+    unit = section.string("unit", one_of=(*units, "raw"))
     if unit != "raw":
         return Columns(names, units[unit])
     if not count_needed and not section.has("count"):
-        return Columns(names, units[section.text("count_unit", "deg/s", one_of=tuple(units))], raw=True)
-    size_unit = section.text("count_unit", one_of=tuple(units))
+        return Columns(names, units[section.string("count_unit", "deg/s", one_of=tuple(units))], raw=True)
+    size_unit = section.string("count_unit", one_of=tuple(units))
     return Columns(names, section.number("count", positive=True) * units[size_unit], raw=True)
 
 
@@ -59,15 +59,15 @@ def signed_axis(text: str) -> Vector:
     return x, y, z
 
 
-def body_axis(section: Section, key: str, value: Any) -> Vector:
+def body_axis(section: StrictTable, key: str, value: Any) -> Vector:
     """Return a direction in body axes: x, y or z with a sign, or three numbers; else the section's error."""
     if isinstance(value, str):
         try:
             return signed_axis(value)
         except ValueError as error:
-            raise section.wrong(key, str(error)) from None
+            raise section.fail(key, str(error)) from None
     if not (isinstance(value, list) and len(value) == 3 and all(isinstance(v, (int, float)) for v in value)):
-        raise section.wrong(key, f"holds {value!r}: write x, y or z with a sign, or three numbers")
+        raise section.fail(key, f"holds {value!r}: write x, y or z with a sign, or three numbers")
     return float(value[0]), float(value[1]), float(value[2])
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimator.mapping_columns import ANGLE_UNITS, RATE_UNITS, Columns, Vector, body_axis, signed_axis, stated_columns
-from estimator.strict_toml import Section
+from estimator.strict_toml import StrictTable
 
 KINDS = ("attitude", "rate", "angle", "turns", "rest")
 
@@ -117,14 +117,14 @@ class Rests:
 ForeignReference = AttitudeColumns | RateColumns | AngleColumn | FileTurns | SectionTurns | Rests
 
 
-def read_reference(section: Section) -> ForeignReference:
+def read_reference(section: StrictTable) -> ForeignReference:
     """Return the reference that a mapping states; RecordingError with file, line and what to write."""
-    kind = section.text("kind", one_of=KINDS)
+    kind = section.string("kind", one_of=KINDS)
     reference: ForeignReference
     if kind == "attitude":
-        order = section.text("order", one_of=("wxyz", "xyzw"))
-        direction = section.text("direction", "body to reference", one_of=("body to reference", "reference to body"))
-        reference = AttitudeColumns(Columns(section.texts("columns")), order, direction == "reference to body")
+        order = section.string("order", one_of=("wxyz", "xyzw"))
+        direction = section.string("direction", "body to reference", one_of=("body to reference", "reference to body"))
+        reference = AttitudeColumns(Columns(section.strings("columns")), order, direction == "reference to body")
     elif kind == "rate":
         columns = stated_columns(section, RATE_UNITS)
         reference = RateColumns(columns, _rate_axis(section, columns))
@@ -147,40 +147,40 @@ def turn_about(axis: str, angle_deg: float) -> Turn:
     return Turn((abs(x), abs(y), abs(z)), sign * math.radians(angle_deg))
 
 
-def _rate_axis(section: Section, columns: Columns) -> Vector | None:
+def _rate_axis(section: StrictTable, columns: Columns) -> Vector | None:
     if not section.has("axis"):
         if len(columns.names) == 1:
-            raise section.wrong("columns", 'is one column: add axis = "z", the body axis that it is the rate about')
+            raise section.fail("columns", 'is one column: add axis = "z", the body axis that it is the rate about')
         return None
     if len(columns.names) != 1:
-        raise section.wrong("axis", "is for one column: leave it out beside the three columns x, y, z")
-    axis = np.array(body_axis(section, "axis", section.any("axis")))
+        raise section.fail("axis", "is for one column: leave it out beside the three columns x, y, z")
+    axis = np.array(body_axis(section, "axis", section.value("axis")))
     length = float(np.linalg.norm(axis))
     if not length > 0:
-        raise section.wrong("axis", "is no direction: write x, y or z with a sign, or three numbers")
+        raise section.fail("axis", "is no direction: write x, y or z with a sign, or three numbers")
     x, y, z = (axis / length).tolist()
     return x, y, z
 
 
-def _angle(section: Section) -> AngleColumn:
+def _angle(section: StrictTable) -> AngleColumn:
     column = stated_columns(section, ANGLE_UNITS, key="column")
     if len(column.names) != 1:
-        raise section.wrong("column", "must be one column")
-    text = section.text("axis")
+        raise section.fail("column", "must be one column")
+    text = section.string("axis")
     try:
         axis = signed_axis(text)
     except ValueError as error:
-        raise section.wrong("axis", str(error)) from None
+        raise section.fail("axis", str(error)) from None
     gimbal = "xyz"[int(np.argmax(np.abs(axis)))]
     return AngleColumn(column, gimbal, float(sum(axis)), section.flag("earth_rate", False))
 
 
-def _turns(section: Section) -> FileTurns | SectionTurns:
+def _turns(section: StrictTable) -> FileTurns | SectionTurns:
     checks = TurnChecks(
         sd_rad=math.radians(section.number("sd_deg", positive=True)),
         sd_share=section.number("sd_share", 0.0, least=0.0),
         rest_sd_rad=math.radians(section.number("rest_sd_deg", 0.05, least=0.0)),
-        sign_from_data=section.text("sign", "stated", one_of=("stated", "from data")) == "from data",
+        sign_from_data=section.string("sign", "stated", one_of=("stated", "from data")) == "from data",
         rest_limit_rps=math.radians(section.number("rest_limit_dps", 2.0, positive=True)),
         rest_s=section.number("rest_s", 0.25, positive=True),
     )
@@ -188,37 +188,37 @@ def _turns(section: Section) -> FileTurns | SectionTurns:
         cuts, tables = _sections(section)
         turns = {}
         for name, table in tables.items():
-            angle_deg, axis = table.number("angle_deg"), table.text("axis", "")
+            angle_deg, axis = table.number("angle_deg"), table.string("axis", "")
             table.done()
             turns[name] = _turn(table, axis, angle_deg)
         return SectionTurns(cuts, turns, checks)
     if section.has("file_name"):
         return FileTurns(_pattern(section), None, checks)
     if not section.has("angle_deg"):
-        raise section.wrong("angle_deg", "is missing: give it, or file_name (an expression), or sections")
-    axis, angle_deg = section.text("axis", ""), section.number("angle_deg")
+        raise section.fail("angle_deg", "is missing: give it, or file_name (an expression), or sections")
+    axis, angle_deg = section.string("axis", ""), section.number("angle_deg")
     return FileTurns(None, _turn(section, axis, angle_deg), checks)
 
 
-def _turn(section: Section, axis: str, angle_deg: float) -> Turn:
+def _turn(section: StrictTable, axis: str, angle_deg: float) -> Turn:
     try:
         return turn_about(axis, angle_deg)
     except ValueError as error:
-        raise section.wrong("axis", str(error)) from None
+        raise section.fail("axis", str(error)) from None
 
 
-def _pattern(section: Section) -> re.Pattern[str]:
-    text = section.text("file_name")
+def _pattern(section: StrictTable) -> re.Pattern[str]:
+    text = section.string("file_name")
     try:
         pattern = re.compile(text)
     except re.error as error:
-        raise section.wrong("file_name", f"is no regular expression: {error}") from None
+        raise section.fail("file_name", f"is no regular expression: {error}") from None
     if not {"axis", "angle_deg"} <= set(pattern.groupindex):
-        raise section.wrong("file_name", "needs the groups (?P<axis>...) and (?P<angle_deg>...)")
+        raise section.fail("file_name", "needs the groups (?P<axis>...) and (?P<angle_deg>...)")
     return pattern
 
 
-def _rests(section: Section) -> Rests:
+def _rests(section: StrictTable) -> Rests:
     limit_rps = math.radians(section.number("rest_limit_dps", 2.0, positive=True))
     least_s = section.number("rest_s", 2.0, positive=True)
     earth_rate = section.flag("earth_rate", False)
@@ -227,13 +227,13 @@ def _rests(section: Section) -> Rests:
     if section.has("sections"):
         for key in ("where", "up", "north"):
             if section.has(key):
-                raise section.wrong(key, "is not for a mapping with sections: they say where, each with its own up")
+                raise section.fail(key, "is not for a mapping with sections: they say where, each with its own up")
         cuts, tables = _sections(section)
         for name, table in tables.items():
             sections[name] = _pose(table)
             table.done()
     else:
-        everywhere = section.text("where", "found", one_of=("found", "everywhere")) == "everywhere"
+        everywhere = section.string("where", "found", one_of=("found", "everywhere")) == "everywhere"
     files: dict[str, Pose] = {}
     if section.has("files"):
         listed = section.table("files")
@@ -244,37 +244,37 @@ def _rests(section: Section) -> Rests:
     return Rests(everywhere, _pose(section), files, cuts, sections, limit_rps, least_s, earth_rate)
 
 
-def _pose(section: Section) -> Pose:
+def _pose(section: StrictTable) -> Pose:
     found: dict[str, Vector] = {}
     for key in ("up", "north"):
         if not section.has(key):
             continue
-        v = np.array(body_axis(section, key, section.any(key)))
+        v = np.array(body_axis(section, key, section.value(key)))
         length = float(np.linalg.norm(v))
         if not length > 0:
-            raise section.wrong(key, "is no direction: write x, y or z with a sign, or three numbers")
+            raise section.fail(key, "is no direction: write x, y or z with a sign, or three numbers")
         x, y, z = (v / length).tolist()
         found[key] = (x, y, z)
     if "north" in found and "up" not in found:
-        raise section.wrong("north", "is stated without up: add up, the body axis that points up")
+        raise section.fail("north", "is stated without up: add up, the body axis that points up")
     if "north" in found and abs(float(np.dot(found["up"], found["north"]))) > 0.1:
-        raise section.wrong("north", "is not at a right angle to up: north is horizontal")
+        raise section.fail("north", "is not at a right angle to up: north is horizontal")
     return Pose(found.get("up"), found.get("north"))
 
 
-def _sections(section: Section) -> tuple[Cuts, dict[str, Section]]:
+def _sections(section: StrictTable) -> tuple[Cuts, dict[str, StrictTable]]:
     """Return how files are cut, and the table of each section less its limits."""
     tables = {}
     table = section.table("sections")
     for name in table.remaining():
         tables[name] = table.table(name)
     if not tables:
-        raise section.wrong("sections", "is empty: name a section and what is known of it")
-    list_name = section.text("section_list") if section.has("section_list") else None
-    column = section.text("section_column") if section.has("section_column") else None
+        raise section.fail("sections", "is empty: name a section and what is known of it")
+    list_name = section.string("section_list") if section.has("section_list") else None
+    column = section.string("section_column") if section.has("section_column") else None
     timed = [name for name, own in tables.items() if own.has("start_s") or own.has("end_s")]
     if (list_name is not None) + (column is not None) + bool(timed) != 1:
-        raise section.wrong(
+        raise section.fail(
             "sections",
             "needs section_list (a JSON file), section_column (labels), or start_s and end_s in each: one of the three",
         )
@@ -282,6 +282,6 @@ def _sections(section: Section) -> tuple[Cuts, dict[str, Section]]:
     for name, own in tables.items() if timed else ():
         start, end = own.number("start_s", least=0.0), own.number("end_s", positive=True)
         if end <= start:
-            raise own.wrong("end_s", f"is {end:g}, not after start_s {start:g}")
+            raise own.fail("end_s", f"{end:g} is not after start_s {start:g}")
         limits[name] = (start, end)
     return Cuts(list_name, column, limits), tables

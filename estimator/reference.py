@@ -211,7 +211,7 @@ class BodyRates:
         """
         angle, rate = self.gimbals_at(t_ns)
         w = body_rate(angle, rate, self._gimbals, self._site)
-        ends = np.searchsorted(self._times.all[: len(self._refined)], t_ns, side="left")
+        ends = np.searchsorted(self._times.all[: len(self._refined) - 1], t_ns, side="left")
         w[~self._sure.all[ends]] = np.nan
         return w
 

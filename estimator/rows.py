@@ -68,9 +68,7 @@ def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
     reference = recording.reference
     if not isinstance(reference, TableReadings):
         raise TypeError("rows against a table need one")
-    rates = BodyRates(reference.gimbals, recording.site)
-    rates.add(reference.t_ns, reference.angle_rad, reference.rate_rps)
-    rates.finish()
+    rates = BodyRates.of(reference, recording.site)
     t_ns, rate = _inside(data, rates.starts_ns, rates.final_until_ns)
     for start, stop in _chunks(data, len(t_ns)):
         t = t_ns[start:stop]

@@ -84,9 +84,7 @@ def white_solution(
     reference = recording.reference
     if not isinstance(reference, TableReadings):
         raise TypeError("samples are compared with the readings of a table")
-    rates = BodyRates(reference.gimbals, recording.site)
-    rates.add(reference.t_ns, reference.angle_rad, reference.rate_rps)
-    rates.finish()
+    rates = BodyRates.of(reference, recording.site)
     m, width = len(data.array), 4 + columns.count
     maps = regressor_maps(data.array)
     information, right = np.zeros((m, width, width)), np.zeros((m, width))

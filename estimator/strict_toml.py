@@ -1,97 +1,170 @@
-"""Tables of a TOML file, read strictly: every key is taken once, with its type, and what is left is refused."""
+"""Tables of a TOML file, read strictly: every key known, every value of its type, every complaint with its line."""
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, Self, TypeVar
 
-from estimator.errors import RecordingError
+T = TypeVar("T")
+
+_HEADER = re.compile(r"^\s*\[(\[?)\s*([^\[\]]+?)\s*\]")
 
 
-class Section:
-    """One table of the mapping file: every key is taken once, and what is left over is refused."""
+class StrictTable:
+    """One table of a TOML file. Values are taken out by key; ``done`` complains of what nobody took.
 
-    def __init__(self, file: str, text: str, path: str, values: Any) -> None:
-        if not isinstance(values, dict):
-            raise RecordingError(f"{file}: {path} must be a table, [{path}], not {values!r}")
-        self._file, self._text, self._path = file, text, path
-        self._values: dict[str, Any] = dict(values)
+    All complaints are errors of the class given, and name file, line, table and key. A key without a default must be
+    there.
+    """
+
+    def __init__(
+        self, data: dict[str, Any], path: tuple[str | int, ...], text: str, file: str, error: type[Exception]
+    ) -> None:
+        """``path`` leads to this table from the top of the file: keys, and indices in arrays of tables."""
+        self._data, self._path, self._text, self._file, self._error = dict(data), path, text, file, error
         self._known: list[str] = []
 
-    def wrong(self, key: str, problem: str) -> RecordingError:
-        """Return the error that names file, line, table and key."""
-        line = _line_of(self._text, self._path, key)
-        at = f", line {line}" if line else ""
-        where = f" in [{self._path}]" if self._path else ""
-        return RecordingError(f"{self._file}{at}: {key}{where} {problem}")
+    def again(self) -> Self:
+        """Return this table as it is now, for somebody else to take from."""
+        return type(self)(self._data, self._path, self._text, self._file, self._error)
+
+    def fail(self, key: str | None, message: str) -> Exception:
+        """Return an error that names file, line and key."""
+        line = self._line(key)
+        where = f"{self._file}, line {line}" if line else self._file
+        name = ".".join(str(p) for p in (*self._path, *([key] if key else [])))
+        return self._error(f"{where}: {name}: {message}" if name else f"{where}: {message}")
 
     def has(self, key: str) -> bool:
-        return key in self._values
-
-    def table(self, key: str) -> Section:
+        """Return whether the key is there and not taken yet."""
         self._known.append(key)
-        return Section(self._file, self._text, f"{self._path}.{key}" if self._path else key, self._values.pop(key, {}))
-
-    def text(self, key: str, default: str | None = None, *, one_of: tuple[str, ...] = ()) -> str:
-        value = self._take(key, default)
-        choices = f"one of {', '.join(one_of)}" if one_of else "a text in quotes"
-        if not isinstance(value, str) or (one_of and value not in one_of):
-            raise self.wrong(key, f"is {value!r}: write {choices}")
-        return value
-
-    def flag(self, key: str, default: bool | None = None) -> bool:
-        value = self._take(key, default)
-        if not isinstance(value, bool):
-            raise self.wrong(key, f"is {value!r}: write true or false")
-        return value
-
-    def number(self, key: str, default: float | None = None, *, positive: bool = False, least: float = -1e18) -> float:
-        value = self._take(key, default)
-        good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-        if not good or value < least or (positive and value <= 0):
-            bound = " above 0" if positive else f" of {least:g} or more" if least > -1e18 else ""
-            raise self.wrong(key, f"is {value!r}: write a number{bound}")
-        return float(value)
-
-    def texts(self, key: str, default: tuple[str, ...] | None = None) -> tuple[str, ...]:
-        value = self._take(key, default)
-        if isinstance(value, str):
-            value = [value]
-        if not isinstance(value, (list, tuple)) or not value or not all(isinstance(v, str) for v in value):
-            raise self.wrong(key, f'is {value!r}: write names, ["a", "b", "c"]')
-        return tuple(value)
-
-    def any(self, key: str, default: Any = None) -> Any:
-        return self._take(key, default if default is not None else "")
+        return key in self._data
 
     def remaining(self) -> tuple[str, ...]:
-        return tuple(self._values)
+        """Return the keys that nobody took yet."""
+        return tuple(self._data)
 
-    def done(self, also: tuple[str, ...] = ()) -> None:
-        """Refuse what was not taken; ``also`` are keys that other mappings may have here."""
-        for key in self._values:
-            known = sorted({*self._known, *also})
-            raise self.wrong(key, f"is not known here, or not beside the other keys: known are {', '.join(known)}")
+    def number(
+        self, key: str, default: float | None = None, *, positive: bool = False, least: float = -math.inf
+    ) -> float:
+        """Take a plain number, above zero or not below a least one if so said."""
 
-    def _take(self, key: str, default: Any) -> Any:
-        self._known.append(key)
-        if key in self._values:
-            return self._values.pop(key)
-        if default is None:
-            raise RecordingError(f"{self._file}: [{self._path}] lacks {key}: add it")
-        return default
-
-
-def _line_of(text: str, table: str, key: str) -> int | None:
-    """Return the line on which a key of a table, or a table of this name, is written."""
-    inside = ""
-    for number, line in enumerate(text.splitlines(), 1):
-        header = re.match(r"\s*\[+\s*([^\]]+?)\s*\]", line)
-        if header:
-            inside = header[1]
-            if inside in (key, f"{table}.{key}") and table != inside:
-                return number
-        elif inside in (table, table.rsplit(".", 1)[0]) and re.match(rf"\s*[\"']?{re.escape(key)}[\"']?\s*=", line):
+        def convert(value: object) -> float:
+            number = float(typed(value, (int, float), "a number"))
+            if not math.isfinite(number) or number < least or (positive and number <= 0):
+                bound = " above 0" if positive else f" of {least:g} or more" if least > -math.inf else ""
+                raise ValueError(f"{value!r}: write a number{bound}")
             return number
-    return None
+
+        return self._take(key, default, convert)
+
+    def integer(self, key: str, default: int | None = None) -> int:
+        """Take a whole number."""
+        return self._take(key, default, lambda value: int(typed(value, (int,), "a whole number")))
+
+    def flag(self, key: str, default: bool | None = None) -> bool:
+        """Take true or false."""
+        return self._take(key, default, lambda value: bool(typed(value, (bool,), "true or false")))
+
+    def string(self, key: str, default: str | None = None, *, one_of: Iterable[str] | None = None) -> str:
+        """Take a text, one of a few if so given."""
+
+        def convert(value: object) -> str:
+            text = str(typed(value, (str,), "a text"))
+            if one_of is not None and text not in (choices := list(one_of)):
+                raise ValueError(f"{text!r} is not one of {', '.join(choices)}")
+            return text
+
+        return self._take(key, default, convert)
+
+    def strings(self, key: str, default: tuple[str, ...] | None = None) -> tuple[str, ...]:
+        """Take a list of texts, or one."""
+
+        def convert(value: object) -> tuple[str, ...]:
+            listed = [value] if isinstance(value, str) else value
+            if not isinstance(listed, list) or not listed or not all(isinstance(v, str) for v in listed):
+                raise ValueError(f'{value!r}: write names, ["a", "b", "c"]')
+            return tuple(listed)
+
+        return self._take(key, default, convert)
+
+    def value(self, key: str, default: Any = None) -> Any:
+        """Take whatever is there, or the default."""
+        return self._data.pop(key, default) if self.has(key) else default
+
+    def table(self, key: str, *, optional: bool = False) -> Self:
+        """Take a table within this one."""
+        if not self.has(key) and not optional:
+            raise self.fail(None, f"table [{'.'.join(str(p) for p in (*self._path, key))}] is missing")
+        data = self._data.pop(key, {})
+        if not isinstance(data, dict):
+            raise self.fail(key, "must be a table")
+        return self._within(data, key)
+
+    def tables(self, key: str) -> list[Self]:
+        """Take an array of tables."""
+        data = self._data.pop(key, []) if self.has(key) else []
+        if not isinstance(data, list) or not all(isinstance(d, dict) for d in data):
+            raise self.fail(key, f"must be an array of tables, [[{key}]]")
+        return [self._within(d, key, i) for i, d in enumerate(data)]
+
+    def done(self, also: Iterable[str] = ()) -> None:
+        """Complain of the first key that nobody took; ``also`` are keys that could have stood here."""
+        for key in self._data:
+            known = sorted({*self._known, *also})
+            if key in known:
+                raise self.fail(key, "has no place beside the other keys: leave it out")
+            close = difflib.get_close_matches(key, known, 1)
+            hint = f"did you mean {close[0]}?" if close else f"known here: {', '.join(known)}"
+            raise self.fail(key, f"unknown key; {hint}")
+
+    def _within(self, data: dict[str, Any], *path: str | int) -> Self:
+        return type(self)(data, (*self._path, *path), self._text, self._file, self._error)
+
+    def _take(self, key: str, default: T | None, convert: Callable[[object], T]) -> T:
+        self._known.append(key)
+        if key not in self._data:
+            if default is None:
+                raise self.fail(None, f"{key} is missing")
+            return default
+        try:
+            return convert(self._data.pop(key))
+        except ValueError as error:
+            raise self.fail(key, str(error)) from None
+
+    def _line(self, key: str | None) -> int | None:
+        """Return the line where the key, or else the table's header, stands."""
+        names = [str(p) for p in self._path if isinstance(p, str)]
+        indices = [p for p in self._path if isinstance(p, int)]
+        wanted, seen, current, found = ".".join(names), 0, "", None
+        inside = not names
+        below = ".".join([*names, key or ""])
+        for number, line in enumerate(self._text.splitlines(), 1):
+            header = _HEADER.match(line)
+            if header:
+                current = header.group(2).replace(" ", "")
+                if header.group(1) and wanted.startswith(current):
+                    seen += 1
+                here = not indices or seen == indices[0] + 1
+                inside = current == wanted and here
+                if inside:
+                    found = found or number
+                elif key and current == below.lstrip(".") and here:  # the key is a table of its own
+                    return number
+            elif inside and key and re.match(rf"^\s*[\"']?{re.escape(key)}[\"']?\s*[.=]", line):
+                return number
+        if key and not found:  # an inline table: look for the key anywhere
+            for number, line in enumerate(self._text.splitlines(), 1):
+                if re.search(rf"\b{re.escape(key)}\s*=", line):
+                    return number
+        return found
+
+
+def typed(value: object, types: tuple[type, ...], what: str) -> Any:
+    """Return a value of one of these types; ValueError if it is of none. True and false are no numbers."""
+    if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
+        raise ValueError(f"{value!r} is not {what}")
+    return value

@@ -128,6 +128,16 @@ def table_faults(
     return found, _wire(wire, where)
 
 
+def damaged(data: bytes, faults: WireFaults, random: np.random.Generator) -> bytes:
+    """Return what a wire makes of bytes: some with a flipped bit, some lost."""
+    if not faults.byte_loss and not faults.bit_flips:
+        return data
+    octets = np.frombuffer(data, dtype=np.uint8).copy()
+    flipped = random.random(len(octets)) < faults.bit_flips
+    octets[flipped] ^= (1 << random.integers(0, 8, int(flipped.sum()))).astype(np.uint8)
+    return octets[random.random(len(octets)) >= faults.byte_loss].tobytes()
+
+
 class FaultyBytes:
     """One way of a wire for bytes."""
 
@@ -145,16 +155,7 @@ class FaultyBytes:
         if not data or self._silence.now or _share(self._random, faults.loss):
             return
         for _ in range(2 if _share(self._random, faults.doubled) else 1):
-            self._line.put(self._damaged(data))
-
-    def _damaged(self, data: bytes) -> bytes:
-        faults = self._faults
-        if not faults.byte_loss and not faults.bit_flips:
-            return data
-        octets = np.frombuffer(data, dtype=np.uint8).copy()
-        flipped = self._random.random(len(octets)) < faults.bit_flips
-        octets[flipped] ^= (1 << self._random.integers(0, 8, int(flipped.sum()))).astype(np.uint8)
-        return octets[self._random.random(len(octets)) >= faults.byte_loss].tobytes()
+            self._line.put(damaged(data, faults, self._random))
 
     def _deliver(self, data: bytes) -> None:
         if self._silence.now:
@@ -201,10 +202,7 @@ def faulty_device(
 
     def made(write: Write) -> ByteDevice:
         device = make(FaultyBytes(write, faults, int(seeds[0])))
-        loop = asyncio.get_running_loop()
-        for at_s, act in ((faults.unplug_s, plug.pull), (faults.replug_s, plug.push)):
-            if at_s < math.inf:
-                plug.timers.append(loop.call_later(at_s, act))
+        plug.schedule(faults.unplug_s, faults.replug_s)
         return _Behind(FaultyBytes(device.received, faults, int(seeds[1])))
 
     return made

@@ -29,7 +29,6 @@ TURN = 2 * math.pi
 _LARGEST_COUNT = 2**31 - 1
 _LARGEST_RATE = 12_000_000
 _LARGEST_ACCELERATION = 67_107_840
-_WINDOW_S = 0.25
 
 
 class Refusal(Exception):
@@ -44,9 +43,9 @@ class Refusal(Exception):
 class GalilAxisTwin:
     """Values are in counts, counts/s and counts/s2, as the language has them."""
 
-    def __init__(self, table: TableModel, axis: str) -> None:
+    def __init__(self, table: TableModel, axis: str, velocity_window_s: float) -> None:
         """Start with the motor off, at rest."""
-        self._table, self._axis = table, axis
+        self._table, self._axis, self._window_s = table, axis, velocity_window_s
         self._per_turn = table.data[axis].counts_per_turn
         self._offset = 0
         self._mode = "PA"
@@ -85,7 +84,7 @@ class GalilAxisTwin:
         if word == "TV":
             now = self._table.clock()
             motion = self._table.motion[self._axis]
-            return self._to_counts((motion.at(now)[0] - motion.at(now - _WINDOW_S)[0]) / _WINDOW_S)
+            return self._to_counts((motion.at(now)[0] - motion.at(now - self._window_s)[0]) / self._window_s)
         if word == "TE":
             lost = self._table.tripped.get(self._axis) == FOLLOWING_ERROR
             return self._settings["ER"] + 1 if lost else 0

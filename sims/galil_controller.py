@@ -47,13 +47,20 @@ class GalilController:
         axes: Mapping[str, str],
         *,
         watchdog_s: float = 0.0,
+        velocity_window_s: float = 0.25,
         echo: bool = False,
         revision: str = "DMC4030 Rev 1.2c",
         serial: int = 9046,
     ) -> None:
-        """``axes`` gives each axis of the table its letter; ``watchdog_s`` of silence stops them (0: never)."""
+        """``axes`` gives each axis of the table its letter; ``watchdog_s`` of silence stops them (0: never).
+
+        Velocities are means of ``velocity_window_s``.
+        """
         self._table, self._write = table, write
-        self._axes = {letter: GalilAxisTwin(table, axis) for axis, letter in sorted(axes.items(), key=lambda a: a[1])}
+        self._axes = {
+            letter: GalilAxisTwin(table, axis, velocity_window_s)
+            for axis, letter in sorted(axes.items(), key=lambda a: a[1])
+        }
         self._echo, self._revision, self._serial = echo, revision, serial
         self._line = b""
         self._too_long = False

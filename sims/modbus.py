@@ -13,18 +13,18 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from drivers.modbus_line import Address, SerialPort
 from drivers.registers import DriveProfile, Register
 from sims.drive import Drive
-from sims.faults import Line, Silence, WireFaults
+from sims.faults import Line, Silence, WireFaults, damaged
 from sims.table import TableModel
 
 
 class FaultyModbus:
-    """What a wire does to requests and replies on it; a plug that is pulled is a wire that stays silent."""
+    """What a wire does to requests and replies on it."""
 
     def __init__(self, faults: WireFaults, seed: int | tuple[int, ...]) -> None:
         """Must be made within a running loop."""
         self._faults = faults
         self._random = np.random.default_rng(seed)
-        self._silence = Silence(faults, unplugged_too=True)
+        self._silence = Silence(faults)
         # A reply is late by what request and reply take: the stock server has no place for two requests at once.
         both = replace(faults, latency_s=2 * faults.latency_s, jitter_s=2 * faults.jitter_s)
         self._line = Line(self._write, both, self._random)
@@ -32,7 +32,9 @@ class FaultyModbus:
 
     def trace(self, sending: bool, data: bytes) -> bytes:
         """Return what comes through of a frame at once."""
-        data = self._damaged(data)
+        if self._silence.now or self._random.random() < self._faults.loss:
+            return b""
+        data = damaged(data, self._faults, self._random)
         if not sending or not (self._faults.latency_s or self._faults.jitter_s):
             return data
         self._line.put(data)
@@ -43,13 +45,12 @@ class FaultyModbus:
             if connection.transport is not None:
                 connection.transport.write(data)  # type: ignore[attr-defined]
 
-    def _damaged(self, data: bytes) -> bytes:
-        if self._silence.now or self._random.random() < self._faults.loss:
-            return b""
-        octets = np.frombuffer(data, dtype=np.uint8).copy()
-        flipped = self._random.random(len(octets)) < self._faults.bit_flips
-        octets[flipped] ^= (1 << self._random.integers(0, 8, int(flipped.sum()))).astype(np.uint8)
-        return octets[self._random.random(len(octets)) >= self._faults.byte_loss].tobytes()
+
+def pull_plug(server: ModbusTcpServer | ModbusSerialServer) -> None:
+    """Close all connections of a server and have it listen no more, until ``listen`` is called at the same address."""
+    for bound in getattr(server.transport, "sockets", ()):
+        server.init_setup_connect_listen(*bound.getsockname()[:2])  # also where any port was asked for
+    server.close()
 
 
 class DriveRegisters:

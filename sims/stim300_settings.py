@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.stim300 import LAYOUTS, RATES_HZ
-from drivers.stim300_special import Configuration
+from drivers.stim300 import LAYOUTS
+from drivers.stim300_special import RATES_HZ, Configuration
 from drivers.stim300_utility import DATAGRAM_CODES, UtilityDecoder, UtilityMessage
 
 _ERRORS = {

@@ -7,6 +7,7 @@ threads. Each can be unplugged by its ``Plug``, and plugged in again.
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import socket
 import tempfile
@@ -36,8 +37,7 @@ class Plug:
     def __init__(self) -> None:
         """Start plugged in, on no wire yet."""
         self.out = False
-        self.timers: list[asyncio.TimerHandle] = []
-        """What will pull it or put it back; cancelled with the wire."""
+        self._timers: list[asyncio.TimerHandle] = []
         self._pulled: Callable[[], None] = _nothing
         self._put_back: Callable[[], None] = _nothing
 
@@ -45,9 +45,16 @@ class Plug:
         """Let a wire know what happens to it."""
         self._pulled, self._put_back = pulled, put_back
 
+    def schedule(self, pull_s: float, push_s: float) -> None:
+        """Have it pulled and put back after these times of the loop, infinite for never."""
+        loop = asyncio.get_running_loop()
+        for after_s, act in ((pull_s, self.pull), (push_s, self.push)):
+            if after_s < math.inf:
+                self._timers.append(loop.call_later(after_s, act))
+
     def detach(self) -> None:
         """Take the wire away, and all that was still to come."""
-        for timer in self.timers:
+        for timer in self._timers:
             timer.cancel()
         self._pulled = self._put_back = _nothing
 
@@ -80,26 +87,6 @@ def in_memory(name: str, make: Callable[[Write], ByteDevice], plug: Plug | None 
 
 
 @asynccontextmanager
-async def pty_pair() -> AsyncIterator[tuple[int, str]]:
-    """Open a pseudo-terminal that passes bytes as they are; yield our end's descriptor, and the name of the other."""
-    with ExitStack() as stack:
-        yield _open_pty(stack)
-
-
-@asynccontextmanager
-async def pty_joint() -> AsyncIterator[tuple[str, str]]:
-    """Join two pseudo-terminals like two serial ports by a cable; yield their names."""
-    with ExitStack() as stack:
-        (one, first), (other, second) = _open_pty(stack), _open_pty(stack)
-        forth, back = _PtyEnd(other), _PtyEnd(one)
-        stack.callback(forth.close)
-        stack.callback(back.close)
-        back.hear(forth.write)
-        forth.hear(back.write)
-        yield first, second
-
-
-@asynccontextmanager
 async def on_pty(make: Callable[[Write], ByteDevice], plug: Plug | None = None) -> AsyncIterator[str]:
     """Put a device on a pseudo-terminal; yield the name that a station opens. ``make`` is given what it writes by.
 
@@ -114,6 +101,22 @@ async def on_pty(make: Callable[[Write], ByteDevice], plug: Plug | None = None) 
             stack.callback(plug.detach)
         stack.callback(wire.unplug)
         yield wire.name
+
+
+@asynccontextmanager
+async def pty_joint(plug: Plug | None = None) -> AsyncIterator[tuple[str, str]]:
+    """Join two pseudo-terminals like two serial ports by a cable; yield their names. ``plug`` is that of the second."""
+    with ExitStack() as stack:
+        ours, first = _open_pty(stack)
+        end = _PtyEnd(ours)
+        stack.callback(end.close)
+
+        def joined(write: Write) -> ByteDevice:
+            end.hear(write)
+            return end
+
+        async with on_pty(joined, plug) as second:
+            yield first, second
 
 
 class _Pty:
@@ -166,6 +169,8 @@ class _PtyEnd:
         if len(self._waiting) > _MOST_WAITING:
             del self._waiting[: len(self._waiting) - _MOST_WAITING]
         self._send()
+
+    received = write  # to be a device itself, which tells what it hears to whoever holds the terminal
 
     def _send(self) -> None:
         with suppress(BlockingIOError):

@@ -9,22 +9,21 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers import aceinna, vectornav
 from drivers.can_imu import BUILT_IN_DBC, CanChannel
 from drivers.can_mappings import MappingError, channels_of, load_mapping
+from drivers.stim300_special import RATES_HZ as STIM300_RATES_HZ
 from drivers.stim300_units import ACCEL_LSB_G, UNITS
-from drivers.vectornav import ASCII_RATES_HZ
+from drivers.xsens_imu import HIGHEST_RATE_HZ as XSENS_HIGHEST_RATE_HZ
 from estimator.array import SensorArray, cone, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.errors import GeometryError
 from estimator.model import Prior
 from estimator.noise import NoiseModel
+from station.bench_table import TWIN
 from station.tables import Table
 
 PROTOCOLS = ("can", "j1939", "stim300", "vectornav", "xsens")
 ON_CAN = ("can", "j1939")
-STIM300_RATES_HZ = (125, 250, 500, 1000, 2000)
-J1939_RATES_HZ = (2, 4, 5, 10, 20, 25, 50, 100)
-_VECTORNAV_BASE_HZ = 800
-_XSENS_FASTEST_HZ = 2000
 _NOT_NAMES = ("table", "seed", "watchdog", "start", "fault", "faults", "hidden", "started", "wires")
 
 
@@ -87,14 +86,14 @@ def read_imu(table: Table, folder: Path) -> ImuConfig:
         raise table.fail("rate", "must be above zero")
     if protocol != "can" and len(array) != 3:
         raise table.fail("array", f"protocol {protocol} has three gyros, this array {len(array)}")
-    _check_rate(table, protocol, rate_hz)
     can = _can(table, folder, name, array) if protocol == "can" else None
-    options = _options(table, protocol, rate_hz)
+    options = _options(table, protocol)
+    _check_rate(table, protocol, rate_hz, str(options.get("output", "")))
     noise, prior = _datasheet(table.table("datasheet"))
     config = ImuConfig(
         name,
         protocol,
-        table.string("link", "twin:"),
+        table.string("link", TWIN),
         array_name,
         array,
         rate_hz,
@@ -108,34 +107,31 @@ def read_imu(table: Table, folder: Path) -> ImuConfig:
     return config
 
 
-def _check_rate(table: Table, protocol: str, rate_hz: float) -> None:
-    """See that the device has such a rate, before it is asked for it."""
-    legal: tuple[int, ...] = ()
-    if protocol == "stim300":
-        legal = STIM300_RATES_HZ
-    elif protocol == "j1939":
-        legal = J1939_RATES_HZ
-    elif protocol == "vectornav" and (rate_hz != round(rate_hz) or _VECTORNAV_BASE_HZ % round(rate_hz)):
-        legal = tuple(n for n in range(1, _VECTORNAV_BASE_HZ + 1) if _VECTORNAV_BASE_HZ % n == 0)
-    elif protocol == "xsens" and (rate_hz != round(rate_hz) or rate_hz > _XSENS_FASTEST_HZ):
-        raise table.fail("rate", f"an Xsens MTi sends at a whole number of Hz, up to {_XSENS_FASTEST_HZ}")
-    if legal and rate_hz not in legal:
-        raise table.fail("rate", f"protocol {protocol} sends at {', '.join(map(str, legal))} Hz")
+def _check_rate(table: Table, protocol: str, rate_hz: float, output: str) -> None:
+    """See that the device has such a rate, before it is asked for it; ``output`` is what a VectorNav sends."""
+    if protocol == "xsens" and (rate_hz != round(rate_hz) or rate_hz > XSENS_HIGHEST_RATE_HZ):
+        raise table.fail("rate", f"an Xsens MTi sends at a whole number of Hz, up to {XSENS_HIGHEST_RATE_HZ}")
+    legal: Mapping[str, Sequence[float]] = {
+        "stim300": STIM300_RATES_HZ,
+        "j1939": sorted(aceinna.RATES_HZ),
+        "vectornav": vectornav.RATES_HZ.get(output, ()),
+    }
+    if protocol in legal and rate_hz not in legal[protocol]:
+        said = f"protocol {protocol} sends{f' {output}' if output else ''} at"
+        raise table.fail("rate", f"{said} {', '.join(f'{legal_hz:g}' for legal_hz in legal[protocol])} Hz")
 
 
-def _options(table: Table, protocol: str, rate_hz: float) -> dict[str, str | int | bool]:
+def _options(table: Table, protocol: str) -> dict[str, str | int | bool]:
     options: dict[str, str | int | bool] = {}
     if protocol in ("xsens", "j1939"):
         options["configure"] = table.flag("configure", True)
     if protocol == "vectornav":
-        options["output"] = table.string("output", "binary", one_of=("binary", "ascii"))
-        if options["output"] == "ascii" and rate_hz not in ASCII_RATES_HZ:
-            raise table.fail("rate", f"in ASCII it sends at {', '.join(map(str, ASCII_RATES_HZ))} Hz")
+        options["output"] = table.string("output", "binary", one_of=vectornav.RATES_HZ)
     elif protocol == "j1939":
-        options["model"] = table.string("model", "openimu300ri", one_of=("openimu300ri", "mtlt305d"))
+        options["model"] = table.string("model", "openimu300ri", one_of=aceinna.AXIS_ORDERS)
         if table.has("axis_order"):
             options["axis_order"] = table.string("axis_order", one_of=("xyz", "sae"))
-        options["address"] = table.integer("address", 0x80)
+        options["address"] = table.integer("address", aceinna.DEFAULT_ADDRESS)
         if not 0 <= int(options["address"]) <= 0xFD:
             raise table.fail("address", f"{options['address']} is no J1939 address: give 0 to 253")
     elif protocol == "stim300":

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from drivers.galil_table import VELOCITY_WINDOW_S
 from drivers.registers import DriveProfile, ProfileError, load_profile
 from drivers.seams import AxisLimits
 from estimator.reference import TableUncertainty
 from station.tables import Table
 
+TWIN = "twin:"
+"""The link that leads to a twin in memory."""
 PROTOCOLS = ("modbus", "galil", "acutrol", "aerosmith")
 
 
@@ -18,19 +21,24 @@ PROTOCOLS = ("modbus", "galil", "acutrol", "aerosmith")
 class AxisConfig:
     """One axis of the table: its ``address`` at the controller, encoder counts a turn, limits.
 
-    The address is a unit id on Modbus, a letter on a Galil, a number on an ACUTROL.
+    The address is a unit id on Modbus, a letter on a Galil, a number on an ACUTROL. ``link`` is that of a drive on
+    Modbus with a link of its own, else empty; ``error_limit_rad`` the following error at which a Galil gives up.
     """
 
     address: int | str
     counts_per_turn: int
     limits: AxisLimits
+    link: str = ""
+    error_limit_rad: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class TableConfig:
     """The turntable: protocol and link, gimbals outermost first, axes by name.
 
-    ``profile`` is the register map of drives on Modbus; ``prefix`` the length of what an ACUTROL puts before replies.
+    ``profile`` is the register map of drives on Modbus; ``prefix`` the length of what an ACUTROL puts before replies;
+    ``velocity_window_s`` the time that a Galil's velocity is the mean of; ``fault_mask`` the bits of an Aerosmith's
+    status that mean a fault.
     """
 
     protocol: str
@@ -38,6 +46,8 @@ class TableConfig:
     profile: DriveProfile | None
     prefix: int
     homing: str
+    velocity_window_s: float
+    fault_mask: int
     gimbals: tuple[str, ...]
     poll_rate_hz: float
     timeout_s: float
@@ -48,6 +58,16 @@ class TableConfig:
     def limits(self) -> dict[str, AxisLimits]:
         """Limits by axis."""
         return {name: axis.limits for name, axis in self.axes.items()}
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """The links of all axes, each once."""
+        return tuple(dict.fromkeys(axis.link or self.link for axis in self.axes.values()))
+
+    def at(self, link: str) -> TableConfig:
+        """Return the same table at another link, with all its axes."""
+        axes = {name: replace(axis, link="") for name, axis in self.axes.items()}
+        return replace(self, link=link, axes=axes)
 
 
 def read_table(table: Table, folder: Path) -> TableConfig:
@@ -65,10 +85,14 @@ def read_table(table: Table, folder: Path) -> TableConfig:
         raise table.fail("gimbals", "an Aerosmith table (experimental) has one axis: list it alone")
     config = TableConfig(
         protocol=protocol,
-        link=table.string("link", "twin:"),
+        link=table.string("link", TWIN),
         profile=_profile(table, folder) if protocol == "modbus" else None,
         prefix=table.integer("reply_prefix", 8) if protocol == "acutrol" else 0,
         homing=table.string("homing", "HM", one_of=("HM", "FI")) if protocol == "galil" else "",
+        velocity_window_s=(
+            table.quantity("velocity_window", "time", VELOCITY_WINDOW_S) if protocol == "galil" else VELOCITY_WINDOW_S
+        ),
+        fault_mask=table.integer("fault_mask", 0) if protocol == "aerosmith" else 0,
         gimbals=tuple(gimbals),
         poll_rate_hz=table.quantity("poll_rate", "frequency", 20.0),
         timeout_s=table.quantity("timeout", "time", 0.2),
@@ -81,9 +105,15 @@ def read_table(table: Table, folder: Path) -> TableConfig:
         raise table.fail("timeout", "must be above zero")
     if config.prefix < 0:
         raise table.fail("reply_prefix", "is a number of characters, 0 or more")
-    addresses = [axis.address for axis in config.axes.values()]
+    if config.velocity_window_s <= 0:
+        raise table.fail("velocity_window", "must be above zero")
+    if config.fault_mask < 0:
+        raise table.fail("fault_mask", "is the sum of the bits that mean a fault, 0 or more")
+    if config.link == TWIN and (own := [axis for axis in config.axes.values() if axis.link]):
+        raise table.fail("link", f"must be given, too, where an axis has a link of its own ({own[0].link})")
+    addresses = [(axis.link or config.link, axis.address) for axis in config.axes.values()]
     if len(set(addresses)) != len(addresses):
-        raise table.fail(None, f"two axes have the same address at the controller: {addresses}")
+        raise table.fail(None, f"two axes have the same address at the controller: {[a for _, a in addresses]}")
     table.done()
     return config
 
@@ -114,14 +144,31 @@ def _axis(table: Table, protocol: str) -> AxisConfig:
         address=_address(table, protocol),
         # Angles of an ACUTROL and an Aerosmith are in degrees; their encoder's counts matter to a twin alone.
         counts_per_turn=table.integer("counts_per_turn", None if protocol in ("modbus", "galil") else 3_600_000),
-        limits=AxisLimits(table.quantity("max_rate", "rate"), table.quantity("max_acceleration", "acceleration")),
+        limits=AxisLimits(
+            table.quantity("max_rate", "rate"), table.quantity("max_acceleration", "acceleration"), _travel(table)
+        ),
+        link=table.string("link", "") if protocol == "modbus" else "",
+        error_limit_rad=(
+            table.quantity("error_limit", "angle") if protocol == "galil" and table.has("error_limit") else None
+        ),
     )
     if axis.counts_per_turn < 1:
         raise table.fail("counts_per_turn", "must be 1 or more")
     if axis.limits.rate_rps <= 0 or axis.limits.acceleration_rps2 <= 0:
         raise table.fail(None, "max_rate and max_acceleration must be above zero")
+    if axis.error_limit_rad is not None and axis.error_limit_rad <= 0:
+        raise table.fail("error_limit", "must be above zero")
     table.done()
     return axis
+
+
+def _travel(table: Table) -> tuple[float, float] | None:
+    if not table.has("travel"):
+        return None
+    low, high = table.quantities("travel", "angle", 2)
+    if not low <= 0 <= high or low == high:
+        raise table.fail("travel", 'is from below home to above it: ["-90 deg", "90 deg"]')
+    return low, high
 
 
 def _address(table: Table, protocol: str) -> int | str:

@@ -19,10 +19,9 @@ from station.bench import Bench
 from station.checking import AxisCheck, DeviceCheck, SourceCheck, check_bench
 from station.commands import chosen_bench, clock
 from station.errors import UsageError
-from station.investigation_printed import stdout
 from station.open_bench import open_bench
 from station.outcome import Outcome
-from station.printing import refuse
+from station.printing import refuse, stdout
 
 
 def command_check(arguments: argparse.Namespace) -> int:
@@ -81,9 +80,13 @@ def _identity(identity: Identity) -> str:
 
 
 def _axis(axis: AxisCheck) -> str:
+    travel = ""
+    if axis.travel_rad is not None:
+        low, high = map(math.degrees, axis.travel_rad)
+        travel = f", from {low:g} to {high:g} deg"
     return (
         f"{axis.name}: {axis.text}, at {math.degrees(axis.angle_rad):.3f} deg; up to "
-        f"{math.degrees(axis.max_rate_rps):g} deg/s, {math.degrees(axis.max_acceleration_rps2):g} deg/s2; "
+        f"{math.degrees(axis.max_rate_rps):g} deg/s, {math.degrees(axis.max_acceleration_rps2):g} deg/s2{travel}; "
         f"read in {axis.round_trip_s * 1e3:.1f} ms"
     )
 

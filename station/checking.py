@@ -10,18 +10,21 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import DeviceError
-from drivers.seams import Identity, ImuBlock, ImuSource
+from drivers.errors import BadReply, DeviceError, LinkLost
+from drivers.seams import Identity, ImuBlock, ImuSource, SourceCounts
 from station.bench_imu import ImuConfig
 from station.open_bench import OpenBench, OpenImu
 
 Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
 
 LISTEN_S = 2.0
 _OPEN_S = 5.0
 _READINGS = 10
 _RATE_OFF = 0.02
-_SLOW_READING_S = 0.025  # half a period of the usual 20 Hz
+_LEAST_PERIOD_S = 1e-5
+_LOOK_AT_TABLE = "are protocol, link, baud rate, parity and the axes' addresses those of the controller?"
+_LOOK_AT_IMU = "are protocol, link, baud rate or channel those of the device?"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +37,7 @@ class AxisCheck:
     text: str
     max_rate_rps: float
     max_acceleration_rps2: float
+    travel_rad: tuple[float, float] | None
     round_trip_s: float
 
 
@@ -43,6 +47,7 @@ class SourceCheck:
 
     name: str
     rate_hz: float
+    samples: int
     lost: int
     repeated: int
     late: int
@@ -64,6 +69,11 @@ class DeviceCheck:
     sources: list[SourceCheck] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
 
+    @property
+    def answered_nothing(self) -> bool:
+        """Whether nothing came of it that could be understood, not even a refusal."""
+        return not self.axes and not self.sources and not {_LOOK_AT_TABLE, _LOOK_AT_IMU}.isdisjoint(self.wrong)
+
 
 async def check_bench(
     opened: OpenBench, *, time_scale: float = 1.0, tell: Callable[[str], None] = lambda device: None
@@ -81,12 +91,16 @@ async def check_bench(
             found.append(await _check_imu(imu, time_scale))
         finally:
             imu.source.close()
+    dumb = [check for check in found if check.answered_nothing]
+    for check in dumb if len(dumb) > 1 else ():
+        others = " and ".join(other.device for other in dumb if other is not check)
+        check.wrong.append(f"{others} cannot be understood either: are their links exchanged?")
     return found
 
 
 async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
     bench, table = opened.bench, opened.table
-    check = DeviceCheck("table", bench.table.protocol, bench.table.link)
+    check = DeviceCheck("table", bench.table.protocol, ", ".join(bench.table.links))
     loop = asyncio.get_running_loop()
     try:
         async with asyncio.timeout(_OPEN_S * time_scale):
@@ -105,7 +119,14 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
             trip = float(np.median(trips)) / time_scale
             check.axes.append(
                 AxisCheck(
-                    axis, state.angle_rad, state.rate_rps, status.text, limits.rate_rps, limits.acceleration_rps2, trip
+                    axis,
+                    state.angle_rad,
+                    state.rate_rps,
+                    status.text,
+                    limits.rate_rps,
+                    limits.acceleration_rps2,
+                    limits.travel_rad,
+                    trip,
                 )
             )
             if abs(state.rate_rps) > math.radians(0.05):
@@ -117,9 +138,11 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
                 f"{bench.table.poll_rate_hz:g} Hz: lower it, or use a faster link"
             )
     except TimeoutError:
-        check.wrong.append(f"no answer within {_OPEN_S:g} s: is it powered, is the link right?")
+        check.wrong += [f"no answer within {_OPEN_S:g} s: is it powered?", _LOOK_AT_TABLE]
+    except (LinkLost, BadReply) as error:
+        check.wrong += [error.message, _LOOK_AT_TABLE]
     except DeviceError as error:
-        check.wrong.append(_what(error))
+        check.wrong.append(error.message)
     return check
 
 
@@ -132,22 +155,25 @@ async def _check_imu(imu: OpenImu, time_scale: float) -> DeviceCheck:
             check.identity = await source.identify()
         blocks = await _listen(source, LISTEN_S * time_scale)
     except TimeoutError:
-        check.wrong.append(f"no answer within {_OPEN_S:g} s: is it powered, is the link right?")
+        check.wrong += [f"no answer within {_OPEN_S:g} s: is it powered?", _LOOK_AT_IMU]
+        return check
+    except (LinkLost, BadReply) as error:
+        check.wrong += [error.message, _LOOK_AT_IMU]
         return check
     except DeviceError as error:
-        check.wrong.append(_what(error))
+        check.wrong.append(error.message)
         return check
+    silent = [name for name in source.names if not sum(len(block.t_ns) for block in blocks.get(name, []))]
+    if silent:
+        corrupt = sum(source.counts(name).corrupt for name in silent)
+        heard = f", but {corrupt} pieces of something else or damaged" if corrupt else ""
+        said = f"no samples from {', '.join(silent)} in {LISTEN_S:g} s{heard}: is it powered and sending?"
+        check.wrong += [said, _LOOK_AT_IMU]
     for name in source.names:
-        got = blocks.get(name, [])
-        if not sum(len(block.t_ns) for block in got):
-            check.wrong.append(
-                f"no samples from {name} in {LISTEN_S:g} s: is it powered and sending, are link, baud rate or channel "
-                "as on the device?"
-            )
-            continue
-        source_check = _source(source, name, got, time_scale)
-        check.sources.append(source_check)
-        check.wrong += _complaints(config, source_check)
+        if name not in silent:
+            source_check = _source(source, name, blocks[name], time_scale)
+            check.sources.append(source_check)
+            check.wrong += _complaints(config, source_check, _counted(blocks[name]))
     return check
 
 
@@ -170,14 +196,14 @@ def _source(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale
     temperature = np.concatenate([block.temperature_c for block in blocks])
     rate = np.vstack([block.rate_rps for block in blocks])
     counts = source.counts(name)
-    span_s = float(t_ns[-1] - t_ns[0]) * 1e-9
     known = temperature[np.isfinite(temperature)]
     valid = np.isfinite(rate).any(axis=0)
     mean = np.full(rate.shape[1], np.nan)
     mean[valid] = np.nanmean(rate[:, valid], axis=0)
     return SourceCheck(
         name,
-        (len(t_ns) - 1) / span_s if span_s > 0 else 0.0,
+        _sent_hz(t_ns, arrival_ns, counts, _counted(blocks)),
+        len(t_ns),
         counts.lost,
         counts.repeated,
         counts.late,
@@ -188,30 +214,50 @@ def _source(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale
     )
 
 
-def _complaints(config: ImuConfig, check: SourceCheck) -> list[str]:
+def _counted(blocks: Sequence[ImuBlock]) -> bool:
+    """Return whether the device tells its own count or clock."""
+    return blocks[0].counter is not None
+
+
+def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bool) -> float:
+    """Return how many samples a second a device sends.
+
+    Stamps from its own count or clock tell it once that is placed, after the first of them. Without one, stamps,
+    losses and repeats go by the rate of the bench file: only arrivals can deny that.
+    """
+    n = len(t_ns)
+    if n < 2:
+        return 0.0
+    if counted:
+        settled_ns = t_ns[(n - 1) // 2 :]
+        period_s = float(settled_ns[-1] - settled_ns[0]) * 1e-9 / (len(settled_ns) - 1)
+    else:
+        period_s = float(np.polyfit(np.arange(n), (arrival_ns - arrival_ns[0]) * 1e-9, 1)[0])
+    unseen = counts.lost if counted else counts.repeated
+    return (1 + unseen / n) / max(period_s, _LEAST_PERIOD_S)
+
+
+def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> list[str]:
     """Return what is wrong with a source that does send."""
     wrong = []
-    sent_hz = check.rate_hz
-    if abs(sent_hz / config.rate_hz - 1) > _RATE_OFF:
-        wrong.append(
-            f"{check.name} sends at {sent_hz:.1f} Hz, the bench file says {config.rate_hz:g} Hz: set one to the other"
-        )
-    if check.lost or check.corrupt:
-        wrong.append(
-            f"{check.name}: {check.lost} samples lost and {check.corrupt} corrupt in {LISTEN_S:g} s: look at cable, "
-            "baud rate and load of the host"
-        )
+    who, prefix = ("it", "") if check.name == config.name else (check.name, f"{check.name}: ")
+    whole = check.samples + check.lost
+    lost = f"{check.lost} of {whole} samples"
+    cables = "look at cable, baud rate and load of the host"
+    if abs(check.rate_hz / config.rate_hz - 1) > _RATE_OFF:
+        said = f"{who} sends at {check.rate_hz:.1f} Hz, the bench file says {config.rate_hz:g} Hz: set one to the other"
+        whole_hz = check.rate_hz * whole / check.samples
+        if not counted and abs(whole_hz / config.rate_hz - 1) < 2 * _RATE_OFF:
+            said += f"; or {lost} were lost: {cables}"
+        wrong.append(said)
+    elif check.lost or check.corrupt:
+        wrong.append(f"{prefix}{lost} lost, {check.corrupt} corrupt: {cables}")
     for i, mean in enumerate(check.mean_rps):
         if math.isnan(mean):
-            wrong.append(f"{check.name}: gyro {i + 1} gives no valid rate: is the device starting up, or broken?")
+            wrong.append(f"{prefix}gyro {i + 1} gives no valid rate: is the device starting up, or broken?")
         elif abs(mean) > math.radians(20.0):
             wrong.append(
-                f"{check.name}: gyro {i + 1} says {math.degrees(mean):.1f} deg/s at rest: is its unit or scale as in "
-                "the bench file?"
+                f"{prefix}gyro {i + 1} says {math.degrees(mean):.1f} deg/s at rest: is its unit or scale as in the "
+                "bench file?"
             )
     return wrong
-
-
-def _what(error: DeviceError) -> str:
-    """Return an error without the device's name, which stands beside it."""
-    return str(error).removeprefix(f"{error.device}: ")

@@ -6,10 +6,11 @@ import argparse
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NoReturn
 
 from station.errors import EXIT_ABORTED, EXIT_USAGE
+from station.exporting.held import HELD
 from station.worker_pool import ONE_BLAS_THREAD
 
 # Matrices here are small: threads of the linear algebra library gain nothing, and on a busy machine they wait for
@@ -23,13 +24,37 @@ _MODULES = {
     "calibrate": "station.calibrate_command",
     "import": "station.commands",
     "check": "station.check_command",
+    "completion": "station.completion_command",
     "effects": "station.effects_command",
+    "export": "station.export_command",
+    "init": "station.init_command",
     "investigate": "station.investigate_command",
     "loop": "station.loop_command",
     "plan": "station.plan_command",
+    "report": "station.report_command",
     "study": "station.studies.command",
+    "ui": "station.ui_command",
 }
 """Where the function of each command is, by the command's name: ``command_NAME(arguments) -> exit code``."""
+
+
+_GROUPS = (
+    ("set up a bench", ("init", "check", "twin", "completion")),
+    ("measure", ("plan", "run", "ui", "loop")),
+    ("recordings", ("import", "calibrate", "investigate", "effects")),
+    ("hand over", ("report", "export")),
+    ("studies", ("study",)),
+)
+"""The commands in the order of work, as --help shows them."""
+
+_EXAMPLES = (
+    ("station run", "the 360 s script on the built-in twins, no hardware needed"),
+    ("station init my_bench.toml", "describe your own hardware"),
+    ("station check my_bench.toml", "does everything answer? nothing moves"),
+    ("station run --bench my_bench.toml", "drive the script, record, calibrate"),
+    ("station calibrate --write recordings", "estimate again from all recordings in a folder"),
+    ("station export RUN.h5 --format c -o gyros.h", "the correction function for your firmware"),
+)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -37,14 +62,44 @@ class _Parser(argparse.ArgumentParser):
         self.exit(EXIT_USAGE, f"station: {message}\ntry: {self.prog} --help\n")
 
 
+class _Commands:
+    """The commands of the station; keeps the line that --help has for each."""
+
+    def __init__(self, parser: argparse.ArgumentParser) -> None:
+        self._added = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
+        self.lines: dict[str, str] = {}
+
+    def add_parser(self, name: str, *, help: str, description: str) -> argparse.ArgumentParser:
+        self.lines[name] = help
+        return self._added.add_parser(name, help=help, description=description)
+
+
+class _Station(_Parser):
+    """The parser above the commands: its help lists them in the order of work."""
+
+    lines: Mapping[str, str] = {}
+
+    def format_help(self) -> str:
+        listed = {name for _, names in _GROUPS for name in names}
+        groups = (*_GROUPS, ("more", tuple(name for name in self.lines if name not in listed)))
+        parts = [f"{self.description}\n\nusage: station COMMAND [options]; station COMMAND --help says what it takes\n"]
+        for title, names in groups:
+            there = [name for name in names if name in self.lines]
+            if there:
+                parts.append("\n".join([f"{title}:", *(f"  {name:<12} {self.lines[name]}" for name in there), ""]))
+        parts.append("\n".join(["examples:", *(f"  {typed:<46} {does}" for typed, does in _EXAMPLES), ""]))
+        return "\n".join([*parts, f"{self.epilog}\n"])
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code: 0 pass, 1 fail, 2 wrong usage, 3 aborted, 4 device fault."""
-    arguments = _parser().parse_args(argv)
+    arguments = make_parser().parse_args(argv)
     os.environ.update(ONE_BLAS_THREAD)  # before any command imports numpy
+    command = "ui" if getattr(arguments, "ui", False) else arguments.command
     try:
         # The libraries behind the commands cost a second: --help does without.
-        module = importlib.import_module(_MODULES[arguments.command])
-        return int(getattr(module, f"command_{arguments.command}")(arguments))
+        module = importlib.import_module(_MODULES[command])
+        return int(getattr(module, f"command_{command}")(arguments))
     except KeyboardInterrupt:
         print("station: stopped by Ctrl-C before anything moved", file=sys.stderr)
         return EXIT_ABORTED
@@ -53,14 +108,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_USAGE
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line; no library is imported for it."""
+    parser = _Station(
         prog="station",
         description="Turntable calibration station: drives a rate table, records gyros, calibrates them live.",
         epilog="exit codes: 0 pass, 1 fail against limits, 2 wrong usage or unreadable input, 3 aborted,"
         " 4 device fault",
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
+    commands = _Commands(parser)
+    parser.lines = commands.lines
 
     run = commands.add_parser(
         "run",
@@ -77,7 +134,9 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="stop when every sigma that the bench requires ([limits], sd_...) is reached and the residual is clean",
     )
+    _hosting_options(run)
     run.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    run.add_argument("--ui", action="store_true", help="begin on the operator's screen, with these options filled in")
 
     twin = commands.add_parser(
         "twin",
@@ -198,7 +257,131 @@ def _parser() -> argparse.ArgumentParser:
             " investigate; 3 and 4 if a run is aborted or a device fails.",
         )
     )
+    _ui_options(
+        commands.add_parser(
+            "ui",
+            help="show the operator's screen",
+            description="Prepare, run, judge and look back, in a terminal of 80 x 24 characters or more. A run is a"
+            " session of its own: it goes on when the screen is closed, and --attach shows it again. F9 stops the table"
+            " from everywhere.",
+        )
+    )
+    _init_options(
+        commands.add_parser(
+            "init",
+            help="write a bench file, asking what hardware there is",
+            description="Ask what stands in the lab, check every answer at once, and write a bench file with comments."
+            " What is not there yet gets a twin, so that the file runs as it is.",
+        )
+    )
+    _export_options(
+        commands.add_parser(
+            "export",
+            help="write a calibration for firmware, robotics tools, autopilots",
+            description="Write the calibration in a recording as data, as source code with the correction function, or"
+            " for other systems. What a format cannot hold is said on stderr and in the file. --list tells them all.",
+        )
+    )
+    _completion_options(
+        commands.add_parser(
+            "completion",
+            help="print what a shell needs to complete commands and files",
+            description="Print what a shell needs to complete commands, options and files. bash: station completion"
+            " bash > ~/.local/share/bash-completion/completions/station; zsh: > a folder of $fpath, as _station;"
+            " fish: > ~/.config/fish/completions/station.fish; tcsh: > ~/.station.tcsh, and source it in ~/.tcshrc.",
+        )
+    )
+    _report_options(
+        commands.add_parser(
+            "report",
+            help="write the report of a recording: HTML and PDF",
+            description="Write the report of a calibrated recording as one HTML file that needs nothing else: a"
+            " certificate if it passed its limits. Exit code 0 if it is written, whatever it says.",
+        )
+    )
     return parser
+
+
+def _ui_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--script", metavar="FILE", help="script (.toml); default: the 360 s script")
+    _bench_options(parser)
+    parser.add_argument(
+        "--scale", type=_positive, metavar="F", help="run F times as fast as real time, with twins only; default: 5"
+    )
+    parser.add_argument("--folder", metavar="FOLDER", help="folder of the recordings; default: recordings")
+    parser.add_argument("--attach", action="store_true", help="show the session that runs")
+    parser.add_argument(
+        "--web",
+        nargs="?",
+        type=int,
+        const=8000,
+        metavar="PORT",
+        help="show it in a browser of this machine, at the address that is printed; default port: 8000",
+    )
+
+
+def _init_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", nargs="?", default="bench.toml", metavar="FILE", help="default: bench.toml")
+    parser.add_argument(
+        "--defaults", action="store_true", help="ask nothing: take what is proposed, and what the options below say"
+    )
+    parser.add_argument("--table", metavar="PROTOCOL", help="modbus, galil, acutrol or aerosmith")
+    parser.add_argument("--table-link", metavar="URL", help="where the table is; default: twin:")
+    parser.add_argument(
+        "--imu",
+        action="append",
+        default=[],
+        metavar="PROTOCOL",
+        help="can, j1939, stim300, vectornav or xsens; may be repeated",
+    )
+    parser.add_argument(
+        "--imu-link", action="append", default=[], metavar="URL", help="where each --imu is, in their order"
+    )
+    parser.add_argument("--force", action="store_true", help="write over a file that is there")
+
+
+def _export_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recording", nargs="?", metavar="RUN", help="recording (.h5) that holds a calibration")
+    parser.add_argument("--format", choices=tuple(HELD), metavar="FORMAT", help=f"one of {', '.join(HELD)}")
+    parser.add_argument("--output", "-o", default="-", metavar="FILE", help="file to write, a new one; default: stdout")
+    parser.add_argument("--force", action="store_true", help="write over a file that is there")
+    parser.add_argument(
+        "--device",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="device under test, if the recording holds several; several that are one array: repeat it",
+    )
+    parser.add_argument(
+        "--instance",
+        type=int,
+        default=0,
+        metavar="N",
+        help="which of the gyros of an autopilot (px4, ardupilot) it is, from 0; default: 0",
+    )
+    parser.add_argument("--list", action="store_true", help="say what each format holds, and what it does not")
+    parser.add_argument("--json", action="store_true", help="print what was written, or the list, as one JSON object")
+
+
+def _completion_options(parser: argparse.ArgumentParser) -> None:
+    shells = ("bash", "zsh", "fish", "tcsh")
+    parser.add_argument("shell", choices=shells, metavar="SHELL", help="bash, zsh, fish or tcsh")
+
+
+def _report_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recording", metavar="RECORDING", help="recording (.h5) that holds a calibration")
+    parser.add_argument(
+        "--output", "-o", metavar="FILE", help="new file to write, .html, or .pdf for both; default: beside RECORDING"
+    )
+    parser.add_argument(
+        "--pdf", action="store_true", help="print a PDF, too, by Chromium, Chrome, Edge or $STATION_BROWSER"
+    )
+    parser.add_argument(
+        "--investigation",
+        metavar="FILE",
+        help="what `station investigate -o FILE` wrote of this device; default: what RECORDING holds",
+    )
+    parser.add_argument("--json", action="store_true", help="print what was written as one JSON object")
 
 
 def _investigate_options(parser: argparse.ArgumentParser) -> None:
@@ -268,6 +451,21 @@ def _speed_options(parser: argparse.ArgumentParser) -> None:
         help="run F times as fast as real time, with twins only; default: virtual time if every link is twin:, else 1",
     )
     parser.add_argument("--reset-fault", action="store_true", help="clear faults of the table before enabling it")
+
+
+def _hosting_options(run: argparse.ArgumentParser) -> None:
+    run.add_argument("--operator", metavar="NAME", help="who runs it, for the record; the bench may state a pattern")
+    run.add_argument(
+        "--serial-number",
+        metavar="TEXT",
+        help="serial number of the device under test, for the record; default: what the device itself says",
+    )
+    run.add_argument(
+        "--host",
+        action="store_true",
+        help="let a screen look on, stop, pause and add notes through a local socket; the run then outlives its"
+        " terminal, and takes real time unless --scale says otherwise",
+    )
 
 
 def _plan_options(plan: argparse.ArgumentParser) -> None:

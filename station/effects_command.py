@@ -12,8 +12,9 @@ from rich.table import Table
 from estimator.effects.effect import Parameter
 from estimator.effects.entries import Entry, entries
 from estimator.tracing.investigation import Value
-from station.investigation_printed import human, stdout, words
+from station.investigation_printed import human, words
 from station.outcome import Outcome
+from station.printing import stdout
 
 
 def command_effects(arguments: argparse.Namespace) -> int:

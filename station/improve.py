@@ -21,7 +21,6 @@ from estimator.budget import table_budget
 from estimator.kinematics import body_rate
 from estimator.model import STATES, regressor_maps
 from estimator.planning import UNSEEN, weighed
-from estimator.reference import TableReadings
 from estimator.rows import BLOCK_S
 from station.bench import Bench
 from station.bench_imu import ImuConfig
@@ -30,8 +29,9 @@ from station.outcome import Outcome
 from station.plan import make_plan
 from station.plan_printed import STATE_UNITS
 from station.planned import planned_motion
+from station.printing import stdout
 from station.quantities import QuantityError, parse
-from station.script import Move, Rest, Script
+from station.script import Move, Rest, Script, check
 from station.script_family import ways_of
 from station.script_search import LONGEST_S, Found, Needs, Search, sds_of
 
@@ -43,7 +43,6 @@ DEFAULT_FILE = "improved.toml"
 _PERIOD_S = 0.05
 _MOST_ROWS = 50_000
 _AFTER_MOVE_S = 0.05  # the sequencer asks whether a move has arrived when it is due, and again so much later
-_PIPE_WIDTH = 120
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +70,8 @@ class Improved:
 def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
     """Find a better script than this one and write it; 1 if the sigmas asked for cannot be reached.
 
-    Raises UsageError for wrong options and a file that is there already.
+    Raises UsageError for wrong options and a file that is there already, ScriptError where what is found leaves an
+    axis's travel.
     """
     began_s = time.perf_counter()
     wanted = _wanted(arguments, bench, script)
@@ -82,6 +82,7 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
     gyros = tuple((imu.name, gyro) for imu in _used(bench) for gyro in imu.array.names)
     if found is None:
         return _refuse(_why_not(search, bench, wanted, gyros), arguments.json)
+    check(found.script, bench.table.limits)
     improved = Improved(script, wanted, found, gyros, time.perf_counter() - began_s)
     try:
         with path.open("x", encoding="utf-8") as file:
@@ -91,8 +92,7 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
     if arguments.json:
         print(json.dumps(improved_object(improved, path)))
     else:
-        console = Console()
-        _print(improved, path, console if console.is_terminal else Console(width=_PIPE_WIDTH))
+        _print(improved, path, stdout())
     return Outcome.PASS.exit_code
 
 
@@ -128,13 +128,7 @@ def predicted(script: Script, bench: Bench) -> Floats:
     motion = planned_motion(script, bench.table.gimbals, period_s)
     w = body_rate(motion.angle_rad, motion.rate_rps, motion.gimbals, bench.site)
     columns = np.column_stack([np.ones(len(w)), w])
-    readings = TableReadings(
-        np.round(motion.t_s * 1e9).astype(np.int64),
-        motion.angle_rad,
-        motion.rate_rps,
-        motion.gimbals,
-        bench.table.uncertainty,
-    )
+    readings = motion.readings(bench.table.uncertainty)
     covariances = []
     for imu in _used(bench):
         maps, arw = regressor_maps(imu.array), np.full(len(imu.array), imu.noise.arw)

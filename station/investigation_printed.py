@@ -24,10 +24,10 @@ from estimator.tracing.investigation import (
     Value,
 )
 from station.next_script import NextScript
+from station.printing import stdout
 from station.residual_printed import print_residual, residual_object
 
 _DEG = 180 / math.pi
-_PIPE_WIDTH = 120
 _UNITS = {
     "1": ("ppm", 1e6),
     "1/K": ("ppm/degC", 1e6),
@@ -238,12 +238,6 @@ def dph(rate_rps: float) -> str:
     """Return a rate in deg/h with three digits."""
     value = rate_rps * _DEG * 3600
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
-
-
-def stdout() -> Console:
-    """Return the console for results: a pipe has no width of its own."""
-    console = Console()
-    return console if console.is_terminal else Console(width=_PIPE_WIDTH)
 
 
 def investigation_object(

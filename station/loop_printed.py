@@ -13,9 +13,9 @@ from station.investigation_printed import (
     dph,
     investigation_object,
     print_investigation,
-    stdout,
     verdict_lines,
 )
+from station.printing import stdout
 
 
 def print_loop(loop: Loop) -> None:

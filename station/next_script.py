@@ -24,7 +24,7 @@ from estimator.planning import weighed
 from estimator.tracing.runs import Run
 from station.loop_scripts import candidates
 from station.planned import planned_motion
-from station.script import Script
+from station.script import Script, is_possible
 
 Floats = NDArray[np.float64]
 
@@ -115,7 +115,8 @@ def next_script(
     shown = before + _Grams.of(judging, effects, origin_s)
     sizes = {name: _size(shown, name, evidence.get(name, 0.0)) for name in effects}
     best: NextScript | None = None
-    for script in sorted(candidates(limits, gimbals), key=lambda script: script.duration_s):
+    possible = [script for script in candidates(limits, gimbals) if is_possible(script, limits)]
+    for script in sorted(possible, key=lambda script: script.duration_s):
         if script.duration_s > most_s:
             break
         after = before + _Grams.of(_foreseen(script, [*past, *judging], gimbals, site), effects, origin_s)

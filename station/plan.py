@@ -13,7 +13,6 @@ from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.effects.thermal import REFERENCE_C
 from estimator.planning import Forecast, PlannedDevice, forecast
-from estimator.reference import TableReadings
 from station.bench import Bench
 from station.planned import PlannedMotion, planned_motion
 from station.script import Script, check
@@ -92,13 +91,7 @@ def make_plan(
 
 
 def _table_sd(motion: PlannedMotion, bench: Bench, devices: list[PlannedDevice]) -> Floats:
-    readings = TableReadings(
-        np.round(motion.t_s * 1e9).astype(np.int64),
-        motion.angle_rad,
-        motion.rate_rps,
-        motion.gimbals,
-        bench.table.uncertainty,
-    )
+    readings = motion.readings(bench.table.uncertainty)
     variances = [
         np.sum([np.diag(part.covariance) for part in parts], axis=0) if parts else np.zeros(4)
         for device in devices

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from estimator.errors import EstimatorError
 from estimator.model import STATES
@@ -21,11 +20,9 @@ from station.open_bench import with_links
 from station.outcome import Outcome
 from station.plan import TEMPERATURE_RISE_K, WARMING_TIME_S, Plan, make_plan
 from station.plan_printed import print_plan
-from station.printing import refuse
+from station.printing import refuse, stdout
 from station.quantities import QuantityError, parse
 from station.script import Rest, Script, load_script, paper_script
-
-_PIPE_WIDTH = 120
 
 
 def command_plan(arguments: argparse.Namespace) -> int:
@@ -42,8 +39,7 @@ def command_plan(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(plan_object(plan)))
     else:
-        console = Console()
-        print_plan(plan, console if console.is_terminal else Console(width=_PIPE_WIDTH))
+        print_plan(plan, stdout())
     return (Outcome.PASS if plan.reached.all() else Outcome.FAIL).exit_code
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.reference import TableReadings, TableUncertainty
 from station.script import Move, Rest, Rotate, Script
 
 Floats = NDArray[np.float64]
@@ -23,6 +24,11 @@ class PlannedMotion:
     rate_rps: Floats
     acceleration_rps2: Floats
     gimbals: tuple[str, ...]
+
+    def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
+        """Return what a table of this uncertainty will have read."""
+        t_ns = np.round(self.t_s * 1e9).astype(np.int64)
+        return TableReadings(t_ns, self.angle_rad, self.rate_rps, self.gimbals, uncertainty)
 
 
 def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.05) -> PlannedMotion:

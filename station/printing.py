@@ -42,6 +42,7 @@ _BUDGET_WORDS = {
     "orthogonality": "table orthogonality (type B)",
     "timing": "table timing (type B)",
 }
+_PIPE_WIDTH = 120
 _PLAIN_EVERY = 0.1  # without a terminal: one line each tenth of the run
 
 
@@ -106,7 +107,7 @@ def print_calibration(calibration: Calibration) -> None:
         for value, sd, scale, form in zip(gyro.states, gyro.sd, scales, formats, strict=True):
             cells += [format(value * scale, form), format(sd * scale, form)]
         table.add_row(*cells, f"{math.degrees(gyro.noise_rps):.4f}")
-    console = _stdout()
+    console = stdout()
     console.print(table)
     if any(gyro.effects for gyro in calibration.gyros):
         _print_effects(console, calibration.gyros)
@@ -201,7 +202,7 @@ def print_repeatability(repeats: Sequence[Repeatability], device: str) -> None:
     for gyro in repeats:
         pairs = zip(gyro.scatter * scales, gyro.expected * scales, gyro.differs, strict=True)
         table.add_row(gyro.name, *(f"{_size(s)} ({_size(e)}){' !' if d else ''}" for s, e, d in pairs))
-    console = _stdout()
+    console = stdout()
     console.print(title, style="bold", highlight=False)
     console.print(table)
     for gyro in repeats:
@@ -241,7 +242,7 @@ def _size(value: float) -> str:
 
 def print_verdict(verdict: Verdict, recording: Path) -> None:
     """Print how it ended, why, and where the recording is."""
-    console = _stdout()
+    console = stdout()
     console.print(f"[{_COLOURS[verdict.outcome]}]{verdict.outcome}[/]  {verdict.reason}", highlight=False)
     console.print(f"recording: {recording}", highlight=False, soft_wrap=True)
 
@@ -278,7 +279,7 @@ def print_overview(lines: Sequence[OverviewLine], folder: str) -> None:
             f"{line.nis_mean:.3f}" if np.isfinite(line.nis_mean) else "",
             "" if outcome is Outcome.PASS else escape(line.verdict.reason),
         )
-    _stdout().print(table)
+    stdout().print(table)
 
 
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:
@@ -335,10 +336,10 @@ def _effects_object(gyro: GyroCalibration) -> dict[str, dict[str, list[float | s
     return found
 
 
-def _stdout() -> Console:
+def stdout() -> Console:
+    """Return the console for results; a pipe has no width of its own, and a table of 80 columns loses its numbers."""
     console = Console()
-    # A pipe has no width of its own, and a table cut to 80 columns loses its numbers.
-    return console if console.is_terminal else Console(width=120)
+    return console if console.is_terminal else Console(width=_PIPE_WIDTH)
 
 
 def _clock(seconds: float) -> str:

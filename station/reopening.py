@@ -33,8 +33,7 @@ class Reopening:
         try:
             while not tries.done():
                 if self._moving():
-                    text = str(error).removeprefix(f"{error.device}: ")
-                    raise LinkLost(error.device, f"{text}; it was still gone when the table was to turn")
+                    raise LinkLost(error.device, f"{error.message}; it was still gone when the table was to turn")
                 await asyncio.wait({tries}, timeout=_LOOK_S)
             count = tries.result()
         finally:

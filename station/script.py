@@ -13,6 +13,7 @@ from station.quantities import parse
 from station.tables import Table
 
 _DEG = math.pi / 180
+_ROUNDING_RAD = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +102,7 @@ def load_script(path: Path) -> Script:
 
 def check(script: Script, limits: Mapping[str, AxisLimits]) -> None:
     """See that the table can do every step; ScriptError names the first step it cannot, and the limit."""
+    angles = dict.fromkeys(limits, 0.0)
     for number, step in enumerate(script.steps, 1):
         where = f"script {script.name}, step {number} ({step.label})"
         if isinstance(step, Rest):
@@ -127,6 +129,22 @@ def check(script: Script, limits: Mapping[str, AxisLimits]) -> None:
                 f"{where}: {step.duration_s:g} s is not enough for the two ramps of "
                 f"{abs(step.rate_rps) / step.acceleration_rps2:g} s; make it longer or the ramps steeper"
             )
+        angles[step.axis] = step.angle_rad if isinstance(step, Move) else angles[step.axis] + step.turn_rad
+        low, high = limit.travel_rad or (-math.inf, math.inf)
+        if not low - _ROUNDING_RAD <= angles[step.axis] <= high + _ROUNDING_RAD:
+            raise ScriptError(
+                f"{where}: it takes axis {step.axis} to {angles[step.axis] / _DEG:g} deg from home, beyond its travel "
+                f"of {low / _DEG:g} to {high / _DEG:g} deg"
+            )
+
+
+def is_possible(script: Script, limits: Mapping[str, AxisLimits]) -> bool:
+    """Return whether the table can do every step."""
+    try:
+        check(script, limits)
+    except ScriptError:
+        return False
+    return True
 
 
 def _read_step(table: Table) -> Step:

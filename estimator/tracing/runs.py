@@ -240,9 +240,7 @@ def _seconds(t_ns: Stamps) -> Floats:
 
 
 def _gimbals(reference: TableReadings, grid_s: Floats) -> tuple[Floats, Floats, Floats]:
-    rates = BodyRates(reference.gimbals, None)
-    rates.add(reference.t_ns, reference.angle_rad, reference.rate_rps)
-    rates.finish()
+    rates = BodyRates.of(reference, None)
     known_s = reference.t_ns * 1e-9
     slopes = np.diff(reference.rate_rps, axis=0) / np.diff(known_s)[:, None]
     between = np.clip(np.searchsorted(known_s, grid_s, side="right") - 1, 0, len(slopes) - 1)

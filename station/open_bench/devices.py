@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal, cast
 
 from drivers.aceinna import Settings
@@ -28,10 +29,13 @@ TCP_PORT = {"acutrol": 9888, "galil": 23}
 """TCP port of a link that states none."""
 
 
-def modbus_table(config: TableConfig, address: Address, time_scale: float) -> Turntable:
-    """Return the driver of drives on Modbus at an address."""
+def modbus_table(config: TableConfig, address: Address, own: Mapping[str, Address], time_scale: float) -> Turntable:
+    """Return the driver of drives on Modbus at an address; some axes have one of their ``own``."""
     assert config.profile is not None
-    axes = {name: DriveAxis(int(axis.address), axis.counts_per_turn, axis.limits) for name, axis in config.axes.items()}
+    axes = {
+        name: DriveAxis(int(axis.address), axis.counts_per_turn, axis.limits, own.get(name))
+        for name, axis in config.axes.items()
+    }
     return ModbusTable("table", address, config.profile, axes, config.timeout_s * time_scale)
 
 
@@ -40,14 +44,16 @@ def byte_table(config: TableConfig, link: ByteLink, time_scale: float) -> Turnta
     timeout_s = config.timeout_s * time_scale
     if config.protocol == "galil":
         letters = {
-            name: GalilAxis(str(axis.address), axis.counts_per_turn, axis.limits) for name, axis in config.axes.items()
+            name: GalilAxis(str(axis.address), axis.counts_per_turn, axis.limits, axis.error_limit_rad)
+            for name, axis in config.axes.items()
         }
-        return GalilTable("table", link, letters, timeout_s, homing=config.homing)
+        window_s = config.velocity_window_s
+        return GalilTable("table", link, letters, timeout_s, homing=config.homing, velocity_window_s=window_s)
     if config.protocol == "acutrol":
         numbers = {name: AcutrolAxis(int(axis.address), axis.limits) for name, axis in config.axes.items()}
         return AcutrolTable("table", link, numbers, timeout_s, prefix_length=config.prefix)
     name, axis = next(iter(config.axes.items()))
-    return AerosmithTable("table", link, name, axis.limits, timeout_s)
+    return AerosmithTable("table", link, name, axis.limits, timeout_s, fault_mask=config.fault_mask)
 
 
 def byte_imu(config: ImuConfig, link: ByteLink, time_scale: float) -> ImuSource:

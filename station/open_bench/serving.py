@@ -61,8 +61,9 @@ class _Serving:
         if config.protocol == "modbus":
             said |= {"protocol": f"modbus-{'rtu' if wire == 'serial' else 'tcp'}", "unit_ids": addresses}
             if wire == "serial":
-                ours, theirs = await self._stack.enter_async_context(pty_joint())
-                await self._twins.serve_modbus(SerialPort(ours), watchdog_s)
+                plug = Plug()
+                ours, theirs = await self._stack.enter_async_context(pty_joint(plug))
+                await self._twins.serve_modbus(SerialPort(ours), watchdog_s, plug)
                 return {"link": f"serial://{theirs}", **said}
             server = await self._twins.serve_modbus((self._host, port), watchdog_s)
             bound = server.transport.sockets[0].getsockname()

@@ -31,7 +31,7 @@ from sims.geometry import MOUNTS_DEG, Mounting, along, mounted
 from sims.gyro import GyroArray, GyroTruth
 from sims.hidden import Hidden, HiddenError
 from sims.hidden.table import TableFaults
-from sims.modbus import FaultyModbus, modbus_server
+from sims.modbus import FaultyModbus, modbus_server, pull_plug
 from sims.stim300_device import Stim300Device
 from sims.table import AxisData, TableModel
 from sims.vectornav_device import VectorNavDevice
@@ -90,8 +90,8 @@ class Twins:
         await self.serve_modbus(address, self.bench.twin.watchdog_s)
         return address
 
-    async def serve_modbus(self, address: Address, watchdog_s: float) -> Any:
-        """Serve the drives at a host and port, or on a serial line; return pymodbus's server."""
+    async def serve_modbus(self, address: Address, watchdog_s: float, plug: Plug | None = None) -> Any:
+        """Serve the drives at a host and port, or on a serial line with this plug; return pymodbus's server."""
         config = self.bench.table
         assert config.profile is not None
         units = {name: int(axis.address) for name, axis in config.axes.items()}
@@ -110,6 +110,11 @@ class Twins:
             where = address.port if isinstance(address, SerialPort) else f"{address[0]}:{address[1]}"
             raise DeviceError("table twin", f"cannot listen on {where}; is the port free?") from None
         self._stack.push_async_callback(server.shutdown)
+        if plug is None:
+            plug = Plug()
+            plug.attach(partial(pull_plug, server), lambda: self.run(server.listen()))
+            self._stack.callback(plug.detach)
+        plug.schedule(faults.unplug_s, faults.replug_s)
         return server
 
     def table_device(self, write: Write, watchdog_s: float) -> ByteDevice:
@@ -117,7 +122,8 @@ class Twins:
         config = self.bench.table
         if config.protocol == "galil":
             letters = {name: str(axis.address) for name, axis in config.axes.items()}
-            return GalilController(self.table, write, letters, watchdog_s=watchdog_s)
+            window_s = config.velocity_window_s
+            return GalilController(self.table, write, letters, watchdog_s=watchdog_s, velocity_window_s=window_s)
         if config.protocol == "acutrol":
             numbers = {name: int(axis.address) for name, axis in config.axes.items()}
             return AcutrolController(self.table, write, numbers, watchdog_s=watchdog_s, prefix_length=config.prefix)
@@ -209,7 +215,7 @@ class Twins:
         except HiddenError as error:
             raise BenchError(f"{twin.hidden}: {imu.name}: {error}") from None
 
-    def run(self, twin: Coroutine[Any, Any, None]) -> None:
+    def run(self, twin: Coroutine[Any, Any, Any]) -> None:
         """Let a twin work until the bench is closed."""
         task = asyncio.get_running_loop().create_task(twin)
 
@@ -236,7 +242,8 @@ class Twins:
     def _up(self, imu: ImuConfig) -> Callable[[Floats], Floats]:
         """Return the direction up along the axes of a device (n, 3), which are those of its first three gyros."""
         p = mounting_of(imu).p[:3]
-        return lambda t_s: self._body.up(t_s) @ p.T
+        up = self._body.up_in_turn(1 / imu.rate_hz)
+        return lambda t_s: up(t_s) @ p.T
 
     def faulty(self, device: str, make: Callable[[Write], ByteDevice], plug: Plug) -> Callable[[Write], ByteDevice]:
         """Return ``make`` with what the bench file says is wrong with the wire of this device."""

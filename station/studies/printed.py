@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from estimator.array import tetrahedron_as_printed
+from station.printing import stdout
 from station.studies.baselines import BaselineStudy
 from station.studies.detection import DetectionStudy
 from station.studies.paper import BARS_PERCENT, PaperStudy
@@ -19,7 +20,6 @@ from station.studies.paper_text import NAMES, TABLE_1, TABLE_2, TABLE_3, UNITS, 
 
 Floats = NDArray[np.float64]
 
-_WIDTH = 120
 _GYROS = len(TABLE_2)
 _FORMATS = (".4f", ".1f", ".4f", ".4f")
 """Of an error in b, k, sigma_j, sigma_k."""
@@ -27,7 +27,7 @@ _FORMATS = (".4f", ".1f", ".4f", ".4f")
 
 def print_paper(study: PaperStudy) -> None:
     """Print the tables of the reproduction, what they show, and what is wrong with the paper's own."""
-    console = _stdout()
+    console = stdout()
     for table in (_table_2(study), _table_3(study), _headings(study), _mems(study)):
         console.print(table)
     _list(console, "What this shows", paper_findings(study))
@@ -37,7 +37,7 @@ def print_paper(study: PaperStudy) -> None:
 
 def print_detection(study: DetectionStudy) -> None:
     """Print how often each effect was found, at each size."""
-    console = _stdout()
+    console = stdout()
     table = Table(title="What is found of effects that only the twin knows, % of seeds", title_style="bold")
     table.add_column("effect")
     for heading in (
@@ -77,7 +77,7 @@ def detection_object(study: DetectionStudy) -> dict[str, Any]:
 
 def print_baselines(study: BaselineStudy) -> None:
     """Print every method beside the others, and what the direct observation cannot see."""
-    console = _stdout()
+    console = stdout()
     for table in (_errors(study), _cost(study)):
         console.print(table)
     _list(console, "What the table rates alone do not show, however long they are watched", study.unseen)
@@ -322,9 +322,3 @@ def _nullable(values: Floats) -> list[float | None]:
 
 def _failed(study: PaperStudy | BaselineStudy) -> list[dict[str, str]]:
     return [{"seed": failure.item, "reason": failure.reason} for failure in study.failures]
-
-
-def _stdout() -> Console:
-    console = Console()
-    # A pipe has no width of its own, and a table cut to 80 columns loses its numbers.
-    return console if console.is_terminal else Console(width=_WIDTH)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from drivers.seams import ImuBlock, ImuSource
+from drivers.errors import LinkLost
+from drivers.seams import Frame, ImuBlock, ImuSource
 from sims.body import Body
 from sims.geometry import MOUNTS_DEG, mounted
 from sims.gyro import GyroArray, GyroTruth
@@ -57,6 +58,41 @@ async def collect(source: ImuSource, duration_s: float, *, flush: bool = True) -
     for name, block in source.flush() if flush else ():
         found[name].append(block)
     return {name: joined(blocks) for name, blocks in found.items() if blocks}
+
+
+class Flood:
+    """A link that gives frames with random data at the pace of 500 a second, then is lost.
+
+    Four of five have an identifier of ours, the rest any of 11 or 29 bits; lengths are any.
+    """
+
+    def __init__(self, own: Sequence[tuple[int, bool]], frames: int) -> None:
+        """``own`` are identifiers, each with whether it is extended."""
+        self._own, self._left, self._rng, self._t_ns = own, frames, np.random.default_rng(1), 0
+
+    async def open(self) -> None:
+        pass
+
+    async def receive(self) -> list[Frame]:
+        if self._left <= 0:
+            raise LinkLost("imu", "that was all")
+        self._left -= 100
+        rng = self._rng
+        mine, chosen, extended = rng.random(100) < 0.8, rng.integers(len(self._own), size=100), rng.random(100) < 0.5
+        lengths = np.where(rng.random(100) < 0.5, 8, rng.integers(9, size=100))
+        frames = []
+        for i in range(100):
+            self._t_ns += 2_000_000
+            foreign = (int(rng.integers(1 << (29 if extended[i] else 11))), bool(extended[i]))
+            identifier, is_extended = self._own[chosen[i]] if mine[i] else foreign
+            frames.append(Frame(self._t_ns, identifier, is_extended, rng.bytes(int(lengths[i]))))
+        return frames
+
+    def send(self, frame: Frame) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
 
 
 def joined(blocks: list[ImuBlock]) -> ImuBlock:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import random
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -262,7 +263,8 @@ def test_soft_limits_are_set_from_home_and_end_a_jog() -> None:
         model = model_of("x", COUNTS["galil"])
         near, far = MemoryLink.pair("table")
         controller = GalilController(model, far.write, {"x": "A"})
-        axis = GalilAxis("A", COUNTS["galil"], LIMITS, travel_rad=(-90 * DEG, 45 * DEG), error_limit_rad=1 * DEG)
+        limits = replace(LIMITS, travel_rad=(-90 * DEG, 45 * DEG))
+        axis = GalilAxis("A", COUNTS["galil"], limits, error_limit_rad=1 * DEG)
         table = GalilTable("table", near, {"x": axis}, 0.2)
         carrier = asyncio.get_running_loop().create_task(carry(far, controller))
         await table.open()

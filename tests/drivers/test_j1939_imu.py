@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Any, TypeVar
 
 import can
 import numpy as np
 import pytest
-from can_support import collect, gyros, in_virtual_time, vectors, wire
+from can_support import Flood, collect, gyros, in_virtual_time, vectors, wire
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -350,6 +351,24 @@ def test_random_frames_do_not_disturb_the_driver() -> None:
     block, counts = with_twin(main)
     np.testing.assert_allclose(np.degrees(block.rate_rps), np.tile(RATES_DPS, (len(block.t_ns), 1)), atol=0.004)
     assert counts == SourceCounts(samples=len(block.t_ns))
+
+
+@pytest.mark.parametrize(
+    "frames", [5_000, pytest.param(1_700_000, marks=[pytest.mark.full, pytest.mark.timeout(1800)])]
+)
+def test_a_flood_of_random_frames_never_raises_and_is_not_kept(frames: int) -> None:
+    own = [(identifier(group, DEVICE), True) for group in (ARI, ACCS, SSI2)]
+
+    async def main() -> int:
+        imu = AceinnaImu("imu", Flood(own, frames), 100.0)
+        most = 0
+        with suppress(LinkLost):
+            async for _ in imu.blocks():
+                held = len(imu._waiting) + len(imu._accelerations._pieces) + len(imu._samples._rows)
+                most = max(most, held)
+        return most
+
+    assert 0 < in_virtual_time(main) < 1000
 
 
 def test_the_twin_answers_only_what_is_asked_of_it() -> None:

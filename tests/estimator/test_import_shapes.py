@@ -463,30 +463,30 @@ def test_every_example_is_a_mapping(path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "old", "new", "message"),
     [
-        ("gyro_encoder_rate", 'axis = "z"', "", r'columns in \[reference\] is one column: add axis = "z"'),
+        ("gyro_encoder_rate", 'axis = "z"', "", r'reference.columns: is one column: add axis = "z"'),
         ("gyro_encoder_rate", 'axes = ["z"]', "", r"there are 1 columns and 3 axes .*axes = \[\"z\"\] for one gyro"),
-        ("gyro_encoder_rate", 'scale = "from data"', "", r"\[gyro\] lacks count: add it"),
-        ("gyro_encoder_angle", 'axis = "z"', 'axis = "q"', r"line \d+: axis in \[reference\] 'q' is no axis"),
+        ("gyro_encoder_rate", 'scale = "from data"', "", r"line \d+: gyro: count is missing"),
+        ("gyro_encoder_angle", 'axis = "z"', 'axis = "q"', r"line \d+: reference.axis: 'q' is no axis"),
         (
             "up_and_down",
             "latitude_deg = 48.14",
             "latitude_deg = 98",
-            r"latitude_deg in \[site\] is 98: write -90 to 90",
+            r"site.latitude_deg: 98: write -90 to 90",
         ),
         (
             "up_and_down",
             "[site]\nlatitude_deg = 48.14",
             "",
-            r"earth_rate in \[reference\] needs the latitude: add a table",
+            r"reference.earth_rate: needs the latitude: add a table",
         ),
-        ("up_and_down", ', up = "-z"', "", r"earth_rate in \[reference\] needs to know what points up"),
-        ("up_and_down", "end_s = 290", "end_s = 0.5, begin = 2", r"begin in \[reference.sections.up\] is not known"),
-        ("up_and_down", "start_s = 310, end_s = 600, ", "", r"\[reference.sections.down\] lacks start_s"),
+        ("up_and_down", ', up = "-z"', "", r"reference.earth_rate: needs to know what points up"),
+        ("up_and_down", "end_s = 290", "end_s = 0.5, begin = 2", r"line \d+: reference.sections.up.begin: unknown key"),
+        ("up_and_down", "start_s = 310, end_s = 600, ", "", r"reference.sections.down: start_s is missing"),
         (
             "up_and_down",
             "earth_rate = true",
             'earth_rate = "yes"',
-            r"earth_rate in \[reference\] is 'yes': write true or",
+            r"reference.earth_rate: 'yes' is not true or false",
         ),
         (
             "rest_poses",
@@ -504,7 +504,7 @@ def test_every_example_is_a_mapping(path: Path) -> None:
             "rest_poses",
             "rest_s = 3",
             'where = "there"',
-            r"where in \[reference\] is 'there': write one of found, everywhere",
+            r"reference.where: 'there' is not one of found, everywhere",
         ),
     ],
 )

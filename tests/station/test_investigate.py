@@ -32,10 +32,11 @@ from estimator.tracing.runs import runs_of
 from sims.hidden import Hidden
 from station.bench import default_bench_text, load_bench
 from station.cli import main
-from station.investigation_printed import human, investigation_object, print_investigation, probability, stdout
+from station.investigation_printed import human, investigation_object, print_investigation, probability
 from station.loop_scripts import candidates, exploration_script, there_and_back, verification_script
 from station.next_script import NextScript, Past, next_script
 from station.open_bench import DeviceTruth, simulate
+from station.printing import stdout
 from station.script import Rest, Script, check, load_script, paper_script
 
 DEG = np.pi / 180

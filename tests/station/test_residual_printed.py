@@ -17,7 +17,8 @@ from estimator.tracing.origin import Origin, Split
 from estimator.tracing.residual import GyroResidual, Residual, Spectrum
 from station.investigation_file import write_investigation
 from station.investigation_pictures import draw_investigation
-from station.investigation_printed import investigation_object, print_investigation, stdout
+from station.investigation_printed import investigation_object, print_investigation
+from station.printing import stdout
 from station.residual_printed import origin_line
 from station.studies.detection import Case, recordings_of
 

@@ -195,7 +195,7 @@ def test_an_existing_recording_is_never_overwritten(tmp_path: Path, capsys: pyte
         ('array = "tetrahedron"', "p = [[1,0,0],[0,1,0],[0,0,2],[0,1,0]]", "p = [[", "length 2, not 1"),
         ('profile = "kinco"', 'profile = "nobody"', "profile =", "no drive profile"),
         ("seed = 0", "seed = -1", "seed =", "must not be negative"),
-        ('k = "5000 ppm"', 'k = ["1 ppm", "2 ppm"]', "k = [", "2 values for 4 gyros"),
+        ('k = "5000 ppm"', 'k = ["1 ppm", "2 ppm"]', "k = [", "2 values where 4 belong"),
     ],
 )
 def test_a_wrong_bench_file_is_told_with_its_line_and_nothing_is_made(

@@ -16,6 +16,16 @@ def test_a_run_with_a_fault_ends_as_it_should(bench: str, kind: str) -> None:
         assert not found.wrong, f"{fault}: {found}"
 
 
+@pytest.mark.parametrize("bench", SHORT)
+@pytest.mark.parametrize(("back", "outcome"), [("5.3 s", "FAIL"), ("7 s", "FAULT")])
+def test_a_table_unplugged_at_rest_is_opened_again_before_its_watchdog_acts(
+    bench: str, back: str, outcome: str
+) -> None:
+    found = ended((bench, (Fault("table", "unplug", f'unplug = "5 s"\nreplug = "{back}"'),), 0))
+    assert found.outcome == outcome, found.reason  # FAIL of its sigmas: the script is short
+    assert found.reason.startswith("table:") is (outcome == "FAULT")
+
+
 def test_a_link_that_drops_at_rest_is_opened_again_and_the_loss_counted() -> None:
     fault = Fault("stim300", "unplug", 'unplug = "5 s"\nreplug = "6 s"')
     found = ended(("rtu_stim300", (fault,), 0))
