@@ -6,6 +6,8 @@ J1939-71 for codes that are no measurements. All numbers are little endian, unsi
 
 from __future__ import annotations
 
+import math
+import struct
 from dataclasses import dataclass
 from typing import Literal
 
@@ -201,9 +203,12 @@ def _decode(data: Octets, order: AxisOrder, per_bit: float, offset: float) -> tu
 
 
 def _encode(values: Floats, order: AxisOrder, per_bit: float, offset: float) -> bytes:
-    fields = np.asarray(values, dtype=np.float64)[list(_COLUMNS[order])]  # either order is its own inverse
-    raw = np.clip(np.round((np.nan_to_num(fields) - offset) / per_bit), 0, _TOP)
-    return np.where(np.isnan(fields), _NOT_AVAILABLE, raw).astype("<u2").tobytes()
+    fields = [float(values[column]) for column in _COLUMNS[order]]  # either order is its own inverse
+    raw = [
+        _NOT_AVAILABLE if math.isnan(field) else round(min(max((field - offset) / per_bit, 0), _TOP))
+        for field in fields
+    ]
+    return struct.pack("<3H", *raw)
 
 
 def _slope(raw: int) -> float:

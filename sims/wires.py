@@ -156,6 +156,7 @@ class _PtyEnd:
         self._descriptor = descriptor
         self._waiting = bytearray()
         self._loop = asyncio.get_running_loop()
+        self._soon: asyncio.Handle | None = None
 
     def hear(self, received: Write) -> None:
         def read() -> None:
@@ -168,11 +169,13 @@ class _PtyEnd:
         self._waiting.extend(data)
         if len(self._waiting) > _MOST_WAITING:
             del self._waiting[: len(self._waiting) - _MOST_WAITING]
-        self._send()
+        if self._soon is None:  # what is written at one instant goes out in one piece
+            self._soon = self._loop.call_soon(self._send)
 
     received = write  # to be a device itself, which tells what it hears to whoever holds the terminal
 
     def _send(self) -> None:
+        self._soon = None
         with suppress(BlockingIOError):
             while self._waiting:
                 del self._waiting[: os.write(self._descriptor, self._waiting)]
@@ -182,6 +185,8 @@ class _PtyEnd:
             self._loop.remove_writer(self._descriptor)
 
     def close(self) -> None:
+        if self._soon is not None:
+            self._soon.cancel()
         self._loop.remove_reader(self._descriptor)
         self._loop.remove_writer(self._descriptor)
 
