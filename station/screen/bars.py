@@ -1,0 +1,99 @@
+"""What every screen has: the row of screens on top, and STOP at the bottom."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, cast
+
+from textual import events
+from textual.app import RenderResult
+from textual.widget import Widget
+from textual.widgets import Static
+
+from station.screen.figures import clock
+from station.screen.live_run import LiveRun, Stage
+
+if TYPE_CHECKING:
+    from station.screen.app import StationApp
+
+STOP_KEY = "f9"
+STOP_WORDS = "■ STOP  F9"
+MODES = (("prepare", "F2", "Prepare"), ("run", "F3", "Run"), ("result", "F4", "Result"), ("history", "F5", "History"))
+
+
+class Lines(Static):
+    """Text of a fixed height whose updates cost no layout, and nothing at all if nothing changed."""
+
+    def __init__(self, *, id: str | None = None, classes: str | None = None) -> None:
+        """Begin empty; text is shown as it is, brackets too."""
+        super().__init__("", id=id, classes=classes, markup=False)
+        self._shown: object = ""
+        self._height = 0
+
+    def show(self, text: object, lines: int) -> None:
+        """Show a text (str or rich Text) of so many lines."""
+        if text == self._shown:
+            return
+        self._shown = text
+        grown = lines != self._height
+        self._height = lines
+        self.update(text, layout=grown)  # type: ignore[arg-type]
+
+
+class TopBar(Static):
+    """The screens by name, the one that is shown marked; a click changes to another."""
+
+    def __init__(self, mode: str) -> None:
+        """``mode`` is the screen's own."""
+        names = [
+            f"[bold reverse] {key} {name} [/]" if mode == its else f"[@click=app.switch_mode('{its}')] {key} {name} [/]"
+            for its, key, name in MODES
+        ]
+        super().__init__(" ".join(names) + "   [dim]Ctrl+Q quits[/]", id="top")
+
+
+class StopBar(Widget):
+    """STOP, with its key, and what the run is doing: red while a table may move. The whole bar is the button."""
+
+    def __init__(self) -> None:
+        """Begin without a run."""
+        super().__init__(id="stop-bar")
+        self._text = ""
+
+    def on_mount(self) -> None:
+        """Show the run at once, not at the next tick."""
+        self.show(cast("StationApp", self.app).shown)
+
+    def show(self, run: LiveRun | None) -> None:
+        """Show a run's state, none if there is no run."""
+        text, kind = _stop_words(run)
+        if text != self._text:
+            self._text = text
+            for each in ("armed", "sent", "rest"):
+                self.set_class(each == kind, f"-{each}")
+            self.refresh()
+
+    def render(self) -> RenderResult:
+        """Return the text, cut to the bar."""
+        return self._text.replace("[", r"\[")
+
+    def on_mouse_down(self, event: events.MouseDown) -> None:
+        """Stop when the button goes down: nobody waits for it to come up."""
+        event.stop()
+        cast("StationApp", self.app).action_stop()
+
+
+def _stop_words(run: LiveRun | None) -> tuple[str, str]:
+    if run is None:
+        return "no session runs", ""
+    if run.stage is Stage.ENDED:
+        rest = ", table at rest" if run.at_rest else ""
+        return f"the run has ended: {run.outcome or 'no result'}{rest}", "rest" if run.at_rest else ""
+    if run.at_rest:
+        return f"{'STOP sent, ' if run.stop_sent else ''}table at rest", "rest"
+    if run.stop_sent:
+        return f"{STOP_WORDS}   sent; waiting for the table to come to rest", "sent"
+    if run.stage is Stage.LOST:
+        return f"{STOP_WORDS}   link to the session lost: {run.trouble}", "armed"
+    snapshot = run.snapshot
+    doing = "starting" if snapshot is None else f"{snapshot.phase}, {clock(snapshot.remaining_s)} left"
+    return f"{STOP_WORDS}   or Ctrl+C, or press here   {doing}", "armed"

@@ -1,0 +1,92 @@
+"""The frame of the four screens: what a terminal that is too small shows, where STOP is, how a tick gets there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, cast
+
+from textual import events
+from textual.app import ComposeResult
+from textual.containers import VerticalScroll
+from textual.screen import ModalScreen, Screen
+from textual.widgets import Footer, Input, Static
+from textual.worker import WorkType
+
+from station.screen.bars import StopBar, TopBar
+
+if TYPE_CHECKING:
+    from station.screen.app import StationApp
+
+LEAST_WIDTH, LEAST_HEIGHT = 80, 24
+_TALL = 34
+
+
+class StationScreen(Screen[None]):
+    """One of the four screens: a row of names, what it has to say, keys, STOP."""
+
+    MODE: ClassVar[str] = ""
+    WIDE: ClassVar[int] = 120
+    AUTO_FOCUS = None
+
+    def compose(self) -> ComposeResult:
+        """Lay out the frame; ``body`` is the screen's own."""
+        yield TopBar(self.MODE)
+        with VerticalScroll(id="body"):
+            yield from self.body()
+        yield from self.row_below()
+        yield Footer(show_command_palette=False)
+        yield Static(
+            f"This terminal is too small for the station: it needs {LEAST_WIDTH} x {LEAST_HEIGHT} characters. "
+            "Enlarge it, and the screen comes back. What runs goes on.",
+            id="small",
+        )
+        yield StopBar()
+
+    def body(self) -> ComposeResult:
+        """Yield what is between the bars and scrolls."""
+        yield from ()
+
+    def row_below(self) -> ComposeResult:
+        """Yield what stays in sight below the body."""
+        yield from ()
+
+    def tick(self) -> None:
+        """Show what has changed; called ten times a second while the screen is in sight."""
+
+    @property
+    def station(self) -> StationApp:
+        """The app, as what it is."""
+        return cast("StationApp", self.app)
+
+    def work(self, what: Callable[[], Coroutine[Any, Any, None]], group: str) -> None:
+        """Do something slow beside the screen, instead of what its group was at; a defect in it is told, no more."""
+        work: WorkType[None] = partial(self.station.guarded, what)
+        self.run_worker(work, exclusive=True, group=group)
+
+    @property
+    def wide(self) -> bool:
+        """Whether there is room for two columns."""
+        return self.size.width >= self.WIDE
+
+    def on_resize(self, event: events.Resize) -> None:
+        """Fit the layout to the terminal."""
+        size = event.size
+        self.set_class(size.width < LEAST_WIDTH or size.height < LEAST_HEIGHT, "-small")
+        self.set_class(size.width >= self.WIDE, "-wide")
+        self.set_class(size.height >= _TALL, "-tall")
+
+
+class Field(Input):
+    """A line of input, one row high, whose cursor stands still: nothing but news is to move on these screens."""
+
+    def __init__(self, *, id: str | None = None, placeholder: str = "", max_length: int = 0) -> None:
+        """``max_length`` in characters, 0 for any."""
+        super().__init__(id=id, placeholder=placeholder, max_length=max_length, compact=True, select_on_focus=False)
+        self.cursor_blink = False
+
+
+class StationDialog(ModalScreen[str | None]):
+    """A question over a screen, with STOP below it as everywhere."""
+
+    BINDINGS: ClassVar = [("escape", "dismiss(None)", "Back")]

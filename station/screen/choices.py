@@ -1,0 +1,73 @@
+"""What the operator chose: bench, script, folder, and what else goes to the commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+TWIN_SCALE = 5.0
+"""Speed of runs whose devices are all twins in memory, unless another was asked for: a person can follow it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What a run is started with. Empty texts are the built-in bench and the 360 s script.
+
+    ``device_options`` go to every command that opens or plans for devices, ``run_options`` to the run only.
+    """
+
+    bench: str = ""
+    script: str = ""
+    folder: Path = Path("recordings")
+    operator: str = ""
+    serial: str = ""
+    scale: float | None = None
+    link_options: tuple[str, ...] = ()
+    device_options: tuple[str, ...] = ()
+    run_options: tuple[str, ...] = ()
+
+    def check_arguments(self, all_twins: bool) -> list[str]:
+        """Return the arguments of `station check`; twins in memory are asked in virtual time, whatever the scale."""
+        scale = [] if self.scale is None or all_twins else ["--scale", f"{self.scale:g}"]
+        return ["check", "--json", *_given(self.bench), *self.link_options, *self.device_options, *scale]
+
+    def plan_arguments(self) -> list[str]:
+        """Return the arguments of `station plan`."""
+        bench = ["--bench", self.bench] if self.bench else []
+        return ["plan", "--json", *_given(self.script), *bench, *self.device_options]
+
+    def run_arguments(self, recording: Path, scale: float | None) -> list[str]:
+        """Return the arguments of the run that is to be watched."""
+        given = {
+            "--bench": self.bench,
+            "--script": self.script,
+            "--operator": self.operator,
+            "--serial-number": self.serial,
+            "--scale": "" if scale is None else f"{scale:g}",
+            "--output": str(recording),
+        }
+        words = [word for option, value in given.items() if value for word in (option, value)]
+        return ["run", "--host", "--json", *words, *self.link_options, *self.device_options, *self.run_options]
+
+    def new_recording(self) -> Path:
+        """Return a path in the folder that is free."""
+        stem = f"run-{datetime.now():%Y%m%d-%H%M%S}"
+        path, number = self.folder / f"{stem}.h5", 1
+        while path.exists():
+            number += 1
+            path = self.folder / f"{stem}-{number}.h5"
+        return path
+
+
+def free_path(path: Path) -> Path:
+    """Return the path, or one with a number that is free: nothing is ever overwritten."""
+    number, found = 1, path
+    while found.exists():
+        number += 1
+        found = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return found
+
+
+def _given(text: str) -> list[str]:
+    return [text] if text else []

@@ -1,0 +1,127 @@
+"""A run as its messages tell it: what every screen that shows a run looks at."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from station.snapshot import Snapshot, snapshot_of
+
+_MOST_EVENTS = 500
+_MOST_POINTS = 1200
+
+
+class Stage(Enum):
+    """Where a run is, seen from the screen."""
+
+    STARTING = "starting"
+    RUNNING = "running"
+    LOST = "link lost"
+    ENDED = "ended"
+
+
+@dataclass(slots=True)
+class Trend:
+    """How the states of one gyro went: instants, values and sigmas of the four states."""
+
+    times_s: list[float] = field(default_factory=list)
+    values: list[tuple[float, ...]] = field(default_factory=list)
+    sds: list[tuple[float, ...]] = field(default_factory=list)
+
+    def add(self, t_s: float, values: tuple[float, ...], sds: tuple[float, ...]) -> None:
+        """Take in an estimate if it is a new one; a long run is thinned to every other."""
+        if self.values and (self.values[-1] == values or t_s <= self.times_s[-1]):
+            return
+        self.times_s.append(t_s)
+        self.values.append(values)
+        self.sds.append(sds)
+        if len(self.times_s) > _MOST_POINTS:
+            for series in (self.times_s, self.values, self.sds):
+                del series[1::2]
+
+
+class LiveRun:
+    """What is known of a run: its greeting, events, newest snapshot, trends, and how it ended."""
+
+    def __init__(self, recording: Path | None = None, script: str = "") -> None:
+        """``recording`` and ``script`` are what the run was started with, until it says so itself."""
+        self.stage = Stage.STARTING
+        self.hello: Mapping[str, Any] = {}
+        self.snapshot: Snapshot | None = None
+        self.result: Mapping[str, Any] | None = None
+        self.events: deque[tuple[float, str]] = deque(maxlen=_MOST_EVENTS)
+        self.trends: dict[str, Trend] = {}
+        self.trouble = ""
+        self.stop_sent = False
+        self.refusals: deque[str] = deque(maxlen=20)
+        self._recording, self._script = recording, script
+
+    @property
+    def recording(self) -> Path | None:
+        """Path of the recording."""
+        told = self.hello.get("recording")
+        return Path(str(told)) if told else self._recording
+
+    @property
+    def script(self) -> str:
+        """Name of the script."""
+        script = self.hello.get("script")
+        return str(script.get("name", "")) if isinstance(script, Mapping) else self._script
+
+    @property
+    def active(self) -> bool:
+        """Whether a table may be moving."""
+        return self.stage in (Stage.STARTING, Stage.RUNNING, Stage.LOST)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the table was said to be at rest after the script."""
+        return any(text.startswith("table at rest") for _, text in self.events)
+
+    @property
+    def outcome(self) -> str:
+        """PASS, FAIL, ABORTED, FAULT, or nothing while it is not known."""
+        return str(self.result.get("outcome") or "") if self.result is not None else ""
+
+    def greet(self, hello: Mapping[str, Any]) -> None:
+        """Take in the greeting of a connection, the first or another: the events come again from the first."""
+        self.hello = hello
+        self.stage = Stage.RUNNING
+        self.trouble = ""
+        self.events.clear()
+
+    def take(self, message: Mapping[str, Any]) -> None:
+        """Take in a message; what is malformed changes nothing."""
+        kind = message.get("kind")
+        with suppress(KeyError, TypeError, ValueError):
+            if kind == "snapshot":
+                self._take_snapshot(snapshot_of(message))
+            elif kind == "event":
+                self.events.append((float(message["t_s"]), str(message["text"])))
+            elif kind == "result":
+                self.result = dict(message)
+                self.stage = Stage.ENDED
+            elif kind == "refused":
+                self.refusals.append(str(message["reason"]))
+
+    def lose(self, why: str) -> None:
+        """Take in that the connection broke before the end."""
+        if self.stage is not Stage.ENDED:
+            self.stage, self.trouble = Stage.LOST, why
+
+    def end(self, why: str) -> None:
+        """Take in that the process is gone without a result."""
+        if self.stage is not Stage.ENDED:
+            self.stage, self.trouble = Stage.ENDED, why
+
+    def _take_snapshot(self, snapshot: Snapshot) -> None:
+        self.snapshot = snapshot
+        for gyro in snapshot.gyros:
+            if all(map(math.isfinite, gyro.values)) and all(map(math.isfinite, gyro.sds)):
+                self.trends.setdefault(gyro.name, Trend()).add(snapshot.elapsed_s, gyro.values, gyro.sds)

@@ -1,0 +1,53 @@
+"""What the screen remembers from one day to the next: the operator, the devices on each bench, bench and script."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+_FOLDER = "turntable-station"
+_FILE = "screen.json"
+_MOST_BENCHES = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Remembered:
+    """What was entered last; ``serials`` by bench."""
+
+    operator: str = ""
+    bench: str = ""
+    script: str = ""
+    serials: Mapping[str, str] = field(default_factory=dict)
+
+
+def state_folder() -> Path:
+    """Return the folder for what programs remember (XDG base directories)."""
+    given = os.environ.get("XDG_STATE_HOME", "")
+    return (Path(given) if given.startswith("/") else Path.home() / ".local" / "state") / _FOLDER
+
+
+def load_remembered() -> Remembered:
+    """Return what is remembered; nothing if the file is missing or no such file."""
+    try:
+        found: Any = json.loads((state_folder() / _FILE).read_text(encoding="utf-8"))
+        serials = {str(bench): str(serial) for bench, serial in dict(found.get("serials", {})).items()}
+        operator, bench, script = (str(found.get(key, "")) for key in ("operator", "bench", "script"))
+        return Remembered(operator, bench, script, serials)
+    except (OSError, ValueError, TypeError, AttributeError):
+        return Remembered()
+
+
+def save_remembered(remembered: Remembered) -> None:
+    """Keep it, the latest 50 benches; a folder that cannot be written is no reason to stop a calibration."""
+    kept = asdict(remembered) | {"serials": dict(list(remembered.serials.items())[-_MOST_BENCHES:])}
+    with suppress(OSError):
+        folder = state_folder()
+        folder.mkdir(parents=True, exist_ok=True)
+        new = folder / f"{_FILE}.{os.getpid()}"
+        new.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+        new.replace(folder / _FILE)

@@ -1,0 +1,202 @@
+"""Plots drawn with characters: an estimate with its band over time, a state over a device's calibrations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import groupby
+
+from rich.text import Text
+
+from station.screen.figures import STATES, number
+from station.screen.live_run import Trend
+
+_DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
+_BRAILLE = 0x2800
+_DOTS_HIGH, _DOTS_WIDE = 4, 2
+_LINE, _EDGE, _LIMIT = "bold bright_white", "cyan", "red"
+_RANKS = {_LINE: 3, _EDGE: 2, _LIMIT: 1}
+_MARGIN = 1.15
+_RECENT = 0.2  # of the time: it sets the range of values
+_LEAST_SIGMAS = 3.0
+_STATE_ROWS = 6
+
+
+class Canvas:
+    """Dots in a field of braille characters; a character has the style of the most important dot in it."""
+
+    def __init__(self, width: int, height: int, low: float, high: float) -> None:
+        """``width`` and ``height`` in characters; ``low`` and ``high`` are the values at the lower and upper edge."""
+        self._width, self._height = max(width, 1), max(height, 1)
+        self._low, self._high = low, high
+        self._dots: dict[tuple[int, int], int] = {}
+        self._styles: dict[tuple[int, int], str] = {}
+
+    @property
+    def dots_wide(self) -> int:
+        """Columns of dots."""
+        return self._width * _DOTS_WIDE
+
+    def row(self, value: float) -> float:
+        """Return the row of dots of a value, 0 at the top."""
+        span = self._high - self._low or 1.0
+        return (self._high - value) / span * (self._height * _DOTS_HIGH - 1)
+
+    def dot(self, column: int, row: int, style: str) -> None:
+        """Set a dot; what lies outside is left out."""
+        if not (0 <= column < self.dots_wide and 0 <= row < self._height * _DOTS_HIGH):
+            return
+        cell = (row // _DOTS_HIGH, column // _DOTS_WIDE)
+        self._dots[cell] = self._dots.get(cell, 0) | _DOTS[row % _DOTS_HIGH][column % _DOTS_WIDE]
+        if _RANKS[style] > _RANKS.get(self._styles.get(cell, ""), 0):
+            self._styles[cell] = style
+
+    def curve(self, values: Sequence[float | None], style: str, *, dotted: bool = False) -> None:
+        """Draw one value a column of dots, joined; None leaves a gap. What lies outside is cut off."""
+        before: int | None = None
+        for column, value in enumerate(values):
+            if value is None or not math.isfinite(value):
+                before = None
+                continue
+            # Far outside is just outside: nobody needs a line of a million dots.
+            row = round(min(max(self.row(value), -1.0), self._height * _DOTS_HIGH))
+            if dotted:
+                if column % 2 == 0:
+                    self.dot(column, row, style)
+                continue
+            step = 0 if before is None or before == row else (1 if before < row else -1)
+            for between in range(before + step if step and before is not None else row, row, step or 1):
+                self.dot(column, between, style)
+            self.dot(column, row, style)
+            before = row
+
+    def lines(self) -> list[Text]:
+        """Return the characters, a text a line."""
+        found = []
+        for y in range(self._height):
+            cells = [(y, x) for x in range(self._width)]
+            # Stretches of one style: each costs the terminal and its painter about the same, however long it is.
+            found.append(
+                Text.assemble(
+                    *(
+                        ("".join(map(self._character, stretch)), style)
+                        for style, stretch in groupby(cells, lambda cell: self._styles.get(cell, ""))
+                    )
+                )
+            )
+        return found
+
+    def _character(self, cell: tuple[int, int]) -> str:
+        bits = self._dots.get(cell, 0)
+        return chr(_BRAILLE + bits) if bits else " "
+
+
+def band_plot(
+    title: str,
+    times: Sequence[float],
+    values: Sequence[float],
+    sds: Sequence[float],
+    width: int,
+    height: int,
+    label: Callable[[float], str],
+) -> list[Text]:
+    """Return a plot of an estimate (bright) between one standard deviation below and above it.
+
+    ``times`` rise; the range of values is that of the last fifth, so that a band which narrows is seen to. The first
+    line is the title; ``label`` makes a text of a value.
+    """
+    rows = max(height - 1, 2)
+    if len(times) < 2:
+        return [Text(title, "bold"), Text("  waits for the estimate", "dim"), *(Text("") for _ in range(rows - 1))]
+    late = times[-1] - _RECENT * (times[-1] - times[0])
+    centre = values[-1]
+    recent = [abs(v - centre) + sd for t, v, sd in zip(times, values, sds, strict=True) if t >= late]
+    reach = max(*recent, _LEAST_SIGMAS * sds[-1]) * _MARGIN or 1.0
+    low, high = centre - reach, centre + reach
+    labels = [label(high), label(centre), label(low)]
+    indent = max(map(len, labels)) + 1
+    canvas = Canvas(width - indent, rows, low, high)
+    at = _columns(times, canvas.dots_wide)
+    canvas.curve([None if i is None else values[i] + sds[i] for i in at], _EDGE)
+    canvas.curve([None if i is None else values[i] - sds[i] for i in at], _EDGE)
+    canvas.curve([None if i is None else values[i] for i in at], _LINE)
+    return [Text(title, "bold"), *_labelled(canvas, labels, indent)]
+
+
+def gyro_plots(name: str, trend: Trend, width: int) -> list[Text]:
+    """Return the four states of a gyro over time, two beside two, so many characters wide."""
+    each = max((width - 2) // 2, 30)
+    blocks = []
+    for index, state in enumerate(STATES):
+        values = [row[index] * state.factor for row in trend.values]
+        sds = [row[index] * state.factor for row in trend.sds]
+        label = partial(number, digits=state.digits)
+        blocks.append(band_plot(f"{state.name} ({state.unit})", trend.times_s, values, sds, each, _STATE_ROWS, label))
+    rows = [Text(f"{name}: estimate and one sigma   (left, right: other gyros)", "bold")]
+    for left, right in (blocks[:2], blocks[2:]):
+        for one, other in zip(left, right, strict=True):
+            one.pad_right(max(each + 2 - one.cell_len, 0))
+            rows.append(Text.assemble(one, other))
+    return rows
+
+
+def trend_plot(
+    title: str,
+    values: Sequence[float],
+    sds: Sequence[float],
+    limit: float,
+    width: int,
+    height: int,
+    label: Callable[[float], str],
+) -> list[Text]:
+    """Return a plot of a state over calibrations, oldest first, each with its sigma as a bar.
+
+    The limits, plus and minus ``limit``, are dotted lines where they are near; else the title says where they are.
+    """
+    rows = max(height - 1, 3)
+    low = min(v - sd for v, sd in zip(values, sds, strict=True))
+    high = max(v + sd for v, sd in zip(values, sds, strict=True))
+    reach = max(high - low, abs(high) * 1e-9, 1e-12)
+    drawn = [at for at in (limit, -limit) if math.isfinite(limit) and low - 2 * reach < at < high + 2 * reach]
+    low, high = min([low, *drawn]), max([high, *drawn])
+    low, high = low - 0.08 * (high - low or reach), high + 0.08 * (high - low or reach)
+    said = "" if not math.isfinite(limit) else f"   limits ±{label(limit)}{'' if drawn else ', off the plot'}"
+    labels = [label(high), label((high + low) / 2), label(low)]
+    indent = max(map(len, labels)) + 1
+    canvas = Canvas(width - indent, rows, low, high)
+    for at in drawn:
+        canvas.curve([at] * canvas.dots_wide, _LIMIT, dotted=True)
+    for index, (value, sd) in enumerate(zip(values, sds, strict=True)):
+        column = round((index + 0.5) / len(values) * canvas.dots_wide)
+        for row in range(round(canvas.row(value + sd)), round(canvas.row(value - sd)) + 1):
+            canvas.dot(column, row, _EDGE)
+        for beside in (-1, 0, 1):
+            canvas.dot(column + beside, round(canvas.row(value)), _LINE)
+    return [Text(title + said, "bold"), *_labelled(canvas, labels, indent)]
+
+
+def bar(share: float, width: int) -> str:
+    """Return a progress bar, an eighth of a character fine."""
+    eighths = round(min(max(share if math.isfinite(share) else 0.0, 0.0), 1.0) * width * 8)
+    whole, part = divmod(eighths, 8)
+    return ("█" * whole + (" ▏▎▍▌▋▊▉"[part] if part else "")).ljust(width, "·")
+
+
+def _columns(times: Sequence[float], count: int) -> list[int | None]:
+    """Return for each of ``count`` columns the index of the last time in or before it, None before the first."""
+    span = times[-1] - times[0] or 1.0
+    found: list[int | None] = []
+    index = 0
+    for column in range(count):
+        until = times[0] + span * (column + 1) / count
+        while index + 1 < len(times) and times[index + 1] <= until:
+            index += 1
+        found.append(index)
+    return found
+
+
+def _labelled(canvas: Canvas, labels: Sequence[str], indent: int) -> list[Text]:
+    lines = canvas.lines()
+    places = dict(zip((0, len(lines) // 2, len(lines) - 1), labels, strict=True))
+    return [Text.assemble((places.get(i, "").rjust(indent - 1) + "│", "dim"), line) for i, line in enumerate(lines)]

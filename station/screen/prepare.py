@@ -1,0 +1,348 @@
+"""Prepare: bench and what answers, script and its plan, operator and device; START once everything is green."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any, ClassVar
+
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.binding import Binding
+from textual.containers import Container, Horizontal, Vertical
+from textual.widgets import Button, Input, Label, Static
+
+from station.screen.base import Field, StationScreen
+from station.screen.choices import Choices
+from station.screen.figures import clock, columns, headed, number, titled
+from station.screen.link import sessions_on
+from station.screen.live_run import LiveRun
+from station.screen.programs import Answer, ask
+from station.screen.prospects import Prospect, folder_trouble, look_ahead, matches
+
+_FIELDS = (
+    ("bench", "Bench file", "built-in twins"),
+    ("script", "Script file", "the 360 s script"),
+    ("operator", "Operator", "your name"),
+    ("serial", "Device serial no.", "of the device under test"),
+)
+_PLAN_UNITS = (
+    ("k", "k", "ppm", 1e6),
+    ("b_rps", "b", "deg/h", math.degrees(3600)),
+    ("sigma_j_rad", "sigma_j", "urad", 1e6),
+    ("sigma_k_rad", "sigma_k", "urad", 1e6),
+)
+_DOTS = {"OK": "bold green", "WRONG": "bold red", "WAIT": "bold yellow"}
+
+
+class PrepareScreen(StationScreen):
+    """What a run needs before it may start."""
+
+    MODE = "prepare"
+    BINDINGS: ClassVar = [
+        Binding("f6", "look_again", "Check again", key_display="F6"),
+        Binding("f7", "start", "START", key_display="F7"),
+        # Before the field sees it: what is typed, or scanned, right after it then goes to the next field.
+        Binding("enter", "enter", priority=True, show=False),
+    ]
+
+    def __init__(self) -> None:
+        """Nothing has been asked yet."""
+        super().__init__()
+        self._prospect: Prospect | None = None
+        self._check: Answer | None = None
+        self._plan: Answer | None = None
+        self._checking = ""
+        self._run_before: LiveRun | None = None
+
+    def body(self) -> ComposeResult:
+        """Yield what is entered and what is missing; check and plan."""
+        with Container(id="columns"):
+            with Vertical(id="entries"):
+                for name, words, placeholder in _FIELDS:
+                    with Horizontal(classes="field"):
+                        yield Label(words)
+                        yield Field(id=name, placeholder=placeholder)
+                yield Static(id="ready", markup=False, classes="block")
+                yield Static(id="limits", markup=False, classes="block")
+            with Vertical(id="answers"):
+                yield Static(id="check", markup=False, classes="block")
+                yield Static(id="plan", markup=False, classes="block")
+
+    def row_below(self) -> ComposeResult:
+        """Yield START and whether it would do something."""
+        with Horizontal(id="start-row"):
+            yield Button("START  F7", id="start", compact=True, disabled=True)
+            yield Static(id="summary", markup=False)
+
+    def on_mount(self) -> None:
+        """Fill in what is known; ask bench and script once the first picture is out."""
+        choices = self.station.choices
+        for name, text in (
+            ("bench", choices.bench),
+            ("script", choices.script),
+            ("operator", choices.operator),
+            ("serial", choices.serial),
+        ):
+            with self.prevent(Input.Changed):
+                self.query_one(f"#{name}", Input).value = text
+        self._show()
+        self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
+
+    def prepare(self, script: str) -> None:
+        """Set another script, and look again."""
+        self.query_one("#script", Input).value = script
+        self.action_look_again()
+
+    def on_input_changed(self, event: Input.Changed) -> None:
+        """Take over what was typed; bench and script are looked at when they are complete."""
+        if event.input.id in ("operator", "serial"):
+            self._take_over()
+            self._show()
+        else:
+            self._prospect = None
+            self._show()
+
+    def action_enter(self) -> None:
+        """Go to the next field, or press what has the focus; bench and script are then looked at."""
+        at = self.focused
+        if isinstance(at, Button):
+            at.press()
+        elif isinstance(at, Input):
+            self.focus_next()
+
+    def on_input_blurred(self, event: Input.Blurred) -> None:
+        """Look at bench and script when they are left."""
+        if event.input.id in ("bench", "script") and self._prospect is None:
+            self.action_look_again()
+
+    def on_button_pressed(self, event: Button.Pressed) -> None:
+        """Start."""
+        if event.button.id == "start":
+            self.action_start()
+
+    def on_resize(self, event: Any) -> None:
+        """Draw the motion as wide as there is room."""
+        super().on_resize(event)
+        self.call_after_refresh(self._show)
+
+    def on_screen_resume(self) -> None:
+        """Ask bench and script once the first picture is out, and again when a session has ended since."""
+        ended = self.station.shown is not self._run_before and not self.station.busy
+        if self._prospect is None or ended:
+            self.call_after_refresh(self.action_look_again)
+        self._show()
+
+    def action_look_again(self) -> None:
+        """Read bench and script, ask the devices, plan; what was asked before is given up."""
+        self._take_over()
+        self._prospect = self._check = self._plan = None
+        self._checking = ""
+        self._run_before = self.station.shown
+        self._show()
+        self.work(partial(self._look, self.station.choices), "look")
+
+    def action_start(self) -> None:
+        """Start the run, if nothing stands against it."""
+        self._take_over()
+        obstacles = self._obstacles()
+        if obstacles or self._prospect is None:
+            self.notify("; ".join(text for _, text in obstacles), title="Not started", severity="warning", markup=False)
+            self._show()
+        else:
+            self.station.start_run(self._prospect)
+
+    async def _look(self, choices: Choices) -> None:
+        found = await asyncio.to_thread(look_ahead, choices.bench, choices.script, choices.device_options)
+        self._prospect = found
+        self._recall(found)
+        self._show()
+        if found.bench_wrong:
+            return
+        await asyncio.gather(self._look_at_devices(choices, found), self._look_at_plan(choices, found))
+
+    async def _look_at_devices(self, choices: Choices, found: Prospect) -> None:
+        others = await sessions_on(found.bench, choices.bench)
+        if others or self.station.busy:  # a port that two programs read loses samples of both
+            self._checking = "a session runs on this bench: its devices are not asked (F6 asks again)"
+            self._show()
+            return
+        self._checking = ""
+        self._check = await ask(choices.check_arguments(found.all_twins), self._tell)
+        self._suggest(self._check)
+        self._show()
+
+    async def _look_at_plan(self, choices: Choices, found: Prospect) -> None:
+        if not found.script_wrong:
+            self._plan = await ask(choices.plan_arguments())
+            self._show()
+
+    def _tell(self, line: str) -> None:
+        self._checking = line
+        self._show()
+
+    def _recall(self, found: Prospect) -> None:
+        """Fill in the serial number that this bench had last, if none was entered."""
+        field = self.query_one("#serial", Input)
+        if not field.value and found.bench:
+            field.value = self.station.remembered.serials.get(found.bench, "")
+
+    def _suggest(self, check: Answer) -> None:
+        """Fill in the serial number that the one device under test tells of itself, if none was entered."""
+        field = self.query_one("#serial", Input)
+        told = [str(device["identity"].get("serial") or "") for device in check.found.get("devices", [])[1:]]
+        if field.value or len(told) != 1 or not told[0] or self._prospect is None:
+            return
+        if matches(self._prospect.serial_pattern, told[0]):
+            field.value = told[0]
+
+    def _take_over(self) -> None:
+        """Take over what stands in the fields."""
+        bench, script, operator, serial = (self.query_one(f"#{name}", Input).value.strip() for name, *_ in _FIELDS)
+        self.station.choices = replace(
+            self.station.choices, bench=bench, script=script, operator=operator, serial=serial
+        )
+
+    def _obstacles(self) -> list[tuple[str, str]]:
+        """Return what stands against a start: WRONG or WAIT, and what to do."""
+        found: list[tuple[str, str]] = []
+        prospect, choices = self._prospect, self.station.choices
+        if self.station.busy:
+            found.append(("WAIT", "a session runs: F3 shows it"))
+        for name, text, pattern in (
+            ("operator", choices.operator, prospect and prospect.operator_pattern),
+            ("device serial number", choices.serial, prospect and prospect.serial_pattern),
+        ):
+            if not text:
+                found.append(("WRONG", f"{name}: enter it"))
+            elif pattern and not matches(pattern, text):
+                found.append(("WRONG", f"{name} {text!r} is not as the bench file wants it: {pattern}"))
+        if prospect is None:
+            found.append(("WAIT", "bench and script are being read (Enter)"))
+            return found
+        found += [("WRONG", text) for text in (prospect.bench_wrong, prospect.script_wrong) if text]
+        found += [("WRONG", text) for text in [folder_trouble(choices.folder)] if text]
+        if not prospect.bench_wrong and not self.station.busy:
+            found += self._device_obstacles()
+        if not prospect.bench_wrong and not prospect.script_wrong:
+            if self._plan is None:
+                found.append(("WAIT", "the plan is being made"))
+            elif not self._plan.found.get("gyros"):
+                found.append(("WRONG", f"plan: {self._plan.reason}"))
+        return found
+
+    def _device_obstacles(self) -> list[tuple[str, str]]:
+        if self._check is None:
+            return [("WAIT", self._checking or "the devices are being asked")]
+        devices = self._check.found.get("devices")
+        if devices is None:
+            return [("WRONG", f"check: {self._check.reason}")]
+        return [("WRONG", f"{d['device']}: {wrong}") for d in devices for wrong in d["wrong"]]
+
+    def _show(self) -> None:
+        if not self.is_mounted:
+            return
+        obstacles = self._obstacles()
+        self.query_one("#start", Button).disabled = bool(obstacles)
+        self.query_one("#summary", Static).update(_summary(obstacles))
+        lines = [Text.assemble((f"{kind:5} ", _DOTS[kind]), text) for kind, text in obstacles]
+        lines += [Text.assemble(("NOTE  ", "bold yellow"), text) for text in self._warnings()]
+        self.query_one("#ready", Static).update(titled("Before START", lines or [Text("nothing is missing", "green")]))
+        prospect = self._prospect
+        limits = prospect.limits if prospect is not None else ()
+        self.query_one("#limits", Static).update(titled("Limits of the bench", [Text(line) for line in limits]))
+        self.query_one("#check", Static).update(titled(self._bench_title(), _check_lines(self._check, self._checking)))
+        width = max(self.query_one("#plan").size.width, 40)
+        self.query_one("#plan", Static).update(titled(*_plan_lines(prospect, self._plan, width)))
+
+    def _bench_title(self) -> str:
+        return (
+            f"Devices of {self._prospect.bench}" if self._prospect is not None and self._prospect.bench else "Devices"
+        )
+
+    def _warnings(self) -> list[str]:
+        plan = self._plan.found if self._plan is not None else {}
+        missed = [gyro["name"] for gyro in plan.get("gyros", []) if not gyro["reached"]]
+        if not missed:
+            return []
+        return [
+            f"this script does not reach the sigmas that the bench requires ({', '.join(missed)}): it will end FAIL"
+        ]
+
+
+def _summary(obstacles: list[tuple[str, str]]) -> Text:
+    if not obstacles:
+        return Text.assemble(("READY", "bold green"), "  the table will move")
+    first = next((o for o in obstacles if o[0] == "WRONG"), obstacles[0])
+    more = f"  (and {len(obstacles) - 1} more)" if len(obstacles) > 1 else ""
+    return Text.assemble(("NOT READY", "bold red" if first[0] == "WRONG" else "bold yellow"), f"  {first[1]}{more}")
+
+
+def _check_lines(check: Answer | None, checking: str) -> list[Text]:
+    if check is None:
+        return [Text.assemble(("WAIT  ", _DOTS["WAIT"]), checking or "not asked yet")]
+    if "devices" not in check.found:
+        return [Text.assemble(("WRONG ", _DOTS["WRONG"]), check.reason)]
+    lines = []
+    for device in check.found["devices"]:
+        kind = "WRONG" if device["wrong"] else "OK"
+        lines.append(Text.assemble((f"{kind:5} ", _DOTS[kind]), (device["device"], "bold"), f"  {_device(device)}"))
+        lines += [Text(f"      {line}", "dim") for line in _found_lines(device)]
+        lines += [Text(f"      {line}", "red") for line in device["wrong"]]
+    return lines
+
+
+def _device(device: Mapping[str, Any]) -> str:
+    identity = device["identity"]
+    serial = f"serial {identity['serial']}" if identity.get("serial") else ""
+    told = [device["kind"], device["link"], identity.get("model"), serial, identity.get("firmware")]
+    return "  ".join(str(part) for part in told if part)
+
+
+def _found_lines(device: Mapping[str, Any]) -> list[str]:
+    axes = [
+        f"{axis['name']}: {axis['text']}, at {number(math.degrees(axis['angle_rad']), 3)} deg"
+        for axis in device["axes"]
+    ]
+    sources = []
+    for source in device["sources"]:
+        temperature = source["temperature_c"]
+        warm = "" if temperature is None else f", {temperature:.1f} degC"
+        sources.append(f"{source['name']}: {source['rate_hz']:.1f} Hz, {source['lost']} lost{warm}")
+    return axes + sources
+
+
+def _plan_lines(prospect: Prospect | None, plan: Answer | None, width: int) -> tuple[str, list[Text]]:
+    if prospect is None:
+        return "Script", []
+    if prospect.script_wrong or prospect.motion is None:
+        return "Script", [
+            Text.assemble(("WRONG ", _DOTS["WRONG"]), prospect.script_wrong)
+        ] if prospect.script_wrong else []
+    from station.axis_profile import profile_lines  # loaded by now, in the thread that read the script
+
+    title = f"Script {prospect.script}: {clock(prospect.duration_s)} min"
+    lines = [Text(line, no_wrap=True) for line in profile_lines(prospect.motion, width)]
+    if plan is None:
+        return title, [*lines, Text.assemble(("WAIT  ", _DOTS["WAIT"]), "sigmas are being predicted")]
+    gyros = plan.found.get("gyros")
+    if not gyros:
+        return title, [*lines, Text.assemble(("WRONG ", _DOTS["WRONG"]), plan.reason)]
+    rows = [["predicted", *(f"{name} {unit}" for _, name, unit, _ in _PLAN_UNITS)]]
+    rows += [[g["name"], *(_size(g["sd"][key] * factor) for key, _, _, factor in _PLAN_UNITS)] for g in gyros]
+    required = plan.found.get("required") or {}
+    if any(required.get(key) is not None for key, *_ in _PLAN_UNITS):
+        cells = [(required.get(key), factor) for key, _, _, factor in _PLAN_UNITS]
+        rows.append(["required", *("-" if value is None else _size(value * factor) for value, factor in cells)])
+    texts = headed(columns(rows, gap=" "))
+    for text, gyro in zip(texts[1:], gyros, strict=False):
+        if not gyro["reached"]:
+            text.stylize("yellow")
+    return title, [*lines, Text(""), *texts]
+
+
+def _size(value: float) -> str:
+    return f"{value:.3g}" if value < 1000 else f"{value:.0f}"

@@ -1,0 +1,146 @@
+"""The station's commands in processes of their own: questions that answer in JSON, and the session."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+_MOST_BYTES = 64 * 1024 * 1024  # of one line of JSON
+_SETTLE_S = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a command said: its exit code, its JSON object (empty if it gave none), the last line on stderr."""
+
+    code: int
+    found: dict[str, Any]
+    said: str
+
+    @property
+    def reason(self) -> str:
+        """Why there is no result, in words."""
+        reason = str(self.found.get("reason") or self.said or f"the command ended with code {self.code}")
+        return reason.removeprefix("station: ")
+
+
+def command_line(arguments: Sequence[str]) -> list[str]:
+    """Return what starts a command of this station."""
+    return [sys.executable, "-m", "station.cli", *arguments]
+
+
+async def ask(arguments: Sequence[str], on_line: Callable[[str], None] = lambda line: None) -> Answer:
+    """Run a command to its end and return its answer; ``on_line`` gets what it says on stderr.
+
+    Cancelled, it ends the command.
+    """
+    process = await asyncio.create_subprocess_exec(
+        *command_line(arguments),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        limit=_MOST_BYTES,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    try:
+        said, out = await asyncio.gather(_listen(process.stderr, on_line), process.stdout.read())
+        code = await process.wait()
+    finally:
+        await _end(process)
+    return Answer(code, _object(out), said)
+
+
+async def _listen(stream: asyncio.StreamReader, on_line: Callable[[str], None]) -> str:
+    last = ""
+    async for raw in stream:
+        line = raw.decode(errors="replace").strip()
+        if line:
+            last = line
+            on_line(line)
+    return last
+
+
+async def _end(process: asyncio.subprocess.Process) -> None:
+    """See that a process is gone: politely first, since it may have to bring something to its end."""
+    if process.returncode is not None:
+        return
+    with suppress(ProcessLookupError):
+        process.terminate()
+    try:
+        await asyncio.wait_for(process.wait(), _SETTLE_S)
+    except TimeoutError:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+def _object(out: bytes) -> dict[str, Any]:
+    try:
+        found = json.loads(out)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+class SessionProcess:
+    """A run in a process that outlives the screen: of its own session, with its output in a file without a name."""
+
+    def __init__(self, arguments: Sequence[str], recording: Path) -> None:
+        """Start it."""
+        self.recording = recording
+        self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  read when the process has ended
+        self._code: int | None = None
+        words = command_line(arguments)
+        # Not by subprocess, which holds that a process must not outlive its parent.
+        self.pid = os.posix_spawn(
+            words[0],
+            words,
+            os.environ,
+            file_actions=[
+                (os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0),
+                (os.POSIX_SPAWN_DUP2, self._output.fileno(), 1),
+                (os.POSIX_SPAWN_DUP2, self._output.fileno(), 2),
+            ],
+            setsid=True,
+        )
+        """Number of the process, and of its socket."""
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended."""
+        if self._code is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                self._code = os.waitstatus_to_exitcode(status)
+        return self._code is None
+
+    def stop(self) -> None:
+        """Stop it by the signal that means Ctrl-C: the way without a socket."""
+        if self.running:
+            os.kill(self.pid, signal.SIGINT)
+
+    def reason(self) -> str:
+        """Return what it said last, in words: why a run that has ended never began."""
+        self._output.seek(0)
+        lines = [line for line in self._output.read().decode(errors="replace").splitlines() if line.strip()]
+        for line in reversed(lines):
+            found = _object(line.encode())
+            if found.get("reason"):
+                return str(found["reason"])
+        plain = [line for line in lines if not line.startswith("{")]
+        return plain[-1].removeprefix("station: ") if plain else f"it ended with code {self._code}"
+
+    def close(self) -> None:
+        """Give up what it says; it goes on."""
+        self._output.close()

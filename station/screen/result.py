@@ -1,0 +1,329 @@
+"""Result: the verdict, the states, what changed since the last calibration, what the model lacks, and what to do."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.containers import Horizontal
+from textual.widgets import Button, Static
+
+from station.screen.archive import Entry, GyroEntry, Whole, last_before
+from station.screen.base import StationScreen
+from station.screen.choices import free_path
+from station.screen.dialogs import AskDialog
+from station.screen.figures import OUTCOME_STYLES, STATES, columns, headed, number, state_heads, titled
+from station.screen.investigated import investigation_lines
+from station.screen.live_run import Trend
+from station.screen.plots import gyro_plots
+from station.screen.programs import ask
+from station.screen.reader_process import INVESTIGATION
+
+_MANY_SIGMAS = 3.0
+_REASONS = 4
+_BUTTONS = (
+    ("accept", "Accept  A"),
+    ("investigate", "Investigate  I"),
+    ("repeat", "Repeat  R"),
+    ("next", "Drive next script  D"),
+)
+
+
+class ResultScreen(StationScreen):
+    """One recording and what it says."""
+
+    MODE = "result"
+    BINDINGS: ClassVar = [
+        ("a", "accept", "Accept"),
+        ("i", "investigate", "Investigate"),
+        ("r", "repeat", "Repeat"),
+        ("d", "next", "Drive next script"),
+        ("right", "gyro(1)", "Next gyro"),
+        ("left", "gyro(-1)", "Previous gyro"),
+    ]
+
+    def __init__(self) -> None:
+        """Nothing is open yet."""
+        super().__init__()
+        self._path: Path | None = None
+        self._whole: Whole | None = None
+        self._last: Entry | None = None
+        self._found: Mapping[str, Any] = {}
+        self._busy = ""
+        self._said = ""
+        self._gyro = 0
+
+    def body(self) -> ComposeResult:
+        """Yield the blocks."""
+        for name in ("verdict", "states", "change", "model", "curves", "record"):
+            yield Static(id=name, markup=False, classes="block")
+
+    def row_below(self) -> ComposeResult:
+        """Yield what can be done."""
+        with Horizontal(id="actions", classes="buttons"):
+            for name, words in _BUTTONS:
+                yield Button(words, id=name, compact=True, disabled=True)
+
+    def on_mount(self) -> None:
+        """Show that nothing is open, or what was opened before the screen was there."""
+        self._show()
+
+    def open(self, path: Path, *, fresh: bool = False) -> None:
+        """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
+        self._path, self._whole, self._last, self._found = path, None, None, {}
+        self._busy, self._said, self._gyro = "reading", "", 0
+        self._show()
+        self.work(partial(self._read, path, fresh), "read")
+
+    def on_resize(self, event: Any) -> None:
+        """Draw the curves as wide as there is room."""
+        super().on_resize(event)
+        self.call_after_refresh(self._show)
+
+    def on_button_pressed(self, event: Button.Pressed) -> None:
+        """Do what the button says."""
+        getattr(self, f"action_{event.button.id}")()
+
+    async def _read(self, path: Path, fresh: bool) -> None:
+        whole = await self.station.archive.read(path)
+        self._whole, self._busy = whole, ""
+        await self._take_investigation(whole.found.get("investigation") or {})
+        entry = whole.entry
+        if fresh and entry.texts.get("outcome") == "FAIL" and entry.gyros:
+            self.action_investigate()
+        others = [other async for other in self.station.archive.entries(path.parent)]
+        self._last = last_before(entry, others)
+        self._show()
+
+    async def _take_investigation(self, found: Mapping[str, Any]) -> None:
+        self._found = found
+        lines = await asyncio.to_thread(investigation_lines, found) if found else []
+        self._model_lines = lines
+        self._show()
+
+    def action_investigate(self) -> None:
+        """Look for what the model lacks, in a process of its own."""
+        if self._can("investigate") and self._path is not None:
+            self._busy = "looking for what the model lacks"
+            self._show()
+            self.work(partial(self._investigate, self._path), "investigate")
+
+    async def _investigate(self, path: Path) -> None:
+        kept = free_path(path.with_name(f"{path.stem}{INVESTIGATION}.h5"))
+        script = free_path(path.with_name(f"{path.stem}-next.toml"))
+        arguments = ["investigate", str(path), "--json", "--output", str(kept), "--next-script", str(script)]
+        answer = await ask(arguments, self._tell)
+        if path != self._path:
+            return
+        self._busy = ""
+        self._said = "" if answer.found.get("verdict") else f"no verdict: {answer.reason}"
+        await self._take_investigation(answer.found)
+
+    def _tell(self, line: str) -> None:
+        self._busy = f"looking for what the model lacks: {line}"
+        self._show()
+
+    def action_accept(self) -> None:
+        """Ask whether to accept, then record who did and write the certificate."""
+        if not self._can("accept") or self._whole is None:
+            return
+        operator = self.station.choices.operator
+        question = f"Accept the calibration of {self._whole.entry.device or 'this device'} as {operator}?"
+        answers = [("no", "Back"), ("yes", "Accept and write the certificate")]
+        self.app.push_screen(AskDialog(question, answers), self._accepted)
+
+    def _accepted(self, answer: str | None) -> None:
+        if answer == "yes" and self._path is not None:
+            self._busy = "writing the certificate"
+            self._show()
+            self.work(partial(self._certify, self._path), "accept")
+
+    async def _certify(self, path: Path) -> None:
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        wrong = await self.station.archive.accept(
+            path, {"accepted_by": self.station.choices.operator, "accepted_utc": now}
+        )
+        if wrong:
+            said = f"NOT ACCEPTED: {wrong}"
+        else:
+            certificate = free_path(path.with_suffix(".html"))
+            answer = await ask(["report", str(path), "--output", str(certificate)])
+            said = f"accepted; certificate: {certificate}"
+            if not certificate.exists():
+                said = f"accepted, but NO CERTIFICATE: {answer.reason}"
+        whole = await self.station.archive.read(path)
+        if path == self._path:
+            self._busy, self._said, self._whole = "", said, whole
+            self._show()
+
+    def action_repeat(self) -> None:
+        """Prepare the same run again."""
+        if self._can("repeat"):
+            self.station.prepare(None)
+
+    def action_next(self) -> None:
+        """Prepare a run of the script that the investigation asks for."""
+        if self._can("next"):
+            self.station.prepare(str(self._found["next_script"]))
+
+    def action_gyro(self, step: int) -> None:
+        """Show the curves of another gyro."""
+        self._gyro += step
+        self._show()
+
+    def _can(self, what: str) -> bool:
+        entry = self._whole.entry if self._whole is not None else None
+        if entry is None or self._busy:
+            return False
+        passed = entry.texts.get("outcome") == "PASS"
+        return {
+            "accept": passed and bool(self.station.choices.operator) and not entry.texts.get("accepted_by"),
+            "investigate": bool(entry.gyros),
+            "repeat": not self.station.busy,
+            "next": bool(self._found.get("next_script")) and not self.station.busy,
+        }[what]
+
+    def on_screen_resume(self) -> None:
+        """Show what may be done now."""
+        self._show()
+
+    def _show(self) -> None:
+        if not self.is_mounted:
+            return
+        for name, _ in _BUTTONS:
+            self.query_one(f"#{name}", Button).disabled = not self._can(name)
+        whole = self._whole
+        self._block("verdict", _verdict(self._path, whole, self._busy, self._said))
+        if whole is None or whole.entry.wrong:
+            for name in ("states", "change", "model", "curves", "record"):
+                self._block(name, None)
+            return
+        gyros = whole.entry.gyros
+        self._block("states", titled("States and their sigmas", state_lines(gyros)) if gyros else None)
+        self._block("change", _change(whole.entry, self._last) if gyros else None)
+        lines = self._model_lines or [Text("I looks for what the four states lack", "dim")]
+        self._block("model", titled("Investigation", lines) if gyros else None)
+        self._block("curves", self._curves(whole))
+        self._block("record", _record(whole))
+
+    _model_lines: Sequence[Text] = ()
+
+    def _block(self, name: str, text: Text | None) -> None:
+        block = self.query_one(f"#{name}", Static)
+        block.display = text is not None
+        block.update(text or "")
+
+    def _curves(self, whole: Whole) -> Text | None:
+        curves = whole.found.get("curves") or {}
+        if not curves:
+            return None
+        name = list(curves)[self._gyro % len(curves)]
+        width = max(self.query_one("#body").size.width - 2, 76)
+        return Text("\n").join(gyro_plots(name, _trend(curves[name]), width))
+
+
+def state_lines(gyros: Sequence[GyroEntry]) -> list[Text]:
+    """Return the states with their sigmas, a line a gyro below a heading."""
+    rows = state_heads("gyro")
+    for gyro in gyros:
+        pairs = zip(STATES, gyro.states, gyro.sds, strict=True)
+        cells = [(s.text(value).rjust(s.width), s.text(sd).rjust(s.width - 1)) for s, value, sd in pairs]
+        rows.append([gyro.name, *(cell for pair in cells for cell in pair)])
+    return headed(columns(rows, gap=" "), 2)
+
+
+def _change(entry: Entry, last: Entry | None) -> Text:
+    title = "Change since the last calibration of this device"
+    if last is None:
+        return titled(title, [Text("none of it in this folder", "dim")])
+    before = {(gyro.source, gyro.name): gyro for gyro in last.gyros}
+    rows = state_heads("gyro", "sigmas")
+    marked = []
+    for gyro in entry.gyros:
+        old = before.get((gyro.source, gyro.name))
+        if old is None:
+            continue
+        cells, far = [gyro.name], False
+        for state, new_value, new_sd, value, sd in zip(STATES, gyro.states, gyro.sds, old.states, old.sds, strict=True):
+            delta, sigma = new_value - value, math.hypot(new_sd, sd)
+            ratio = delta / sigma if sigma > 0 else math.nan
+            far = far or abs(ratio) > _MANY_SIGMAS
+            cells += [state.text(delta, signed=True), number(ratio, 1, signed=True)]
+        rows.append(cells)
+        marked.append(far)
+    lines = headed(columns(rows, gap=" "), 2)
+    for line, far in zip(lines[2:], marked, strict=True):
+        if far:
+            line.stylize("yellow")
+    if any(marked):
+        lines.append(Text(f"yellow: a state moved by more than {_MANY_SIGMAS:g} of its sigmas", "dim"))
+    return titled(f"{title}, {last.when} ({last.path.name})", lines)
+
+
+def _verdict(path: Path | None, whole: Whole | None, busy: str, said: str) -> Text:
+    if path is None:
+        return Text("No run has ended yet. F5 opens a recording, F2 prepares a run.")
+    lines = []
+    if whole is not None:
+        entry = whole.entry
+        if entry.wrong:
+            lines.append(Text.assemble(("CANNOT BE READ", "bold red"), f"  {entry.wrong}"))
+        else:
+            outcome = entry.texts.get("outcome", "") or "no outcome"
+            style = OUTCOME_STYLES.get(outcome, "bold")
+            lines.append(Text.assemble((outcome, style), f"  {_short(entry.texts.get('reason', ''))}"))
+            lines.append(Text(_identity(entry)))
+            if entry.texts.get("accepted_by"):
+                when = entry.texts.get("accepted_utc", "")
+                lines.append(Text(f"accepted by {entry.texts['accepted_by']}, {when}", "green"))
+    lines.append(Text(f"recording: {path}"))
+    if busy:
+        lines.append(Text(f"{busy} ...", "bold yellow"))
+    if said:
+        lines.append(Text(said, "bold"))
+    return Text("\n").join(lines)
+
+
+def _short(reason: str) -> str:
+    """Return a reason cut to the first things it names; all of it is in the record below."""
+    parts = reason.split("; ")
+    more = len(parts) - _REASONS
+    return reason if more <= 0 else f"{'; '.join(parts[:_REASONS])}; and {more} more, see the record below"
+
+
+def _identity(entry: Entry) -> str:
+    parts = {
+        "device": entry.device,
+        "operator": entry.texts.get("operator", ""),
+        "script": entry.texts.get("script", ""),
+        "bench": entry.texts.get("station", ""),
+    }
+    return f"{entry.when}   " + "   ".join(f"{name} {text}" for name, text in parts.items() if text)
+
+
+def _record(whole: Whole) -> Text:
+    found = whole.found
+    reasons = whole.entry.texts.get("reason", "").split("; ")
+    lines = [Text(reason) for reason in reasons] if len(reasons) > _REASONS else []
+    if found.get("samples") is not None:
+        nis = number(found.get("nis_mean"), 3)
+        lines.append(
+            Text(f"mean NIS {nis} (1 = the filter's sigmas are true), {found['samples']} samples, {found['lost']} lost")
+        )
+    lines += [Text(f"excluded: {text}", "red") for text in found.get("excluded", [])]
+    lines += [Text(f"note: {text}") for text in found.get("notes", [])]
+    lines += [Text.assemble((f"{t_s:8.1f} s  ", "dim"), str(text)) for t_s, text in found.get("events", [])]
+    return titled("Record", lines)
+
+
+def _trend(curve: Mapping[str, Any]) -> Trend:
+    states = [tuple(math.nan if v is None else v for v in row) for row in curve["states"]]
+    sds = [tuple(math.nan if v is None else v for v in row) for row in curve["sd"]]
+    return Trend(list(curve["t_s"]), states, sds)

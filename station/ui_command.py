@@ -1,0 +1,125 @@
+"""station ui: the operator's screen. Its arguments, and whether this terminal can show it."""
+
+from __future__ import annotations
+
+import argparse
+import codecs
+import io
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from station.errors import EXIT_USAGE, UsageError
+
+if TYPE_CHECKING:
+    from station.screen.choices import Choices
+
+_NO_TERMINALS = ("", "dumb", "unknown")
+_DEFECT = 1
+
+
+def command_ui(arguments: argparse.Namespace) -> int:
+    """Show the screen until the operator leaves it; 2 if there is no terminal that can show it."""
+    try:
+        if getattr(arguments, "web", None) is not None:
+            from station.screen.web import serve
+
+            return serve(arguments.web, _words_again(arguments))
+        if "TEXTUAL_DRIVER" not in os.environ:  # else somebody else draws: the server of --web
+            _check_terminal()
+        return _show(arguments)
+    except UsageError as error:
+        print(f"station: {error}", file=sys.stderr)
+        return EXIT_USAGE
+
+
+def _check_terminal() -> None:
+    """See that there is a terminal, and that it can show what is drawn; UsageError that says what to do."""
+    if not all(stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr)):
+        raise UsageError("station ui needs a terminal of its own; without one: station run, or station ui --web")
+    terminal = os.environ.get("TERM", "")
+    if terminal in _NO_TERMINALS:
+        raise UsageError(
+            f"TERM is {terminal!r}: this terminal cannot show a screen; use another one (TERM=xterm-256color), or "
+            "station run, or station ui --web"
+        )
+    encoding = sys.stderr.encoding or "ascii"
+    if codecs.lookup(encoding).name != "utf-8":
+        raise UsageError(
+            f"the locale's encoding is {encoding}, the screen needs UTF-8: set LANG=C.UTF-8, or another locale of UTF-8"
+        )
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from station.screen.app import StationApp
+
+    app = StationApp(choices_of(arguments), attach=getattr(arguments, "attach", False))
+    kept = io.StringIO()
+    app.error_console = Console(file=kept, width=120)
+    app.run()
+    if app.return_code == _DEFECT:
+        raise UsageError(f"the screen ended by a defect of its own, please report it{_keep(kept.getvalue())}")
+    return 0
+
+
+def _keep(text: str) -> str:
+    """Keep what is known of a defect in a file; return where, in words, and what to do now."""
+    from station.screen.memory import state_folder
+
+    path = state_folder() / "screen-defect.txt"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        where = f", with {path}"
+    except OSError:
+        where = ""
+    return f"{where}. A session that runs goes on: station ui --attach"
+
+
+def choices_of(arguments: argparse.Namespace) -> Choices:
+    """Return what the options of `station ui`, or of `station run --ui`, choose beforehand.
+
+    UsageError for an option that a watched run cannot have.
+    """
+    from station.screen.choices import Choices
+
+    given = vars(arguments)
+    if given.get("output") or given.get("json"):
+        raise UsageError("--ui goes without --json and --output: give a folder to `station ui --folder`")
+    run_options = [word for name in ("reset_fault", "end_early") if given.get(name) for word in (_option(name),)]
+    for name in ("model", "seed"):
+        if given.get(name) is not None:
+            run_options += [_option(name), str(given[name])]
+    return Choices(
+        bench=given.get("bench") or "",
+        script=given.get("script") or "",
+        folder=Path(given.get("folder") or "recordings"),
+        operator=given.get("operator") or "",
+        serial=given.get("serial_number") or "",
+        scale=given.get("scale"),
+        link_options=_repeated("--link", given.get("link")),
+        device_options=_repeated("--device", given.get("device")),
+        run_options=tuple(run_options),
+    )
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _repeated(option: str, values: list[str] | None) -> tuple[str, ...]:
+    return tuple(word for value in values or () for word in (option, value))
+
+
+def _words_again(arguments: argparse.Namespace) -> list[str]:
+    """Return the options of `station ui` again, for the process that draws for a browser."""
+    words = [
+        word for name in ("bench", "script", "folder") if (v := getattr(arguments, name)) for word in (_option(name), v)
+    ]
+    if arguments.scale is not None:
+        words += ["--scale", f"{arguments.scale:g}"]
+    words += _repeated("--link", arguments.link) + _repeated("--device", arguments.device)
+    return words + (["--attach"] if arguments.attach else [])

@@ -1,0 +1,203 @@
+"""The screen beside a real session: how soon it is there, what it costs, how fast STOP is.
+
+python tests/bench/screen.py                     first picture, then a run at real time with a source of 2 kHz
+python tests/bench/screen.py --seconds 60 --tries 200 --size 200x60
+
+The screen runs in a pseudo-terminal. Between it and the session is a relay that passes everything on, except for the
+word to stop, whose instant it notes: so the run goes on, and STOP is timed again and again, from the byte of the key
+in the terminal to the line on the session's socket, at random instants.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import json
+import os
+import pty
+import random
+import select
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import termios
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from support import command
+
+from station.bench import default_bench_text
+
+STOP = b"\x1b[20~"  # F9
+_FIRST_PICTURE = b"History"
+
+
+class Terminal:
+    """A program in a pseudo-terminal whose output is read and thrown away."""
+
+    def __init__(self, arguments: list[str], columns: int, rows: int, **variables: str) -> None:
+        """Start it."""
+        self.began_s = time.monotonic()
+        self.bytes = 0
+        self.first_s = float("nan")
+        self.pid, self._fd = pty.fork()
+        if self.pid == 0:
+            os.environ.update({"TERM": "xterm-256color", "COLORTERM": "truecolor", "LANG": "C.UTF-8", **variables})
+            os.execv(sys.executable, arguments)
+        fcntl.ioctl(self._fd, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def press(self, key: bytes) -> None:
+        """Write a key."""
+        os.write(self._fd, key)
+
+    def cpu_s(self) -> float:
+        """Return the processor time that it has used."""
+        fields = Path(f"/proc/{self.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def close(self) -> None:
+        """End it."""
+        os.kill(self.pid, signal.SIGKILL)
+        os.waitpid(self.pid, 0)
+        os.close(self._fd)
+
+    def _read(self) -> None:
+        seen = b""
+        while True:
+            try:
+                data = os.read(self._fd, 65536)
+            except OSError:
+                return
+            if np.isnan(self.first_s):
+                seen += data
+                if _FIRST_PICTURE in seen:
+                    self.first_s = time.monotonic() - self.began_s
+            self.bytes += len(data)
+
+
+class Relay:
+    """A socket of a session in another folder: everything passes but the word to stop, whose instants are kept."""
+
+    def __init__(self, session: Path, folder: Path) -> None:
+        """Listen in a folder of sockets that only the screen looks into."""
+        self.stops: list[float] = []
+        self.arrived = threading.Event()
+        place = folder / f"station-{os.getuid()}"
+        place.mkdir(mode=0o700, parents=True)
+        self._session = session
+        self._server = socket.socket(socket.AF_UNIX)
+        self._server.bind(str(place / session.name))
+        self._server.listen()
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            client, _ = self._server.accept()
+            threading.Thread(target=self._pass_on, args=(client,), daemon=True).start()
+
+    def _pass_on(self, client: socket.socket) -> None:
+        with suppress(OSError), client, socket.socket(socket.AF_UNIX) as session:
+            session.connect(str(self._session))
+            while True:
+                for ready in select.select([client, session], [], [])[0]:
+                    data = ready.recv(65536)
+                    if not data:
+                        return
+                    if ready is session:
+                        client.sendall(data)
+                    elif b'"stop"' in data:
+                        self.stops.append(time.monotonic())
+                        self.arrived.set()
+
+
+def files(folder: Path, seconds: float) -> list[str]:
+    """Write the built-in bench with its STIM300 at 2 kHz in place of the array, and a script that is long enough."""
+    text = default_bench_text().replace('rate = "500 Hz"', 'rate = "2000 Hz"')
+    text = text.replace("used = false", "used = true").replace('name = "array"', 'name = "array"\nused = false')
+    (folder / "fast.toml").write_text(text)
+    turn = 'kind = "rotate"\nrate = "20 deg/s"\nduration = "{} s"'
+    steps = [f'[[step]]\naxis = "{axis}"\n{turn.format(seconds / 3 + 60)}\n' for axis in "xyz"]
+    (folder / "long.toml").write_text("".join(steps))
+    return ["--bench", str(folder / "fast.toml"), "--script", str(folder / "long.toml")]
+
+
+def first_picture(columns: int, rows: int, folder: Path) -> float:
+    """Return the seconds from the start of the process to the first picture."""
+    terminal = Terminal(command("ui", "--folder", folder), columns, rows, XDG_STATE_HOME=str(folder / "state"))
+    deadline = time.monotonic() + 20
+    while np.isnan(terminal.first_s) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    terminal.close()
+    return terminal.first_s
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=30.0, help="how long the cost is measured; default: 30")
+    parser.add_argument("--tries", type=int, default=120, help="how often STOP is pressed; default: 120")
+    parser.add_argument("--size", default="140x40", help="columns x rows; default: 140x40")
+    arguments = parser.parse_args()
+    columns, rows = map(int, arguments.size.split("x"))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        first = [first_picture(columns, rows, folder) for _ in range(5)]
+        print(f"first picture after {np.median(first):.2f} s (median of 5, {min(first):.2f} to {max(first):.2f})")
+        recording = folder / "run.h5"
+        run = subprocess.Popen(
+            command("run", "--host", "--json", *files(folder, arguments.seconds), "-o", recording),
+            env={**os.environ, "XDG_RUNTIME_DIR": str(folder)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        try:
+            measure(run, folder, columns, rows, arguments)
+        finally:
+            run.send_signal(signal.SIGINT)
+            out, _ = run.communicate(timeout=60)
+            found = json.loads(out)
+            for name, source in found["sources"].items():
+                print(f"{name}: {source}")
+            print(found["outcome"], found["reason"])
+
+
+def measure(run: subprocess.Popen[bytes], folder: Path, columns: int, rows: int, arguments: argparse.Namespace) -> None:
+    """Attach a screen to a run through the relay, and measure its cost and STOP."""
+    session = folder / f"station-{os.getuid()}" / f"{run.pid}.sock"
+    while not session.exists():
+        time.sleep(0.05)
+    relay = Relay(session, folder / "seen")
+    seen = {name: str(folder / "seen") for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "TMPDIR")}
+    terminal = Terminal(command("ui", "--attach", "--folder", folder), columns, rows, **seen)
+    time.sleep(12)  # the session homes, the estimates begin
+    cpu_s, began_s, sent = terminal.cpu_s(), time.monotonic(), terminal.bytes
+    time.sleep(arguments.seconds)
+    span_s = time.monotonic() - began_s
+    share, kilobytes = (terminal.cpu_s() - cpu_s) / span_s, (terminal.bytes - sent) / span_s / 1e3
+    print(f"{columns} x {rows}: {share:.1%} of a core, {kilobytes:.1f} kB/s to the terminal, over {span_s:.0f} s")
+    latencies = []
+    for _ in range(arguments.tries):
+        time.sleep(random.uniform(0.05, 0.25))
+        relay.arrived.clear()
+        pressed_s = time.monotonic()
+        terminal.press(STOP)
+        if not relay.arrived.wait(5):
+            raise SystemExit("STOP did not arrive within 5 s")
+        latencies.append(relay.stops[-1] - pressed_s)
+    ms = np.array(latencies) * 1e3
+    print(
+        f"STOP, key to line on the socket, {len(ms)} tries: median {np.median(ms):.1f} ms, "
+        f"p99 {np.percentile(ms, 99):.1f} ms, most {ms.max():.1f} ms"
+    )
+    terminal.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""A place of its own for each test of the screen; recordings from runs on twins; how to wait for what is shown."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import h5py
+import pytest
+from textual.pilot import Pilot
+
+from station.cli import main
+from station.screen.app import StationApp
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from streams import SCRIPT, bench_text
+
+_DAY_S = 86_400
+_NOON_S = 1_795_262_400  # 2026-11-21 12:00:00 UTC
+
+
+class HistoryFirst(StationApp):
+    """An app that does not begin by asking devices."""
+
+    DEFAULT_MODE = "history"
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty working folder with a bench and a short script; nothing remembered, no sessions, UTC."""
+    with tempfile.TemporaryDirectory(prefix="st-") as sockets:  # a socket's address must be short
+        for name, value in {
+            "XDG_RUNTIME_DIR": sockets,
+            "TMPDIR": sockets,
+            "XDG_STATE_HOME": str(tmp_path / "state"),
+            "TZ": "UTC",
+        }.items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.setattr(tempfile, "tempdir", None)
+        monkeypatch.delenv("NO_COLOR", raising=False)
+        monkeypatch.chdir(tmp_path)
+        time.tzset()
+        (tmp_path / "bench.toml").write_text(bench_text())
+        (tmp_path / "short.toml").write_text(SCRIPT)
+        yield tmp_path
+        monkeypatch.undo()
+        time.tzset()
+
+
+@pytest.fixture(scope="session")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder of two recordings of one device: first.h5 passed, second.h5 failed."""
+    folder = tmp_path_factory.mktemp("runs")
+    (folder / "short.toml").write_text(SCRIPT)
+    strict = bench_text().replace('scale_factor_error = "10000 ppm"', 'scale_factor_error = "3000 ppm"')
+    for name, text, seed in (("first", bench_text(), 1), ("second", strict, 2)):
+        bench = folder / "bench.toml"
+        bench.write_text(text)
+        options = ["--operator", "A. Operator", "--serial-number", "SN-0042", "--seed", str(seed), "--json"]
+        files = ["--bench", bench, "--script", folder / "short.toml", "--output", folder / f"{name}.h5"]
+        main(["run", *options, *map(str, files)])
+    return folder
+
+
+@pytest.fixture
+def recordings(place: Path, runs: Path) -> Path:
+    """Return a folder of recordings: a pass, a fail a day later, one of another format version, one damaged."""
+    folder = place / "recordings"
+    folder.mkdir()
+    for name in ("first", "second"):
+        shutil.copy(runs / f"{name}.h5", folder)
+    shutil.copy(runs / "first.h5", folder / "later.h5")
+    with h5py.File(folder / "later.h5", "r+") as file:
+        file.attrs["format_version"] = 99
+    (folder / "torn.h5").write_bytes((folder / "first.h5").read_bytes()[:100_000])
+    for days, name in enumerate(("first", "second", "later", "torn")):
+        os.utime(folder / f"{name}.h5", (_NOON_S + days * _DAY_S,) * 2)
+    return folder
+
+
+async def until(pilot: Pilot[None], holds: Callable[[], object], limit_s: float = 60.0) -> None:
+    """Let the app go on until something holds."""
+    async with asyncio.timeout(limit_s):
+        while not holds():
+            await pilot.pause(0.02)
+    await pilot.pause()
+
+
+def keys(text: str) -> list[str]:
+    """Return the keys that type a text."""
+    return [{" ": "space", ".": "full_stop", "-": "minus"}.get(letter, letter) for letter in text]

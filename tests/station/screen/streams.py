@@ -1,0 +1,194 @@
+"""What sessions say, kept as lines of their sockets' language; and a socket that says it again, up to a chosen instant.
+
+python tests/station/screen/streams.py      makes tests/data/screen/*.jsonl anew, from sessions on twins
+
+Each line of a stream is a message with "at_s" beside it: the instant on the loop's clock, in virtual time, at which it
+was said. A snapshot a second is kept, its figures to five digits.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import os
+import socket
+import tempfile
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from station.bench import default_bench_text, load_bench
+from station.hosting import introduction
+from station.loops import VirtualLoop
+from station.open_bench import open_bench
+from station.printing import result_object
+from station.script import load_script
+from station.session import Session
+from station.snapshot import snapshot_object
+
+STREAMS = Path(__file__).parents[2] / "data" / "screen"
+RECORDING = "recordings/run-20261121-101502.h5"
+SCRIPT = """
+name = "short"
+[[step]]
+kind = "rest"
+duration = "4 s"
+[[step]]
+kind = "rotate"
+axis = "x"
+rate = "40 deg/s"
+duration = "11 s"
+[[step]]
+kind = "rotate"
+axis = "y"
+rate = "-40 deg/s"
+duration = "11 s"
+[[step]]
+kind = "rotate"
+axis = "z"
+rate = "40 deg/s"
+duration = "11 s"
+[[step]]
+kind = "rest"
+duration = "4 s"
+"""
+_DIGITS = 5
+
+
+def bench_text(end: str = "") -> str:
+    """Return the built-in bench with limits that suit a short script, and patterns."""
+    text = default_bench_text()
+    for name in ("scale_factor_error", "bias", "misalignment"):
+        text = text.replace(f"sd_{name} = ", f"# sd_{name} = ")
+    return f'{text}\n[station]\noperator_pattern = "[A-Z][A-Za-z. ]+"\nserial_pattern = "SN-[0-9]{{4}}"\n{end}'
+
+
+async def listen(folder: Path, act: Callable[[Session, float], None], end: str = "") -> list[dict[str, Any]]:
+    """Run a session and return what it says; ``act(session, t_s)`` is called once a second."""
+    (folder / "bench.toml").write_text(bench_text(end))
+    (folder / "short.toml").write_text(SCRIPT)
+    bench, script = load_bench(folder / "bench.toml"), load_script(folder / "short.toml")
+    loop = asyncio.get_running_loop()
+    said: list[dict[str, Any]] = []
+
+    def tell(t_s: float, text: str) -> None:
+        said.append({"at_s": loop.time(), "kind": "event", "t_s": t_s, "text": text})
+
+    async def watch(session: Session) -> None:
+        while True:
+            said.append({"at_s": loop.time(), "kind": "snapshot", **snapshot_object(session.snapshot())})
+            act(session, loop.time())
+            await asyncio.sleep(1.0)
+
+    async with open_bench(bench) as opened:
+        told = {"operator": "A. Operator", "device_serial": "SN-0042"}
+        session = Session(opened, script, folder / "run.h5", on_event=tell, **told)
+        hello = introduction(bench, "bench.toml", script, Path(RECORDING), session.gyros)
+        head = {"at_s": 0.0, "kind": "hello", "version": 1, "pid": 4242, "time_scale": 5.0, **hello, **told}
+        watching = asyncio.create_task(watch(session))
+        result = await session.run()
+        watching.cancel()
+    found = result_object(result.verdict, RECORDING, result.calibration)
+    head |= {"recording": RECORDING, "bench_file": "bench.toml"}
+    return [head, *said, {"at_s": loop.time(), "kind": "result", **found}]
+
+
+def make(name: str, act: Callable[[Session, float], None] = lambda session, t_s: None, end: str = "") -> None:
+    """Make one stream."""
+    with tempfile.TemporaryDirectory() as folder, asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        lines = runner.run(listen(Path(folder), act, end))
+    text = "".join(json.dumps(_rounded(line), allow_nan=False) + "\n" for line in lines)
+    (STREAMS / f"{name}.jsonl").write_text(text)
+    print(f"{name}: {len(lines)} lines, {len(text)} bytes, {lines[-1]['outcome']}")
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+    return value
+
+
+class Replay:
+    """A session's socket that says a stream again, until an instant, and then waits for what it is told.
+
+    Used as a context. ``heard`` are the requests that came; to "stop" it says the stream ``after_stop`` from there on.
+    """
+
+    def __init__(self, name: str, until_s: float, *, after_stop: str = "") -> None:
+        """Listen."""
+        self._lines = _lines(name)
+        self._until_s = until_s
+        self._clients: list[socket.socket] = []
+        self._after = _lines(after_stop) if after_stop else []
+        self.heard: list[dict[str, Any]] = []
+        folder = Path(os.environ["XDG_RUNTIME_DIR"]) / f"station-{os.getuid()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        self.path = folder / "4242.sock"
+        self._server = socket.socket(socket.AF_UNIX)
+        self._server.bind(str(self.path))
+        self._server.listen()
+
+    def __enter__(self) -> Replay:
+        threading.Thread(target=self._accept, daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.vanish()
+
+    def vanish(self) -> None:
+        """Be gone, as a process that was killed."""
+        with suppress(OSError):
+            self._server.shutdown(socket.SHUT_RDWR)
+        self._server.close()
+        self.hang_up()
+
+    def hang_up(self) -> None:
+        """Break all connections, and say nothing on new ones."""
+        self._lines = []
+        for client in self._clients:
+            with suppress(OSError):
+                client.shutdown(socket.SHUT_RDWR)
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                client, _ = self._server.accept()
+                self._clients.append(client)
+                threading.Thread(target=self._talk, args=(client,), daemon=True).start()
+
+    def _talk(self, client: socket.socket) -> None:
+        with suppress(OSError), client, client.makefile("rwb") as stream:
+            for line in self._lines:
+                if line["at_s"] <= self._until_s:
+                    _say(stream, line)
+                    _say(stream, {"kind": "nothing"})  # else a snapshot would give way to the next
+            for request in stream:
+                self.heard.append(json.loads(request))
+                if self.heard[-1]["do"] == "stop":
+                    for line in self._after:
+                        if line["at_s"] > self._until_s:
+                            _say(stream, line)
+                    return
+
+
+def _lines(name: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (STREAMS / f"{name}.jsonl").read_text().splitlines()]
+
+
+def _say(stream: Any, line: dict[str, Any]) -> None:
+    stream.write(json.dumps({key: value for key, value in line.items() if key != "at_s"}).encode() + b"\n")
+    stream.flush()
+
+
+if __name__ == "__main__":
+    STREAMS.mkdir(exist_ok=True)
+    make("pass")
+    make("stopped", lambda session, t_s: session.stop() if t_s > 30 else None)
+    make("fault", end='\n[twin.fault]\naxis = "y"\nat = "25 s"\n')

@@ -1,0 +1,185 @@
+"""Every screen in its states, driven by keys, as pictures; what it is shown comes from sessions on twins."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import pytest
+from conftest import HistoryFirst, keys, until
+from streams import Replay
+from textual.pilot import Pilot
+from textual.widgets import Footer
+
+from station.screen.app import StationApp
+from station.screen.choices import Choices
+from station.screen.live_run import Stage
+
+Compare = Callable[..., bool]
+Before = Callable[[Pilot[None]], Awaitable[None]]
+
+SMALL, WIDE, LARGE = (80, 24), (120, 40), (150, 44)
+CHOICES = Choices(bench="bench.toml", script="short.toml", folder=Path("recordings"))
+
+
+def attached(app: StationApp, elapsed_s: float, *pressed: str) -> Before:
+    """Return what waits until the app shows a run at an instant, and then presses keys."""
+
+    async def before(pilot: Pilot[None]) -> None:
+        await until(pilot, lambda: (run := app.shown) and run.snapshot and run.snapshot.elapsed_s >= elapsed_s)
+        await pilot.press("right", "left", *pressed)  # draws the plots anew
+        await pilot.pause()
+
+    return before
+
+
+def test_prepare_says_what_is_not_green(place: Path, snap_compare: Compare) -> None:
+    app = StationApp(Choices("bench.toml", "short.toml", link_options=("--link", "table=tcp://127.0.0.1:1")))
+
+    async def before(pilot: Pilot[None]) -> None:
+        await pilot.press(*keys("a. operator"))
+        await until(pilot, lambda: "nothing answers" in str(app.screen.query_one("#ready").render()))
+        await until(pilot, lambda: "predicted" in str(app.screen.query_one("#plan").render()))
+
+    assert snap_compare(app, terminal_size=SMALL, run_before=before)
+
+
+def test_prepare_is_ready_when_all_is_green(place: Path, snap_compare: Compare) -> None:
+    app = StationApp(CHOICES)
+
+    async def before(pilot: Pilot[None]) -> None:
+        await pilot.press(*keys("A. Operator"), "enter")
+        await pilot.press(*keys("SN-0042"))
+        await until(pilot, lambda: "READY" in str(app.screen.query_one("#summary").render()).split()[:1])
+
+    assert snap_compare(app, terminal_size=WIDE, run_before=before)
+
+
+def test_a_bench_file_that_is_wrong_is_told_with_its_line(place: Path, snap_compare: Compare) -> None:
+    bench = place / "bench.toml"
+    bench.write_text(bench.read_text().replace("poll_rate =", "pol_rate ="))
+    app = StationApp(CHOICES)
+
+    async def before(pilot: Pilot[None]) -> None:
+        await until(pilot, lambda: "pol_rate" in str(app.screen.query_one("#ready").render()))
+
+    assert snap_compare(app, terminal_size=SMALL, run_before=before)
+
+
+@pytest.mark.parametrize(("key", "mode"), [("f3", "run"), ("f4", "result"), ("f5", "history")])
+def test_screens_without_anything_to_show(place: Path, snap_compare: Compare, key: str, mode: str) -> None:
+    async def before(pilot: Pilot[None]) -> None:
+        await pilot.press(key)
+        await until(pilot, lambda: app.current_mode == mode and app.screen.query_one(Footer).children)
+        await until(pilot, lambda: all(key.size.width for key in app.screen.query_one(Footer).children))
+
+    app = HistoryFirst(CHOICES)
+    assert snap_compare(app, terminal_size=SMALL, run_before=before)
+
+
+@pytest.mark.parametrize("size", [SMALL, LARGE], ids=["80x24", "150x44"])
+def test_a_run(place: Path, snap_compare: Compare, size: tuple[int, int]) -> None:
+    with Replay("pass", 36.0):
+        app = StationApp(CHOICES, attach=True)
+        assert snap_compare(app, terminal_size=size, run_before=attached(app, 35.0))
+
+
+def test_the_plots_of_another_gyro_at_80_x_24(place: Path, snap_compare: Compare) -> None:
+    with Replay("pass", 36.0):
+        app = StationApp(CHOICES, attach=True)
+        assert snap_compare(app, terminal_size=SMALL, run_before=attached(app, 35.0, "right", "end"))
+
+
+def test_a_note_is_asked_for_with_stop_in_sight(place: Path, snap_compare: Compare) -> None:
+    with Replay("pass", 20.0):
+        app = StationApp(CHOICES, attach=True)
+        assert snap_compare(app, terminal_size=SMALL, run_before=attached(app, 19.0, "n", *keys("door opened")))
+
+
+def test_a_run_that_is_stopped(place: Path, snap_compare: Compare) -> None:
+    with Replay("stopped", 30.0, after_stop="stopped") as session:
+        app = StationApp(CHOICES, attach=True)
+
+        async def before(pilot: Pilot[None]) -> None:
+            await attached(app, 29.0)(pilot)
+            await pilot.press("f9")
+            await until(pilot, lambda: app.shown and app.shown.stage is Stage.ENDED)
+
+        assert snap_compare(app, terminal_size=SMALL, run_before=before)
+        assert session.heard == [{"do": "stop"}]
+
+
+def test_a_run_whose_session_does_not_answer_any_more(place: Path, snap_compare: Compare) -> None:
+    with Replay("pass", 20.0) as session:
+        app = StationApp(CHOICES, attach=True)
+
+        async def before(pilot: Pilot[None]) -> None:
+            await attached(app, 19.0)(pilot)
+            session.hang_up()
+            await until(pilot, lambda: app.shown and app.shown.stage is Stage.LOST)
+
+        assert snap_compare(app, terminal_size=SMALL, run_before=before)
+
+
+def test_a_run_whose_session_was_killed(place: Path, snap_compare: Compare) -> None:
+    with Replay("pass", 20.0) as session:
+        app = StationApp(CHOICES, attach=True)
+
+        async def before(pilot: Pilot[None]) -> None:
+            await attached(app, 19.0)(pilot)
+            session.vanish()
+            await until(pilot, lambda: app.shown and app.shown.stage is Stage.ENDED)
+
+        assert snap_compare(app, terminal_size=SMALL, run_before=before)
+
+
+def test_a_fault_of_the_table(place: Path, snap_compare: Compare) -> None:
+    with Replay("fault", 1e9):
+        app = StationApp(CHOICES, attach=True)
+
+        async def before(pilot: Pilot[None]) -> None:
+            await until(pilot, lambda: app.shown and app.shown.stage is Stage.ENDED)
+            await pilot.press("right", "left")
+
+        assert snap_compare(app, terminal_size=LARGE, run_before=before)
+
+
+@pytest.mark.parametrize(("name", "size"), [("first", WIDE), ("second", WIDE), ("second", SMALL)])
+def test_a_result(recordings: Path, snap_compare: Compare, name: str, size: tuple[int, int]) -> None:
+    app = HistoryFirst(Choices(folder=Path("recordings"), operator="A. Operator"))
+
+    async def before(pilot: Pilot[None]) -> None:
+        app.open_recording(Path(f"recordings/{name}.h5"))
+        expected = "none of it" if name == "first" else "first.h5"
+        await until(pilot, lambda: app.current_mode == "result")
+        await until(pilot, lambda: expected in str(app.screen.query_one("#change").render()))
+
+    assert snap_compare(app, terminal_size=size, run_before=before)
+
+
+@pytest.mark.parametrize("size", [SMALL, WIDE], ids=["80x24", "120x40"])
+def test_history(recordings: Path, snap_compare: Compare, size: tuple[int, int]) -> None:
+    app = HistoryFirst(Choices(folder=Path("recordings")))
+
+    async def before(pilot: Pilot[None]) -> None:
+        await until(pilot, lambda: "4 recordings in recordings   (" in str(app.screen.query_one("#folder").render()))
+        await pilot.press("down", "down")
+        await until(pilot, lambda: "2 calibrations   limits" in str(app.screen.query_one("#trend").render()))
+
+    assert snap_compare(app, terminal_size=size, run_before=before)
+
+
+def test_a_terminal_that_is_too_small_keeps_stop_in_sight(place: Path, snap_compare: Compare) -> None:
+    with Replay("pass", 20.0):
+        app = StationApp(CHOICES, attach=True)
+        assert snap_compare(app, terminal_size=(60, 15), run_before=attached(app, 19.0))
+
+
+def test_without_colours_every_state_is_a_word(
+    place: Path, snap_compare: Compare, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(os.environ, "NO_COLOR", "1")
+    with Replay("pass", 20.0):
+        app = StationApp(CHOICES, attach=True)
+        assert snap_compare(app, terminal_size=SMALL, run_before=attached(app, 19.0))

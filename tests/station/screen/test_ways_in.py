@@ -1,0 +1,97 @@
+"""What `station ui` says where it cannot be shown, and what it takes over from its options."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import pty
+import socket
+import subprocess
+from pathlib import Path
+
+import pytest
+from support import command, station
+
+from station.cli import main
+from station.screen.choices import Choices
+from station.screen.memory import Remembered, load_remembered, save_remembered
+from station.ui_command import choices_of
+
+
+def in_terminal(arguments: list[str], **variables: str) -> tuple[int, str]:
+    """Run a command that ends by itself in a pseudo-terminal; return its exit code and what it wrote."""
+    master, slave = pty.openpty()
+    with subprocess.Popen(
+        arguments, stdin=slave, stdout=slave, stderr=slave, env={**os.environ, **variables}
+    ) as process:
+        os.close(slave)
+        said = b""
+        try:
+            while data := os.read(master, 4096):
+                said += data
+        except OSError:  # the terminal's other end is closed
+            pass
+    os.close(master)
+    return process.returncode, said.decode()
+
+
+def test_without_a_terminal_it_says_so(place: Path) -> None:
+    done = station("ui")
+    assert done.returncode == 2
+    assert "needs a terminal" in done.stderr
+    assert "station run" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("variables", "says"),
+    [
+        ({"TERM": "dumb"}, "TERM is 'dumb'"),
+        ({"TERM": ""}, "cannot show a screen"),
+        ({"TERM": "xterm", "PYTHONIOENCODING": "latin-1"}, "LANG=C.UTF-8"),
+    ],
+)
+def test_a_terminal_that_cannot_show_it_is_told_what_to_do(place: Path, variables: dict[str, str], says: str) -> None:
+    code, said = in_terminal(command("ui"), **variables)
+    assert code == 2
+    assert says in " ".join(said.split())
+    assert "Traceback" not in said
+
+
+def test_a_port_that_is_taken_is_told(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        assert main(["ui", "--web", str(taken.getsockname()[1])]) == 2
+    assert "give another to --web" in capsys.readouterr().err
+
+
+def test_a_run_with_a_screen_keeps_the_options_of_the_run() -> None:
+    given = {
+        "bench": "b.toml",
+        "device": ["array"],
+        "link": ["table=twin:"],
+        "scale": 3.0,
+        "reset_fault": True,
+        "seed": 4,
+    }
+    choices = choices_of(argparse.Namespace(ui=True, **given))
+    assert choices == Choices(
+        bench="b.toml",
+        scale=3.0,
+        link_options=("--link", "table=twin:"),
+        device_options=("--device", "array"),
+        run_options=("--reset-fault", "--seed", "4"),
+    )
+    run = choices.run_arguments(Path("r.h5"), choices.scale)
+    assert run[:3] == ["run", "--host", "--json"]
+    assert {"--reset-fault", "--device", "--link"} <= set(run)
+    assert "--link" not in choices.plan_arguments()
+
+
+def test_what_was_entered_is_remembered_by_bench(place: Path) -> None:
+    assert load_remembered() == Remembered()
+    kept = Remembered("A. Operator", "/lab/bench.toml", "", {"one": "SN-0001", "two": "SN-0002"})
+    save_remembered(kept)
+    assert load_remembered() == kept
+    (place / "state/turntable-station/screen.json").write_text("[]")
+    assert load_remembered() == Remembered()
