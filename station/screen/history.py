@@ -178,7 +178,7 @@ def _cells(entry: Entry) -> list[Text]:
             Text(entry.when),
             Text("-"),
             Text("-"),
-            Text("DAMAGED", "red"),
+            Text("UNREADABLE", "red"),
             *(Text("-"),) * 2,
             Text(entry.path.name),
         ]

@@ -134,10 +134,8 @@ def _progress(run: LiveRun, width: int) -> list[Text]:
         return _ended(run)
     if run.stage is Stage.LOST:
         return [
-            Text(
-                f"LINK LOST: {run.trouble}. Looking for the session again. It goes on without the screen;", "bold red"
-            ),
-            Text(f"its recording is {run.recording}"),
+            Text("LINK LOST: the session goes on without the screen, which looks for it", "bold red"),
+            Text(f"recording: {run.recording}"),
         ]
     if snapshot is None:
         return [Text(_STAGE_WORDS[run.stage]), Text(f"recording: {run.recording}", "dim")]

@@ -20,7 +20,7 @@ from station.screen.app import StationApp
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from streams import SCRIPT, bench_text
+from streams import SCRIPT, TINY, bench_text
 
 _DAY_S = 86_400
 _NOON_S = 1_795_262_400  # 2026-11-21 12:00:00 UTC
@@ -58,13 +58,13 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder of two recordings of one device: first.h5 passed, second.h5 failed."""
     folder = tmp_path_factory.mktemp("runs")
-    (folder / "short.toml").write_text(SCRIPT)
+    (folder / "tiny.toml").write_text(TINY)
     strict = bench_text().replace('scale_factor_error = "10000 ppm"', 'scale_factor_error = "3000 ppm"')
     for name, text, seed in (("first", bench_text(), 1), ("second", strict, 2)):
         bench = folder / "bench.toml"
         bench.write_text(text)
         options = ["--operator", "A. Operator", "--serial-number", "SN-0042", "--seed", str(seed), "--json"]
-        files = ["--bench", bench, "--script", folder / "short.toml", "--output", folder / f"{name}.h5"]
+        files = ["--bench", bench, "--script", folder / "tiny.toml", "--output", folder / f"{name}.h5"]
         main(["run", *options, *map(str, files)])
     return folder
 

@@ -55,6 +55,34 @@ duration = "11 s"
 kind = "rest"
 duration = "4 s"
 """
+TINY = """
+name = "tiny"
+[[step]]
+kind = "rest"
+duration = "3 s"
+[[step]]
+kind = "rotate"
+axis = "x"
+rate = "60 deg/s"
+acceleration = "50 deg/s2"
+duration = "6 s"
+[[step]]
+kind = "rotate"
+axis = "y"
+rate = "60 deg/s"
+acceleration = "50 deg/s2"
+duration = "6 s"
+[[step]]
+kind = "rotate"
+axis = "z"
+rate = "60 deg/s"
+acceleration = "50 deg/s2"
+duration = "6 s"
+[[step]]
+kind = "rest"
+duration = "3 s"
+"""
+"""As short as a calibration can be."""
 _DIGITS = 5
 
 

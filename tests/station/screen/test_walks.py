@@ -15,37 +15,10 @@ from pathlib import Path
 
 import h5py
 import pytest
-from streams import bench_text
+from streams import TINY, bench_text
 from support import command
 
-TINY = """
-name = "tiny"
-[[step]]
-kind = "rest"
-duration = "3 s"
-[[step]]
-kind = "rotate"
-axis = "x"
-rate = "60 deg/s"
-acceleration = "50 deg/s2"
-duration = "6 s"
-[[step]]
-kind = "rotate"
-axis = "y"
-rate = "60 deg/s"
-acceleration = "50 deg/s2"
-duration = "6 s"
-[[step]]
-kind = "rotate"
-axis = "z"
-rate = "60 deg/s"
-acceleration = "50 deg/s2"
-duration = "6 s"
-[[step]]
-kind = "rest"
-duration = "3 s"
-"""
-OPTIONS = ("--bench", "bench.toml", "--script", "tiny.toml", "--scale", "10")
+OPTIONS = ("--bench", "bench.toml", "--script", "tiny.toml", "--scale", "5")
 
 
 @pytest.fixture
