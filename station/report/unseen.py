@@ -108,6 +108,8 @@ def driven_step(table: TableReadings, step: Step) -> list[ScriptStep]:
     turn = _rounded(float(angle[-1, column] - angle[0, column]))
     # Of a trapezoid, the integrals of the rate and of its square tell the length of a ramp.
     square = float(np.trapezoid(rate[:, column] ** 2, t_s))
+    if not peak or not turn:
+        return [Rest(duration_s, step.label)]  # there and back, or read too seldom to say
     way_s = abs(turn) / peak
     ramp_s = min(max(3 * (way_s - square / peak**2), _SHORTEST_RAMP_S), 0.999 * way_s)
     moving_s = way_s + ramp_s

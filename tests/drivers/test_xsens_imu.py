@@ -266,7 +266,7 @@ def test_the_time_of_a_sample_is_when_it_was_taken_not_when_it_came() -> None:
     assert (taken.arrival_s - taken.t_s).max() == pytest.approx(0.009, abs=1e-6)
 
 
-@pytest.mark.parametrize(("rate_hz", "clock_ppm"), [(100, 50.0), (400, -50.0)])
+@pytest.mark.parametrize(("rate_hz", "clock_ppm"), [pytest.param(100, 50.0, marks=pytest.mark.full), (400, -50.0)])
 def test_times_are_true_to_a_fifth_of_a_millisecond_on_a_bad_line(rate_hz: int, clock_ppm: float) -> None:
     rng = np.random.default_rng(3)
 

@@ -93,7 +93,7 @@ def swinging(seed: int, error_correlation: float) -> Recording:
     return Recording({"imu": ImuData(triad(), t_ns, rate)}, AttitudeReadings(t_ns, q))
 
 
-@pytest.mark.parametrize("error_correlation", [0.0, 0.9])
+@pytest.mark.parametrize("error_correlation", [pytest.param(0.0, marks=pytest.mark.full), 0.9])
 def test_sigmas_against_attitudes_are_true_whether_the_error_is_white_or_not(error_correlation: float) -> None:
     scores = []
     for seed in range(24):

@@ -72,6 +72,7 @@ def simulated(script: Script, seed: int, hidden: dict[str, Any]) -> Any:
     return simulate(script, {"array": device}, seed, site=SITE, hidden=Hidden.of(hidden))
 
 
+@pytest.mark.full
 def test_what_investigate_keeps_of_one_device_is_what_calibrate_begins_with_on_the_next(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

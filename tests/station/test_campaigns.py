@@ -205,6 +205,7 @@ def test_a_pool_gives_the_same_bits_even_if_a_process_is_killed(
     assert printed(recordings, results) == alone
 
 
+@pytest.mark.full
 def test_a_cluster_gives_the_same_bits_even_if_a_worker_is_killed(
     tmp_path: Path, recordings: list[str], alone: list[str]
 ) -> None:
@@ -230,6 +231,7 @@ def test_on_a_cluster_an_item_that_fails_or_kills_its_worker_costs_only_itself(t
         assert failures == [Failure("3", "every worker that tried it died")]
 
 
+@pytest.mark.full
 def test_a_worker_with_several_blas_threads_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(ONE_BLAS_THREAD, "OPENBLAS_NUM_THREADS", "4")
     with cluster(tmp_path, 1, "--no-nanny") as (address, _):
@@ -244,6 +246,7 @@ def test_a_cluster_without_workers_is_given_up(tmp_path: Path) -> None:
         assert all(e.reason == f"the cluster at {address} has had no worker for 1 s" for e in ends)
 
 
+@pytest.mark.full
 def test_a_cluster_whose_last_worker_dies_keeps_what_was_done(tmp_path: Path, recordings: list[str]) -> None:
     victim = tmp_path / "victim"
     with cluster(tmp_path, 1, "--no-nanny") as (address, crew):

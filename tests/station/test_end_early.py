@@ -73,6 +73,7 @@ def test_a_run_ends_once_every_sigma_is_reached_and_says_so(
     assert 40 < ended_s < 130
 
 
+@pytest.mark.full
 def test_a_run_that_never_shows_enough_goes_to_its_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script = script_file(tmp_path, REST.format(5) + TURNS + REST.format(5))
     bench = bench_file(tmp_path, 'sd_bias = "5 deg/h"', 'sd_bias = "0.5 deg/h"')

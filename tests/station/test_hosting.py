@@ -355,6 +355,7 @@ def test_lines_that_are_not_understood_are_refused_and_harm_nothing(place: Path,
     assert "Ctrl-C" in result["reason"]
 
 
+@pytest.mark.full
 def test_each_run_has_its_socket_and_that_of_a_dead_one_is_cleared_away(place: Path, tmp_path: Path) -> None:
     runs = []
     for name in ("a", "b"):

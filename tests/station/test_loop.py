@@ -145,6 +145,7 @@ def test_table_time_bounds_the_loop(
     assert found["next_script"] is None
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("short_scripts")
 def test_the_runs_of_one_loop_have_noise_of_their_own_and_the_seed_repeats_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

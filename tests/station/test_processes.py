@@ -57,6 +57,7 @@ def test_the_paper_script_at_ten_times_real_time_gives_the_same_verdict(tmp_path
     assert worst_error(result) < 4
 
 
+@pytest.mark.full
 def test_a_stim300_on_a_pseudo_terminal_is_calibrated(tmp_path: Path, short: Path) -> None:
     result = run_between_processes(tmp_path, "3", "stim300", "--bench", bench_file(tmp_path), "--script", short)
     assert [g["name"] for g in result["gyros"]] == ["x", "y", "z"]

@@ -117,6 +117,7 @@ def test_the_same_bench_and_seed_give_the_same_bytes_and_another_seed_others(
     assert "PASS" in capsys.readouterr().out
 
 
+@pytest.mark.full
 def test_a_stim300_and_the_array_ride_on_one_table(
     tmp_path: Path, short: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -115,6 +115,7 @@ def processes_of(word: str) -> list[int]:
     return found
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="processes are found in /proc")
 @pytest.mark.skipif(not (shutil.which("chromium") or shutil.which("chromium-browser")), reason="Chromium is not there")
 def test_from_prepare_to_certificate_in_a_browser(bench: Path) -> None:
