@@ -40,6 +40,7 @@ def test_a_bias_that_differs_from_switch_on_to_switch_on_is_found() -> None:
     assert repeats[2].between[1] == pytest.approx(np.std(shifts, ddof=1), rel=0.15)
 
 
+@pytest.mark.full
 def test_the_command_compares_runs_of_one_array_and_says_so_of_another(tmp_path: Path) -> None:
     for seed in range(2):
         write_recording(tmp_path / f"run{seed}.h5", direct_recording(seed))

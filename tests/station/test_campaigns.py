@@ -187,6 +187,7 @@ def test_the_number_of_blas_threads_changes_no_bit(recordings: list[str], alone:
     assert of_each(again.stdout) == alone[:2]
 
 
+@pytest.mark.full
 def test_a_pool_gives_the_same_bits_even_if_a_process_is_killed(
     tmp_path: Path, recordings: list[str], alone: list[str]
 ) -> None:
@@ -346,6 +347,7 @@ def test_a_folder_is_calibrated_alike_everywhere_and_the_damaged_file_is_listed(
     assert [o["outcome"] for o in objects] == ["PASS"] * 3 + [None] + ["PASS"] * 2
 
 
+@pytest.mark.full
 def test_many_recordings_are_printed_a_line_each_and_few_in_full(
     tmp_path: Path, archive: Path, recordings: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -85,6 +85,7 @@ def test_a_run_that_never_shows_enough_goes_to_its_end(tmp_path: Path, capsys: p
         assert len(file["steps/label"]) == 8
 
 
+@pytest.mark.full
 def test_a_residual_that_is_not_clean_keeps_the_run_going(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script = script_file(tmp_path, REST.format(5) + TURNS + REST.format(15))
     bench = bench_file(tmp_path, "nis_high = 1.2", "nis_high = 0.85")

@@ -195,6 +195,7 @@ def check_spread(runs: int, doubt: float) -> None:
     assert np.all(np.abs(ratios - 1) < doubt), ratios
 
 
+@pytest.mark.full
 def test_the_spread_of_a_few_runs_is_about_as_predicted() -> None:
     check_spread(12, 4 / np.sqrt(2 * 4 * 11))  # four sigmas of the chi-square over 4 gyros
 
