@@ -162,7 +162,8 @@ class CanImu:
             source.restart()
         loop = asyncio.get_running_loop()
         while True:
-            self._arrived += await self._link.receive()
+            frames = await self._link.receive()
+            self._arrived += frames
             # In a thread: whoever waits for an answer of the table should not wait for numbers.
             await loop.run_in_executor(None, self._time)
             while self._timed:

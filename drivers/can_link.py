@@ -14,6 +14,7 @@ import can
 from drivers.can_buses import SlcanBus, SocketcandBus, open_bus
 from drivers.can_memory import MemoryBus
 from drivers.errors import LinkLost
+from drivers.loop_scale import loop_scale
 from drivers.seams import Frame
 
 # Interfaces whose stamps are the host's time of day, taken by the kernel before any program gets to see the frame.
@@ -64,7 +65,7 @@ class CanLink:
         )
         self._thread.start()
         try:
-            async with asyncio.timeout(_OPEN_LIMIT_S * getattr(loop, "scale", 1.0)):
+            async with asyncio.timeout(_OPEN_LIMIT_S * loop_scale(loop)):
                 self._bus = await opened
         except TimeoutError:
             self._give_up()
@@ -153,7 +154,7 @@ class CanLink:
             _leave(bus)
 
     def _read(self, loop: asyncio.AbstractEventLoop, bus: can.BusABC, closing: threading.Event) -> None:
-        scale = getattr(loop, "scale", 1.0)
+        scale = loop_scale(loop)
         by_kernel = self._interface in _STAMPED_BY_KERNEL
         if isinstance(bus, (SlcanBus, SocketcandBus)):
             # A thousand times a second four frames: a python-can message for each would take a fifth of a core.

@@ -28,6 +28,7 @@ from drivers.aceinna import (
 )
 from drivers.can_samples import Companion, Piece, RegularSamples, block_of
 from drivers.errors import DeviceRefused, LinkLost
+from drivers.loop_scale import loop_scale
 from drivers.sampling import Alignment
 from drivers.seams import Frame, FrameLink, Identity, ImuBlock, SourceCounts
 
@@ -152,7 +153,7 @@ class AceinnaImu:
         return None
 
     async def _answer(self, group: int) -> bytes | None:
-        scale: float = getattr(asyncio.get_running_loop(), "scale", 1.0)  # it is a host that is waited for
+        scale = loop_scale(asyncio.get_running_loop())  # it is a host that is waited for
         try:
             async with asyncio.timeout(_ANSWER_S * scale):
                 while True:

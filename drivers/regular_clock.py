@@ -38,7 +38,8 @@ class RegularClock:
     a hidden Markov chain), at the latest ``LONGEST_S`` later; losses are then right in number.
 
     A sender that falls behind for seconds looks like one that loses. When it catches up, samples seem to come before
-    they were taken: as many as that are dropped, for which others have been counted as lost, and the clock begins anew.
+    they were taken. The clock then begins anew, and drops those whose times would run back: as many as have been
+    counted as lost meanwhile.
     """
 
     HOLD = 8
@@ -56,9 +57,9 @@ class RegularClock:
         self._counts = counts
         self._most = max(self.MOST, round(1 / period_s))
         self._held: list[tuple[int, float, bytes]] = []  # arrival_ns, value, raw bytes
-        self._to_drop = 0
         self._last_raw = b""
         self._last_arrival_ns: int | None = None
+        self._last_t_ns = -(2**62)
         self._resumed_ns: int | None = None  # last arrival before a break
         self._begin()
 
@@ -89,9 +90,6 @@ class RegularClock:
 
     def add(self, arrival_ns: int, value: float, raw: bytes) -> None:
         """Take in one sample; ``raw`` is what equal samples share."""
-        if self._to_drop:
-            self._to_drop -= 1
-            return
         self._held.append((arrival_ns, value, raw))
 
     def restart(self) -> None:
@@ -115,27 +113,29 @@ class RegularClock:
         place, known, kept = self._places(arrival, own, certain=certain, everything=everything)
         if not len(place):
             return None
-        if (early_s := self._early_s(place, arrival[: len(kept)][kept])) > 0:
-            self._drop(round(early_s / self._period_s))
-            return None
+        if self._too_early(place, arrival[: len(kept)][kept]):
+            self._begin()
+            return self.ready(everything=everything)
         rows, self._held, self._look_again = self._held[: len(kept)], self._held[len(kept) :], 0
         self._last_raw = rows[-1][2]
         arrival = arrival[: len(kept)][kept]
+        value = np.array([row[1] for row, keep in zip(rows, kept, strict=True) if keep])
         t_ns = self._time_ns(place, arrival, own[: len(kept)][kept], known)
-        return t_ns, arrival, np.array([row[1] for row, keep in zip(rows, kept, strict=True) if keep])
+        later = t_ns > self._last_t_ns
+        if not later.all():
+            self._counts.samples -= int(np.count_nonzero(~later))
+            t_ns, arrival, value = t_ns[later], arrival[later], value[later]
+        if not len(t_ns):
+            return None
+        self._last_t_ns = int(t_ns[-1])
+        return t_ns, arrival, value
 
-    def _early_s(self, place: Floats, arrival: Stamps) -> float:
-        """Return by how much samples seem to come before they were taken, all of them; 0 if they do not."""
+    def _too_early(self, place: Floats, arrival: Stamps) -> bool:
+        """Return whether all samples seem to come well before they were taken."""
         if not self._given:
-            return 0.0
+            return False
         early_s = -float(self._fit.lateness_of(place * self._period_s, arrival).max())
-        return early_s if early_s > max(_TOO_EARLY_PERIODS * self._period_s, _TOO_EARLY_S) else 0.0
-
-    def _drop(self, count: int) -> None:
-        """Drop so many samples from now on and begin anew: they are those that were counted as lost."""
-        here = min(count, len(self._held))
-        self._held, self._to_drop, self._last_raw = self._held[here:], count - here, b""
-        self._begin()
+        return early_s > max(_TOO_EARLY_PERIODS * self._period_s, _TOO_EARLY_S)
 
     def _search(self, excess: Floats, own: Flags) -> _Search:
         """Look for what has been lost or doubled; if nothing is known yet of lateness, guess, and guess better."""

@@ -18,6 +18,7 @@ from typing import Any
 
 from drivers.errors import LinkLost
 from drivers.inbox import Inbox
+from drivers.loop_scale import loop_scale
 from drivers.seams import ByteChunk
 
 _MOST_AT_ONCE = 65536
@@ -68,7 +69,7 @@ class SerialLink:
         reader = _Reader(self._url, self._settings, self._gather_s, loop, self._inbox)
         self._reader = reader
         try:
-            async with asyncio.timeout(_OPEN_LIMIT_S * getattr(loop, "scale", 1.0)):
+            async with asyncio.timeout(_OPEN_LIMIT_S * loop_scale(loop)):
                 await reader.opened
         except asyncio.CancelledError:
             self.close()

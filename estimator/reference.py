@@ -21,15 +21,13 @@ GAP_ANGLE_RAD = float(np.radians(0.02))
 """Readings further apart than the one hide what happened between them, unless the turn was steady and their angles
 agree with that to the other, and to what the doubt of their instants is in angle."""
 
-STEADY_SHARE, STEADY_RPS = 0.005, 2e-4
-"""Rates that differ by less than this share of them and this much are those of a steady turn."""
-
 ANCHOR_HALF_WINDOW_NS = 3_000_000_000
 """Half of the window over which the angles correct the rates."""
 
+_STEADY_SHARE, _STEADY_RPS = 0.005, 2e-4  # rates that differ by no more than these together are those of a steady turn
 _ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
 _RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
-_LEAST_SURE_RPS = float(np.radians(0.02))  # a rate within a ramp must be known to this
+_SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must leave a rate within a ramp known
 _TERMS = 7  # of the sums a gimbal
 
 
@@ -168,7 +166,7 @@ class BodyRates:
         unexplained = np.diff(np.vstack([drift_before, drift]), axis=0)
         widths = np.concatenate([half_width_s[:1] if first else self._half_width_s.all[-1:], half_width_s])
         doubt = np.abs(rate_rps) * (widths[1:] + widths[:-1])[:, None]
-        steady = np.abs(np.diff(rates, axis=0)) <= STEADY_RPS + STEADY_SHARE * np.abs(rate_rps)
+        steady = np.abs(np.diff(rates, axis=0)) <= _STEADY_RPS + _STEADY_SHARE * np.abs(rate_rps)
         explained = np.abs(unexplained) <= GAP_ANGLE_RAD + doubt
         known_step = (step_ns <= GAP_NS) | (steady & explained).all(axis=1)
         self._known.append(known_step)
@@ -273,7 +271,7 @@ class BodyRates:
         step_s = np.maximum((self._times.all[start:stop] - self._times.all[before]) * 1e-9, 1e-9)[:, None]
         doubt_s = np.maximum(self._half_width_s.all[start:stop], self._half_width_s.all[before])[:, None]
         doubt_s = np.hypot(doubt_s * np.sqrt(share / 3), self._timing_s)
-        return np.asarray((change / step_s * doubt_s <= _LEAST_SURE_RPS).all(axis=1))
+        return np.asarray((change / step_s * doubt_s <= _SURE_RPS).all(axis=1))
 
 
 def rates_from_attitude(readings: AttitudeReadings) -> RateReadings:

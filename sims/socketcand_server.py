@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from contextlib import suppress
 
 import can
 
@@ -69,12 +70,13 @@ class SocketcandServer:
         """``channel`` is the name that clients open, for instance can0."""
         self._channel, self._on_message = channel, on_message
         self._sessions: dict[asyncio.StreamWriter, SocketcandSession] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
         self._server: asyncio.Server | None = None
         self._unsent: list[bytes] = []
 
     async def start(self, host: str, port: int = 0) -> tuple[str, int]:
         """Listen; return host and port."""
-        self._server = await asyncio.start_server(self._serve, host, port)
+        self._server = await asyncio.start_server(self._welcome, host, port)
         name = self._server.sockets[0].getsockname()
         return str(name[0]), int(name[1])
 
@@ -94,12 +96,15 @@ class SocketcandServer:
             writer.close()
 
     async def close(self) -> None:
-        """Hang up on all clients and stop to listen."""
-        self.hang_up()
-        if self._server is not None:
-            self._server.close()
-            await self._server.wait_closed()
-            self._server = None
+        """Stop to listen, and wait until all connections are gone; what a client has not taken is lost."""
+        server, self._server = self._server, None
+        if server is not None:
+            server.close()
+        for writer in self._sessions:
+            writer.transport.abort()
+        await asyncio.gather(*self._tasks)
+        if server is not None:
+            await server.wait_closed()
 
     def _flush(self) -> None:
         data, self._unsent = b"".join(self._unsent), []
@@ -108,14 +113,18 @@ class SocketcandServer:
             if session.listens and writer.transport.get_write_buffer_size() < _MOST_UNSENT:
                 writer.write(data)
 
+    def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        # The task is ours: asyncio's own would be reported with a traceback if it were cancelled at the end.
+        self._sessions[writer] = SocketcandSession(writer.write, self._channel, self._on_message)
+        task = asyncio.get_running_loop().create_task(self._serve(reader, writer))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        session = SocketcandSession(writer.write, self._channel, self._on_message)
-        self._sessions[writer] = session
         try:
-            while data := await reader.read(4096):
-                session.received(data)
-        except ConnectionError:
-            pass
+            with suppress(OSError):
+                while data := await reader.read(4096):
+                    self._sessions[writer].received(data)
         finally:
             del self._sessions[writer]
             writer.close()

@@ -235,7 +235,7 @@ class _Tcp:
         client.write(data)
 
     async def listen(self, host: str, port: int) -> tuple[str, int]:
-        self._server = await asyncio.start_server(self._serve, host, port)
+        self._server = await asyncio.start_server(self._welcome, host, port)
         name = self._server.sockets[0].getsockname()
         return str(name[0]), int(name[1])
 
@@ -261,14 +261,15 @@ class _Tcp:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        self._keep(task)
+    def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        # The task is ours: asyncio's own would be reported with a traceback if it were cancelled at the end.
         before, self._client = self._client, writer
         if before is not None:
-            before.close()
+            before.transport.abort()  # it may never take what is left for it
         writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._keep(asyncio.get_running_loop().create_task(self._serve(reader, writer)))
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with suppress(OSError):
             while data := await reader.read(_READ):
                 self.received(data)

@@ -98,7 +98,7 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
     if not used:
         raise BenchError("no device of the bench is used: set used = true, or name one with --device")
     async with AsyncExitStack() as stack:
-        twins = Twins(bench, stack)
+        twins = Twins(bench, stack, time_scale)
         table = await _table(bench, twins, time_scale)
         imus = tuple([OpenImu(imu, await _source(imu, twins, time_scale)) for imu in used])
         yield OpenBench(_as_timed(bench, time_scale), table, imus, twins.table.at_rest)

@@ -32,8 +32,8 @@ async def serve_twins(
     ``port`` is that of the table, 0 for any. What each is served on is said by [twin.wires] of the bench file.
     """
     async with AsyncExitStack() as stack:
-        twins = Twins(bench, stack)
-        serving = _Serving(twins, stack, host, time_scale)
+        twins = Twins(bench, stack, time_scale)
+        serving = _Serving(twins, stack, host)
 
         def tell(**said: Any) -> None:
             announce(json.dumps(said))
@@ -49,30 +49,29 @@ async def serve_twins(
 class _Serving:
     """Puts the twins of one bench on wires."""
 
-    def __init__(self, twins: Twins, stack: AsyncExitStack, host: str, time_scale: float) -> None:
-        self._twins, self._stack, self._host, self._scale = twins, stack, host, time_scale
+    def __init__(self, twins: Twins, stack: AsyncExitStack, host: str) -> None:
+        self._twins, self._stack, self._host = twins, stack, host
 
     async def table(self, port: int) -> dict[str, Any]:
         """Return what is announced of the table."""
         config, wire = self._twins.bench.table, self._twins.wire("table")
-        watchdog_s = self._twins.bench.twin.watchdog_s * self._scale
         addresses = {name: axis.address for name, axis in config.axes.items()}
-        said = {"protocol": config.protocol, "watchdog_s": watchdog_s}
+        said = {"protocol": config.protocol, "watchdog_s": self._twins.watchdog_s}
         if config.protocol == "modbus":
             said |= {"protocol": f"modbus-{'rtu' if wire == 'serial' else 'tcp'}", "unit_ids": addresses}
             if wire == "serial":
                 plug = Plug()
                 ours, theirs = await self._stack.enter_async_context(pty_joint(plug))
-                await self._twins.serve_modbus(SerialPort(ours), watchdog_s, plug)
+                await self._twins.serve_modbus(SerialPort(ours), plug)
                 return {"link": f"serial://{theirs}", **said}
-            server = await self._twins.serve_modbus((self._host, port), watchdog_s)
+            server = await self._twins.serve_modbus((self._host, port))
             bound = server.transport.sockets[0].getsockname()
             return {"link": f"tcp://{bound[0]}:{bound[1]}", **said}
         said["axes"] = addresses
         if wire == "serial":
-            name = await self._pty("table", lambda write: self._twins.table_device(write, watchdog_s))
+            name = await self._pty("table", self._twins.table_device)
             return {"link": f"serial://{name}", **said}
-        bound = await self._tcp("table", lambda write: self._twins.table_device(write, watchdog_s), port)
+        bound = await self._tcp("table", self._twins.table_device, port)
         return {"link": f"tcp://{bound[0]}:{bound[1]}", **said}
 
     async def imu(self, imu: ImuConfig) -> str:

@@ -52,8 +52,9 @@ _STANDARD_GRAVITY_MPS2 = 9.80665
 class Twins:
     """The twins of a bench: one table model, gyros that ride on it, and the tasks that serve them."""
 
-    def __init__(self, bench: Bench, stack: AsyncExitStack) -> None:
+    def __init__(self, bench: Bench, stack: AsyncExitStack, time_scale: float) -> None:
         self.bench, self._stack = bench, stack
+        self.watchdog_s = bench.twin.watchdog_s * time_scale  # it waits for a host
         loop = asyncio.get_running_loop()
         truths = bench.twin.truths.again()
         start = truths.quantities("start", "angle", len(bench.table.gimbals), 0.0)
@@ -87,11 +88,10 @@ class Twins:
     async def modbus_in_memory(self) -> Address:
         """Serve the drives on a wire in memory; return where."""
         address = (NULLMODEM_HOST, next(_wires))
-        scale = getattr(asyncio.get_running_loop(), "scale", 1.0)  # the host's delays grow with it, as on real ports
-        await self.serve_modbus(address, self.bench.twin.watchdog_s * scale)
+        await self.serve_modbus(address)
         return address
 
-    async def serve_modbus(self, address: Address, watchdog_s: float, plug: Plug | None = None) -> Any:
+    async def serve_modbus(self, address: Address, plug: Plug | None = None) -> Any:
         """Serve the drives at a host and port, or on a serial line with this plug; return pymodbus's server."""
         config = self.bench.table
         assert config.profile is not None
@@ -102,7 +102,7 @@ class Twins:
             config.profile,
             units,
             address,
-            watchdog_s,
+            self.watchdog_s,
             FaultyModbus(faults, self._seed("table")) if faults.any else None,
         )
         try:
@@ -118,9 +118,9 @@ class Twins:
         plug.schedule(faults.unplug_s, faults.replug_s)
         return server
 
-    def table_device(self, write: Write, watchdog_s: float) -> ByteDevice:
+    def table_device(self, write: Write) -> ByteDevice:
         """Return the controller that speaks lines of text."""
-        config = self.bench.table
+        config, watchdog_s = self.bench.table, self.watchdog_s
         if config.protocol == "galil":
             letters = {name: str(axis.address) for name, axis in config.axes.items()}
             window_s = config.velocity_window_s
@@ -132,7 +132,7 @@ class Twins:
 
     def table_in_memory(self) -> ByteLink:
         """Return the near end of a wire to the controller."""
-        return self._in_memory("table", lambda write: self.table_device(write, self.bench.twin.watchdog_s))
+        return self._in_memory("table", self.table_device)
 
     def imu_device(self, imu: ImuConfig, write: Write) -> ByteDevice:
         """Return a device that speaks bytes, which sends from now on."""

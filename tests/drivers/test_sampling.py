@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 from clocks import Timed, counted, drift_of, regular
@@ -315,3 +317,100 @@ def test_a_clock_that_is_told_of_a_break_goes_on_by_arrivals() -> None:
     assert last is not None
     np.testing.assert_allclose(np.concatenate([*times, last[0]]) * 1e-9, true_s, atol=2e-9)
     assert (counts.samples, counts.lost) == (600, 200)
+
+
+JITTER_S = 0.004
+"""Arrivals that scatter so much leave open at first whether a count has missed a wrap (of 128 ms)."""
+
+
+def jittery(samples: np.ndarray, late_s: float | np.ndarray = 0.0) -> np.ndarray:
+    """Return arrivals (n,) in order, exponentially late, of samples that are sent later by ``late_s``."""
+    jitter_s = np.random.default_rng(8).exponential(JITTER_S, len(samples))
+    return np.maximum.accumulate(samples * COUNTER_PERIOD_S + late_s + jitter_s)
+
+
+@pytest.mark.parametrize("wraps", [1.0, 1.5])
+def test_a_late_sender_on_a_jittery_line_is_no_lost_wrap(wraps: float) -> None:
+    samples = np.arange(125 * 15)
+    true_s = samples * COUNTER_PERIOD_S
+    behind = (true_s >= 10.0) & (true_s < 10.25)
+    _, _, t_s, counts = stamped(samples, jittery(samples, wraps * MODULUS * TICK_S * behind), 1)
+    assert (counts.samples, counts.lost, counts.repeated) == (len(samples), 0, 0)
+    assert counts.late >= np.count_nonzero(behind)
+    np.testing.assert_allclose(t_s[true_s > 5], true_s[true_s > 5], atol=0.5e-3)
+
+
+@pytest.mark.parametrize(("wraps", "first"), [(1, 1250), (1, 1280), (2, 1260)])
+def test_a_lost_wrap_on_a_jittery_line_is_found_once_samples_have_stayed_late(wraps: int, first: int) -> None:
+    lost = wraps * MODULUS // TICKS
+    samples = np.delete(np.arange(125 * 15), np.arange(first, first + lost))
+    true_s = samples * COUNTER_PERIOD_S
+    _, _, t_s, counts = stamped(samples, jittery(samples), 1)
+    assert counts.lost == lost
+    assert counts.samples == len(samples)
+    assert np.all(np.diff(t_s) > 0)
+    since_s = true_s - (first + lost) * COUNTER_PERIOD_S
+    not_yet, found = (since_s >= 0) & (since_s < 0.29), since_s > 0.61  # all of a stretch of 0.3 s must be late
+    np.testing.assert_allclose(t_s[not_yet], true_s[not_yet] - lost * COUNTER_PERIOD_S, atol=0.5e-3)
+    np.testing.assert_allclose(t_s[found], true_s[found], atol=0.5e-3)
+
+
+def behind_for_seconds(
+    count: int, lag_s: float, pace_s: float, jitter_s: float = 1e-3
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return true times and arrivals (n,) of a sender that from 10 s on is behind by ever more, from 13 s by ``lag_s``.
+
+    At 15 s it begins to catch up, with ``pace_s`` from sample to sample.
+    """
+    true_s = np.arange(count) * PERIOD_S
+    own_s = true_s + np.random.default_rng(9).uniform(0, jitter_s, count)
+    arrival_s = own_s + np.interp(true_s, [10.0, 13.0], [0.0, lag_s])
+    for i in np.flatnonzero(arrival_s >= 15.0):
+        arrival_s[i] = max(own_s[i], max(arrival_s[i - 1], 15.0) + pace_s)
+    return true_s, np.maximum.accumulate(arrival_s)
+
+
+@pytest.mark.parametrize(("lag_s", "pace_s"), [(0.3, 0.0), (0.5, 0.008), (1.0, 0.006), (2.0, 0.002)])
+def test_a_sender_that_falls_behind_and_catches_up_loses_what_was_counted_lost(lag_s: float, pace_s: float) -> None:
+    true_s, arrival_s = behind_for_seconds(2500, lag_s, pace_s)
+    t_s, _, value, counts = timed(np.arange(2500), arrival_s)
+    dropped = 2500 - len(value)
+    assert dropped == pytest.approx(lag_s / PERIOD_S, rel=0.1)
+    assert counts.lost == pytest.approx(dropped, abs=1)
+    assert (counts.samples, counts.repeated) == (len(value), 0)
+    assert np.all(np.diff(t_s) > 0)
+    error_s = t_s - true_s[value.astype(np.int64)]
+    assert np.abs(error_s[value < 1000]).max() < 1e-3
+    assert np.abs(error_s[value > 2000]).max() < 1e-3
+
+
+def test_all_that_is_held_comes_out_when_the_stream_ends_while_the_sender_catches_up() -> None:
+    _, arrival_s = behind_for_seconds(1560, 0.3, 0.0)
+    counts = SourceCounts()
+    clock = RegularClock(PERIOD_S, counts)
+    for i, at_ns in enumerate(ns(arrival_s)):
+        clock.add(int(at_ns), float(i), i.to_bytes(4))
+        clock.ready()
+        if i >= 1500:
+            ending, told = copy.deepcopy((clock, counts))
+            ending.ready(everything=True)
+            assert told.samples + told.lost >= i
+
+
+def test_nothing_is_dropped_after_a_break_for_what_was_counted_lost_before_it() -> None:
+    _, arrival_s = behind_for_seconds(1530, 2.0, 0.0)
+    counts = SourceCounts()
+    clock = RegularClock(PERIOD_S, counts)
+    for i, at_ns in enumerate(ns(arrival_s)):
+        clock.add(int(at_ns), float(i), i.to_bytes(4))
+        clock.ready()
+    clock.ready(everything=True)
+    clock.restart()
+    before = counts.samples
+    again_s = 100 + np.arange(300) * PERIOD_S
+    for i, at_ns in enumerate(ns(again_s)):
+        clock.add(int(at_ns), float(i), i.to_bytes(4))
+    last = clock.ready(everything=True)
+    assert last is not None
+    np.testing.assert_allclose(last[0] * 1e-9, again_s, atol=2e-9)
+    assert counts.samples == before + 300

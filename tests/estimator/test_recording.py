@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,10 +27,18 @@ from estimator.recording import (
     write_results,
 )
 from estimator.reference import AttitudeReadings, RateReadings, Reference, TableReadings, Turns
+from station.bench import default_bench_text
+from station.cli import main
 
 RNG = np.random.default_rng(1)
 T_NS = np.arange(200, dtype=np.int64) * 10_000_000 + 5
-TABLE = TableReadings(T_NS[::5], RNG.normal(size=(40, 3)), RNG.normal(size=(40, 3)), ("z", "y", "x"))
+TABLE = TableReadings(
+    T_NS[::5],
+    RNG.normal(size=(40, 3)),
+    RNG.normal(size=(40, 3)),
+    ("z", "y", "x"),
+    half_width_ns=np.arange(40, dtype=np.int64) * 100_000,
+)
 
 
 def recording(reference: Reference = TABLE) -> Recording:
@@ -97,6 +107,14 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.reference.t_ns, TABLE.t_ns)
     np.testing.assert_array_equal(found.reference.angle_rad, TABLE.angle_rad)
     np.testing.assert_array_equal(found.reference.rate_rps, TABLE.rate_rps)
+    np.testing.assert_array_equal(found.reference.half_width_ns, TABLE.half_width_ns)
+
+
+def test_readings_without_half_widths_have_none(tmp_path: Path) -> None:
+    write_recording(tmp_path / "run.h5", recording(dataclasses.replace(TABLE, half_width_ns=None)))
+    found = read_recording(tmp_path / "run.h5", trusted=True).reference
+    assert isinstance(found, TableReadings)
+    assert found.half_width_ns is None
 
 
 @pytest.mark.parametrize(
@@ -124,13 +142,14 @@ def test_datasets_say_their_units(path: Path) -> None:
                 "table/t_ns",
                 "table/angle_rad",
                 "table/rate_rps",
+                "table/half_width_ns",
                 "imu/a/t_ns",
                 "imu/a/rate_rps",
                 "imu/a/temperature_c",
                 "imu/a/accel_mps2",
             )
         }
-    assert list(units.values()) == ["ns", "rad", "rad/s", "ns", "rad/s", "degC", "m/s2"]
+    assert list(units.values()) == ["ns", "rad", "rad/s", "ns", "ns", "rad/s", "degC", "m/s2"]
 
 
 def test_a_recording_without_site_has_none(tmp_path: Path) -> None:
@@ -362,6 +381,7 @@ def test_table_rows_that_hold_no_number_are_left_out(path: Path) -> None:
     found = read_recording(changed(path, change), trusted=True).reference
     assert isinstance(found, TableReadings)
     np.testing.assert_array_equal(found.t_ns, np.delete(TABLE.t_ns, [3, 5]))
+    np.testing.assert_array_equal(found.half_width_ns, np.delete(TABLE.half_width_ns, [3, 5]))
 
 
 @pytest.mark.parametrize("short", ["t_ns", "rate_rps", "temperature_c", "counter"])
@@ -373,3 +393,29 @@ def test_a_run_cut_between_two_datasets_is_used_as_far_as_all_go(path: Path, sho
     for values in (found.t_ns, found.rate_rps, found.temperature_c, found.accel_mps2, found.counter):
         assert values is not None
         assert len(values) == 120
+
+
+def test_readings_whose_half_width_was_not_written_any_more_keep_the_last_one(path: Path) -> None:
+    def change(file: Any) -> None:
+        file["table/half_width_ns"].resize(30, axis=0)
+
+    found = read_recording(changed(path, change), trusted=True).reference
+    assert isinstance(found, TableReadings)
+    assert TABLE.half_width_ns is not None
+    assert len(found.t_ns) == 40
+    np.testing.assert_array_equal(found.half_width_ns, np.minimum(TABLE.half_width_ns, TABLE.half_width_ns[29]))
+
+
+def test_a_run_records_how_far_the_instant_of_each_reading_can_be_off(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench, script = tmp_path / "bench.toml", tmp_path / "rest.toml"
+    bench.write_text(default_bench_text() + '\n[twin.fault]\nlatency = "4 ms"\n')  # 4 ms there and 4 ms back
+    script.write_text('name = "rest"\n[[step]]\nkind = "rest"\nduration = "2 s"\n')
+    main(["run", "--bench", str(bench), "--script", str(script), "-o", str(tmp_path / "run.h5"), "--json"])
+    found = read_recording(tmp_path / "run.h5", trusted=True).reference
+    assert isinstance(found, TableReadings)
+    assert found.half_width_ns is not None
+    assert len(found.t_ns) > 20
+    np.testing.assert_array_equal(found.half_width_ns, 4_000_000)
+    assert json.loads(capsys.readouterr().out)["recording"] == str(tmp_path / "run.h5")
