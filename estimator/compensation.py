@@ -226,11 +226,11 @@ class Compensation:
     def _inverted(self, left: Floats, t_s: Floats, temperature_c: Floats | None) -> Floats:
         """Return body rates (N, 3) from outputs (N, n) that only the rate has a part in."""
         solution = self.solution.T
-        w = left @ solution
-        if not any(effect.name in OF_THE_RATE for effect in self.effects):
-            return np.asarray(w)
-        change = np.full(len(w), np.inf)
-        with np.errstate(over="ignore", invalid="ignore"):  # of rows that come to no end
+        with np.errstate(over="ignore", invalid="ignore"):  # of infinities, and of rows that come to no end
+            w = left @ solution
+            if not any(effect.name in OF_THE_RATE for effect in self.effects):
+                return np.asarray(w)
+            change = np.full(len(w), np.inf)
             for _ in range(MOST_ITERATIONS):
                 before = w
                 w = (left - self._effects(OF_THE_RATE, _conditions(t_s, w, temperature_c, None))) @ solution
@@ -252,13 +252,19 @@ class Compensation:
 
 
 def smoothed_slope(t_s: Floats, temperature_c: Floats) -> Floats:
-    """Return the slope (N,) in K/s of a temperature that is smoothed by a first-order lag of ``SLOPE_S``."""
+    """Return the slope (N,) in K/s of a temperature that is smoothed by a first-order lag of ``SLOPE_S``.
+
+    A reading that is no number makes its own slope NaN, and those after it only go by the others.
+    """
     slopes = np.zeros(len(t_s))
-    smooth = temperature_c[0] if len(t_s) else 0.0
-    for row in range(1, len(t_s)):
-        step = max(t_s[row] - t_s[row - 1], 0.0)
-        smooth += (temperature_c[row] - smooth) * step / (SLOPE_S + step)
-        slopes[row] = (temperature_c[row] - smooth) / SLOPE_S
+    smooth = np.nan
+    for row, (now, step) in enumerate(zip(temperature_c, np.diff(t_s, prepend=t_s[:1]), strict=True)):
+        if np.isnan(smooth):
+            smooth = now
+        elif not np.isnan(now):
+            step = max(step, 0.0)
+            smooth += (now - smooth) * step / (SLOPE_S + step)
+        slopes[row] = (now - smooth) / SLOPE_S
     return slopes
 
 
@@ -286,10 +292,16 @@ def _conditions(
 
 
 def _slope(values: Floats, t_s: Floats) -> Floats:
-    """Return the rate of change (N, m) since the sample before; zero at the first, and where no time has passed."""
-    step = np.diff(t_s)
+    """Return the rate of change (N, m) since the sample before.
+
+    It is zero where it is not known: at the first, where no time has passed, and beside what is no number, so that
+    such a sample spoils no other.
+    """
+    step = np.diff(t_s)[:, None]
     slope = np.zeros_like(values)
-    slope[1:] = np.where((step > 0)[:, None], np.diff(values, axis=0) / np.where(step > 0, step, 1.0)[:, None], 0.0)
+    with np.errstate(invalid="ignore"):  # of infinities
+        change = np.diff(values, axis=0)
+    np.divide(change, step, out=slope[1:], where=(step > 0) & np.isfinite(change))
     return slope
 
 

@@ -50,4 +50,7 @@ def parse(text: object, kind: str) -> float:
     if unit not in units:
         what = f"unit {unit!r} does not measure {kind}" if unit else "a unit is missing"
         raise QuantityError(f"{text!r}: {what}; use one of {known}")
-    return float(number) * units[unit]
+    value = float(number) * units[unit]
+    if not math.isfinite(value):
+        raise QuantityError(f"{text!r} is too large a number")
+    return value

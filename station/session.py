@@ -122,7 +122,8 @@ class Session:
         self._writer = RecordingWriter(path, _attributes(bench, script, seed) | {k: v for k, v in told.items() if v})
         loop = asyncio.get_running_loop()
         if not is_virtual(loop):  # a simulated clock has no place in the day
-            self._writer.set_attributes({"clock_zero_utc_s": time.time() - loop.time() / time_scale})
+            zero_utc_s = time.time() - loop.time() / time_scale
+            self._writer.set_attributes({"clock_zero_utc_s": zero_utc_s, "time_scale": time_scale})
         self._writer.add_table(config.table.gimbals, config.table.uncertainty)
         for imu in bench.imus:
             self._add_sources(imu)
@@ -474,6 +475,7 @@ def _leaves(group: BaseExceptionGroup[BaseException]) -> Iterator[BaseException]
 
 def _attributes(bench: OpenBench, script: Script, seed: int) -> dict[str, Any]:
     config = bench.bench
+    links = [axis.link or config.table.link for axis in config.table.axes.values()]
     attributes: dict[str, Any] = {
         "station": config.station,
         "software_version": importlib.metadata.version("turntable-station"),
@@ -482,6 +484,7 @@ def _attributes(bench: OpenBench, script: Script, seed: int) -> dict[str, Any]:
         "script": script.name,
         "script_steps": [step.label for step in script.steps],
         "devices": [f"{imu.config.name} ({imu.config.protocol}, {imu.config.link})" for imu in bench.imus],
+        "table_link": f"{config.table.protocol}, {', '.join(dict.fromkeys(links))}",
         "seed": seed,
         "outcome": str(Outcome.ABORTED),
         "reason": _UNFINISHED,

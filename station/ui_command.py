@@ -121,5 +121,7 @@ def _words_again(arguments: argparse.Namespace) -> list[str]:
     ]
     if arguments.scale is not None:
         words += ["--scale", f"{arguments.scale:g}"]
+    if arguments.seed is not None:
+        words += ["--seed", str(arguments.seed)]
     words += _repeated("--link", arguments.link) + _repeated("--device", arguments.device)
     return words + (["--attach"] if arguments.attach else [])

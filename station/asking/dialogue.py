@@ -18,7 +18,7 @@ class Dialogue:
     def __init__(self, asks: bool) -> None:
         """A pipe may answer, too: it is shown what it answered."""
         self.asks = asks
-        self._echo = asks and not sys.stdin.isatty()
+        self._echo = asks and sys.stdin is not None and not sys.stdin.isatty()
 
     def say(self, text: str = "") -> None:
         """Say something, if anything is asked at all."""
@@ -69,12 +69,14 @@ class Dialogue:
         return self.ask(question, "yes" if proposed else "no", one_of).lower().startswith("y")
 
     def _read(self, prompt: str) -> str:
+        if sys.stdin is None:  # started with a closed one
+            raise EndedError
         try:
             answer = input(prompt)
         except EOFError:
             print()
             raise EndedError from None
-        except UnicodeDecodeError:
+        except (UnicodeDecodeError, OSError):
             raise EndedError from None
         if self._echo:
             print(answer)

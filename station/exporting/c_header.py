@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estimator.compensation import MOST_ITERATIONS, SLOPE_S, TOLERANCE_RPS
 from estimator.effects.thermal import REFERENCE_C
 from station.exporting.exported import Exported
-from station.exporting.function_text import arguments_said, cautions
+from station.exporting.function_text import argument_names, arguments_said, cautions
 from station.exporting.terms import Term, Terms, terms_of
 from station.exporting.written import Written, head, number
 
@@ -134,10 +134,10 @@ def _inverse(terms: Terms, prefix: str) -> list[str]:
     ]
     if not terms.of_the_rate:
         return lines
-    warmth = "double warmth, " if any("warmth" in term.expression for term in terms.of_the_rate) else ""
+    warmth = "double warmth, " if terms.warms_the_rate else ""
     return [
         *lines,
-        "/* Undoes what depends on the rate itself, by iteration; 1 if that comes to no end. */",
+        "/* Undoes what depends on the rate itself, by iteration; returns 1 and leaves it in if that has no end. */",
         f"static inline int {prefix}_invert(const double left[{n}], {warmth}double w_rps[3])",
         "{",
         f"    double less[{n}], next[3], change, u;",
@@ -169,17 +169,15 @@ def _inverse(terms: Terms, prefix: str) -> list[str]:
 
 def _correct(exported: Exported, terms: Terms, prefix: str) -> list[str]:
     n = f"{prefix}_gyros"
-    arguments = [f"const double rate_rps[{n}]"]
-    if terms.keeps_state:
-        arguments.insert(0, f"{prefix}_state *state")
-    if terms.uses("warmth") or terms.uses("slope"):
-        arguments.append("double temperature_c")
-    if terms.uses("accel"):
-        arguments.append("const double accel[3]")
-    if terms.keeps_state:
-        arguments.append("double dt_s")
-    arguments.append("double w_rps[3]")
-    warmth = "warmth, " if any("warmth" in term.expression for term in terms.of_the_rate) else ""
+    declared = {
+        "rate_rps": f"const double rate_rps[{n}]",
+        "temperature_c": "double temperature_c",
+        "accel": "const double accel[3]",
+        "dt_s": "double dt_s",
+    }
+    arguments = [f"{prefix}_state *state"] if terms.keeps_state else []
+    arguments += [*(declared[name] for name in argument_names(terms)), "double w_rps[3]"]
+    warmth = "warmth, " if terms.warms_the_rate else ""
     body = [f"    double left[{n}];", "    int i;"]
     if terms.uses("warmth"):
         body.append(f"    const double warmth = temperature_c - {number(REFERENCE_C)};")
@@ -191,16 +189,17 @@ def _correct(exported: Exported, terms: Terms, prefix: str) -> list[str]:
         body += ["    double wdot[3] = {0.0, 0.0, 0.0}, w[3];", "    int r;"]
     if terms.uses("slope"):
         body += [
-            "    if (!state->started)",
+            "    if (!state->started || isnan(state->smooth_c))",
             "        state->smooth_c = temperature_c;",
-            f"    state->smooth_c += (temperature_c - state->smooth_c) * step / ({number(SLOPE_S)} + step);",
-            f"    slope = state->started ? (temperature_c - state->smooth_c) / {number(SLOPE_S)} : 0.0;",
+            "    else if (!isnan(temperature_c))",
+            f"        state->smooth_c += (temperature_c - state->smooth_c) * step / ({number(SLOPE_S)} + step);",
+            f"    slope = (temperature_c - state->smooth_c) / {number(SLOPE_S)};",
         ]
     body.append(f"    for (i = 0; i < {n}; i++) {{")
     body.append(f"        left[i] = rate_rps[i] + {prefix}_bias[i];")
     if terms.lag is not None:
         body += [
-            "        if (state->started && dt_s > 0.0)",
+            "        if (state->started && dt_s > 0.0 && isfinite(rate_rps[i] - state->rate_rps[i]))",
             f"            left[i] += {prefix}_{terms.lag.table}[i] * (rate_rps[i] - state->rate_rps[i]) / dt_s;",
             "        state->rate_rps[i] = rate_rps[i];",
         ]
@@ -208,9 +207,10 @@ def _correct(exported: Exported, terms: Terms, prefix: str) -> list[str]:
     body.append("    }")
     if terms.of_acceleration is not None:
         body += [
-            f"    (void){prefix}_invert(left, {warmth}w);",
+            f"    if ({prefix}_invert(left, {warmth}w))",
+            "        w[0] = w[1] = w[2] = NAN;",
             "    for (r = 0; r < 3; r++) {",
-            "        if (state->started && dt_s > 0.0)",
+            "        if (state->started && dt_s > 0.0 && isfinite(w[r] - state->w_rps[r]))",
             "            wdot[r] = (w[r] - state->w_rps[r]) / dt_s;",
             "        state->w_rps[r] = w[r];",
             "    }",
@@ -224,9 +224,9 @@ def _correct(exported: Exported, terms: Terms, prefix: str) -> list[str]:
     body.append(f"    return {prefix}_invert(left, {warmth}w_rps);")
     return [
         "/*",
-        *(f" * {_said(line)}" for line in arguments_said(exported, terms, "accel")),
+        *(f" * {_said(line)}" for line in arguments_said(exported, terms)),
         " * w_rps (out): rate of the body about its axes x, y, z, in rad/s",
-        " * Returns 0; 1 if the rate is far beyond those of the calibration, so that effects of the rate are left in."
+        " * Returns 0; 1 if the rate is no number or far beyond the calibration: effects of the rate are then left in."
         if terms.of_the_rate
         else " * Returns 0.",
         " */",

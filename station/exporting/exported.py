@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -21,6 +20,7 @@ from estimator.recording import Recording, read_recording
 from estimator.stored_calibration import read_calibration
 from station.errors import UsageError
 from station.outcome import Outcome
+from station.report.hashes import file_sha256
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]
         "outcome": " ".join(str(told[key]) for key in ("outcome", "reason") if key in told),
         "software version": told.get("software_version", ""),
         "recording": path.name,
-        "sha256 of the recording": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "sha256 of the recording": file_sha256(path),
     }
     # A line each: what a file says of itself must not end the comment that it stands in.
     return {key: " ".join(str(value).split()) for key, value in named.items() if value}
@@ -141,7 +141,7 @@ def _states(gyro: GyroCalibration) -> str:
     scales = ((1e6, "ppm"), (math.degrees(1), "deg/s"), (math.degrees(1), "deg"), (math.degrees(1), "deg"))
     names = ("k", "b", "sigma_j", "sigma_k")
     return ", ".join(
-        f"{name} {state * scale:.6g} ± {sd * scale:.2g} {unit}"
+        f"{name} {state * scale:.6g} ± {float(f'{sd * scale:.2g}'):g} {unit}"
         for name, state, sd, (scale, unit) in zip(names, gyro.states, gyro.sd, scales, strict=True)
     )
 

@@ -10,16 +10,22 @@ from station.exporting.terms import Terms
 from station.exporting.written import delay_line, lines_of
 
 
-def arguments_said(exported: Exported, terms: Terms, accel: str) -> list[str]:
-    """Return a line for each argument of the function; ``accel`` is what the specific force is called."""
-    names = ", ".join(exported.compensation.array.names)
-    lines = [f"rate_rps: outputs of {names}, in this order, in rad/s"]
-    if terms.uses("warmth") or terms.uses("slope"):
-        lines.append("temperature_c: temperature of the gyros, in degC")
-    if terms.uses("accel"):
-        lines.append(f"{accel}: specific force along body x, y, z, in m/s2 (at rest it points up)")
-    if terms.keeps_state:
-        lines.append("dt_s: time since the sample before, in s")
+def argument_names(terms: Terms) -> list[str]:
+    """Return what the function is given of a sample, in order; ``arguments_said`` says what each is."""
+    warm = terms.uses("warmth") or terms.uses("slope")
+    asked = {"rate_rps": True, "temperature_c": warm, "accel": terms.uses("accel"), "dt_s": terms.keeps_state}
+    return [name for name, needed in asked.items() if needed]
+
+
+def arguments_said(exported: Exported, terms: Terms) -> list[str]:
+    """Return a line for each argument of the function, and what holds of them."""
+    said = {
+        "rate_rps": f"outputs of {', '.join(exported.compensation.array.names)}, in this order, in rad/s",
+        "temperature_c": "temperature of the gyros, in degC",
+        "accel": "specific force along body x, y, z, in m/s2 (at rest it points up)",
+        "dt_s": "time since the sample before, in s",
+    }
+    lines = [f"{name}: {said[name]}" for name in argument_names(terms)]
     if terms.of_the_rate:
         largest = np.degrees(exported.seen.largest_rps)
         lines.append(f"Effects of the rate were found up to {largest:.4g} deg/s; beyond they are extrapolated.")

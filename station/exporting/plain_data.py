@@ -12,8 +12,9 @@ import numpy as np
 from estimator.calibration import GyroCalibration
 from estimator.compensation import CompensationError
 from estimator.model import STATES
+from station.errors import UsageError
 from station.exporting.exported import Exported
-from station.exporting.written import Written, lines_of, number
+from station.exporting.written import NOT_FINITE, Written, lines_of, number
 from station.exporting.yaml_text import yaml_lines
 
 FORMAT = "turntable-calibration"
@@ -23,7 +24,10 @@ _FORMULA = "y = G w - b + effects, so w = H (y + b - effects); rows of G: (1 - k
 
 def write_json(exported: Exported) -> Written:
     """Return everything as one JSON object, SI units."""
-    return Written(json.dumps(_object(exported), indent=1) + "\n")
+    try:
+        return Written(json.dumps(_object(exported), indent=1, allow_nan=False) + "\n")
+    except ValueError:
+        raise UsageError(NOT_FINITE) from None
 
 
 def write_yaml(exported: Exported) -> Written:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from estimator.compensation import MOST_ITERATIONS, SLOPE_S, TOLERANCE_RPS
 from estimator.effects.thermal import REFERENCE_C
 from station.exporting.exported import Exported
-from station.exporting.function_text import arguments_said, cautions
+from station.exporting.function_text import argument_names, arguments_said, cautions
 from station.exporting.terms import Terms, terms_of
 from station.exporting.written import Written, head, number
 
@@ -22,7 +22,11 @@ def write_python(exported: Exported) -> Written:
     not_held = cautions(exported, terms)
     call = "Correction().correct" if terms.keeps_state else "correct"
     what = f"{call}(...): outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s)."
-    functions = [name for name in ("expm1", "fabs") if terms.uses(f"{name}(") or (name == "fabs" and terms.of_the_rate)]
+    functions = ["expm1"] if terms.uses("expm1(") else []
+    functions += ["fabs"] if terms.of_the_rate else []
+    functions += ["isfinite"] if terms.lag is not None or terms.of_acceleration is not None else []
+    functions += ["isnan"] if terms.uses("slope") else []
+    functions += ["nan"] if terms.of_the_rate else []
     lines = [
         *head(exported, what, not_held, "#"),
         "",
@@ -69,11 +73,10 @@ def _inverse(terms: Terms) -> list[str]:
     ]
     if not terms.of_the_rate:
         return [*lines, ""]
-    warmth = ", warmth" if any("warmth" in term.expression for term in terms.of_the_rate) else ""
     return [
         *lines,
         "",
-        f"def _invert(left{warmth}):",
+        f"def _invert(left{_warmth_given(terms)}):",
         '    """Undo what depends on the rate itself, by iteration."""',
         "    w = _solve(left)",
         f"    for _ in range({MOST_ITERATIONS}):",
@@ -84,38 +87,27 @@ def _inverse(terms: Terms) -> list[str]:
         "        before, w = w, _solve(less)",
         f"        if sum(fabs(a - b) for a, b in zip(w, before)) <= {number(TOLERANCE_RPS)}:",
         "            return w",
-        '    raise ValueError("the rate is far beyond those of the calibration")',
+        "    return [nan, nan, nan]",
         "",
         "",
     ]
-
-
-def _arguments(terms: Terms) -> list[str]:
-    arguments = ["rate_rps"]
-    if terms.uses("warmth") or terms.uses("slope"):
-        arguments.append("temperature_c")
-    if terms.uses("accel"):
-        arguments.append("accel")
-    if terms.keeps_state:
-        arguments.append("dt_s")
-    return arguments
 
 
 def _docstring(exported: Exported, terms: Terms, indent: str) -> list[str]:
     lines = [
         '"""Return the rate [x, y, z] of the body about its axes, in rad/s.',
         "",
-        *(line.replace("\\", "/").replace('"""', "'''") for line in arguments_said(exported, terms, "accel")),
+        *(line.replace("\\", "/").replace('"""', "'''") for line in arguments_said(exported, terms)),
     ]
     if terms.of_the_rate:
-        lines.append("Raises ValueError for rates far beyond those of the calibration.")
+        lines.append("It is nan where effects of the rate cannot be undone: far beyond the rates of the calibration.")
     return [f"{indent}{line}".rstrip() for line in [*lines, '"""']]
 
 
 def _function(exported: Exported, terms: Terms) -> list[str]:
     warmth = ["    warmth = temperature_c - " + number(REFERENCE_C)] if terms.uses("warmth") else []
     return [
-        f"def correct({', '.join(_arguments(terms))}):",
+        f"def correct({', '.join(argument_names(terms))}):",
         *_docstring(exported, terms, "    "),
         *warmth,
         "    left = [output + bias for output, bias in zip(rate_rps, BIAS, strict=True)]",
@@ -134,7 +126,7 @@ def _added(terms: Terms, indent: str) -> list[str]:
 
 
 def _warmth_given(terms: Terms) -> str:
-    return ", warmth" if any("warmth" in term.expression for term in terms.of_the_rate) else ""
+    return ", warmth" if terms.warms_the_rate else ""
 
 
 def _class(exported: Exported, terms: Terms) -> list[str]:
@@ -154,7 +146,7 @@ def _class(exported: Exported, terms: Terms) -> list[str]:
     lines.append("        self.started = False")
     lines += [
         "",
-        f"    def correct({', '.join(['self', *_arguments(terms)])}):",
+        f"    def correct({', '.join(['self', *argument_names(terms)])}):",
         *_docstring(exported, terms, "        "),
         "        step = dt_s if self.started and dt_s > 0.0 else 0.0",
     ]
@@ -164,9 +156,10 @@ def _class(exported: Exported, terms: Terms) -> list[str]:
         lines += ["        if self.started:", "            self.time_s += dt_s", "        time_s = self.time_s"]
     if terms.uses("slope"):
         lines += [
-            "        if not self.started:",
+            "        if not self.started or isnan(self.smooth_c):",
             "            self.smooth_c = temperature_c",
-            f"        self.smooth_c += (temperature_c - self.smooth_c) * step / ({number(SLOPE_S)} + step)",
+            "        elif not isnan(temperature_c):",
+            f"            self.smooth_c += (temperature_c - self.smooth_c) * step / ({number(SLOPE_S)} + step)",
             f"        slope = (temperature_c - self.smooth_c) / {number(SLOPE_S)}",
         ]
     lines.append("        left = [output + bias for output, bias in zip(rate_rps, BIAS, strict=True)]")
@@ -175,14 +168,18 @@ def _class(exported: Exported, terms: Terms) -> list[str]:
         lines += [
             "        if step:",
             "            for i in range(len(left)):",
-            f"                left[i] += {table}[i] * (rate_rps[i] - self.rate_rps[i]) / step",
+            "                change = rate_rps[i] - self.rate_rps[i]",
+            f"                left[i] += {table}[i] * change / step if isfinite(change) else 0.0",
             "        self.rate_rps = list(rate_rps)",
         ]
     lines += _added(terms, "        ")
     if terms.of_acceleration is not None:
         lines += [
             f"        w = _invert(left{_warmth_given(terms)})",
-            "        wdot = [(a - b) / step for a, b in zip(w, self.w_rps)] if step else [0.0, 0.0, 0.0]",
+            "        wdot = [0.0, 0.0, 0.0]",
+            "        for r in range(3 if step else 0):",
+            "            change = w[r] - self.w_rps[r]",
+            "            wdot[r] = change / step if isfinite(change) else 0.0",
             "        self.w_rps = w",
             "        for i in range(len(left)):",
             f"            left[i] -= {terms.of_acceleration.written(terms.of_acceleration.table.upper())}",

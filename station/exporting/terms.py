@@ -83,6 +83,11 @@ class Terms:
         return any(name in term.expression for term in self.all)
 
     @property
+    def warms_the_rate(self) -> bool:
+        """Whether an effect of the rate depends on the temperature."""
+        return any("warmth" in term.expression for term in self.of_the_rate)
+
+    @property
     def keeps_state(self) -> bool:
         """Whether samples before are needed."""
         return self.lag is not None or any(self.uses(name) for name in ("slope", "time_s", "wdot"))

@@ -10,6 +10,9 @@ import numpy as np
 from station.errors import UsageError
 from station.exporting.exported import Exported
 
+NOT_FINITE = "the calibration holds a number that is not finite: estimate it again"
+"""Why a calibration cannot be written in any form."""
+
 
 @dataclass(frozen=True, slots=True)
 class Written:
@@ -22,7 +25,7 @@ class Written:
 def number(value: float) -> str:
     """Return a number with 17 significant digits, which give the same double back: for YAML, C and Python alike."""
     if not np.isfinite(value):
-        raise UsageError("the calibration holds a number that is not finite: estimate it again")
+        raise UsageError(NOT_FINITE)
     text = format(float(value), ".17g")
     mantissa, e, exponent = text.partition("e")
     # YAML takes 1e-05 for a text, and C 1 for an int.

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.effects.effect import Effect
-from estimator.planning import EffectForecast, Forecast
+from estimator.planning import EffectForecast
 from estimator.tracing.investigation import Value
-from station.investigation_printed import human, words
+from station.investigation_printed import human
 from station.plan_printed import combination
 from station.report.figures import CELSIUS, DEG_PER_S, ONE, STATES, Unit, figure, fixed, plain, significant, typographic
 from station.report.html import Content, Markup, bullets, joined, paragraph, table
@@ -54,7 +54,7 @@ def blind_spots(recorded: Recorded, unseen: Unseen | None) -> Markup:
                 class_="caution",
             )
         )
-    return joined([*parts, _hidden(unseen), _visible(found)])
+    return joined([*parts, _hidden(unseen), _visible(unseen)])
 
 
 def _scope(recorded: Recorded) -> Markup:
@@ -90,7 +90,7 @@ def _hidden(unseen: Unseen) -> Content:
         budgeted = effect.effect.name in unseen.budgeted
         rows.append(
             [
-                words(effect.effect.name),
+                unseen.words(effect.effect.name),
                 _smallest(effect),
                 _size(effect.effect, float(effect.largest.max())),
                 "held by the budget" if budgeted else _shift(shifts[effect.effect.name]),
@@ -106,13 +106,13 @@ def _hidden(unseen: Unseen) -> Content:
     return table("Effects that would have passed unnoticed", heads, rows, align="lrrll", notes=notes)
 
 
-def _visible(found: Forecast) -> Content:
-    seen = [effect for effect in found.effects if effect.seen.all()]
+def _visible(unseen: Unseen) -> Content:
+    seen = [effect for effect in unseen.forecast.effects if effect.seen.all()]
     if not seen:
         return None
     parts: list[Content] = ["At plausible sizes this motion shows (in brackets: from which size on): "]
     for number, effect in enumerate(seen):
-        parts += [", " if number else None, f"{words(effect.effect.name)} (", _smallest(effect), ")"]
+        parts += [", " if number else None, f"{unseen.words(effect.effect.name)} (", _smallest(effect), ")"]
     return paragraph(*parts, ". Whether they were looked for is said in the chapter on the residual.")
 
 

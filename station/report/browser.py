@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 from station.errors import UsageError
@@ -75,5 +76,9 @@ def print_pdf(html: Path, pdf: Path) -> None:
         try:
             with pdf.open("xb") as file:
                 file.write(made.read_bytes())
+        except FileExistsError:
+            raise UsageError(f"{pdf} is there already, and is not written over") from None
         except OSError as error:
-            raise UsageError(f"cannot write {pdf}: {error}") from None
+            with suppress(OSError):  # half of it, on a full disk
+                pdf.unlink()
+            raise UsageError(f"{pdf} cannot be written: {error.strerror or error}") from None

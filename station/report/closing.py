@@ -7,7 +7,7 @@ import platform
 
 from station.report.front import accepted
 from station.report.hashes import RAW_RULE
-from station.report.html import Content, Markup, element, facts, joined, paragraph, table
+from station.report.html import BLANK, Content, Markup, element, facts, joined, paragraph, table
 from station.report.recorded import Recorded
 from station.report.standing import is_simulated
 from station.report.traced import Traced
@@ -43,17 +43,16 @@ def _hash(text: str) -> Markup:
 
 def signatures(recorded: Recorded) -> Markup:
     """Return the fields for those who answer for the document, filled in where the recording says who."""
-    blank = element("span", class_="blank")
-    who = recorded.text("operator")
     rows: list[list[Content]] = [
-        ["Calibrated by", who or blank, blank, blank],
-        ["Accepted by", accepted(recorded) or blank, blank, blank],
+        ["Calibrated by", recorded.text("operator") or BLANK, BLANK, BLANK],
+        ["Accepted by", accepted(recorded) or BLANK, BLANK, BLANK],
     ]
     return joined(
         [
             paragraph(
                 "The results relate only to the device that is identified above, at the time and under the conditions "
-                "of this run. This document makes no claim of accreditation. It is issued when it is signed."
+                "of this run. This document makes no claim of accreditation. It is issued when it is signed, and "
+                "may be reproduced in full only."
             ),
             table("Signatures", ("", "name", "date", "signature"), rows, align="llll"),
         ]

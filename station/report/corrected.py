@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+from estimator.compensation import OF_THE_RATE, SLOPE_S
+from estimator.effects.thermal import REFERENCE_C
+from estimator.kinematics import GRAVITY_MPS2
+from estimator.reference import TableReadings
 from estimator.tracing.investigation import Value
 from station.investigation_printed import human, words
-from station.report.correction import TERMS, Correction, corrections_of, snippet
-from station.report.figures import DEG_PER_S, MILLISECONDS, ONE, Unit, figure, plain, typographic
+from station.report.correction import Correction, corrections_of
+from station.report.figures import DEG_PER_S, MILLISECONDS, ONE, Unit, figure, fixed, plain, typographic
 from station.report.html import Content, Markup, bullets, element, joined, paragraph, table
 from station.report.recorded import Recorded
+from station.report.snippet import snippet
 from station.report.traced import Traced
 
 _G = (
@@ -21,11 +26,37 @@ _AXES_ONLY = (
     "<var>ω</var><sub>i</sub> = (<var>y</var><sub>i</sub> + <var>b</var><sub>i</sub>{effects}) / "
     "(1 − <var>k</var><sub>i</sub>)"
 )
-_EFFECTS = " − <var>e</var>"
+_E = "<var>e</var>"
+_T = f"(<var>T</var> − {REFERENCE_C:g} °C)"
+FORMULAS: Mapping[str, str] = {
+    "thermal_bias": f"<var>a</var> {_T}",
+    "thermal_bias_quadratic": f"<var>a</var> {_T}<sup>2</sup>",
+    "thermal_scale": f"<var>a</var> {_T} <var>u</var>",
+    "thermal_gradient": "<var>a</var> d<var>T</var>/d<var>t</var>",
+    "scale_asymmetry": "<var>a</var> |<var>u</var>|",
+    "scale_quadratic": "<var>a</var> <var>u</var><sup>2</sup>",
+    "scale_cubic": "<var>a</var> <var>u</var><sup>3</sup>",
+    "g_sensitivity": "<b>a</b> · <b>f</b> / <var>g</var>",
+    "warm_up": "<var>a</var> (1 − exp(−<var>t</var> / <var>τ</var>))",
+    "bandwidth": "−<var>a</var> d<var>y</var>/d<var>t</var>",
+    "acceleration_sensitivity": (
+        "<var>a</var><sub>1</sub> <b>j</b> · d<var>ω</var>/d<var>t</var> + "
+        "<var>a</var><sub>2</sub> <b>k</b> · d<var>ω</var>/d<var>t</var>"
+    ),
+}
+"""What each effect adds to the outputs, as HTML."""
+_SYMBOLS = (
+    ("<var>u</var> = <b>p</b> · <var>ω</var>, found by iteration", OF_THE_RATE),
+    ("<var>T</var> is the temperature of the gyros", ("thermal_bias", "thermal_bias_quadratic", "thermal_scale")),
+    (f"d<var>T</var>/d<var>t</var> is taken over {SLOPE_S:g} s", ("thermal_gradient",)),
+    (f"<b>f</b> is the specific force in body axes, <var>g</var> = {GRAVITY_MPS2} m/s²", ("g_sensitivity",)),
+    ("<var>t</var> counts from switching on", ("warm_up",)),
+    ("other rates of change are differences of two samples", ("bandwidth", "acceleration_sensitivity")),
+)
+"""What the letters in them mean, and where they stand."""
 _WHERE = (
     "<var>y</var> are the outputs of the gyros and <var>ω</var> the rate of the body, both in rad/s. The rows "
-    "<b>g</b><sub>i</sub> of <b>G</b> are the sensitivities; <b>p</b>, <b>j</b> and <b>k</b> are the nominal sense "
-    "axis and the tilt axes of a gyro in body axes, orthonormal. <b>G</b><sup>+</sup> = "
+    "<b>g</b><sub>i</sub> of <b>G</b> are the sensitivities. <b>G</b><sup>+</sup> = "
     "(<b>G</b><sup>T</sup><b>G</b>)<sup>−1</sup><b>G</b><sup>T</sup>, the least squares solution."
 )
 _WHERE_ONLY = (
@@ -37,7 +68,7 @@ _WHERE_ONLY = (
 def correction(recorded: Recorded, traced: Traced | None, data_sha256: str) -> Markup:
     """Return the correction of every device, and again with the effects that an investigation added."""
     origin = f"Recording {recorded.path.name}, SHA-256 of its samples\n{data_sha256}"
-    parts: list[Content] = []
+    parts: list[Content] = [_axes(recorded)]
     for one in corrections_of(recorded):
         title = f"Device {one.device}"
         parts += [element("h3", title), _of_device(one, f"{origin}\n{title}", "correction")]
@@ -55,15 +86,47 @@ def correction(recorded: Recorded, traced: Traced | None, data_sha256: str) -> M
     return joined(parts)
 
 
+def _axes(recorded: Recorded) -> Markup:
+    """Return the nominal axes, without which the states mean nothing."""
+    assert recorded.calibration is not None
+    frame = "The body axes x, y and z are those of the reference data."
+    if isinstance(recorded.recording.reference, TableReadings):
+        frame = (
+            "The body axes x, y and z are fixed to the innermost axis of the table and lie along those of its base (z "
+            "up) when every axis is home. Angles and rates are positive by the right-hand rule."
+        )
+    rows: list[Sequence[Content]] = []
+    for gyro in recorded.calibration.gyros:
+        array = recorded.recording.sources[gyro.source].array
+        i = array.names.index(gyro.name)
+        axes = [_direction(axis[i].tolist()) for axis in (array.p, array.j, array.k)]
+        rows.append([recorded.label(gyro.source, gyro.name), *axes])
+    heads: list[Content] = ["gyro", Markup("sense axis <b>p</b>"), Markup("tilt axis <b>j</b>")]
+    notes = Markup(
+        "Components along x, y, z. The true sense axis is <b>p</b> − <var>σ</var><sub>k</sub> <b>j</b> + "
+        "<var>σ</var><sub>j</sub> <b>k</b>."
+    )
+    return joined(
+        [
+            paragraph(frame),
+            table("Nominal axes of the gyros", [*heads, Markup("tilt axis <b>k</b>")], rows, align="lrrr", notes=notes),
+        ]
+    )
+
+
+def _direction(axis: Sequence[float]) -> Markup:
+    return joined(part for value in axis for part in (Markup(" &ensp;"), fixed(round(value, 9) + 0.0, ONE, 5)))
+
+
 def _of_device(one: Correction, origin: str, name: str) -> Markup:
-    effects = _EFFECTS if one.effects else ""
+    effects = f" − {_E}" if one.held else ""
     formula = (_AXES_ONLY if one.axes_only else _G).format(effects=effects)
     parts: list[Content] = [
         paragraph(Markup(formula), class_="formula"),
         paragraph(Markup(_WHERE_ONLY if one.axes_only else _WHERE)),
         _numbers(one),
     ]
-    if one.effects:
+    if one.held:
         parts.append(_effects(one))
     if one.compensation.delay_s:
         parts.append(
@@ -73,7 +136,7 @@ def _of_device(one: Correction, origin: str, name: str) -> Markup:
                 " ms: take that off them.",
             )
         )
-    parts.append(bullets(f"Not in the code below: {words(effect)}; {why}." for effect, why in one.not_applied.items()))
+    parts.append(bullets(f"Not undone: {words(effect)}; {why}." for effect, why in one.not_applied.items()))
     code = element("code", snippet(one, origin))
     parts.append(element("pre", code, class_="code", data_snippet=name, data_device=one.device))
     return joined(parts)
@@ -92,15 +155,17 @@ def _numbers(one: Correction) -> Markup:
 
 
 def _effects(one: Correction) -> Markup:
-    held = [h for h in one.compensation.effects if h.known.called in one.effects]
     heads: list[Content] = ["effect", "adds to the output", "gyro", "parameters"]
     rows: list[Sequence[Content]] = []
-    for effect in held:
+    for effect in one.held:
         for gyro, values in zip(one.compensation.array.names, effect.values, strict=True):
             shown: list[Content] = []
             for value, size in zip(values.tolist(), effect.known.sizes, strict=True):
                 text = typographic(human(Value(value, 0.0, size.unit)))
                 shown += ["; " if shown else None, figure(value, Unit(size.unit, 1.0), text)]
-            rows.append([words(effect.known.called), Markup(TERMS[effect.name].formula), gyro, joined(shown)])
-    note = Markup("<var>e</var> is their sum; <var>u</var> = <b>p</b> · <var>ω</var>, found by iteration.")
+            rows.append([words(effect.known.called), Markup(FORMULAS[effect.name]), gyro, joined(shown)])
+    names = {effect.name for effect in one.held}
+    note = Markup(
+        "; ".join([f"{_E} is their sum", *(said for said, effects in _SYMBOLS if names & set(effects))]) + "."
+    )
     return table("Effects that are undone", heads, rows, align="lllr", notes=note)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -13,7 +14,7 @@ from estimator.recording import ImuData
 from estimator.reference import AttitudeReadings, RateReadings, TableReadings, Turns
 from estimator.rows import observations
 from station.report.figures import CELSIUS, DEG, DEG_PER_S, ONE, SECONDS, Unit, figure, fixed, plain
-from station.report.html import Content, Markup, element, facts, joined, paragraph, table
+from station.report.html import BLANK, Content, Markup, element, facts, joined, paragraph, table
 from station.report.pictures import rates_picture
 from station.report.recorded import Recorded
 from station.report.standing import begun_utc, is_simulated
@@ -21,20 +22,28 @@ from station.report.unseen import driven_step
 from station.script import Rotate
 
 HERTZ = Unit("Hz", 1.0)
+_LOCAL = re.compile(r"//(?:127\.|localhost|\[::1\])|/dev/pts/|udp_multicast|can:virtual")
 
 
 def identification(recorded: Recorded) -> Markup:
     """Return who and what: device, table, station, operator, recording."""
     devices = [text.partition(" (") for text in recorded.recording.attributes.get("devices", ())]
-    links = "; ".join(f"{name}: {rest.rstrip(')')}" for name, _, rest in devices)
+    measured = recorded.has("outcome")  # by a station, whose laboratory fills in what no file knows
+    links = {name: rest.rstrip(")") for name, _, rest in devices}
+    if recorded.has("table_link"):
+        links["table"] = recorded.text("table_link")
+    local = ", ".join(name for name, link in links.items() if _LOCAL.search(link))
     rows: list[tuple[str, Content]] = [
-        ("Device under test", ", ".join(name for name, _, _ in devices) or recorded.text("device")),
+        ("Device under test", ", ".join(name for name, _, _ in devices) or recorded.text("device") or "not stated"),
         ("Serial number of the device", recorded.text("device_serial") or "not stated"),
-        ("Protocol and link", links),
+        ("Protocol and link", "; ".join(f"{name}: {link}" for name, link in links.items())),
+        ("Links that end on this computer", local and f"{local}: a device or a simulator, the station cannot tell"),
         *_identities(recorded),
         ("Table", _table(recorded)),
         ("Station", recorded.text("station")),
         ("Operator", recorded.text("operator") or "not stated"),
+        ("Laboratory, its address", BLANK if measured else None),
+        ("Customer", BLANK if measured else None),
         ("Recording", recorded.path.name),
         ("Imported from", recorded.text("imported_from")),
         ("Source of the data", recorded.text("source")),
@@ -92,9 +101,10 @@ def conditions(recorded: Recorded) -> Markup:
         ("Date of measurement", f"{begun:%Y-%m-%d %H:%M:%S} UTC" if begun else _no_date(recorded)),
         ("Site", place),
         ("Duration", joined([fixed(duration_s, SECONDS, 2), Markup(" s")])),
-        ("Script", recorded.text("script") or ("none" if not recorded.steps else "not named")),
+        ("Script", recorded.text("script") or "not stated"),
         ("Ended early", recorded.text("ended_early")),
-        ("Ambient temperature, humidity", "not recorded by the station"),
+        ("Ambient temperature, humidity", joined(["not recorded by the station; by the laboratory: ", BLANK])),
+        ("Adjustment", "none: the results are of the outputs as they came" if recorded.has("outcome") else None),
     ]
     sources = [_source(name, data) for name, data in recorded.recording.sources.items()]
     heads = ("source", "samples", "sampling rate, Hz", "lowest, °C", "mean, °C", "highest, °C")

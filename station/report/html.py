@@ -16,6 +16,8 @@ class Markup(str):
 
 Content = str | None
 """Markup, text, or nothing."""
+BLANK = Markup('<span class="blank"></span>')
+"""A line to be filled in by hand."""
 
 
 def element(tag: str, *content: Content, **attributes: str | float | None) -> Markup:

@@ -28,12 +28,14 @@ from station.report.figures import (
     with_uncertainty,
 )
 from station.report.front import badge
-from station.report.html import Content, Markup, bullets, element, grouped, joined, paragraph, table
+from station.report.html import BLANK, Content, Markup, bullets, element, grouped, joined, paragraph, table
 from station.report.recorded import Recorded
 from station.report.standing import Line, Standing
 from station.report.traced import Traced
 from station.report.unseen import Unseen
 
+_COMBINED = "u combines the lines of the uncertainty budget in squares."
+_SCATTER = "u comes from the scatter of the residual alone and holds nothing of the reference."
 _NEXT_TO_NOTHING = 0.01  # ppm, deg/h, urad
 _SOURCES = {
     "noise": "noise of the gyro, and what its course leaves open",
@@ -43,6 +45,13 @@ _SOURCES = {
     "orthogonality": "orthogonality of the table's axes",
     "timing": "timing of the table's readings",
 }
+
+
+_TYPE_B = (
+    "Type B: from the standard uncertainties of the table as stated, worked out for the motion that was driven. The "
+    "table's part is common to all gyros."
+)
+_NO_TYPE_B = "Type B: none, since no uncertainty of the reference is stated."
 
 
 def states(recorded: Recorded, found: Calibration, unseen: Unseen | None, traced: Traced | None) -> Markup:
@@ -67,7 +76,10 @@ def states(recorded: Recorded, found: Calibration, unseen: Unseen | None, traced
         groups.append((recorded.label(gyro.source, gyro.name), rows))
     notes = (
         f"U is the standard uncertainty u times a coverage factor of {COVERAGE:g}, which for a normal distribution is "
-        "a coverage probability of about 95 %. u combines the lines of the uncertainty budget in squares."
+        "a coverage probability of about 95 %. "
+        f"{_COMBINED if any(gyro.budget for gyro in found.gyros) else _SCATTER} U is that of the time of measurement "
+        "and allows for no drift since, no transport and no other temperature. The four states of a gyro are "
+        "correlated: their covariances are in the recording (calibration/covariance)."
     )
     parts: list[Content] = [
         paragraph(
@@ -79,7 +91,15 @@ def states(recorded: Recorded, found: Calibration, unseen: Unseen | None, traced
             STATES[2][0],
             " and ",
             STATES[3][0],
-            " of its sense axis, as the correction below defines them.",
+            " of its sense axis, as the correction below defines them. A positive ",
+            STATES[0][0],
+            " makes the output too small. A positive ",
+            STATES[1][0],
+            " lowers it: without rotation the output is −",
+            STATES[1][0],
+            ", so ",
+            STATES[1][0],
+            " is to be added.",
         ),
         grouped("Results of the calibration", heads, groups, align="llrrrl", notes=notes),
     ]
@@ -94,11 +114,11 @@ def _cautions(recorded: Recorded, found: Calibration, unseen: Unseen | None, tra
     """Return what the uncertainties do not cover: effects that the run does not show, and those that were traced."""
     said: list[Content] = []
     hidden = unseen.unnoticed if unseen is not None else []
-    if hidden:
+    if unseen is not None and hidden:
         said.append(
             paragraph(
                 "The uncertainties hold for the error model of this calibration. They do not cover effects that the "
-                f"run could not show: {', '.join(map(words, hidden))} (see “What this run could not see”).",
+                f"run could not show: {', '.join(map(unseen.words, hidden))} (see “What this run could not see”).",
                 class_="caution",
             )
         )
@@ -141,36 +161,45 @@ def compliance(standing: Standing) -> Markup:
     """Return each limit beside what was found, and the decision."""
     if not standing.lines:
         return paragraph("The recording states no limits: nothing was judged.")
-    groups: dict[str, list[Sequence[Content]]] = {}
+    quantities: dict[tuple[str, str, str], dict[bool, Line]] = {}
     for line in standing.lines:
-        verdict = badge("PASS" if line.within else "FAIL")
-        groups.setdefault(line.gyro, []).append([line.what, *_line(line), line.unit.name, verdict])
+        quantities.setdefault((line.gyro, line.what, line.note), {})[line.of_u] = line
+    groups: dict[str, list[Sequence[Content]]] = {}
+    for (gyro, what, _), lines in quantities.items():
+        cells = [cell for of_u in (False, True) for cell in _line(lines.get(of_u))]
+        groups.setdefault(gyro, []).append([Markup(what), next(iter(lines.values())).unit.name, *cells])
     broken = [line for line in standing.lines if not line.within]
     count = len(standing.lines)
     said = f"{len(broken)} of {count} limits are not met." if broken else f"All {count} limits are met."
     rule = (
         "Decision rule: simple acceptance. Each value is compared with its limit as it stands; its uncertainty is not "
-        "added to it, but has a limit of its own. The limits are those of the bench file that the recording carries."
+        "added to it, but has a limit of its own, so a value at its limit is beyond it with a probability of "
+        "one half. The limits are those of the bench file that the recording carries. –: no limit."
     )
-    heads = ("gyro", "quantity", "found", "limit", "unit", "verdict")
+    heads: list[Content] = ["gyro", "quantity", "unit", "found", "limit", "verdict"]
+    heads += [Markup("<var>u</var> found"), Markup("limit of <var>u</var>"), "verdict"]
     return joined(
         [
             paragraph(said),
-            grouped("Limits", heads, list(groups.items()), align="llrrll", notes=rule),
+            grouped("Limits", heads, list(groups.items()), align="lllrrlrrl", notes=rule),
         ]
     )
 
 
-def _line(line: Line) -> tuple[Content, Content]:
+def _line(line: Line | None) -> tuple[Content, Content, Content]:
+    """Return what was found, the limit, and the verdict."""
+    if line is None:
+        return "–", "–", None
+    verdict = badge("PASS" if line.within else "FAIL")
     if line.note:
-        return f"not estimated: {line.note}", "estimated"
+        return f"not estimated: {line.note}", "estimated", verdict
     found = plain(line.value, line.unit, 4, line.source)
     high = stated(line.high, line.unit) if math.isfinite(line.high) else Markup("any")
     if line.low == -line.high:
-        return found, joined([Markup("± "), high])
+        return found, joined([Markup("± "), high]), verdict
     if line.low == 0.0:
-        return found, joined([Markup("≤ "), high])
-    return found, joined([stated(line.low, line.unit), Markup(" to "), high])
+        return found, joined([Markup("≤ "), high]), verdict
+    return found, joined([stated(line.low, line.unit), Markup(" to "), high]), verdict
 
 
 def budget(recorded: Recorded, found: Calibration) -> Markup:
@@ -200,9 +229,9 @@ def budget(recorded: Recorded, found: Calibration) -> Markup:
     heads += [joined([Markup("<var>u</var>("), symbol, Markup(f"), {unit.name}")]) for symbol, unit in STATES]
     notes = (
         "Standard uncertainties, normal distributions; they add in squares. Type A: evaluated from the scatter of the "
-        "data, bias instability and random walk included as found in them. Type B: from the standard uncertainties of "
-        "the table as stated, worked out for the motion that was driven."
+        "data, bias instability and random walk included as found in them. "
     )
+    notes += _TYPE_B if any(line.name not in TYPE_A for gyro in found.gyros for line in gyro.budget) else _NO_TYPE_B
     return grouped("Uncertainty budget", heads, groups, align="lllrrrr", notes=notes)
 
 
@@ -237,8 +266,8 @@ def traceability(recorded: Recorded) -> Markup:
         ]
     own.append(
         paragraph(
-            "Certificate of the table's calibration, and date, to be entered by the laboratory: ",
-            element("span", class_="blank"),
+            "Table, certificate of its calibration, and date, to be entered by the laboratory: ",
+            BLANK,
         )
     )
     return joined(own)

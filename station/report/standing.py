@@ -11,12 +11,11 @@ from enum import Enum
 
 from estimator.calibration import Calibration
 from station.bench import Limits, read_limits
+from station.bench_table import TWIN
 from station.outcome import Outcome, Verdict, judge
 from station.report.figures import ONE, PERCENT, STATES, Unit
-from station.report.html import Markup, joined
+from station.report.html import Markup
 from station.report.recorded import Recorded
-
-_TWIN = "twin:"
 
 
 class Kind(Enum):
@@ -55,7 +54,10 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One limit: what it is of, the value found, the bounds, SI. ``source`` says where the recording has the value."""
+    """One limit: what it is of, the value found, the bounds, SI. ``source`` says where the recording has the value.
+
+    ``of_u``: it is of the standard uncertainty of that quantity.
+    """
 
     gyro: str
     what: Markup
@@ -65,6 +67,7 @@ class Line:
     high: float
     source: str | None = None
     note: str = ""
+    of_u: bool = False
 
     @property
     def stated(self) -> bool:
@@ -135,13 +138,14 @@ def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[Line, ...])
 
 
 def is_simulated(recorded: Recorded) -> bool:
-    """Return whether a run was made with twins within the station: by their links, or in virtual time.
+    """Return whether a run was made with twins: by their links, or in a time that is not that of the world.
 
-    Twins on real ports look like devices, and cannot be told from them.
+    Twins on real ports look like devices at real time, and cannot be told from them.
     """
-    devices = [str(device) for device in recorded.recording.attributes.get("devices", ())]
-    virtual = bool(devices) and "clock_zero_utc_s" not in recorded.recording.attributes
-    return virtual or any(f"{_TWIN})" in device for device in devices)
+    attributes = recorded.recording.attributes
+    links = [str(device).rstrip(")") for device in attributes.get("devices", ())]
+    scaled = bool(links) and ("clock_zero_utc_s" not in attributes or float(attributes.get("time_scale", 1.0)) != 1.0)
+    return scaled or any(link.endswith(TWIN) for link in (*links, recorded.text("table_link")))
 
 
 def limits_of(recorded: Recorded) -> Limits | None:
@@ -159,8 +163,7 @@ def limit_lines(found: Calibration, labels: Sequence[str], limits: Limits) -> tu
         for s, (symbol, unit) in enumerate(STATES):
             value, sd = float(gyro.states[s]), float(gyro.sd[s])
             lines.append(Line(label, symbol, unit, value, -sizes[s], sizes[s], f"calibration/states[{i},{s}]"))
-            doubt = joined([Markup("<var>u</var>("), symbol, Markup(")")])
-            lines.append(Line(label, doubt, unit, sd, 0.0, doubts[s], f"calibration/sd[{i},{s}]"))
+            lines.append(Line(label, symbol, unit, sd, 0.0, doubts[s], f"calibration/sd[{i},{s}]", of_u=True))
     if math.isfinite(found.nis_mean):
         low, high = limits.nis_low, limits.nis_high
         lines.append(Line("all", Markup("mean NIS"), ONE, found.nis_mean, low, high, "calibration@nis_mean"))

@@ -17,7 +17,8 @@ h1 { font-size: 20pt; line-height: 1.15; margin: 1mm 0 2mm; font-weight: 600; }
 .number { margin: 0; font-size: 11pt; }
 .outcome { margin: 3mm 0 0; }
 .caution, .warning { border-left: 3pt solid #D55E00; padding: 1mm 0 1mm 3mm; font-weight: 600; }
-h2 { font-size: 12.5pt; font-weight: 600; margin: 7mm 0 2mm; break-after: avoid; }
+section:last-child { break-inside: avoid; }
+h2 { font-size: 12.5pt; font-weight: 600; margin: 6mm 0 1.5mm; break-after: avoid; }
 h3 { font-size: 10.5pt; margin: 5mm 0 1.5mm; break-after: avoid; }
 p { margin: 0 0 2mm; max-width: 75em; orphans: 3; widows: 3; }
 ul { margin: 0 0 2mm; padding-left: 5mm; }
@@ -29,7 +30,7 @@ thead { display: table-header-group; }
 tr, tbody.group { break-inside: avoid; }
 /* Else the heading of a long table may stand alone at the foot of a page. */
 table.long tbody.group:first-of-type { break-inside: auto; }
-th, td { padding: .7mm 1.6mm; text-align: left; vertical-align: top; border-bottom: .4pt solid #ddd;
+th, td { padding: .45mm 1.6mm; text-align: left; vertical-align: top; border-bottom: .4pt solid #ddd;
   overflow-wrap: break-word; }
 thead th { border-bottom: .8pt solid var(--ink); vertical-align: bottom; font-weight: 600; }
 tbody th { font-weight: 400; }
@@ -42,8 +43,8 @@ table + .note { margin-top: -2mm; break-before: avoid; }
 figure { margin: 2mm 0 4mm; break-inside: avoid; }
 img { display: block; max-width: 100%; height: auto; }
 figcaption { font-size: 8pt; color: var(--soft); }
-.badge { display: inline-block; font-size: 8pt; letter-spacing: .04em; padding: 0 1.6mm; border: .8pt solid;
-  border-radius: 1mm; }
+.badge { display: inline-block; font-size: 7.5pt; line-height: 1.3; letter-spacing: .04em; padding: 0 1.6mm;
+  border: .8pt solid; border-radius: 1mm; }
 .outcome .badge { font-size: 12pt; padding: .4mm 3mm; margin-right: 2mm; }
 .pass { color: #00654a; } .fail, .fault { color: #a63d00; } .aborted { color: #7a5200; }
 .formula { font-size: 11.5pt; margin: 2mm 0 3mm; font-family: "Times New Roman", "Liberation Serif", serif; }

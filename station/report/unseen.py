@@ -16,6 +16,7 @@ from estimator.planning import Forecast, PlannedDevice, forecast
 from estimator.recording import ImuData
 from estimator.reference import TableReadings
 from estimator.rests import REST_RPS
+from station.investigation_printed import words
 from station.planned import planned_motion
 from station.report.recorded import Recorded, Step
 from station.script import Rest, Rotate, Script
@@ -38,11 +39,13 @@ class Unseen:
     """The script as it was driven, and what its motion shows of the gyros and of the effects of the catalogue.
 
     ``budgeted`` are effects of the table that the uncertainty budget holds, at the size that is stated of the table.
+    ``site_known``: Earth rate is in the model, so that only an error of it can be hidden.
     """
 
     script: Script
     forecast: Forecast
     budgeted: frozenset[str]
+    site_known: bool
 
     @property
     def unnoticed(self) -> list[str]:
@@ -50,6 +53,10 @@ class Unseen:
         largest = {name: float(shift.max()) for name, shift in by_state(self.forecast).items()}
         found = [name for name, size in largest.items() if size >= MARKED and name not in self.budgeted]
         return sorted(found, key=lambda name: -largest[name])
+
+    def words(self, effect: str) -> str:
+        """Return what people call an effect."""
+        return "wrong Earth rate" if effect == "earth_rate" and self.site_known else words(effect)
 
 
 def unseen_of(recorded: Recorded) -> Unseen | None:
@@ -78,7 +85,7 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
     known = _known_effects(found)
     effects = [e for e in catalogue(motion.gimbals, script.duration_s) if e.name not in known]
     budgeted = _OF_THE_TABLE if reference.uncertainty is not None else frozenset[str]()
-    return Unseen(script, forecast(conditions, devices, effects), budgeted)
+    return Unseen(script, forecast(conditions, devices, effects), budgeted, recorded.recording.site is not None)
 
 
 def driven_script(table: TableReadings, steps: Sequence[Step], name: str) -> Script | None:

@@ -176,9 +176,8 @@ EACH = [(array, effects) for array in ("three", "four", "six") for effects in ("
 EACH += [("four", name) for name in EFFECTS]
 
 
-@pytest.mark.parametrize(("array", "effects"), EACH)
-def test_the_python_module_gives_our_rates(record: Record, array: str, effects: str) -> None:
-    exported = exported_of(record(ARRAYS[array], CASES[effects]))
+def by_python(exported: Exported, *given: Any) -> tuple[Any, Any]:
+    """Return the rates that the Python module makes of samples as ``samples`` gives them, and the module."""
     text = FORMATS["python"].write(exported, 0).text
     assert "numpy" not in text
     module = exported.path.with_name("made.py")
@@ -188,14 +187,13 @@ def test_the_python_module_gives_our_rates(record: Record, array: str, effects: 
     assert spec.loader is not None
     made = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(made)
-    rate, _, warm, force = samples(exported)
     correct = made.Correction().correct if hasattr(made, "Correction") else made.correct
     names = correct.__code__.co_varnames[: correct.__code__.co_argcount]
-    given = {"rate_rps": rate.tolist(), "temperature_c": warm.tolist(), "accel": force.tolist()}
-    given["dt_s"] = [PERIOD_S] * SAMPLES
-    found = [correct(**{name: given[name][row] for name in names if name != "self"}) for row in range(SAMPLES)]
-    assert np.abs(np.array(found) - ours(exported)).max() < SAME
-    assert pytest.approx(EFFECTS["latency"][0] if "latency" in CASES[effects] else 0.0) == made.DELAY_S
+    rate, t_s, warm, force = given
+    columns = {"rate_rps": rate.tolist(), "temperature_c": warm.tolist(), "accel": force.tolist()}
+    columns["dt_s"] = np.diff(t_s, prepend=t_s[0]).tolist()
+    found = [correct(**{name: columns[name][row] for name in names if name != "self"}) for row in range(len(rate))]
+    return np.array(found), made
 
 
 MAIN = """
@@ -211,17 +209,18 @@ int main(void)
         for (i = 0; i < my_gyro_1_gyros; i++)
             if (scanf("%lf", &rate_rps[i]) != 1) return 0;
         if (scanf("%lf %lf %lf %lf %lf", &temperature_c, &accel[0], &accel[1], &accel[2], &dt_s) != 5) return 1;
-        if (my_gyro_1_correct({arguments}) != 0) return 2;
-        printf("%.17g %.17g %.17g\\n", w_rps[0], w_rps[1], w_rps[2]);
+        i = my_gyro_1_correct({arguments});
+        printf("%d %.17g %.17g %.17g\\n", i, w_rps[0], w_rps[1], w_rps[2]);
     }}
 }}
 """
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) here")
-@pytest.mark.parametrize(("array", "effects"), EACH)
-def test_the_c_header_compiles_without_a_warning_and_gives_our_rates(record: Record, array: str, effects: str) -> None:
-    exported = exported_of(record(ARRAYS[array], CASES[effects]))
+def by_c(exported: Exported, *given: Any) -> tuple[Any, Any]:
+    """Return the rates that the C function makes of samples as ``samples`` gives them, and what it returned for each.
+
+    It is compiled without a warning first.
+    """
     path, text = exported.path, FORMATS["c"].write(exported, 0).text
     signature = text.rpartition("static inline int my_gyro_1_correct(")[2].partition(")")[0]
     arguments = [word.split("[")[0].split()[-1].lstrip("*") for word in signature.split(",")]
@@ -238,13 +237,51 @@ def test_the_c_header_compiles_without_a_warning_and_gives_our_rates(record: Rec
         check=False,
     )
     assert built.returncode == 0, built.stderr
-    rate, _, warm, force = samples(exported)
-    rows = np.column_stack([rate, warm, force, np.full(SAMPLES, PERIOD_S)])
+    rate, t_s, warm, force = given
+    rows = np.column_stack([rate, warm, force, np.diff(t_s, prepend=t_s[0])])
     fed = "\n".join(" ".join(f"{value:.17g}" for value in row) for row in rows)
     run = subprocess.run([str(program)], input=fed, capture_output=True, text=True, check=False)
     assert run.returncode == 0
     found = np.array([[float(word) for word in line.split()] for line in run.stdout.splitlines()])
+    return found[:, 1:], found[:, 0]
+
+
+needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) here")
+
+
+@pytest.mark.parametrize(("array", "effects"), EACH)
+def test_the_python_module_gives_our_rates(record: Record, array: str, effects: str) -> None:
+    exported = exported_of(record(ARRAYS[array], CASES[effects]))
+    found, made = by_python(exported, *samples(exported))
     assert np.abs(found - ours(exported)).max() < SAME
+    assert pytest.approx(EFFECTS["latency"][0] if "latency" in CASES[effects] else 0.0) == made.DELAY_S
+
+
+@needs_cc
+@pytest.mark.parametrize(("array", "effects"), EACH)
+def test_the_c_header_compiles_without_a_warning_and_gives_our_rates(record: Record, array: str, effects: str) -> None:
+    exported = exported_of(record(ARRAYS[array], CASES[effects]))
+    found, codes = by_c(exported, *samples(exported))
+    assert np.abs(found - ours(exported)).max() < SAME
+    assert not codes.any()
+
+
+@pytest.mark.parametrize("form", ["python", pytest.param("c", marks=needs_cc)])
+def test_a_bad_sample_is_told_and_soon_over(record: Record, form: str) -> None:
+    exported = exported_of(record(ARRAYS["four"], EFFECTS))
+    rate, t_s, warm, force = samples(exported)
+    rate[0], rate[20], rate[40, 1], rate[60, 2], warm[80], rate[100] = 0.0, 1e9, np.nan, np.inf, np.nan, -1e300
+    t_s[120] = t_s[119]  # the same instant again
+    bad = [20, 21, 40, 60, 80, 100, 101]  # the lag is undone by differences: after what is huge, the next is, too
+    assert not np.isfinite(exported.compensation.compensate(rate, t_s, warm, force)[bad]).any()
+    expected = np.delete(exported.compensation.compensate(rate, t_s, warm, force), bad, axis=0)
+    found, told = (by_python if form == "python" else by_c)(exported, rate, t_s, warm, force)
+    assert np.isfinite(expected).all()
+    assert np.abs(np.delete(found, bad, axis=0) - expected).max() < SAME
+    if form == "python":
+        assert np.isnan(found[bad]).all()
+    else:
+        assert np.flatnonzero(told).tolist() == bad
 
 
 @pytest.mark.parametrize("array", ["three", "four", "six"])
@@ -421,8 +458,8 @@ def test_two_devices_are_told_apart_or_taken_as_one_array(record: Record, capsys
 
 
 def test_a_recording_of_the_station_is_exported_to_stdout(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    turn = '[[step]]\nkind = "rotate"\naxis = "{}"\nrate = "40 deg/s"\nacceleration = "20 deg/s2"\nduration = "11 s"\n'
-    rest = '[[step]]\nkind = "rest"\nduration = "4 s"\n'
+    turn = '[[step]]\nkind = "rotate"\naxis = "{}"\nrate = "40 deg/s"\nacceleration = "20 deg/s2"\nduration = "6 s"\n'
+    rest = '[[step]]\nkind = "rest"\nduration = "3 s"\n'
     script = tmp_path / "s.toml"
     script.write_text('name = "s"\n' + rest + "".join(map(turn.format, "xyz")))
     path = tmp_path / "run.h5"

@@ -167,6 +167,12 @@ def test_answers_that_end_too_soon_leave_nothing(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_without_a_stdin_it_ends_as_without_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", None)  # as Python has it where it was closed
+    assert init(tmp_path / "bench.toml") == 3
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX only")
 def test_ctrl_c_in_a_terminal_leaves_nothing(tmp_path: Path) -> None:
     near, far = pty.openpty()

@@ -18,7 +18,7 @@ from test_investigate import ASYMMETRY, simulated
 
 from estimator.array import tetrahedron
 from estimator.calibration import EffectValue, GyroCalibration
-from estimator.compensation import Compensation
+from estimator.compensation import ADDED, OF_THE_PAST, OF_THE_RATE, Compensation
 from estimator.error_model import ErrorModel, KnownEffect, Size
 from estimator.model import predicted_output
 from estimator.recording import read_recording, write_recording
@@ -26,9 +26,12 @@ from estimator.stored_calibration import read_calibration
 from station.bench import default_bench_text
 from station.cli import main
 from station.loop_scripts import exploration_script
-from station.report.correction import Correction, snippet
+from station.report.corrected import FORMULAS
+from station.report.correction import Correction
+from station.report.front import identification
 from station.report.hashes import raw_sha256
 from station.report.recorded import read_recorded
+from station.report.snippet import snippet
 from station.report.standing import Kind, standing_of
 from station.report.traced import read_traced
 
@@ -174,6 +177,11 @@ def test_who_what_and_how_are_on_it(run: Path, html: str) -> None:
     assert "script begins" in text
     assert "coverage factor of 2" in text
     assert "no evidence of the table's own calibration" in text
+    # The states mean nothing without their signs and axes; an uncertainty says what it leaves out.
+    assert "without rotation the output is −b, so b is to be added" in text
+    assert "gyro2 0.94281 0.00000 0.33333 −0.33333 0.00000 0.94281 0.00000 −1.00000 0.00000" in text
+    assert "u combines the lines of the uncertainty budget in squares" in text
+    assert "allows for no drift since" in text
 
 
 def test_the_same_recording_gives_the_same_bytes_and_json_says_what_was_written(
@@ -209,6 +217,7 @@ def real(path: Path) -> None:
     """Let a recording on twins look like one of hardware."""
     with h5py.File(path, "r+") as file:
         file.attrs["devices"] = ["array (can, can:socketcan:can0)"]
+        file.attrs["table_link"] = "modbus, tcp://192.168.1.10:502"
         file.attrs["clock_zero_utc_s"] = 1_795_000_000.0
 
 
@@ -221,6 +230,25 @@ def test_only_a_pass_of_real_devices_is_a_certificate(html: str, copy: Path, tmp
     assert "not a calibration certificate" not in certificate
     assert "2026-11-18" in certificate
     assert "Simulated" not in certificate
+    assert "end on this computer" not in certificate
+
+
+@pytest.mark.parametrize(
+    ("attribute", "value", "kind"),
+    [
+        ("table_link", "modbus, twin:", Kind.SPECIMEN),
+        ("time_scale", 10.0, Kind.SPECIMEN),  # no device runs ten times as fast
+        ("table_link", "modbus, tcp://127.0.0.1:40001", Kind.CERTIFICATE),
+    ],
+)
+def test_a_twin_is_known_by_any_link_or_by_its_time(copy: Path, attribute: str, value: Any, kind: Kind) -> None:
+    real(copy)
+    with h5py.File(copy, "r+") as file:
+        file.attrs[attribute] = value
+    recorded = read_recorded(copy)
+    assert standing_of(recorded).kind is kind
+    named = "table: a device or a simulator, the station cannot tell" in identification(recorded)
+    assert named is (kind is Kind.CERTIFICATE)
 
 
 def test_a_broken_limit_is_named_and_makes_it_a_report(copy: Path, tmp_path: Path) -> None:
@@ -231,7 +259,7 @@ def test_a_broken_limit_is_named_and_makes_it_a_report(copy: Path, tmp_path: Pat
     text = reported(copy, tmp_path)
     assert title_of(text) == "Calibration report: not within limits"
     rows = [words_of(row) for row in parsed(text).iter("tr")]
-    assert sum(row.endswith("ppm FAIL") for row in rows) == 4
+    assert sum(bool(re.search(r"k ppm [\d.]+ ± 3000 FAIL [\d.]+ ≤ 90000 PASS", row)) for row in rows) == 4
     assert any(re.search(r"mean NIS .* PASS", row) for row in rows)
     standing = standing_of(read_recorded(copy))
     assert standing.verdict is not None
@@ -350,7 +378,7 @@ def gyros_with(effects: list[KnownEffect]) -> tuple[list[GyroCalibration], str]:
     return gyros, ErrorModel(tuple(effects)).text()
 
 
-def test_the_snippet_undoes_effects_of_temperature_force_time_and_rate() -> None:
+def test_the_snippet_undoes_every_effect_as_our_compensation_does() -> None:
     effects = [
         KnownEffect("thermal_bias", False, (Size("linear", "rad/s/K", 0.0, 1e-4),)),
         KnownEffect("thermal_bias_quadratic", False, (Size("quadratic", "rad/s/K2", 0.0, 1e-6),)),
@@ -359,17 +387,27 @@ def test_the_snippet_undoes_effects_of_temperature_force_time_and_rate() -> None
         KnownEffect("warm_up", False, (Size("with 90 s", "rad/s", 0.0, 2e-3),), {"time_constant_s": 90.0}),
         KnownEffect("scale_quadratic", False, (Size("u^2", "1/(rad/s)", 0.0, 3e-3),)),
         KnownEffect("scale_cubic", False, (Size("u^3", "1/(rad/s)2", 0.0, 3e-3),)),
+        KnownEffect("scale_asymmetry", False, (Size("each direction", "1", 0.0, 3e-3),)),
+        KnownEffect("thermal_gradient", False, (Size("slope", "rad/s/(K/s)", 0.0, 0.1),)),
+        KnownEffect("bandwidth", False, (Size("time constant", "s", 0.0, 4e-3),)),
+        KnownEffect("acceleration_sensitivity", False, tuple(Size(f"about {a}", "s", 0.0, 2e-3) for a in "jk")),
     ]
+    assert {effect.name for effect in effects} == {*ADDED, *OF_THE_RATE, *OF_THE_PAST} == set(FORMULAS)
     gyros, model = gyros_with(effects)
     compensation = Compensation.of(gyros, {"array": tetrahedron()}, model)
     defined: dict[str, Any] = {}
     exec(snippet(Correction("array", compensation, False, {}), "made by hand"), defined)
     rng = np.random.default_rng(6)
-    raw, t_s = rng.normal(size=(300, 4)), np.arange(300) * 0.5
+    raw, t_s = rng.normal(size=(300, 4)), np.arange(300) * 0.01
+    raw[50], raw[60], t_s[100] = np.nan, 1e6, t_s[99]
     warm, force = 25 + rng.normal(size=300) * 5, rng.normal(size=(300, 3)) * 9.8
     ours = compensation.compensate(raw, t_s, warm, force)
     given = {"temperature_c": warm, "accel_mps2": force, "t_s": t_s}
-    assert np.abs(defined["body_rate"](raw, **given) - ours).max() < 1e-9
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = defined["body_rate"](raw, **given)
+    assert np.isnan(found[[50, 60, 61]]).all()
+    assert np.isfinite(found).all(axis=1).sum() == 297
+    np.testing.assert_allclose(found, ours, rtol=0, atol=1e-9)
 
 
 def test_gyros_that_do_not_span_space_are_corrected_about_their_own_axes(copy: Path, tmp_path: Path) -> None:
@@ -408,6 +446,8 @@ def test_data_measured_elsewhere_get_a_report(tmp_path: Path) -> None:
     assert "NOT JUDGED" in words
     assert "turns of known angle that were measured elsewhere" in words
     assert "states no uncertainty of it" in words
+    assert "Type B: none" in words
+    assert "Adjustment" not in words  # nobody knows
 
 
 def test_text_from_a_file_is_never_taken_for_html(copy: Path, tmp_path: Path) -> None:
