@@ -100,10 +100,15 @@ class Part:
 
 
 def coarse(blocks: Blocks) -> Blocks:
-    """Return blocks of a second or more, at most about 200."""
+    """Return blocks of a second or more, at most about 200; shorter ones where that would leave less than two dozen."""
     span = int(blocks.index[-1] - blocks.index[0]) + 1 if len(blocks.index) else 1
     factor = max(round(_FINEST_S / blocks.length_s), -(-span // MOST_BLOCKS))
-    return blocks.merged(factor)
+    return blocks.merged(max(min(factor, span // FEWEST_BLOCKS), 1))
+
+
+def tells_colour(blocks: Blocks) -> bool:
+    """Return whether these blocks (of ``coarse``) last long enough to tell what noise is not white."""
+    return len(blocks.index) >= FEWEST_BLOCKS and blocks.length_s > 0.9 * _FINEST_S
 
 
 def fit_grids(parts: Sequence[Part], grid: NoiseGrid) -> list[GridFit]:

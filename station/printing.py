@@ -82,7 +82,7 @@ class Progress:
         snapshot = look()
         detail = (
             f"{_clock(snapshot.remaining_s)} left   {snapshot.samples} samples, {snapshot.lost} lost   "
-            f"NIS {snapshot.nis_mean:.2f}"
+            f"NIS {f'{snapshot.nis_mean:.2f}' if math.isfinite(snapshot.nis_mean) else '-'}"
         )
         if self._bar is not None:
             self._bar.update(self._task, description=snapshot.phase, completed=snapshot.share, detail=detail)

@@ -114,6 +114,17 @@ def test_a_run_at_rest_sees_no_scale_factor() -> None:
         assert not any(note.startswith(f"{gyro.name}: bias") for note in calibration.notes)
 
 
+@pytest.mark.parametrize("seconds", [1.5, 2.5, 6.0])
+def test_a_second_of_rest_gives_the_noise_and_a_bias_within_its_sigma(run: Recording, seconds: float) -> None:
+    data = run.sources["array"]
+    n = round(100 * seconds)
+    calibration = calibrate(with_data(run, t_ns=data.t_ns[:n], rate_rps=data.rate_rps[:n]))
+    found = np.array([gyro.noise.mean.arw for gyro in calibration.gyros if gyro.noise is not None])
+    assert found == pytest.approx(NOISE_RPS / 10, rel=0.6)
+    assert np.isfinite([gyro.sd for gyro in calibration.gyros]).all()
+    assert np.abs(scores(calibration)[:, 1]).max() < 4
+
+
 def test_samples_that_hold_no_number_are_left_out(run: Recording) -> None:
     data = run.sources["array"]
     rate, bad = data.rate_rps.copy(), np.arange(100, 4000, 13)

@@ -88,6 +88,8 @@ def test_the_density_of_white_noise_is_twice_the_square_of_its_random_walk(clean
 def test_an_error_of_each_gyro_is_seen_with_its_cause_and_is_gone_with_it() -> None:
     calibration, exploration, verification = recordings_of(Case(("thermal_bias",), 1.0, 3))
     found = investigate([calibration, exploration], [verification])
+    assert [a.effect for a in found.added] == ["thermal_bias"]
+    assert "thermal_gradient" in found.added[0].same  # the temperature rose as one exponential
     for before, after in (
         (found.residual_before, found.residual_after),
         (found.verified_before, found.verified_after),

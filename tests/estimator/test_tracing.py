@@ -24,6 +24,7 @@ def changed(recording: Recording, **changes: object) -> Recording:
     return replace(recording, sources={"array": data})
 
 
+@pytest.mark.full  # the short form is the command's, in tests/station
 def test_clean_recordings_lack_nothing() -> None:
     ended = end_of(Case((), 1.0, 3))
     assert ended.finding == Finding.NOTHING
@@ -32,6 +33,7 @@ def test_clean_recordings_lack_nothing() -> None:
     assert 0.9 <= ended.coverage_after <= 1.0
 
 
+@pytest.mark.full  # the short form is the command's, in tests/station
 def test_an_effect_is_named_added_and_takes_the_error_away_on_a_run_that_was_not_used() -> None:
     calibration, exploration, verification = recordings_of(Case(("scale_asymmetry",), 1.0, 4))
     found = investigate([calibration, exploration], [verification])
@@ -53,13 +55,6 @@ def test_an_effect_is_named_added_and_takes_the_error_away_on_a_run_that_was_not
     assert told is not None
     assert told.by_run is not None
     assert told.least > 100  # what was left out of the fit says so too
-
-
-def test_an_effect_that_would_put_out_the_same_is_named_beside_the_one_that_is_expected() -> None:
-    calibration, exploration, verification = recordings_of(Case(("thermal_bias",), 1.0, 6))
-    found = investigate([calibration, exploration], [verification])
-    assert [a.effect for a in found.added] == ["thermal_bias"]
-    assert "thermal_gradient" in found.added[0].same  # the temperature rose as one exponential
 
 
 @pytest.mark.parametrize(
