@@ -36,11 +36,11 @@ duration = "6 s"
 kind = "rotate"
 axis = "z"
 rate = "20 deg/s"
-duration = "20 s"
+duration = "14 s"
 acceleration = "20 deg/s2"
 [[step]]
 kind = "rest"
-duration = "6 s"
+duration = "2 s"
 """
 WIRE = {
     "latency": 'latency = "10 ms"',

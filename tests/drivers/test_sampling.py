@@ -220,12 +220,18 @@ def rms_after_s(run: Timed, since_s: float = 5.0) -> float:
     return float(np.sqrt(np.mean(run.error_s[run.true_s >= since_s] ** 2)))
 
 
-LONG_S = {100: 60.0, 500: 30.0, 2000: 15.0}
+LONG_S = {100: 60.0, 500: 30.0, 2000: 10.0}
 JITTER = [("usb polls", "in order"), ("uneven polls", "in order"), ("uniform", "free"), ("exponential", "free")]
+KINDS = [
+    pytest.param(
+        *jitter, rate_hz, marks=[] if rate_hz == 100 or (rate_hz, n) in ((2000, 0), (500, 3)) else pytest.mark.full
+    )
+    for rate_hz in LONG_S
+    for n, jitter in enumerate(JITTER)
+]
 
 
-@pytest.mark.parametrize("rate_hz", [100, pytest.param(500, marks=pytest.mark.full), 2000])
-@pytest.mark.parametrize(("delay", "order"), JITTER)
+@pytest.mark.parametrize(("delay", "order", "rate_hz"), KINDS)
 def test_with_a_counter_times_are_right_to_200_us_beneath_5_ms_of_jitter(delay: str, order: str, rate_hz: int) -> None:
     runs = [counted(delay, order, rate_hz, LONG_S[rate_hz], seed) for seed in range(2)]
     assert np.sqrt(np.mean([rms_after_s(run) ** 2 for run in runs])) < 0.2e-3
@@ -234,8 +240,7 @@ def test_with_a_counter_times_are_right_to_200_us_beneath_5_ms_of_jitter(delay: 
         assert run.lost == 1.0
 
 
-@pytest.mark.parametrize("rate_hz", [100, pytest.param(500, marks=pytest.mark.full), 2000])
-@pytest.mark.parametrize(("delay", "order"), JITTER)
+@pytest.mark.parametrize(("delay", "order", "rate_hz"), KINDS)
 def test_without_a_counter_times_are_right_to_1_ms_and_losses_are_counted_beneath_5_ms_of_jitter(
     delay: str, order: str, rate_hz: int
 ) -> None:
@@ -250,7 +255,7 @@ def test_without_a_counter_times_are_right_to_1_ms_and_losses_are_counted_beneat
 @pytest.mark.parametrize("timed", [counted, regular])
 def test_jitter_to_both_sides_leaves_an_offset_that_stays(timed: object) -> None:
     for seed in range(2):
-        run = timed("normal", "free", 500, 60.0, seed)  # type: ignore[operator]
+        run = timed("normal", "free", 500, 30.0, seed)  # type: ignore[operator]
         late = run.error_s[run.true_s >= 10.0]
         assert late.std() < (0.2e-3 if timed is counted else 1e-3)
 
@@ -260,8 +265,8 @@ def test_jitter_to_both_sides_leaves_an_offset_that_stays(timed: object) -> None
 )
 def test_a_counted_clock_tells_its_drift_and_how_well_it_is_known(delay: str, order: str) -> None:
     scores = []
-    for seed in range(6):
-        found = counted(delay, order, 250, 40.0, seed).alignment
+    for seed in range(4):
+        found = counted(delay, order, 250, 30.0, seed).alignment
         assert found is not None
         assert 0 < found.sd_offset_s < 0.2e-3
         assert 3e-3 < found.jitter_rms_s < 7e-3

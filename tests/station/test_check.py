@@ -228,6 +228,7 @@ def test_exchanged_links_are_suspected() -> None:
 
 
 @on_wires
+@pytest.mark.full  # the short form is the one above
 def test_another_protocol_at_the_other_end_is_suspected(tmp_path: Path) -> None:
     bench = BENCHES / "galil_xsens.toml"
     with TwinProcess("--bench", BENCHES / "acutrol_vectornav.toml", "--scale", SCALE) as twin:
@@ -238,7 +239,10 @@ def test_another_protocol_at_the_other_end_is_suspected(tmp_path: Path) -> None:
 
 
 @on_wires
-@pytest.mark.parametrize(("name", "device", "rate"), [("rtu_stim300", "stim300", "500 Hz"), ("", "array", "100 Hz")])
+@pytest.mark.parametrize(
+    ("name", "device", "rate"),
+    [("rtu_stim300", "stim300", "500 Hz"), pytest.param("", "array", "100 Hz", marks=pytest.mark.full)],
+)
 def test_a_device_set_to_another_rate_is_told_of_on_its_wire(name: str, device: str, rate: str, tmp_path: Path) -> None:
     slower = f"{float(rate.split()[0]) / 2:g} Hz"
     wires = "" if name else '\n[twin.wires]\narray = "slcan"\n'

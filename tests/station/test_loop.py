@@ -26,7 +26,7 @@ from station.closed_loop import CALIBRATION, EXPLORATION, VERIFICATION
 from station.loop_scripts import between_rests, there_and_back
 from station.script import Script, load_script
 
-SHORT = between_rests("short", [turn for axis in "xyz" for turn in there_and_back(axis, 20.0, 4.0)], 4.0)
+SHORT = between_rests("short", [turn for axis in "xz" for turn in there_and_back(axis, 20.0, 3.0)], 3.0)
 
 
 def bench_file(folder: Path, *changes: tuple[str, str], hidden: str = "", rate_hz: int = 50) -> Path:
@@ -115,7 +115,7 @@ def test_rivals_are_told_apart_by_another_run_that_joins_the_fitted(
     told = Told(Finding.CANNOT_TELL, Finding.ADDED)
     monkeypatch.setattr(station.loop_command, "investigate", told)
     folder = tmp_path / "loop"
-    code = main(["loop", "--bench", str(bench_file(tmp_path)), "-o", str(folder), "--minutes", "8"])
+    code = main(["loop", "--bench", str(bench_file(tmp_path)), "-o", str(folder), "--minutes", "3"])
     text = capsys.readouterr().out
     assert code == 0
     assert told.given == [(2, 1), (3, 1)]
@@ -136,11 +136,11 @@ def test_table_time_bounds_the_loop(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(station.loop_command, "investigate", Told(Finding.CANNOT_TELL))
-    code, found, _ = looped(capsys, "--bench", bench_file(tmp_path), "-o", tmp_path / "loop", "--minutes", "3")
+    code, found, _ = looped(capsys, "--bench", bench_file(tmp_path), "-o", tmp_path / "loop", "--minutes", "2")
     assert code == 1
     assert found["verdict"] == "cannot tell"
     assert len(found["runs"]) == 3
-    assert found["minutes_used"] < 3
+    assert found["minutes_used"] < 2
     assert "table time left" in found["ended"]
     assert found["next_script"] is None
 
@@ -175,7 +175,7 @@ def test_a_fault_ends_the_loop_with_what_was_recorded(tmp_path: Path, capsys: py
 
 def test_ctrl_c_in_a_run_brings_the_table_to_rest_and_keeps_the_recordings(tmp_path: Path) -> None:
     folder = tmp_path / "loop"
-    arguments = command("loop", "--bench", bench_file(tmp_path, rate_hz=100), "-o", folder)
+    arguments = command("loop", "--bench", bench_file(tmp_path), "-o", folder)
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         for line in process.stderr:
