@@ -7,11 +7,12 @@ which is what survives a process that dies between two flushes.
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, cast
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array import SensorArray, sensor_array
+from estimator.ballast import Ballast
 from estimator.errors import GeometryError, RecordingError
 from estimator.kinematics import Site, check_gimbals
 from estimator.model import Prior
@@ -40,7 +42,10 @@ Stamps = NDArray[np.int64]
 FORMAT = "turntable-recording"
 FORMAT_VERSION = 1
 PROBE_LIMIT_S = 60.0
-RESERVE_BYTES = 1_000_000
+_RESERVE_BYTES = 2_000_000  # kept back on the disk: what is pending, and what HDF5 needs to close a file whole
+_CLOSING_BYTES = 300_000  # of them, HDF5's own
+_ATTRIBUTES_BYTES = 100_000  # and what attributes need, whatever was left for them
+_PLENTY_BYTES = 100_000_000  # more than another program takes while one block is written
 TEXT_BYTES = 240
 
 UNITS = {
@@ -108,9 +113,19 @@ class RecordingWriter:
         self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            self._ballast = Ballast(path.parent, _RESERVE_BYTES)
+        except OSError as error:
+            raise RecordingError(f"cannot create {path}: {_first_line(error)}") from None
+        try:
+            if not self._ballast.hold():
+                raise self._full()
             self._file = h5py.File(path, "x")
         except (OSError, ValueError) as error:
+            self._ballast.close()
             raise RecordingError(f"cannot create {path}: {_first_line(error)}") from None
+        except RecordingError:
+            self._ballast.close()
+            raise
         self._pending: dict[str, list[NDArray[Any]]] = {}
         self._datasets: dict[str, Any] = {}
         self._lengths: dict[str, int] = {}
@@ -154,17 +169,34 @@ class RecordingWriter:
     def flush(self) -> None:
         """Append what is pending and hand it to the operating system.
 
-        Raises RecordingError, with what is pending given up, before the disk is full: a write that fails within
-        HDF5 can end the process, while the space kept back lets the file be closed whole.
+        Raises RecordingError when the disk is full. A write that fails within HDF5 leaves a file that cannot be read,
+        or ends the process; so what is pending goes into room that was kept back, which then cannot be had again, and
+        what does not fit in there is given up.
         """
-        wanted = sum(rows.nbytes for blocks in self._pending.values() for rows in blocks)
+        wanted = self._pending_bytes()
         free = shutil.disk_usage(self.path.parent).free
-        if free < wanted + RESERVE_BYTES:
+        if free > wanted + _PLENTY_BYTES:
+            self._write()
+            return
+        if free + self._ballast.held_bytes < wanted + _CLOSING_BYTES:
             self._pending.clear()
-            raise RecordingError(
-                f"the disk of {self.path} is all but full ({free / 1e6:.1f} MB left): make room, or give another "
-                "place with --output"
-            )
+            raise self._full()
+        self._ballast.drop()
+        self._write()
+        if not self._ballast.hold():
+            raise self._full()
+
+    def _full(self) -> RecordingError:
+        free = shutil.disk_usage(self.path.parent).free
+        return RecordingError(
+            f"the disk of {self.path} is full ({free / 1e6:.1f} MB left, {_RESERVE_BYTES / 1e6:.0f} MB are kept for "
+            "closing the file): make room, or give another place with --output"
+        )
+
+    def _pending_bytes(self) -> int:
+        return sum(rows.nbytes for blocks in self._pending.values() for rows in blocks)
+
+    def _write(self) -> None:
         for path, blocks in self._pending.items():
             rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
             dataset = self._datasets.get(path)
@@ -184,8 +216,9 @@ class RecordingWriter:
     def close(self) -> None:
         """Flush and close; twice is once."""
         if self._file:
-            with suppress(RecordingError):  # the disk is full: keep what is there
-                self.flush()
+            self._ballast.close()
+            if shutil.disk_usage(self.path.parent).free >= self._pending_bytes() + _CLOSING_BYTES:
+                self._write()
             self._file.close()
 
 
@@ -235,22 +268,41 @@ def _stated(data: ImuData) -> dict[str, Any]:
 
 
 def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:
-    """Write a group of results into an existing recording, in place of what stood there."""
-    with h5py.File(path, "r+") as file:
+    """Write a group of results into an existing recording, in place of what stood there; RecordingError if not."""
+    wanted = sum(np.asarray(values).nbytes for values in datasets.values())
+    with _changing(path, wanted + _CLOSING_BYTES) as file:
         _replace_group(file, group, datasets, attributes)
 
 
 def write_attributes(path: Path, attributes: Mapping[str, Any]) -> None:
-    """Set attributes of an existing recording."""
-    with h5py.File(path, "r+") as file:
+    """Set attributes of an existing recording; RecordingError if it cannot be written."""
+    with _changing(path, _ATTRIBUTES_BYTES) as file:
         file.attrs.update(attributes)
 
 
 def write_source_attributes(path: Path, by_source: Mapping[str, Mapping[str, Any]]) -> None:
-    """Set attributes of the sources of an existing recording."""
-    with h5py.File(path, "r+") as file:
+    """Set attributes of the sources of an existing recording; RecordingError if it cannot be written."""
+    with _changing(path, _ATTRIBUTES_BYTES) as file:
         for name, attributes in by_source.items():
             file[f"imu/{name}"].attrs.update(attributes)
+
+
+@contextmanager
+def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
+    """Open a recording that is there to write into it; RecordingError, with the file as it was, if there is no room."""
+    free = shutil.disk_usage(path.parent).free
+    if free < wanted_bytes:
+        raise RecordingError(
+            f"the disk of {path} is full ({free / 1e6:.1f} MB left, {wanted_bytes / 1e6:.1f} MB are needed): the file "
+            "is as it was; make room"
+        )
+    try:
+        with h5py.File(path, "r+") as file:
+            yield file
+    except (OSError, RuntimeError) as error:  # HDF5 has both
+        number = getattr(error, "errno", None)
+        why = os.strerror(number) if number else _first_line(error)
+        raise RecordingError(f"{path} cannot be written: {why}") from None
 
 
 def probe(path: Path, limit_s: float = PROBE_LIMIT_S) -> None:

@@ -20,6 +20,7 @@ from station.session_folder import socket_folders
 VERSION = 1
 """Of the language on the socket."""
 _CONNECT_S = 5.0
+_STOP = b'{"do":"stop"}\n'
 _PROBE_S = 0.5
 
 
@@ -81,16 +82,23 @@ class RemoteSession:
         return cls(transport, inbox, hello)
 
     async def messages(self) -> AsyncIterator[dict[str, Any]]:
-        """Yield what the session says, by "kind": "event", "snapshot", "refused", "result"; end when it is gone.
+        """Yield what it says, by "kind": "event", "snapshot", "course", "refused", "result"; end when it is gone.
 
         Snapshots that nobody has taken give way to the newest. A session that ends without "result" was killed.
         """
         while (message := await self._inbox.next()) is not None:
             yield message
 
-    def stop(self) -> None:
-        """Bring the table to rest and end the run."""
-        self._say({"do": "stop"})
+    def stop(self) -> bool:
+        """Bring the table to rest and end the run; return whether the system took the word.
+
+        From any thread, past the event loop: whatever that is at, or waits for, does not hold it up.
+        """
+        try:
+            with self._transport.get_extra_info("socket").dup() as line:
+                return bool(line.send(_STOP) == len(_STOP))
+        except OSError:  # the session is gone, or takes nothing any more
+            return False
 
     def pause(self) -> None:
         """Hold after the step under way."""
@@ -103,6 +111,10 @@ class RemoteSession:
     def note(self, text: str) -> None:
         """Have a note kept in the recording."""
         self._say({"do": "note", "text": text})
+
+    def ask_course(self) -> None:
+        """Have it told, as a message of the kind "course", how the estimates went so far."""
+        self._say({"do": "course"})
 
     def close(self) -> None:
         """Hang up; the session goes on."""

@@ -10,19 +10,18 @@ from numpy.typing import NDArray
 
 from estimator.blocks import Blocks
 from estimator.budget import table_budget
-from estimator.coloured import FEWEST_BLOCKS, NoiseGrid, Part, coarse, combine, fit_grids, weights
+from estimator.coloured import NoiseGrid, Part, coarse, combine, fit_grids, tells_colour, weights
 from estimator.model import decode
 from estimator.reference import TableReadings
 from station.bench import Bench, Limits
 from station.bench_imu import ImuConfig
 from station.errors import UsageError
-from station.live import LiveEstimate, LiveSource
+from station.live import RECENT_S, LiveEstimate, LiveSource
 
 Floats = NDArray[np.float64]
 
 _LOOK_EVERY_S = 1.0
 _CONFIRM_EVERY_S = 5.0  # an estimate under coloured noise takes a host a third of a second
-_RECENT_NS = 30_000_000_000
 _ENOUGH = 0.9  # of a limit: the samples of the last seconds may raise what is found of the noise
 _IN_A_ROW = 2  # so many confirmations: an estimate that is looked at often dips below its limit by chance
 
@@ -65,7 +64,7 @@ class EarlyEnd:
             if confirmed >= _IN_A_ROW:
                 return (
                     f"every required sigma is reached, the largest is {share:.0%} of its limit; mean NIS "
-                    f"{self._nis(0):.3f}, {self._nis(_RECENT_NS):.3f} in the last {_RECENT_NS * 1e-9:g} s"
+                    f"{self._live.nis_mean:.3f}, {self._live.nis_recent:.3f} in the last {RECENT_S:g} s"
                 )
             # The host's time counts: it has the same work to do at every scale.
             await asyncio.sleep(_CONFIRM_EVERY_S * self._time_scale)
@@ -77,19 +76,8 @@ class EarlyEnd:
             return False
         reached = all((source.decoded()[1] <= self._required).all() for source in sources)
         limits = self._bench.limits
-        return reached and all(limits.nis_low <= self._nis(ns) <= limits.nis_high for ns in (0, _RECENT_NS))
-
-    def _nis(self, recent_ns: int) -> float:
-        """Return the mean NIS of all sources over the last time, or over the whole run."""
-        if not recent_ns:
-            return self._live.nis_mean
-        total, dof = 0.0, 0
-        for source in self._live.sources.values():
-            history = source.history
-            first = int(np.searchsorted(history.t_ns, history.t_ns[-1] - recent_ns))
-            total += sum(history.nis[first:])
-            dof += sum(history.dof[first:])
-        return total / dof
+        both = (self._live.nis_mean, self._live.nis_recent)
+        return reached and all(limits.nis_low <= nis <= limits.nis_high for nis in both)
 
     def _largest_share(self) -> Callable[[], float]:
         """Return what finds the largest sigma of now as a share of its limit; it does not touch the run any more."""
@@ -105,7 +93,7 @@ class EarlyEnd:
         own = [pair for name, pair in sources.items() if self._configs[name].name == device]
         config = next(config for config in self._configs.values() if config.name == device)
         parts = [Part(coarse(blocks), source.array, source.prior) for source, blocks in own]
-        if min(len(part.blocks.index) for part in parts) < FEWEST_BLOCKS:
+        if not all(tells_colour(part.blocks) for part in parts):
             return np.inf
         span_s = max(float(blocks.t_s[-1] - blocks.t_s[0]) + blocks.length_s for _, blocks in own)
         fits = fit_grids(parts, NoiseGrid.over(span_s, config.noise))

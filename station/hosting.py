@@ -2,7 +2,8 @@
 
 JSON, a line each. To a client: "hello", the events so far, then every new event and ten snapshots a second of the
 wall's clock, "result" at the end. From a client: ``{"do": "stop"}``, "pause" (after the step under way), "resume",
-``{"do": "note", "text": ...}``; what is not understood or cannot be done is answered "refused" with its reason.
+``{"do": "note", "text": ...}``; "course", which is answered by the estimates so far, thinned. What is not understood
+or cannot be done is answered "refused" with its reason.
 
 Nothing a client does, or leaves undone, delays the session: what a slow one does not take is not kept for it, beside
 the events, and the next snapshot that it gets is the newest.
@@ -13,6 +14,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import math
 import os
 import socket
 from collections.abc import Callable, Mapping
@@ -38,6 +40,9 @@ _LINES_AT_ONCE = 16  # then others have their turn
 _BREATH_S = 0.05
 _SEND_BYTES = 32768  # in the system's hands: what is there cannot be made newer any more
 _EVENT_BYTES = 16384
+_COURSE_EVERY = 10  # looks: a point a second
+_MOST_POINTS = 300
+_DIGITS = 6
 
 
 class Watched(Protocol):
@@ -73,6 +78,8 @@ class Host:
         self._server: asyncio.Server | None = None
         self._path = self._hidden = Path()
         self._showing: asyncio.Task[None] | None = None
+        self._course: list[bytes] = []
+        self._blind = False
 
     async def __aenter__(self) -> Host:
         """Make the socket, which nobody sees yet; UsageError if that cannot be."""
@@ -136,51 +143,80 @@ class Host:
         self._clients.add(client)
         client.send(self._hello)
         client.send_events()
-        if self._run is not None:
-            client.send(_line("snapshot", snapshot_object(self._run.snapshot())))
+        snapshot = self._look()
+        if snapshot is not None:
+            client.send(_line("snapshot", snapshot_object(snapshot)))
 
     def forget(self, client: _Client) -> None:
         """Let a client go."""
         self._clients.discard(client)
 
-    def do(self, line: bytes) -> None:
-        """Do what a line asks; UsageError if it is not understood or cannot be done."""
+    def do(self, line: bytes) -> bytes:
+        """Do what a line asks and return the answer, if it has one; UsageError if that cannot be done or understood."""
         try:
             request = json.loads(line)
             action = request["do"]
         except (ValueError, TypeError, KeyError, RecursionError):
-            raise UsageError('not understood: say {"do": "stop"}, "pause", "resume" or "note" with a "text"') from None
+            raise UsageError(
+                'not understood: say {"do": "stop"}, "pause", "resume", "course" or "note" with a "text"'
+            ) from None
         assert self._run is not None
         actions: dict[str, Callable[[], None]] = {
             "stop": self._run.stop,
             "pause": self._run.pause,
             "resume": self._run.resume,
         }
+        if action == "course":
+            return b'{"kind":"course","points":[' + b",".join(self._course) + b"]}\n"
         if action == "note" and isinstance(text := request.get("text"), str):
             self._run.note(text)
         elif isinstance(action, str) and action in actions:
             actions[action]()
         else:
             raise UsageError(f"not understood: {str(action)[:40]!r}")
+        return b""
 
     async def _show(self) -> None:
+        looks = 0
         while True:
             await asyncio.sleep(_EVERY_S * self.scale)
-            try:
-                self._snapshots()
-            except Exception:  # who looks on must not end the run
-                _log.exception("no snapshot could be made; the run goes on")
-                return
+            self._snapshots(keep=looks % _COURSE_EVERY == 0)
+            looks += 1
 
-    def _snapshots(self) -> None:
-        """Send what is new to whoever has taken all that came before."""
+    def _snapshots(self, *, keep: bool = False) -> None:
+        """Send what is new to whoever has taken all that came before; ``keep``: as a point of the course, too."""
         for client in self._clients:
             client.send_events()
         ready = [client for client in self._clients if client.idle]
-        if ready and self._run is not None:
-            line = _line("snapshot", snapshot_object(self._run.snapshot()))
+        snapshot = self._look() if ready or keep else None
+        if snapshot is None:
+            return
+        if keep:
+            self._keep(snapshot)
+        if ready:
+            line = _line("snapshot", snapshot_object(snapshot))
             for client in ready:
                 client.send(line)
+
+    def _look(self) -> Snapshot | None:
+        """Return the state of the run; None before it begins, and after a defect: who looks on must not end it."""
+        if self._run is None or self._blind:
+            return None
+        try:
+            return self._run.snapshot()
+        except Exception:
+            self._blind = True
+            _log.exception("no snapshot could be made; the run goes on")
+            return None
+
+    def _keep(self, snapshot: Snapshot) -> None:
+        """Keep where the estimates are for who comes later, ready to be sent; a long run is thinned to every other."""
+        gyros = {gyro.name: (_rounded(gyro.values), _rounded(gyro.sds)) for gyro in snapshot.gyros}
+        if gyros and snapshot.elapsed_s > 0:
+            point = {"t_s": snapshot.elapsed_s, "gyros": gyros}
+            self._course.append(json.dumps(point, allow_nan=False, separators=(",", ":")).encode())
+        if len(self._course) > _MOST_POINTS:
+            del self._course[1::2]
 
     def _now(self) -> float:
         return asyncio.get_running_loop().time()
@@ -211,7 +247,13 @@ class _Client(asyncio.Protocol):
         self._heed()
 
     def connection_lost(self, error: Exception | None) -> None:
+        """Act also on what is not read yet: a STOP counts, though its sender hung up and no answer can be written."""
         self._host.forget(self)
+        with suppress(OSError), self._transport.get_extra_info("socket").dup() as rest:
+            self._received += rest.recv(_LONGEST_LINE)
+        for line in self._received.split(b"\n", _LINES_AT_ONCE)[:-1]:
+            with suppress(UsageError):
+                self._host.do(line)
 
     def send(self, line: bytes) -> None:
         self._transport.write(line)
@@ -242,11 +284,12 @@ class _Client(asyncio.Protocol):
         *lines, self._received = self._received.split(b"\n", _LINES_AT_ONCE)
         for line in lines:
             try:
-                self._host.do(line)
+                answer = self._host.do(line)
             except UsageError as error:
-                self._refuse(str(error))
+                answer = _line("refused", {"reason": str(error)})
+            self._answer(answer)
         if b"\n" not in self._received[: _LONGEST_LINE + 1] and len(self._received) > _LONGEST_LINE:
-            self._refuse(f"a line of more than {_LONGEST_LINE} bytes")
+            self._answer(_line("refused", {"reason": f"a line of more than {_LONGEST_LINE} bytes"}))
             self._transport.close()
         elif b"\n" in self._received:
             self._transport.pause_reading()
@@ -257,9 +300,9 @@ class _Client(asyncio.Protocol):
             self._transport.resume_reading()
             self._heed()
 
-    def _refuse(self, reason: str) -> None:
-        if self.idle:
-            self.send(_line("refused", {"reason": reason}))
+    def _answer(self, answer: bytes) -> None:
+        if answer and self.idle:
+            self.send(answer)
 
 
 def introduction(
@@ -286,6 +329,10 @@ def introduction(
         }
     )
     return found
+
+
+def _rounded(values: tuple[float, ...]) -> list[float | None]:
+    return [float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None for value in values]
 
 
 def _line(kind: str, fields: Mapping[str, Any]) -> bytes:

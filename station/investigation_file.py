@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,7 +43,11 @@ def write_investigation(path: Path, found: Investigation, what: Mapping[str, Any
     import h5py
 
     try:
-        with h5py.File(path, "x") as file:
+        created = h5py.File(path, "x")
+    except (OSError, ValueError) as error:
+        raise UsageError(f"cannot create {path}: {' '.join(str(error).split())}") from None
+    try:
+        with created as file:
             file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
             group = file.create_group("investigation")
             group.attrs.update({"verdict": str(found.finding), "reason": found.reason, "json": json.dumps(what)})
@@ -61,7 +66,9 @@ def write_investigation(path: Path, found: Investigation, what: Mapping[str, Any
             _write_spectra(group, "spectrum", found.residual_before, found.residual_after)
             _write_spectra(group, "spectrum_verification", found.verified_before, found.verified_after)
     except (OSError, ValueError) as error:
-        raise UsageError(f"cannot write {path}: {error}") from None
+        with suppress(OSError):
+            path.unlink()
+        raise UsageError(f"cannot write {path}: {' '.join(str(error).split())}") from None
 
 
 def _write_spectra(group: Group, name: str, before: Residual | None, after: Residual | None) -> None:

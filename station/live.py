@@ -21,10 +21,12 @@ from station.table_watch import TableRow
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
+RECENT_S = 30.0
+"""What ``nis_recent`` and ``whiteness`` look back on, seconds."""
+
 _KEEP_EVERY = 5  # states are kept every so many-th block
 _ROWS_AT_ONCE = 20  # table readings are taken in by handfuls: a second at 20 Hz
-_RECENT_S = 30.0
-_RECENT_BLOCKS = round(_RECENT_S / BLOCK_S)
+_RECENT_BLOCKS = round(RECENT_S / BLOCK_S)
 _FEWEST_PAIRS = 20  # of blocks, for a correlation that says anything
 
 

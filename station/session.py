@@ -22,7 +22,7 @@ from drivers.errors import DeviceError, LinkLost
 from drivers.seams import Identity, ImuBlock
 from estimator.calibration import Calibration
 from estimator.error_model import ErrorModel
-from estimator.errors import EstimatorError
+from estimator.errors import EstimatorError, RecordingError
 from estimator.recording import TEXT_BYTES, RecordingWriter, write_attributes
 from estimator.sample_columns import SampleColumns
 from station.early_end import EarlyEnd
@@ -426,7 +426,10 @@ class Session:
                 verdict = judge(calibration, self._bench.limits)
             except EstimatorError as error:
                 verdict = Verdict(Outcome.FAIL, str(error))
-        write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
+        try:
+            write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
+        except RecordingError as error:
+            verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
         reports = tuple(self._reports.values())
         return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports)
 

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import os
 import select
 import sys
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
+from textual import events
 from textual.app import App, ScreenStackError
 from textual.binding import Binding
 from textual.css.query import NoMatches
+from textual.driver import Driver
+from textual.message import Message
 from textual.worker import WorkType
 
+from station.attaching import running_sessions
 from station.screen.archive import Archive
 from station.screen.bars import STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
 from station.screen.dialogs import AskDialog, ChooseDialog
 from station.screen.history import HistoryScreen
-from station.screen.link import SessionLink, sessions_on, sessions_there
+from station.screen.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.live_run import LiveRun, Stage
 from station.screen.memory import Remembered, load_remembered, save_remembered
 from station.screen.prepare import PrepareScreen
@@ -35,7 +40,18 @@ from station.screen.run import RunScreen
 
 _TICK_S = 0.1
 _HANGUP_S = 0.5
+_OTHERS_S = 2.0
 _SETTLED_S = 2.0
+_STOP_KEYS = (STOP_KEY, "ctrl+c")
+
+
+class _StopFirst(Driver):
+    """Tells STOP where keys are read, in a thread of its own: the app may be waiting, for a terminal or a disk."""
+
+    def process_message(self, message: Message) -> None:
+        if isinstance(message, events.Key) and message.key in _STOP_KEYS:
+            cast(StationApp, self._app).stop_from_thread()
+        super().process_message(message)
 
 
 class StationApp(App[None]):
@@ -56,7 +72,7 @@ class StationApp(App[None]):
         Binding("f3", "switch_mode('run')", "Run", show=False),
         Binding("f4", "switch_mode('result')", "Result", show=False),
         Binding("f5", "switch_mode('history')", "History", show=False),
-        Binding(f"{STOP_KEY},ctrl+c", "stop", "STOP", show=False, priority=True),
+        Binding(",".join(_STOP_KEYS), "stop", "STOP", show=False, priority=True),
         Binding("ctrl+q", "leave", "Quit", show=False, priority=True),
     ]
 
@@ -74,18 +90,28 @@ class StationApp(App[None]):
         )
         self.archive = Archive()
         self.shown: LiveRun | None = None
+        self.others = 0
+        """How many sessions run while none is shown."""
         self._link: SessionLink | None = None
         self._begins_attached = attach
+        self._told_by_key = False
+        self._leaving = False
+        self._fresh: Path | None = None
 
     @property
     def busy(self) -> bool:
         """Whether a session runs."""
         return self.shown is not None and self.shown.active
 
+    def get_driver_class(self) -> type[Driver]:
+        """Return the driver of this terminal, with STOP before everything."""
+        return type("StopFirstDriver", (_StopFirst, super().get_driver_class()), {})
+
     def on_mount(self) -> None:
         """Begin to tick, and look for sessions."""
         self.set_interval(_TICK_S, self._tick)
         self.set_interval(_HANGUP_S, self._watch_terminal)
+        self.set_interval(_OTHERS_S, partial(self._work, self._count_others, "others"))
         self._work(self._find_sessions, "sessions")
 
     async def on_unmount(self) -> None:
@@ -95,12 +121,34 @@ class StationApp(App[None]):
         await self.archive.close()
 
     def action_stop(self) -> None:
-        """Bring the table to rest, now: nothing is asked and nothing is waited for."""
-        if self._link is None or not self.busy:
-            return
-        if not self._link.stop():
-            self.notify("the session cannot be reached: use the emergency stop of the table", severity="error")
+        """Bring the table to rest, now: nothing is asked and nothing is waited for.
+
+        The session that is shown; a session that is about to be started; if none is shown, all that run.
+        """
+        told, self._told_by_key = self._told_by_key, False
+        if self.workers.cancel_group(self, "start"):
+            self.notify("the run was not started", title="STOP", severity="warning")
+        if self._link is not None and self.busy:
+            if not (told or self._link.stop()):
+                self.notify("the session cannot be reached: use the emergency stop of the table", severity="error")
+        elif self.shown is None:
+            self._work(self._stop_all, "sessions")
         self._show_stop()
+
+    def stop_from_thread(self) -> None:
+        """Tell the session that is shown to stop, from the thread that reads keys; ``action_stop`` does the rest."""
+        link = self._link
+        if link is not None and self.busy:
+            self._told_by_key = link.stop()
+
+    async def _stop_all(self) -> None:
+        sockets = await asyncio.to_thread(running_sessions)
+        if sockets:
+            run = LiveRun()
+            run.ask_to_stop()
+            self._follow(run, socket=sockets[0])  # which tells it, and shows how it comes to rest
+            await asyncio.gather(*map(stop_session, sockets[1:]))
+            self.notify(f"{len(sockets)} told to stop", title="STOP", severity="warning")
 
     def action_leave(self) -> None:
         """Leave; if a session runs, ask what is to become of it."""
@@ -112,9 +160,10 @@ class StationApp(App[None]):
         self.push_screen(AskDialog(question, answers), self._left)
 
     def _left(self, answer: str | None) -> None:
-        if answer == "stop":
+        if answer == "stop" and self.busy:
+            self._leaving = True  # once the table is at rest
             self.action_stop()
-        if answer in ("leave", "stop"):
+        elif answer in ("leave", "stop"):
             self.exit()
 
     def start_run(self, prospect: Prospect) -> None:
@@ -128,9 +177,13 @@ class StationApp(App[None]):
             said = f"process {others[0]}" if others else "it is on F3"
             self.notify(f"a session runs on this bench already: {said}", title="Not started", severity="error")
             return
-        recording = self.choices.new_recording().absolute()
+        recording = await asyncio.to_thread(lambda: self.choices.new_recording().absolute())
         scale = self.choices.scale or (TWIN_SCALE if prospect.all_twins else None)
-        process = SessionProcess(self.choices.run_arguments(recording, scale), recording)
+        try:
+            process = SessionProcess(self.choices.run_arguments(recording, scale), recording)
+        except OSError as error:
+            self.notify(str(error), title="Not started", severity="error", markup=False)
+            return
         self._follow(LiveRun(recording, self.choices.script), process=process)
 
     def pause_run(self) -> None:
@@ -140,8 +193,12 @@ class StationApp(App[None]):
 
     def note_run(self, text: str | None) -> None:
         """Have a note recorded."""
-        if text and self._link is not None:
-            self._link.note(text)
+        if not text:
+            return
+        if self.busy and self._link is not None and self._link.note(text):
+            self.notify(text, title="Note sent to the record", markup=False)
+        else:
+            self.notify(f"no session takes it: {text}", title="Note NOT kept", severity="error", markup=False)
 
     def _remember(self, bench: str) -> None:
         serials = {**self.remembered.serials, bench: self.choices.serial}
@@ -171,20 +228,36 @@ class StationApp(App[None]):
         if isinstance(self.screen, ResultScreen):
             self.screen.open(path, fresh=fresh)
 
+    def choose_session(self) -> None:
+        """Ask which of the running sessions is to be shown."""
+        self._work(self._choose, "sessions")
+
     async def _find_sessions(self) -> None:
-        found = await sessions_there()
-        if self._begins_attached and len(found) == 1:
-            self._follow(LiveRun(), socket=found[0][0])
-        elif self._begins_attached and not found:
+        if not self._begins_attached:
+            await self._choose(quiet=True)
+            return
+        found = await asyncio.to_thread(running_sessions)
+        if len(found) == 1:
+            self._follow(LiveRun(), socket=found[0])
+        elif found:
+            await self._choose()
+        else:
             self.notify("no session runs: prepare one", severity="warning")
             self.switch_mode("prepare")
-        elif found and not self.busy:
-            lines = [
-                (str(path), f"{hello['bench']}, process {hello['pid']}, {hello['recording']}") for path, hello in found
-            ]
-            self.push_screen(
-                ChooseDialog("A session runs. Enter shows it, Escape leaves it alone.", lines), self._chosen
-            )
+
+    async def _choose(self, *, quiet: bool = False) -> None:
+        found = await sessions_there()
+        self.others = len(found)
+        if found and not (quiet and self.busy):
+            lines = [(str(path), _session_words(path, hello)) for path, hello in found]
+            question = "These sessions run. Enter shows one, Escape leaves them alone."
+            self.push_screen(ChooseDialog(question, lines), self._chosen)
+        elif not quiet:
+            self.notify("no session runs", severity="warning")
+
+    async def _count_others(self) -> None:
+        if self.shown is None:
+            self.others = len(await asyncio.to_thread(running_sessions))
 
     def _chosen(self, socket: str | None) -> None:
         if socket is not None:
@@ -215,27 +288,54 @@ class StationApp(App[None]):
     def _changed(self) -> None:
         run = self.shown
         self._tick()
-        if run is None or run.stage is not Stage.ENDED or run.recording is None:
+        if run is None or run.stage is not Stage.ENDED:
             return
-        if run.outcome in ("PASS", "FAIL") and self.current_mode == "run":
-            self.open_recording(run.recording, fresh=True)
+        if self._leaving and run.at_rest:
+            self.exit()
+        if run.recording is None or not run.hello:
+            return
+        self._fresh = run.recording
+        if run.result is None:
+            self._work(partial(self._look_into, run, run.recording), "ended")
+        elif run.outcome in ("PASS", "FAIL") and isinstance(self.screen, RunScreen):
+            self.switch_mode("result")
+
+    async def _look_into(self, run: LiveRun, recording: Path) -> None:
+        """Add what the recording says of a session that has gone without a word."""
+        entry = (await self.archive.read(recording)).entry
+        said = entry.wrong or f"{entry.texts.get('outcome', '')}  {entry.texts.get('reason', '')}"
+        run.trouble = f"{run.trouble}. Its recording: {said}"
+
+    def take_fresh(self) -> Path | None:
+        """Return the recording of a run that has ended and whose result was not shown yet."""
+        fresh, self._fresh = self._fresh, None
+        return fresh
 
     def _tick(self) -> None:
         self._show_stop()
+        while self.shown is not None and self.shown.refusals:
+            self.notify(self.shown.refusals.popleft(), title="The session refused", severity="warning", markup=False)
         with suppress(ScreenStackError, NoMatches):  # the screen is on its way in, or the app on its way out
-            if isinstance(self.screen, StationScreen):
-                self.screen.tick()
+            for screen in self.screen_stack:  # also below a question
+                if isinstance(screen, StationScreen):
+                    screen.tick()
 
     def _show_stop(self) -> None:
         with suppress(ScreenStackError):
             for bar in self.screen.query(StopBar):
-                bar.show(self.shown)
+                bar.show(self.shown, self.others)
 
     def _watch_terminal(self) -> None:
         """End when nobody is at the other end: a server of the screen that was killed says nothing."""
         if self.is_headless or not _hung_up(sys.__stdin__):
             return
         os._exit(0)
+
+
+def _session_words(path: Path, hello: Mapping[str, object]) -> str:
+    if not hello:
+        return f"process {path.stem}, which does not say what it is"
+    return f"{hello['bench']}, process {path.stem}, {hello['recording']}"
 
 
 def _hung_up(stream: object) -> bool:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 _LIMIT_S = 10.0
+_WRITE_LIMIT_S = 120.0
 _MOST_BYTES = 64 * 1024 * 1024
 
 
@@ -64,6 +65,11 @@ class Entry:
             return self.serial == other.serial
         return bool(self.gyros) and self._gyro_names() == other._gyro_names()
 
+    def same_calibrated(self, other: Entry) -> bool:
+        """Whether the other is another recording of the device, with a calibration of the same gyros."""
+        same_gyros = bool(self.gyros) and self._gyro_names() == other._gyro_names()
+        return same_gyros and self.path != other.path and self.same_device(other)
+
     def _gyro_names(self) -> set[tuple[str, str]]:
         return {(gyro.source, gyro.name) for gyro in self.gyros}
 
@@ -103,7 +109,7 @@ class Archive:
     async def read(self, path: Path) -> Whole:
         """Return a whole recording; its entry says what is wrong, if something is."""
         try:
-            when_utc_s = path.stat().st_mtime
+            when_utc_s = (await asyncio.to_thread(path.stat)).st_mtime
         except OSError as error:
             return Whole(Entry(path, 0.0, wrong=error.strerror or "it cannot be read"), {})
         found = await self._ask("whole", path)
@@ -111,7 +117,11 @@ class Archive:
 
     async def accept(self, path: Path, attributes: Mapping[str, str]) -> str:
         """Write who accepted a recording into it; return what went wrong, empty if nothing did."""
-        return str((await self._ask("accept", path, attributes=dict(attributes))).get("wrong", ""))
+        found = await self._ask("accept", path, _WRITE_LIMIT_S, attributes=dict(attributes))
+        if found.get("wrong"):
+            async with self._turn:  # HDF5 does not get over a write that failed
+                await self.close()
+        return str(found.get("wrong", ""))
 
     async def close(self) -> None:
         """End the process that reads."""
@@ -121,14 +131,14 @@ class Archive:
             await self._process.wait()
         self._process = None
 
-    async def _ask(self, what: str, path: Path, **more: Any) -> dict[str, Any]:
+    async def _ask(self, what: str, path: Path, limit_s: float = _LIMIT_S, **more: Any) -> dict[str, Any]:
         async with self._turn:
             try:
-                async with asyncio.timeout(_LIMIT_S):
+                async with asyncio.timeout(limit_s):
                     line = await self._exchange(json.dumps({"do": what, "path": str(path), **more}))
             except TimeoutError:
                 await self.close()
-                return {"wrong": f"it is damaged: reading it did not end within {_LIMIT_S:g} s"}
+                return {"wrong": f"it is damaged, or its disk hangs: no end within {limit_s:g} s"}
             except asyncio.CancelledError:
                 await self.close()  # else the next question would be given this one's answer
                 raise
@@ -161,12 +171,8 @@ class Archive:
 
 
 def last_before(entry: Entry, others: Sequence[Entry]) -> Entry | None:
-    """Return the last calibration of the same device before this one."""
-    earlier = [
-        other
-        for other in others
-        if other.gyros and other.path != entry.path and other.when_utc_s < entry.when_utc_s and entry.same_device(other)
-    ]
+    """Return the last of the others before this one."""
+    earlier = [other for other in others if other.when_utc_s < entry.when_utc_s]
     return max(earlier, key=lambda other: other.when_utc_s, default=None)
 
 

@@ -65,14 +65,14 @@ class StationScreen(Screen[None]):
         self.run_worker(work, exclusive=True, group=group)
 
     @property
-    def wide(self) -> bool:
-        """Whether there is room for two columns."""
-        return self.size.width >= self.WIDE
+    def small(self) -> bool:
+        """Whether there is too little room for the screen to be shown."""
+        return self.size.width < LEAST_WIDTH or self.size.height < LEAST_HEIGHT
 
     def on_resize(self, event: events.Resize) -> None:
         """Fit the layout to the terminal."""
         size = event.size
-        self.set_class(size.width < LEAST_WIDTH or size.height < LEAST_HEIGHT, "-small")
+        self.set_class(self.small, "-small")
         self.set_class(size.width >= self.WIDE, "-wide")
         self.set_class(size.height >= _TALL, "-tall")
 

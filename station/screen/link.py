@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import signal
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -39,15 +41,13 @@ class SessionLink:
             self.close()
 
     def stop(self) -> bool:
-        """Stop the run, at once; return whether there was a way to tell it."""
-        if self._remote is not None:
-            self._remote.stop()
-        elif self._process is not None and self._process.running:
-            self._process.stop()
-        else:
-            return False
-        self.run.stop_sent = True
-        return True
+        """Stop the run, at once and from any thread; return whether there was a way to tell it.
+
+        It is told again by every connection that comes after: a word that a break has swallowed is not lost.
+        """
+        self.run.ask_to_stop()
+        remote = self._remote
+        return (remote is not None and remote.stop()) or self._interrupt()
 
     def pause(self) -> None:
         """Hold after the step under way, or go on."""
@@ -55,16 +55,24 @@ class SessionLink:
             holds = self.run.snapshot is not None and self.run.snapshot.paused
             self._remote.resume() if holds else self._remote.pause()
 
-    def note(self, text: str) -> None:
-        """Have a note kept in the recording."""
-        if self._remote is not None:
-            self._remote.note(text)
+    def note(self, text: str) -> bool:
+        """Have a note kept in the recording; return whether there was a way to tell the session."""
+        if self._remote is None:
+            return False
+        self._remote.note(text)
+        return True
 
     def close(self) -> None:
         """Hang up; the session goes on."""
         self._hang_up()
         if self._process is not None:
             self._process.close()
+
+    def _interrupt(self) -> bool:
+        """Send the signal that means Ctrl-C: the way without a connection."""
+        if self._process is not None:
+            return self._process.stop()
+        return self._socket is not None and _interrupt(self._socket)
 
     def _hang_up(self) -> None:
         if self._remote is not None:
@@ -85,40 +93,83 @@ class SessionLink:
                 await asyncio.sleep(_LOOK_S)
 
     async def _listen(self, socket: Path, changed: Callable[[], None]) -> None:
-        with suppress(UsageError):
-            self._remote = await RemoteSession.connect(socket)
-            self.run.greet(self._remote.hello)
+        why = "the connection to the session broke"
+        try:
+            remote = self._remote = await RemoteSession.connect(socket)
+        except UsageError as error:
+            why = str(error)
+            if self.run.stop_asked:
+                self._interrupt()
+        else:
+            if self.run.stop_asked:
+                remote.stop()
+            self.run.greet(remote.hello)
             changed()
-            async for message in self._remote.messages():
-                self.run.take(message)
+            await self._take(remote)
         self._hang_up()
         if self.run.stage is not Stage.ENDED:
-            self.run.lose("the connection to the session broke")
+            self.run.lose(why)
             changed()
             await asyncio.sleep(_AGAIN_S)
 
+    async def _take(self, remote: RemoteSession) -> None:
+        """Take in what a session says, and first of all how its estimates went before this screen was there."""
+        asked = bool(self.run.trends)
+        async for message in remote.messages():
+            self.run.take(message)
+            if not asked and message.get("kind") == "snapshot":
+                asked = True
+                remote.ask_course()
+
     def _why_gone(self) -> str:
         if self._process is not None and not self.run.hello:
-            return self._process.reason()
-        return "the session is gone without a word: it was killed, and the table's own watchdog has to stop the table"
+            return "stopped while it was starting" if self.run.stop_asked else self._process.reason()
+        last = f" ({self._process.reason()})" if self._process is not None else ""
+        return f"the session is gone without a word{last}; if it was killed, the table's watchdog has to stop the table"
 
 
-async def sessions_on(bench: str, bench_file: str) -> list[object]:
-    """Return the numbers of the processes that run sessions on a bench, known by its name or its file."""
-    file = str(Path(bench_file).resolve()) if bench_file else None
+async def sessions_on(bench: str, bench_file: str) -> list[str]:
+    """Return the numbers of the processes that run sessions on a bench, known by its name or its file.
+
+    A session that does not say what it is counts: it may hold the same devices.
+    """
+    file = await asyncio.to_thread(lambda: str(Path(bench_file).resolve())) if bench_file else None
     return [
-        hello["pid"]
-        for _, hello in await sessions_there()
-        if hello["bench"] == bench or (file is not None and hello["bench_file"] == file)
+        path.stem
+        for path, hello in await sessions_there()
+        if not hello or hello["bench"] == bench or (file is not None and hello["bench_file"] == file)
     ]
 
 
 async def sessions_there() -> list[tuple[Path, dict[str, object]]]:
-    """Return the running sessions and what each says of itself, the newest first."""
-    found = []
-    for path in await asyncio.to_thread(running_sessions):
-        with suppress(UsageError):
-            remote = await RemoteSession.connect(path)
-            remote.close()
-            found.append((path, remote.hello))
-    return found
+    """Return the running sessions, the newest first, and what each says of itself: nothing, if it does not answer."""
+    paths = await asyncio.to_thread(running_sessions)
+    return list(zip(paths, await asyncio.gather(*map(_hello, paths)), strict=True))
+
+
+async def _hello(path: Path) -> dict[str, object]:
+    try:
+        remote = await RemoteSession.connect(path)
+    except UsageError:
+        return {}
+    remote.close()
+    return remote.hello
+
+
+async def stop_session(path: Path) -> None:
+    """Stop the session of a socket."""
+    try:
+        remote = await RemoteSession.connect(path)
+    except UsageError:
+        _interrupt(path)
+    else:
+        remote.stop()
+        remote.close()
+
+
+def _interrupt(socket: Path) -> bool:
+    """Send the process of a session's socket the signal that means Ctrl-C; return whether there is one."""
+    with suppress(ValueError, ProcessLookupError, PermissionError):
+        os.kill(int(socket.stem), signal.SIGINT)
+        return True
+    return False

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
@@ -15,6 +16,9 @@ from station.snapshot import Snapshot, snapshot_of
 
 _MOST_EVENTS = 500
 _MOST_POINTS = 1200
+_AT_REST, _UNCONFIRMED = "table at rest", "controlled stop not confirmed"  # how events of a session begin
+_STILL = ("connecting", "enabling")  # phases in which nothing has been moved
+_STOPPING = ("coming to rest", "estimating")  # phases after the script
 
 
 class Stage(Enum):
@@ -58,9 +62,17 @@ class LiveRun:
         self.events: deque[tuple[float, str]] = deque(maxlen=_MOST_EVENTS)
         self.trends: dict[str, Trend] = {}
         self.trouble = ""
-        self.stop_sent = False
         self.refusals: deque[str] = deque(maxlen=20)
+        """What the session refused, and nobody has been told yet."""
+        self.at_rest = False
+        """Whether the session said that the table is at rest after the script."""
+        self.moved = False
+        """Whether the table was homed or driven."""
+        self.unconfirmed = False
+        """Whether the session said that it could not see the table come to rest."""
         self._recording, self._script = recording, script
+        self._heard_s = time.monotonic()
+        self._stop_asked_s = math.nan
 
     @property
     def recording(self) -> Path | None:
@@ -80,14 +92,35 @@ class LiveRun:
         return self.stage in (Stage.STARTING, Stage.RUNNING, Stage.LOST)
 
     @property
-    def at_rest(self) -> bool:
-        """Whether the table was said to be at rest after the script."""
-        return any(text.startswith("table at rest") for _, text in self.events)
+    def stop_asked(self) -> bool:
+        """Whether STOP was pressed."""
+        return not math.isnan(self._stop_asked_s)
+
+    @property
+    def stop_age_s(self) -> float:
+        """How long ago STOP was first pressed, by the wall's clock; NaN if it was not."""
+        return time.monotonic() - self._stop_asked_s
+
+    @property
+    def stop_heard(self) -> bool:
+        """Whether the session is seen to bring the table to rest, or to have ended."""
+        ending = self.snapshot is not None and self.snapshot.phase in _STOPPING
+        return ending or self.at_rest or self.stage is Stage.ENDED
+
+    @property
+    def silent_s(self) -> float:
+        """How long a session that is connected, and has ten things to say a second, has said nothing."""
+        return time.monotonic() - self._heard_s if self.stage is Stage.RUNNING else 0.0
 
     @property
     def outcome(self) -> str:
         """PASS, FAIL, ABORTED, FAULT, or nothing while it is not known."""
         return str(self.result.get("outcome") or "") if self.result is not None else ""
+
+    def ask_to_stop(self) -> None:
+        """Take in that STOP was pressed."""
+        if not self.stop_asked:
+            self._stop_asked_s = time.monotonic()
 
     def greet(self, hello: Mapping[str, Any]) -> None:
         """Take in the greeting of a connection, the first or another: the events come again from the first."""
@@ -95,15 +128,19 @@ class LiveRun:
         self.stage = Stage.RUNNING
         self.trouble = ""
         self.events.clear()
+        self._heard_s = time.monotonic()
 
     def take(self, message: Mapping[str, Any]) -> None:
         """Take in a message; what is malformed changes nothing."""
+        self._heard_s = time.monotonic()
         kind = message.get("kind")
         with suppress(KeyError, TypeError, ValueError):
             if kind == "snapshot":
                 self._take_snapshot(snapshot_of(message))
             elif kind == "event":
-                self.events.append((float(message["t_s"]), str(message["text"])))
+                self._take_event(float(message["t_s"]), str(message["text"]))
+            elif kind == "course":
+                self._take_course(message["points"])
             elif kind == "result":
                 self.result = dict(message)
                 self.stage = Stage.ENDED
@@ -120,8 +157,27 @@ class LiveRun:
         if self.stage is not Stage.ENDED:
             self.stage, self.trouble = Stage.ENDED, why
 
+    def _take_event(self, t_s: float, text: str) -> None:
+        self.events.append((t_s, text))
+        self.at_rest = self.at_rest or text.startswith(_AT_REST)
+        self.unconfirmed = self.unconfirmed or text.startswith(_UNCONFIRMED)
+
+    def _take_course(self, points: Sequence[Mapping[str, Any]]) -> None:
+        """Put before the trends what was before them."""
+        found: dict[str, Trend] = {}
+        for point in points:
+            for name, (values, sds) in point["gyros"].items():
+                if None not in (*values, *sds):
+                    found.setdefault(name, Trend()).add(float(point["t_s"]), tuple(values), tuple(sds))
+        for name, trend in found.items():
+            later = self.trends.get(name) or Trend()
+            for at in zip(later.times_s, later.values, later.sds, strict=True):
+                trend.add(*at)
+            self.trends[name] = trend
+
     def _take_snapshot(self, snapshot: Snapshot) -> None:
         self.snapshot = snapshot
+        self.moved = self.moved or snapshot.phase not in (*_STILL, *_STOPPING)
         for gyro in snapshot.gyros:
             if all(map(math.isfinite, gyro.values)) and all(map(math.isfinite, gyro.sds)):
                 self.trends.setdefault(gyro.name, Trend()).add(snapshot.elapsed_s, gyro.values, gyro.sds)

@@ -49,5 +49,8 @@ def save_remembered(remembered: Remembered) -> None:
         folder = state_folder()
         folder.mkdir(parents=True, exist_ok=True)
         new = folder / f"{_FILE}.{os.getpid()}"
-        new.write_text(json.dumps(kept, indent=1), encoding="utf-8")
-        new.replace(folder / _FILE)
+        try:
+            new.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+            new.replace(folder / _FILE)
+        finally:
+            new.unlink(missing_ok=True)

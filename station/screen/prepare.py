@@ -21,7 +21,7 @@ from station.screen.figures import clock, columns, headed, number, titled
 from station.screen.link import sessions_on
 from station.screen.live_run import LiveRun
 from station.screen.programs import Answer, ask
-from station.screen.prospects import Prospect, folder_trouble, look_ahead, matches
+from station.screen.prospects import Prospect, look_ahead, matches
 
 _FIELDS = (
     ("bench", "Bench file", "built-in twins"),
@@ -147,6 +147,8 @@ class PrepareScreen(StationScreen):
 
     def action_start(self) -> None:
         """Start the run, if nothing stands against it."""
+        if self.small:  # nobody starts what cannot be seen
+            return
         self._take_over()
         obstacles = self._obstacles()
         if obstacles or self._prospect is None:
@@ -156,7 +158,7 @@ class PrepareScreen(StationScreen):
             self.station.start_run(self._prospect)
 
     async def _look(self, choices: Choices) -> None:
-        found = await asyncio.to_thread(look_ahead, choices.bench, choices.script, choices.device_options)
+        found = await asyncio.to_thread(look_ahead, choices)
         self._prospect = found
         self._recall(found)
         self._show()
@@ -223,8 +225,8 @@ class PrepareScreen(StationScreen):
         if prospect is None:
             found.append(("WAIT", "bench and script are being read (Enter)"))
             return found
-        found += [("WRONG", text) for text in (prospect.bench_wrong, prospect.script_wrong) if text]
-        found += [("WRONG", text) for text in [folder_trouble(choices.folder)] if text]
+        wrong = prospect.bench_wrong, prospect.script_wrong, prospect.folder_wrong
+        found += [("WRONG", text) for text in wrong if text]
         if not prospect.bench_wrong and not self.station.busy:
             found += self._device_obstacles()
         if not prospect.bench_wrong and not prospect.script_wrong:
@@ -252,7 +254,9 @@ class PrepareScreen(StationScreen):
         lines += [Text.assemble(("NOTE  ", "bold yellow"), text) for text in self._warnings()]
         self.query_one("#ready", Static).update(titled("Before START", lines or [Text("nothing is missing", "green")]))
         prospect = self._prospect
-        limits = prospect.limits if prospect is not None else ()
+        limits: tuple[str, ...] = ()
+        if prospect is not None and not prospect.bench_wrong:
+            limits = prospect.limits or ("none: every run that comes to its end passes",)
         self.query_one("#limits", Static).update(titled("Limits of the bench", [Text(line) for line in limits]))
         self.query_one("#check", Static).update(titled(self._bench_title(), _check_lines(self._check, self._checking)))
         width = max(self.query_one("#plan").size.width, 40)

@@ -31,7 +31,7 @@ class Answer:
     def reason(self) -> str:
         """Why there is no result, in words."""
         reason = str(self.found.get("reason") or self.said or f"the command ended with code {self.code}")
-        return reason.removeprefix("station: ")
+        return reason.splitlines()[0].removeprefix("station: ")  # what HDF5 says has more, for its makers
 
 
 def command_line(arguments: Sequence[str]) -> list[str]:
@@ -113,6 +113,7 @@ class SessionProcess:
                 (os.POSIX_SPAWN_DUP2, self._output.fileno(), 2),
             ],
             setsid=True,
+            setsigdef=(signal.SIGINT, signal.SIGTERM),  # whatever this screen was told to ignore by its parent
         )
         """Number of the process, and of its socket."""
 
@@ -125,10 +126,14 @@ class SessionProcess:
                 self._code = os.waitstatus_to_exitcode(status)
         return self._code is None
 
-    def stop(self) -> None:
-        """Stop it by the signal that means Ctrl-C: the way without a socket."""
-        if self.running:
+    def stop(self) -> bool:
+        """Stop it by the signal that means Ctrl-C, from any thread; return whether it had not ended."""
+        if self._code is not None:  # then its number may be another's by now
+            return False
+        with suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGINT)
+            return True
+        return False
 
     def reason(self) -> str:
         """Return what it said last, in words: why a run that has ended never began."""
@@ -139,7 +144,9 @@ class SessionProcess:
             if found.get("reason"):
                 return str(found["reason"])
         plain = [line for line in lines if not line.startswith("{")]
-        return plain[-1].removeprefix("station: ") if plain else f"it ended with code {self._code}"
+        if plain:
+            return plain[-1].removeprefix("station: ")
+        return "it runs" if self.running else f"it ended with code {self._code}"
 
     def close(self) -> None:
         """Give up what it says; it goes on."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import shutil
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +14,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from station.bench import Limits
     from station.planned import PlannedMotion
+    from station.screen.choices import Choices
+
+_LEAST_FREE_BYTES = 10_000_000  # the 360 s script with four gyros of 100 Hz takes 6 MB
 
 ANYTHING = r".*\S.*"
 """Pattern of operators and serial numbers where the bench file gives none: something must be entered."""
@@ -32,10 +36,17 @@ class Prospect:
     script_wrong: str = ""
     duration_s: float = math.nan
     motion: PlannedMotion | None = None
+    folder_wrong: str = ""
 
 
-def look_ahead(bench_path: str, script_path: str, device_options: tuple[str, ...]) -> Prospect:
-    """Read bench and script, empty paths meaning the built-in ones; slow at first, since it loads numpy."""
+def look_ahead(choices: Choices) -> Prospect:
+    """Read bench and script, and see to the folder; not for the thread that paints: it loads numpy, a disk may hang."""
+    found = _read(choices.bench, choices.script, choices.device_options)
+    return replace(found, folder_wrong=folder_trouble(choices.folder))
+
+
+def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) -> Prospect:
+    """Read bench and script, empty paths meaning the built-in ones."""
     from station.bench import load_bench
     from station.errors import ScriptError, UsageError
     from station.open_bench import needs_only_memory, with_links
@@ -101,4 +112,10 @@ def folder_trouble(folder: Path) -> str:
         return f"{there} is a file: choose another folder with --folder"
     if not os.access(there, os.W_OK | os.X_OK):
         return f"{there.absolute()} cannot be written: choose another folder with --folder"
+    free = shutil.disk_usage(there).free
+    if free < _LEAST_FREE_BYTES:
+        return (
+            f"the disk of {there.absolute()} is all but full ({free / 1e6:.1f} MB left): make room, or choose another "
+            "folder with --folder"
+        )
     return ""

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import shutil
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -45,10 +47,7 @@ def main() -> None:
 def _answer(request: Mapping[str, Any]) -> dict[str, Any]:
     path = Path(request["path"])
     if request["do"] == "accept":
-        from estimator.recording import write_attributes
-
-        write_attributes(path, request["attributes"])
-        return {"accepted": True}
+        return _accept(path, request["attributes"])
     import h5py
 
     from estimator.recording import FORMAT_VERSION
@@ -65,6 +64,30 @@ def _answer(request: Mapping[str, Any]) -> dict[str, Any]:
             found |= _whole(file) | {"investigation": _investigation(path)}
     found["modified_utc_s"] = path.stat().st_mtime
     return found
+
+
+def _accept(path: Path, attributes: Mapping[str, str]) -> dict[str, Any]:
+    """Write attributes into a copy that then takes the recording's place: a full disk in between costs nothing.
+
+    A write that fails within HDF5 leaves a file that cannot be opened any more.
+    """
+    from estimator.errors import RecordingError
+    from estimator.recording import write_attributes
+
+    path = path.resolve()  # a link to a recording stays one
+    copy = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        shutil.copy2(path, copy)
+        write_attributes(copy, attributes)
+        with copy.open("rb+") as file:
+            os.fsync(file.fileno())
+        copy.replace(path)
+    except (OSError, RecordingError) as error:
+        said = error.strerror if isinstance(error, OSError) else str(error).rpartition("cannot be written: ")[2]
+        return {"wrong": f"it cannot be written, and is as it was ({said})"}
+    finally:
+        copy.unlink(missing_ok=True)
+    return {"accepted": True}
 
 
 def _version(file: Any) -> Any:
@@ -158,8 +181,12 @@ def _plain(value: Any) -> Any:
 
 
 def _words(error: Exception) -> str:
+    return f"it cannot be read, it is damaged or not whole ({_first_line(error)})"
+
+
+def _first_line(error: Exception) -> str:
     lines = str(error).splitlines()
-    return f"it cannot be read, it is damaged or not whole ({lines[0] if lines else type(error).__name__})"
+    return lines[0] if lines else type(error).__name__
 
 
 if __name__ == "__main__":

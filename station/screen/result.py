@@ -18,7 +18,7 @@ from textual.widgets import Button, Static
 from station.screen.archive import Entry, GyroEntry, Whole, last_before
 from station.screen.base import StationScreen
 from station.screen.choices import free_path
-from station.screen.dialogs import AskDialog
+from station.screen.dialogs import AskDialog, ChooseDialog
 from station.screen.figures import OUTCOME_STYLES, STATES, columns, headed, number, state_heads, titled
 from station.screen.investigated import investigation_lines
 from station.screen.live_run import Trend
@@ -28,6 +28,8 @@ from station.screen.reader_process import INVESTIGATION
 
 _MANY_SIGMAS = 3.0
 _REASONS = 4
+_MOST_OFFERED = 20
+_NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
 _BUTTONS = (
     ("accept", "Accept  A"),
     ("investigate", "Investigate  I"),
@@ -54,8 +56,9 @@ class ResultScreen(StationScreen):
         super().__init__()
         self._path: Path | None = None
         self._whole: Whole | None = None
-        self._last: Entry | None = None
+        self._same: list[Entry] = []
         self._found: Mapping[str, Any] = {}
+        self._model_lines: Sequence[Text] = ()
         self._busy = ""
         self._said = ""
         self._gyro = 0
@@ -77,7 +80,7 @@ class ResultScreen(StationScreen):
 
     def open(self, path: Path, *, fresh: bool = False) -> None:
         """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
-        self._path, self._whole, self._last, self._found = path, None, None, {}
+        self._path, self._whole, self._same, self._found = path, None, [], {}
         self._busy, self._said, self._gyro = "reading", "", 0
         self._show()
         self.work(partial(self._read, path, fresh), "read")
@@ -97,9 +100,8 @@ class ResultScreen(StationScreen):
         await self._take_investigation(whole.found.get("investigation") or {})
         entry = whole.entry
         if fresh and entry.texts.get("outcome") == "FAIL" and entry.gyros:
-            self.action_investigate()
-        others = [other async for other in self.station.archive.entries(path.parent)]
-        self._last = last_before(entry, others)
+            self._look_for_cause([])
+        self._same = [e async for e in self.station.archive.entries(path.parent) if entry.same_calibrated(e)]
         self._show()
 
     async def _take_investigation(self, found: Mapping[str, Any]) -> None:
@@ -109,17 +111,40 @@ class ResultScreen(StationScreen):
         self._show()
 
     def action_investigate(self) -> None:
-        """Look for what the model lacks, in a process of its own."""
-        if self._can("investigate") and self._path is not None:
+        """Look for what the model lacks; ask by which run that is to be judged, if there are others of the device."""
+        if not self._may("investigate"):
+            return
+        if not self._same:
+            self._look_for_cause([])
+            return
+        lines = [(_NONE, "this run itself, step by step (cross-validation)")]
+        if len(self._same) > 1:
+            lines.append((_ALL, f"all {len(self._same)} other runs of this device together"))
+        lines += [(str(n), _run_words(entry)) for n, entry in enumerate(self._same[:_MOST_OFFERED])]
+        self.app.push_screen(ChooseDialog("By what is a cause to be judged that is found?", lines), self._judged_by)
+
+    def _judged_by(self, chosen: str | None) -> None:
+        if chosen is not None and not self._obstacle("investigate"):
+            runs = {_NONE: [], _ALL: self._same}.get(chosen)
+            self._look_for_cause([self._same[int(chosen)]] if runs is None else runs)
+
+    def _look_for_cause(self, judging: Sequence[Entry]) -> None:
+        """Investigate in a process of its own; ``judging`` are the runs that verify what is found."""
+        if self._path is not None:
             self._busy = "looking for what the model lacks"
             self._show()
-            self.work(partial(self._investigate, self._path), "investigate")
+            self.work(partial(self._investigate, self._path, [entry.path for entry in judging]), "investigate")
 
-    async def _investigate(self, path: Path) -> None:
-        kept = free_path(path.with_name(f"{path.stem}{INVESTIGATION}.h5"))
-        script = free_path(path.with_name(f"{path.stem}-next.toml"))
-        arguments = ["investigate", str(path), "--json", "--output", str(kept), "--next-script", str(script)]
-        answer = await ask(arguments, self._tell)
+    async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
+        kept, script = await asyncio.to_thread(
+            lambda: (
+                free_path(path.with_name(f"{path.stem}{INVESTIGATION}.h5")),
+                free_path(path.with_name(f"{path.stem}-next.toml")),
+            )
+        )
+        verify = ["--verify", *map(str, judging)] if judging else []
+        files = ["--output", str(kept), "--next-script", str(script)]
+        answer = await ask(["investigate", str(path), *verify, "--json", *files], self._tell)
         if path != self._path:
             return
         self._busy = ""
@@ -132,7 +157,7 @@ class ResultScreen(StationScreen):
 
     def action_accept(self) -> None:
         """Ask whether to accept, then record who did and write the certificate."""
-        if not self._can("accept") or self._whole is None:
+        if not self._may("accept") or self._whole is None:
             return
         operator = self.station.choices.operator
         question = f"Accept the calibration of {self._whole.entry.device or 'this device'} as {operator}?"
@@ -153,10 +178,10 @@ class ResultScreen(StationScreen):
         if wrong:
             said = f"NOT ACCEPTED: {wrong}"
         else:
-            certificate = free_path(path.with_suffix(".html"))
+            certificate = await asyncio.to_thread(free_path, path.with_suffix(".html"))
             answer = await ask(["report", str(path), "--output", str(certificate)])
             said = f"accepted; certificate: {certificate}"
-            if not certificate.exists():
+            if answer.code:
                 said = f"accepted, but NO CERTIFICATE: {answer.reason}"
         whole = await self.station.archive.read(path)
         if path == self._path:
@@ -165,12 +190,12 @@ class ResultScreen(StationScreen):
 
     def action_repeat(self) -> None:
         """Prepare the same run again."""
-        if self._can("repeat"):
+        if self._may("repeat"):
             self.station.prepare(None)
 
     def action_next(self) -> None:
         """Prepare a run of the script that the investigation asks for."""
-        if self._can("next"):
+        if self._may("next"):
             self.station.prepare(str(self._found["next_script"]))
 
     def action_gyro(self, step: int) -> None:
@@ -178,27 +203,48 @@ class ResultScreen(StationScreen):
         self._gyro += step
         self._show()
 
-    def _can(self, what: str) -> bool:
+    def _may(self, what: str) -> bool:
+        """Return whether something can be done, and say why not."""
+        obstacle = self._obstacle(what)
+        if obstacle:
+            self.notify(obstacle, severity="warning", markup=False)
+        return not obstacle
+
+    def _obstacle(self, what: str) -> str:
+        """Return why something cannot be done, empty if it can."""
         entry = self._whole.entry if self._whole is not None else None
-        if entry is None or self._busy:
-            return False
-        passed = entry.texts.get("outcome") == "PASS"
-        return {
-            "accept": passed and bool(self.station.choices.operator) and not entry.texts.get("accepted_by"),
-            "investigate": bool(entry.gyros),
-            "repeat": not self.station.busy,
-            "next": bool(self._found.get("next_script")) and not self.station.busy,
-        }[what]
+        if entry is None or entry.wrong:
+            return "no recording is open"
+        if self._busy:
+            return f"wait: {self._busy}"
+        if what == "accept":
+            return self._not_to_accept(entry)
+        if what == "investigate":
+            return "" if entry.gyros else "there is no calibration in this recording"
+        if what == "next" and not self._found.get("next_script"):
+            return "no investigation has asked for another script (I investigates)"
+        return "a session runs: F3 shows it" if self.station.busy else ""
+
+    def _not_to_accept(self, entry: Entry) -> str:
+        outcome = entry.texts.get("outcome", "")
+        if outcome != "PASS":
+            return f"only a PASS can be accepted, this is {outcome or 'without an outcome'}: repeat it, or investigate"
+        if entry.texts.get("accepted_by"):
+            return f"it was accepted by {entry.texts['accepted_by']}"
+        return "" if self.station.choices.operator else "accepting needs an operator: F2, enter the name"
 
     def on_screen_resume(self) -> None:
-        """Show what may be done now."""
+        """Open what a run has left in the meantime; show what may be done now."""
+        fresh = self.station.take_fresh()
+        if fresh is not None:
+            self.open(fresh, fresh=True)
         self._show()
 
     def _show(self) -> None:
         if not self.is_mounted:
             return
         for name, _ in _BUTTONS:
-            self.query_one(f"#{name}", Button).disabled = not self._can(name)
+            self.query_one(f"#{name}", Button).disabled = bool(self._obstacle(name))
         whole = self._whole
         self._block("verdict", _verdict(self._path, whole, self._busy, self._said))
         if whole is None or whole.entry.wrong:
@@ -207,13 +253,11 @@ class ResultScreen(StationScreen):
             return
         gyros = whole.entry.gyros
         self._block("states", titled("States and their sigmas", state_lines(gyros)) if gyros else None)
-        self._block("change", _change(whole.entry, self._last) if gyros else None)
+        self._block("change", _change(whole.entry, last_before(whole.entry, self._same)) if gyros else None)
         lines = self._model_lines or [Text("I looks for what the four states lack", "dim")]
         self._block("model", titled("Investigation", lines) if gyros else None)
         self._block("curves", self._curves(whole))
         self._block("record", _record(whole))
-
-    _model_lines: Sequence[Text] = ()
 
     def _block(self, name: str, text: Text | None) -> None:
         block = self.query_one(f"#{name}", Static)
@@ -289,6 +333,10 @@ def _verdict(path: Path | None, whole: Whole | None, busy: str, said: str) -> Te
     if said:
         lines.append(Text(said, "bold"))
     return Text("\n").join(lines)
+
+
+def _run_words(entry: Entry) -> str:
+    return f"{entry.when}  {entry.texts.get('outcome', ''):7} {entry.texts.get('script', '')}  {entry.path.name}"
 
 
 def _short(reason: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 import time
 from typing import ClassVar
 
@@ -11,15 +12,17 @@ from textual.app import ComposeResult
 from textual.containers import Container, Vertical
 from textual.widgets import Input, Static
 
-from station.screen.bars import Lines, StopBar
+from station.screen.bars import SILENCE_S, Lines, StopBar
 from station.screen.base import Field, StationDialog, StationScreen
 from station.screen.figures import OUTCOME_STYLES, STATES, clock, columns, headed, number, state_heads
 from station.screen.live_run import LiveRun, Stage, Trend
 from station.screen.plots import bar, gyro_plots
-from station.snapshot import Snapshot
+from station.snapshot import PAUSED, Snapshot
 
 PLOT_PERIOD_S = 1.0
+_BLOCKS = ("axes", "sources", "innovations", "estimates", "plots", "events")
 _EVENTS = 8
+_REASON_ROWS = 4
 _NIS_OFF = 0.25
 _WHITE_OFF = 0.2
 _DEG = math.degrees(1)
@@ -37,6 +40,7 @@ class RunScreen(StationScreen):
     BINDINGS: ClassVar = [
         ("p", "pause", "Pause after step / go on"),
         ("n", "note", "Note"),
+        ("o", "others", "Other session"),
         ("right", "gyro(1)", "Next gyro"),
         ("left", "gyro(-1)", "Previous gyro"),
     ]
@@ -52,11 +56,11 @@ class RunScreen(StationScreen):
         yield Lines(id="progress")
         with Container(id="columns"):
             with Vertical(id="figures"):
-                for name in ("axes", "sources", "innovations", "estimates"):
+                for name in _BLOCKS[:4]:
                     yield Lines(id=name, classes="block")
             with Vertical(id="pictures"):
-                yield Lines(id="plots", classes="block")
-                yield Lines(id="events", classes="block")
+                for name in _BLOCKS[4:]:
+                    yield Lines(id=name, classes="block")
 
     def on_screen_resume(self) -> None:
         """Draw at once."""
@@ -67,14 +71,18 @@ class RunScreen(StationScreen):
         """Show figures at each tick, plots once a second; what has not changed costs nothing."""
         run = self.station.shown
         if run is None:
-            self._show("progress", [Text("No session runs. F2 prepares one."), Text("")])
+            others = self.station.others
+            said = f"{others} of your sessions run: o shows one." if others else "No session runs."
+            self._show("progress", [Text(f"{said} F2 prepares one."), Text("")])
             return
         self._show("progress", _progress(run, self.size.width - 4))
         snapshot = run.snapshot
-        if snapshot is None:
+        if snapshot is None:  # what is there is of the run before
+            for name in _BLOCKS:
+                self._show(name, [])
             return
         for name, rows in (
-            ("axes", axis_lines(snapshot, run.stage is Stage.ENDED)),
+            ("axes", axis_lines(snapshot, run.stage is not Stage.RUNNING or run.silent_s > SILENCE_S)),
             ("sources", source_lines(snapshot)),
             ("innovations", innovation_lines(snapshot)),
             ("estimates", estimate_lines(snapshot)),
@@ -107,6 +115,10 @@ class RunScreen(StationScreen):
         """Hold after the step under way, or go on."""
         self.station.pause_run()
 
+    def action_others(self) -> None:
+        """Ask which session is to be shown."""
+        self.station.choose_session()
+
     def action_note(self) -> None:
         """Ask for a note, and have it recorded."""
         if self.station.shown is not None and self.station.shown.active:
@@ -131,10 +143,16 @@ class NoteDialog(StationDialog):
 def _progress(run: LiveRun, width: int) -> list[Text]:
     snapshot = run.snapshot
     if run.stage is Stage.ENDED:
-        return _ended(run)
+        return _ended(run, width)
     if run.stage is Stage.LOST:
         return [
             Text("LINK LOST: the session goes on without the screen, which looks for it", "bold red"),
+            *_wrapped(run.trouble, width),
+            Text(f"recording: {run.recording}"),
+        ]
+    if run.silent_s > SILENCE_S:
+        return [
+            Text(f"NO WORD FROM THE SESSION for {run.silent_s:.0f} s: all below is old", "bold red"),
             Text(f"recording: {run.recording}"),
         ]
     if snapshot is None:
@@ -142,27 +160,31 @@ def _progress(run: LiveRun, width: int) -> list[Text]:
     share = f" {snapshot.share:4.0%}"
     head = Text.assemble(
         (snapshot.phase, "bold"),
-        f"   {clock(snapshot.remaining_s)} left of {clock(snapshot.elapsed_s + snapshot.remaining_s)}   {run.script}",
+        f"   {clock(snapshot.remaining_s)} left of {clock(snapshot.elapsed_s + snapshot.remaining_s)}",
     )
     if snapshot.paused:
-        paused = "PAUSED" if snapshot.paused == "paused" else "will pause after this step"
+        paused = "PAUSED" if snapshot.paused == PAUSED else "will pause after this step"
         head.append(f"   {paused}: p goes on", "bold yellow")
+    head.append(f"   {run.script}")
     return [head, Text.assemble((bar(snapshot.share, width - len(share)), "green"), share)]
 
 
-def _ended(run: LiveRun) -> list[Text]:
-    if run.result is None:
-        return [Text(f"NO RESULT: {run.trouble}", "bold red"), Text(f"recording: {run.recording}")]
-    reason = str(run.result.get("reason", ""))
-    return [
-        Text.assemble((run.outcome, OUTCOME_STYLES.get(run.outcome, "bold")), f"  {reason}"),
-        Text(f"recording: {run.recording}   (F4: result)"),
-    ]
+def _ended(run: LiveRun, width: int) -> list[Text]:
+    head, reason = "NO RESULT", run.trouble
+    if run.result is not None:
+        head, reason = run.outcome, str(run.result.get("reason", ""))
+    lines = _wrapped(f"{head}  {reason}", width)
+    lines[0].stylize(OUTCOME_STYLES.get(head, "bold red"), 0, len(head))
+    return [*lines, Text(f"recording: {run.recording}{'   (F4: result)' if run.hello else ''}")]
 
 
-def axis_lines(snapshot: Snapshot, ended: bool) -> list[Text]:
-    """Return the axes, a line each below a heading; ``ended``: nobody has read them since."""
-    rows = [["axis", "angle deg", "rate deg/s", "setpoint deg/s", "last state" if ended else "state"]]
+def _wrapped(text: str, width: int) -> list[Text]:
+    return [Text(line) for line in textwrap.wrap(text, max(width, 1), max_lines=_REASON_ROWS, placeholder=" ...")]
+
+
+def axis_lines(snapshot: Snapshot, old: bool) -> list[Text]:
+    """Return the axes, a line each below a heading; ``old``: nothing is known of them since."""
+    rows = [["axis", "angle deg", "rate deg/s", "setpoint deg/s", "last state" if old else "state"]]
     rows += [
         [
             axis.name,
@@ -212,7 +234,7 @@ def innovation_lines(snapshot: Snapshot) -> list[Text]:
 
 
 def _judgement(snapshot: Snapshot) -> Text:
-    if not math.isfinite(snapshot.nis_recent):
+    if not (math.isfinite(snapshot.nis_recent) and math.isfinite(snapshot.whiteness)):  # too few blocks for either
         return Text("not known yet", "dim")
     if abs(snapshot.nis_recent - 1) > _NIS_OFF:
         return Text("NIS OFF 1: the noise or the model is not what was assumed", "bold red")
@@ -238,5 +260,4 @@ def estimate_lines(snapshot: Snapshot) -> list[Text]:
 def _event_lines(run: LiveRun) -> list[Text]:
     latest = list(run.events)[-_EVENTS:]
     lines = [Text.assemble((f"{t_s:8.1f} s  ", "dim"), text) for t_s, text in latest]
-    lines += [Text(f"refused: {reason}", "yellow") for reason in list(run.refusals)[-1:]]
     return [Text("events", "bold"), *lines, *(Text("") for _ in range(_EVENTS + 1 - len(lines)))]

@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -53,6 +54,22 @@ label = "second turn"
 kind = "rest"
 duration = "8 s"
 label = "last rest"
+"""
+BRIEF = """
+name = "brief"
+[[step]]
+kind = "rest"
+duration = "2 s"
+[[step]]
+kind = "rotate"
+axis = "x"
+rate = "40 deg/s"
+acceleration = "40 deg/s2"
+duration = "4 s"
+label = "first turn"
+[[step]]
+kind = "rest"
+duration = "2 s"
 """
 FLOOD = b'{"do":"dance"}\n' * 20_000
 CLIENT = """
@@ -180,6 +197,7 @@ def watched(place: Path, tmp_path_factory: pytest.TempPathFactory) -> Watched:
                     session.resume()
             if snapshot.phase == "last rest" and len(seen.refusals()) < 3:
                 session.pause()
+                session.ask_course()
         for far in (deaf, flooding):
             far.close()
         victim.wait()
@@ -263,6 +281,18 @@ def test_snapshots_show_axes_sources_and_gyros(watched: Watched) -> None:
     assert abs(last.whiteness) < 1
 
 
+def test_who_comes_late_is_told_how_the_estimates_went(watched: Watched) -> None:
+    points = [m for m in watched.first if m["kind"] == "course"][-1]["points"]
+    times_s = [point["t_s"] for point in points]
+    assert times_s == sorted(times_s)
+    assert times_s[0] < 5
+    assert 5 < len(points) <= 300
+    assert points[-1]["gyros"].keys() == set(watched.hello["gyros"])
+    values, sds = points[-1]["gyros"]["gyro1"]
+    assert len(values) == len(sds) == 4
+    assert sds[1] < points[0]["gyros"]["gyro1"][1][1]
+
+
 def test_a_pause_holds_the_table_and_the_time_while_samples_go_on(watched: Watched) -> None:
     first, last = watched.paused[0], watched.paused[-1]
     assert {s.remaining_s for s in watched.paused} == {16.0}
@@ -302,15 +332,22 @@ def test_stop_ends_the_run_at_once_in_every_phase(place: Path, tmp_path: Path, p
 
     async def stop_in_phase() -> list[dict[str, Any]]:
         session = await run.connect()
+        assert run.socket is not None
         messages = []
-        if phase == "connecting":
-            session.stop()
+        if phase == "connecting":  # and by one who hangs up at once
+            with socket.socket(socket.AF_UNIX) as hasty:
+                hasty.connect(str(run.socket))
+                hasty.sendall(b'{"do":"stop"}\n')
         async for message in session.messages():
             messages.append(message)
             if phase == "pause" and message.get("phase") == "rest" and not message["paused"]:
                 session.pause()
+            if phase == "pause" == message.get("phase"):
+                await asyncio.to_thread(say_nonsense, run.socket)
             if message.get("phase") == phase != "connecting":
-                session.stop()
+                assert session.stop()
+        assert not session.stop()  # there is nobody any more
+        session.close()
         return messages
 
     try:
@@ -328,31 +365,21 @@ def test_stop_ends_the_run_at_once_in_every_phase(place: Path, tmp_path: Path, p
         assert phase == "connecting" or file["events/text"][-1] == b"table at rest"
 
 
-def test_lines_that_are_not_understood_are_refused_and_harm_nothing(place: Path, tmp_path: Path) -> None:
-    run = Run(tmp_path)
+def say_nonsense(path: Path) -> None:
+    """Say lines that are not understood: they are refused, and harm nothing."""
     wrong = [b"", b"nonsense", b"\xff\xfe", b"[" * 4000, b"null", b"7", b'"stop"', b'["do"]', b'{"do":null}',
              b'{"do":"dance"}', b'{"do":["stop"]}', b'{"do":"note"}', b'{"do":"note","text":7}',
              b'{"do":"note","text":"\\ud800"}', b'{"stop":1}']  # fmt: skip
-    try:
-        session = asyncio.run(_connected(run))
-        with socket.socket(socket.AF_UNIX) as near:
-            near.connect(str(run.socket))
-            near.settimeout(30)
-            file = near.makefile("rb")
+    with socket.socket(socket.AF_UNIX) as near:
+        near.connect(str(path))
+        near.settimeout(30)
+        with near.makefile("rb") as file:
             for line in wrong:
                 near.sendall(line + b"\n")
                 assert _next(file, "refused")["reason"], line
             near.sendall(b"x" * 10_000)
             assert "4096" in _next(file, "refused")["reason"]
             assert all(json.loads(line)["kind"] != "result" for line in file)  # it hangs up
-            file.close()
-        assert session["pid"] == run.process.pid
-        run.process.send_signal(signal.SIGINT)
-        code, result, _ = run.end()
-    finally:
-        run.process.kill()
-    assert (code, result["outcome"]) == (3, "ABORTED")
-    assert "Ctrl-C" in result["reason"]
 
 
 @pytest.mark.full
@@ -387,7 +414,7 @@ def test_each_run_has_its_socket_and_that_of_a_dead_one_is_cleared_away(place: P
 def test_a_run_outlives_its_terminal(place: Path, tmp_path: Path) -> None:
     near, far = pty.openpty()
     script = tmp_path / "script.toml"
-    script.write_text(SCRIPT)
+    script.write_text(BRIEF)
     path = tmp_path / "r.h5"
     words = command(
         "run", "--host", "--scale", "3", "--bench", patient_bench(tmp_path), "--script", script, "-o", path
@@ -407,7 +434,7 @@ def test_a_run_outlives_its_terminal(place: Path, tmp_path: Path) -> None:
     assert code in (0, 1)
     with h5py.File(path) as file:
         assert file.attrs["outcome"] in ("PASS", "FAIL")
-        assert len(file["steps/label"]) == 4
+        assert len(file["steps/label"]) == 3
         assert "calibration" in file
     assert [text for text in events(path) if "terminal" in text] == ["the terminal is gone (SIGHUP): the run goes on"]
     assert events(path)[-1] == "table at rest"
@@ -427,18 +454,22 @@ def test_without_a_host_the_run_ends_with_its_terminal(tmp_path: Path) -> None:
 
 
 def test_a_place_where_no_socket_can_be_is_refused_before_anything_moves(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / f"station-{os.getuid()}").write_text("in the way")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    run = Run(tmp_path)
-    code, result, errors = run.end()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    path = tmp_path / "r.h5"
+    before = signal.getsignal(signal.SIGHUP)
+    try:
+        code, result = run_json(capsys, "--host", "-o", path)
+    finally:
+        signal.signal(signal.SIGHUP, before)
     assert code == 2
     assert result["outcome"] is None
-    assert "is no folder" in errors
-    assert "XDG_RUNTIME_DIR" in errors
-    assert not run.path.exists()
+    assert "is no folder" in result["reason"]
+    assert "XDG_RUNTIME_DIR" in result["reason"]
+    assert not path.exists()
 
 
 def test_a_folder_that_others_can_reach_is_not_used_for_sockets(

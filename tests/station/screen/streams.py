@@ -15,6 +15,7 @@ import os
 import socket
 import tempfile
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -31,59 +32,23 @@ from station.snapshot import snapshot_object
 
 STREAMS = Path(__file__).parents[2] / "data" / "screen"
 RECORDING = "recordings/run-20261121-101502.h5"
-SCRIPT = """
-name = "short"
-[[step]]
-kind = "rest"
-duration = "4 s"
-[[step]]
-kind = "rotate"
-axis = "x"
-rate = "40 deg/s"
-duration = "11 s"
-[[step]]
-kind = "rotate"
-axis = "y"
-rate = "-40 deg/s"
-duration = "11 s"
-[[step]]
-kind = "rotate"
-axis = "z"
-rate = "40 deg/s"
-duration = "11 s"
-[[step]]
-kind = "rest"
-duration = "4 s"
-"""
-TINY = """
-name = "tiny"
-[[step]]
-kind = "rest"
-duration = "3 s"
-[[step]]
-kind = "rotate"
-axis = "x"
-rate = "60 deg/s"
-acceleration = "50 deg/s2"
-duration = "6 s"
-[[step]]
-kind = "rotate"
-axis = "y"
-rate = "60 deg/s"
-acceleration = "50 deg/s2"
-duration = "6 s"
-[[step]]
-kind = "rotate"
-axis = "z"
-rate = "60 deg/s"
-acceleration = "50 deg/s2"
-duration = "6 s"
-[[step]]
-kind = "rest"
-duration = "3 s"
-"""
+
+
+def turns(name: str, rest_s: float, turn_s: float, rates_dps: tuple[float, float, float], more: str = "") -> str:
+    """Return a script: a rest, a turn about each axis, a rest; ``more`` are further lines of each turn."""
+    rest = f'[[step]]\nkind = "rest"\nduration = "{rest_s} s"\n'
+    turned = "".join(
+        f'[[step]]\nkind = "rotate"\naxis = "{axis}"\nrate = "{rate} deg/s"\n{more}duration = "{turn_s} s"\n'
+        for axis, rate in zip("xyz", rates_dps, strict=True)
+    )
+    return f'name = "{name}"\n{rest}{turned}{rest}'
+
+
+SCRIPT = turns("short", 4, 11, (40, -40, 40))
+TINY = turns("tiny", 3, 6, (60, 60, 60), 'acceleration = "50 deg/s2"\n')
 """As short as a calibration can be."""
 _DIGITS = 5
+_BREATH_S = 0.5
 
 
 def bench_text(end: str = "") -> str:
@@ -146,7 +111,8 @@ def _rounded(value: Any) -> Any:
 class Replay:
     """A session's socket that says a stream again, until an instant, and then waits for what it is told.
 
-    Used as a context. ``heard`` are the requests that came; to "stop" it says the stream ``after_stop`` from there on.
+    Used as a context. ``heard`` are the requests that came, ``told`` is set by the first; to "stop" it says the stream
+    ``after_stop`` from there on.
     """
 
     def __init__(self, name: str, until_s: float, *, after_stop: str = "") -> None:
@@ -156,6 +122,7 @@ class Replay:
         self._clients: list[socket.socket] = []
         self._after = _lines(after_stop) if after_stop else []
         self.heard: list[dict[str, Any]] = []
+        self.told = threading.Event()
         folder = Path(os.environ["XDG_RUNTIME_DIR"]) / f"station-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         self.path = folder / "4242.sock"
@@ -191,19 +158,30 @@ class Replay:
                 self._clients.append(client)
                 threading.Thread(target=self._talk, args=(client,), daemon=True).start()
 
+    def _breathe(self, stream: Any) -> None:
+        """Be heard now and then: a session that says nothing does not live."""
+        with suppress(OSError, ValueError):
+            while True:
+                _say(stream, {"kind": "nothing"})
+                time.sleep(_BREATH_S)
+
     def _talk(self, client: socket.socket) -> None:
         with suppress(OSError), client, client.makefile("rwb") as stream:
             for line in self._lines:
                 if line["at_s"] <= self._until_s:
                     _say(stream, line)
                     _say(stream, {"kind": "nothing"})  # else a snapshot would give way to the next
-            for request in stream:
-                self.heard.append(json.loads(request))
-                if self.heard[-1]["do"] == "stop":
+            threading.Thread(target=self._breathe, args=(stream,), daemon=True).start()
+            for request in map(json.loads, stream):
+                if request["do"] == "course":  # is asked by every screen; it has all from the first instant on
+                    continue
+                self.heard.append(request)
+                self.told.set()
+                if request["do"] == "stop" and self._after:
                     for line in self._after:
                         if line["at_s"] > self._until_s:
                             _say(stream, line)
-                    return
+                    client.shutdown(socket.SHUT_WR)
 
 
 def _lines(name: str) -> list[dict[str, Any]]:

@@ -35,12 +35,11 @@ def attached(app: StationApp, elapsed_s: float, *pressed: str) -> Before:
 
 
 def test_prepare_says_what_is_not_green(place: Path, snap_compare: Compare) -> None:
-    app = StationApp(Choices("bench.toml", "short.toml", link_options=("--link", "table=tcp://127.0.0.1:1")))
+    app = StationApp(Choices("bench.toml", "none.toml", link_options=("--link", "table=tcp://127.0.0.1:1")))
 
     async def before(pilot: Pilot[None]) -> None:
         await pilot.press(*keys("a. operator"))
         await until(pilot, lambda: "nothing answers" in str(app.screen.query_one("#ready").render()))
-        await until(pilot, lambda: "predicted" in str(app.screen.query_one("#plan").render()))
 
     assert snap_compare(app, terminal_size=SMALL, run_before=before)
 
@@ -110,26 +109,21 @@ def test_a_run_that_is_stopped(place: Path, snap_compare: Compare) -> None:
         assert session.heard == [{"do": "stop"}]
 
 
-def test_a_run_whose_session_does_not_answer_any_more(place: Path, snap_compare: Compare) -> None:
+@pytest.mark.parametrize(
+    ("end", "stage"), [(Replay.hang_up, Stage.LOST), (Replay.vanish, Stage.ENDED)], ids=["lost", "killed"]
+)
+def test_a_run_whose_session_is(
+    place: Path, snap_compare: Compare, end: Callable[[Replay], None], stage: Stage
+) -> None:
     with Replay("pass", 20.0) as session:
         app = StationApp(CHOICES, attach=True)
 
         async def before(pilot: Pilot[None]) -> None:
             await attached(app, 19.0)(pilot)
-            session.hang_up()
-            await until(pilot, lambda: app.shown and app.shown.stage is Stage.LOST)
-
-        assert snap_compare(app, terminal_size=SMALL, run_before=before)
-
-
-def test_a_run_whose_session_was_killed(place: Path, snap_compare: Compare) -> None:
-    with Replay("pass", 20.0) as session:
-        app = StationApp(CHOICES, attach=True)
-
-        async def before(pilot: Pilot[None]) -> None:
-            await attached(app, 19.0)(pilot)
-            session.vanish()
-            await until(pilot, lambda: app.shown and app.shown.stage is Stage.ENDED)
+            end(session)
+            await until(pilot, lambda: app.shown and app.shown.stage is stage)
+            if stage is Stage.ENDED:
+                await until(pilot, lambda: app.shown and "Its recording" in app.shown.trouble)
 
         assert snap_compare(app, terminal_size=SMALL, run_before=before)
 
@@ -154,6 +148,9 @@ def test_a_result(recordings: Path, snap_compare: Compare, name: str, size: tupl
         expected = "none of it" if name == "first" else "first.h5"
         await until(pilot, lambda: app.current_mode == "result")
         await until(pilot, lambda: expected in str(app.screen.query_one("#change").render()))
+        if size == SMALL:  # why a FAIL is not accepted
+            await pilot.press("a")
+            await until(pilot, lambda: app.screen.query("Toast"))
 
     assert snap_compare(app, terminal_size=size, run_before=before)
 

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import h5py
-import pytest
 from conftest import HistoryFirst, keys, until
 from streams import Replay
+from textual import events
 from textual.pilot import Pilot
 
 from station.screen.app import StationApp
-from station.screen.bars import StopBar
+from station.screen.bars import STOP_KEY, StopBar
 from station.screen.choices import Choices
-from station.screen.live_run import Stage
+from station.screen.dialogs import ChooseDialog
+from station.screen.live_run import LiveRun, Stage
 from station.screen.prospects import Prospect
+from station.snapshot import GyroSnapshot, Snapshot, snapshot_object
 
 PROSPECT = Prospect(bench="built-in twins", all_twins=True)
 CHOICES = Choices("bench.toml", "short.toml", Path("recordings"), "A. Operator", "SN-0042", 1.0)
@@ -31,23 +34,93 @@ def driven(app: StationApp, drive: Callable[[Pilot[None]], Awaitable[None]], siz
     asyncio.run(run())
 
 
-@pytest.mark.parametrize(
-    "way",
-    [["f9"], ["ctrl+c"], ["n", *keys("door"), "f9"], ["f5", "slash", "x", "f9"], ["ctrl+q", "f9"]],
-    ids=["run", "ctrl+c", "within a note", "within a filter", "within a question"],
-)
-def test_one_key_stops_from_everywhere(place: Path, way: list[str]) -> None:
+def said_by_bar(app: StationApp) -> str:
+    return str(app.screen.query_one(StopBar).render())
+
+
+def test_one_key_stops_from_everywhere_and_a_stop_that_is_not_heeded_is_told(place: Path) -> None:
+    ways = {
+        "the run": ["f9"],
+        "the other key": ["ctrl+c"],
+        "a note": ["n", *keys("door"), "f9", "escape"],
+        "a question": ["ctrl+q", "f9", "escape"],
+        "a filter": ["f5", "slash", "x", "f9"],
+    }
     with Replay("pass", 20.0) as session:
         app = StationApp(CHOICES, attach=True)
 
         async def drive(pilot: Pilot[None]) -> None:
             await until(pilot, lambda: app.shown and app.shown.snapshot)
-            await pilot.press(*way)
-            await until(pilot, lambda: session.heard)
-            assert session.heard == [{"do": "stop"}]
-            assert app.screen.query_one(StopBar).has_class("-sent")
+            for number, (where, way) in enumerate(ways.items(), 1):
+                await pilot.press(*way)
+                await until(pilot, lambda: len(session.heard) >= number)  # noqa: B023  awaited here
+                assert session.heard == [{"do": "stop"}] * number, where
+                assert number > 1 or "sent; waiting" in said_by_bar(app)
+            await until(pilot, lambda: "NOT HEEDED: USE THE EMERGENCY STOP" in said_by_bar(app))
+            assert app.screen.query_one(StopBar).has_class("-armed")
 
         driven(app, drive)
+
+
+def test_stop_does_not_wait_for_an_app_that_is_held_up(place: Path) -> None:
+    with Replay("pass", 20.0) as session:
+        app = StationApp(CHOICES, attach=True)
+
+        async def drive(pilot: Pilot[None]) -> None:
+            await until(pilot, lambda: app.shown and app.shown.snapshot)
+            driver = app.get_driver_class()(app)  # as keys come: in a thread of its own
+            reads = threading.Thread(target=driver.process_message, args=(events.Key(STOP_KEY, None),))
+            reads.start()
+            assert session.told.wait(10)  # meanwhile the app's loop does nothing at all
+            reads.join()
+            await until(pilot, lambda: "sent; waiting" in said_by_bar(app))
+            assert session.heard == [{"do": "stop"}]
+
+        driven(app, drive)
+
+
+def test_stop_reaches_sessions_that_are_not_shown(place: Path) -> None:
+    with Replay("stopped", 30.0, after_stop="stopped") as session:
+        app = HistoryFirst(CHOICES)
+
+        async def drive(pilot: Pilot[None]) -> None:
+            await until(pilot, lambda: isinstance(app.screen, ChooseDialog))
+            await pilot.press("escape")
+            assert "stops your session, not shown here" in said_by_bar(app)
+            await pilot.press("f9")
+            await until(pilot, lambda: app.shown and app.shown.stage is Stage.ENDED)
+            assert app.shown is not None
+            assert app.shown.outcome == "ABORTED"
+
+        driven(app, drive)
+        assert session.heard == [{"do": "stop"}]
+
+
+def test_stop_right_after_start_starts_nothing(place: Path) -> None:
+    app = HistoryFirst(CHOICES)
+
+    async def drive(pilot: Pilot[None]) -> None:
+        app.start_run(PROSPECT)
+        app.action_stop()
+        await pilot.pause()
+        assert app.shown is None
+        assert all(worker.is_finished for worker in app.workers if worker.group == "start")
+
+    driven(app, drive)
+    assert not Path("recordings").exists()
+
+
+def test_who_attaches_late_sees_how_the_estimates_went() -> None:
+    early = {"t_s": 1.0, "gyros": {"g": [[0.1] * 4, [1.0] * 4]}}
+    late = {"t_s": 2.0, "gyros": {"g": [[0.2] * 4, [0.5] * 4], "unknown": [[None] * 4, [1.0] * 4]}}
+    run = LiveRun()
+    gyro = GyroSnapshot("g", "s", (0.3,) * 4, (0.4,) * 4, 1.0)
+    run.take({"kind": "snapshot", **snapshot_object(Snapshot("x", 2.0, 1, 1, 0, 1.0, gyros=(gyro,)))})
+    run.take({"kind": "course", "points": [early, late]})
+    run.take({"kind": "course", "points": [{}]})
+    assert run.trends["g"].times_s == [1.0, 2.0]
+    assert [values[0] for values in run.trends["g"].values] == [0.1, 0.2]
+    assert set(run.trends) == {"g"}
 
 
 def test_a_press_on_the_bar_stops_also_in_a_terminal_that_is_too_small(place: Path) -> None:
@@ -92,6 +165,8 @@ def test_a_run_begun_on_the_screen_outlives_it_and_is_shown_and_stopped_by_anoth
         assert second.shown is not None
         assert second.shown.outcome == "ABORTED", second.shown.result
         assert second.screen.query_one(StopBar).has_class("-rest")
+        await pilot.press("f4")  # not opened by itself, but what has just ended
+        await until(pilot, lambda: "ABORTED" in str(second.screen.query_one("#verdict").render()))
 
     driven(first, begin)
     driven(second, end)

@@ -1,0 +1,38 @@
+"""Room on a disk that no other program can take: what a file needs to be closed whole when the disk is full."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+_PIECE_BYTES = 1 << 16
+
+
+class Ballast:
+    """Bytes held on the disk of a folder by a file without a name, which goes with the process that made it."""
+
+    def __init__(self, folder: Path, size_bytes: int) -> None:
+        """Take hold of nothing yet; OSError if nothing can be made in the folder."""
+        self._file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115  closed by ``close``
+        self._size_bytes = size_bytes
+        self.held_bytes = 0
+
+    def hold(self) -> bool:
+        """Take hold of the room, or of as much as there is; return whether it is all of it."""
+        with suppress(OSError):
+            while self.held_bytes < self._size_bytes:
+                piece = bytes(min(_PIECE_BYTES, self._size_bytes - self.held_bytes))
+                self.held_bytes += self._file.write(piece) or 0
+        return self.held_bytes >= self._size_bytes
+
+    def drop(self) -> None:
+        """Give the room back to the disk, for what is written next."""
+        self._file.seek(0)
+        self._file.truncate()
+        self.held_bytes = 0
+
+    def close(self) -> None:
+        """Give the room back for good."""
+        self._file.close()
+        self.held_bytes = 0

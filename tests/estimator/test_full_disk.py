@@ -1,0 +1,70 @@
+"""A disk that another program fills: the recording is closed whole, with all that was taken, and can be read."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from estimator.errors import RecordingError
+from estimator.recording import RecordingWriter, probe, write_attributes, write_results
+
+IN_A_SMALL_DISK = ["unshare", "--map-root-user", "--mount", "sh", "-c"]
+
+
+def fill_and_write(folder: Path) -> None:
+    """Write a recording, have the disk filled in the midst of it, go on: what a session does."""
+    path, rows = folder / "run.h5", np.arange(500)
+    writer = RecordingWriter(path, {"outcome": "ABORTED"})
+
+    def take_a_block() -> None:
+        writer.append("imu/a/t_ns", rows)
+        writer.append("imu/a/rate_rps", np.zeros((500, 4)))
+        writer.flush()
+
+    for _ in range(10):
+        take_a_block()
+    with open(folder / "other", "wb", buffering=0) as other, suppress(OSError):
+        while True:
+            other.write(bytes(1 << 14))
+    assert shutil.disk_usage(folder).free == 0
+    with pytest.raises(RecordingError, match="the disk of .* is full"):
+        take_a_block()
+    writer.append_text("events", {"t_ns": 5}, "text", "table at rest")
+    writer.close()
+    with pytest.raises(RecordingError, match="the file is as it was"):
+        write_results(path, "estimate/a", {"states": np.zeros((40_000, 4, 4))}, {})
+    write_attributes(path, {"outcome": "FAULT"})
+    probe(path)
+    with h5py.File(path) as file:
+        assert len(file["imu/a/t_ns"]) == len(file["imu/a/rate_rps"]) == 5500
+        assert list(file["events/text"]) == [b"table at rest"]
+        assert file.attrs["outcome"] == "FAULT"
+        assert "estimate" not in file
+    with pytest.raises(RecordingError, match=r"2 MB are kept for closing the file\): make room, or give another place"):
+        RecordingWriter(folder / "next.h5", {})
+    assert sorted(os.listdir(folder)) == ["other", "run.h5"]
+
+
+def test_a_disk_that_another_program_fills_costs_nothing_that_was_taken(tmp_path: Path) -> None:
+    mount = f"mount -t tmpfs -o size=4m tmpfs '{tmp_path}'"
+    if os.name != "posix" or subprocess.run([*IN_A_SMALL_DISK, mount], capture_output=True, check=False).returncode:
+        pytest.skip("no small disk can be mounted here")
+    done = subprocess.run(
+        [*IN_A_SMALL_DISK, f"{mount} && exec '{sys.executable}' '{__file__}' '{tmp_path}'"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+if __name__ == "__main__":
+    fill_and_write(Path(sys.argv[1]))
