@@ -26,7 +26,7 @@ from estimator.effects.site import earth_rate, g_sensitivity
 from estimator.effects.table import table_axes, table_harmonic, table_rate
 from estimator.effects.thermal import thermal_bias, thermal_bias_quadratic, thermal_gradient, thermal_scale
 from estimator.errors import EstimatorError
-from estimator.recording import probe
+from estimator.prober import probe
 from estimator.tracing.augmented import Augmented, Part
 
 Floats = NDArray[np.float64]

@@ -1,6 +1,7 @@
-"""Child process that reads every dataset of an HDF5 file, so that a damaged one harms nobody else.
+"""Child process that reads every dataset of HDF5 files, so that a damaged one harms nobody else.
 
-Prints one JSON object with the reason when the file cannot be read, and exits 1.
+A line of JSON for each file: its path comes in, and why it cannot be read goes out, null if it can. Ends with its
+input.
 """
 
 from __future__ import annotations
@@ -34,7 +35,5 @@ def read_all(path: Path) -> str | None:
 
 
 if __name__ == "__main__":
-    reason = read_all(Path(sys.argv[1]))
-    if reason is not None:
-        print(json.dumps({"reason": reason}))
-        sys.exit(1)
+    for line in sys.stdin:
+        print(json.dumps(read_all(Path(json.loads(line)))), flush=True)

@@ -6,11 +6,8 @@ which is what survives a process that dies between two flushes.
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
@@ -27,6 +24,7 @@ from estimator.errors import GeometryError, RecordingError
 from estimator.kinematics import Site, check_gimbals
 from estimator.model import Prior
 from estimator.noise import NoiseModel
+from estimator.prober import probe
 from estimator.reference import (
     AttitudeReadings,
     RateReadings,
@@ -41,7 +39,6 @@ Stamps = NDArray[np.int64]
 
 FORMAT = "turntable-recording"
 FORMAT_VERSION = 1
-PROBE_LIMIT_S = 60.0
 _RESERVE_BYTES = 2_000_000  # kept back on the disk: what is pending, and what HDF5 needs to close a file whole
 _CLOSING_BYTES = 300_000  # of them, HDF5's own
 _ATTRIBUTES_BYTES = 100_000  # and what attributes need, whatever was left for them
@@ -303,34 +300,6 @@ def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
         number = getattr(error, "errno", None)
         why = os.strerror(number) if number else _first_line(error)
         raise RecordingError(f"{path} cannot be written: {why}") from None
-
-
-def probe(path: Path, limit_s: float = PROBE_LIMIT_S) -> None:
-    """Read the whole file in a process of its own; RecordingError if that process fails, dies or hangs.
-
-    A damaged HDF5 file can hang or kill its reader, so no file is opened here before it has been read there.
-    """
-    if not path.is_file():
-        raise RecordingError(f"{path} is not a file: give the path of a recording (.h5)")
-    try:
-        child = subprocess.run(
-            [sys.executable, str(Path(__file__).with_name("probe.py")), str(path)],
-            capture_output=True,
-            text=True,
-            timeout=limit_s,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise RecordingError(
-            f"{path} is damaged: reading it did not end within {limit_s:.0f} s; what it holds cannot be used"
-        ) from None
-    if child.returncode == 0:
-        return
-    try:
-        reason = str(json.loads(child.stdout)["reason"])
-    except (ValueError, KeyError, TypeError):
-        reason = "it is damaged: the HDF5 library failed on it"
-    raise RecordingError(f"{path} cannot be read: {reason}")
 
 
 def read_recording(path: Path, *, trusted: bool = False) -> Recording:

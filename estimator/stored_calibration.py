@@ -16,7 +16,7 @@ from estimator.error_model import ErrorModel
 from estimator.errors import RecordingError
 from estimator.health import Excluded
 from estimator.noise import NoiseModel
-from estimator.recording import probe
+from estimator.prober import probe
 
 Floats = NDArray[np.float64]
 

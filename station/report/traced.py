@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimator.error_model import ErrorModel
 from estimator.errors import RecordingError
-from estimator.recording import probe
+from estimator.prober import probe
 from station.report.recorded import Recorded, labels_of, plain
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ import h5py
 from pymodbus.client import AsyncModbusTcpClient
 from support import TwinProcess, command
 
-from estimator.recording import probe
+from estimator.prober import probe
 
 SCRIPT = """
 [[step]]

@@ -60,7 +60,7 @@ def test_an_effect_is_named_added_and_takes_the_error_away_on_a_run_that_was_not
 @pytest.mark.parametrize(
     "effects",
     [
-        ("tone",),
+        pytest.param(("tone",), marks=pytest.mark.full),
         pytest.param(("latency", "warm_up"), marks=pytest.mark.full),
         pytest.param(("bias_drift", "g_sensitivity", "scale_cubic"), marks=pytest.mark.full),
     ],
@@ -139,6 +139,7 @@ def test_faults_of_the_data_are_named_and_cost_only_what_they_spoil() -> None:
     assert found.added[0].parameters["delay"].value == pytest.approx(0.015, abs=0.003)
 
 
+@pytest.mark.full
 def test_drift_on_the_clock_of_a_session_is_told_from_temperature() -> None:
     recordings = list(recordings_of(Case((), 1.0, 7)))
     for number, recording in enumerate(recordings):

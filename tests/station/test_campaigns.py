@@ -151,6 +151,7 @@ def test_each_process_has_one_blas_thread_and_this_one_keeps_its_own(monkeypatch
     assert os.environ["OPENBLAS_NUM_THREADS"] == "7"
 
 
+@pytest.mark.full
 def test_the_number_of_blas_threads_changes_no_bit(recordings: list[str], alone: list[str]) -> None:
     again = subprocess.run(
         command("calibrate", *recordings[:2], "--jobs", "1", "--json"),
@@ -300,7 +301,7 @@ def test_ctrl_c_stops_the_processes_and_what_they_started(tmp_path: Path) -> Non
             os.kill(process, 0)
 
 
-def test_a_folder_is_calibrated_alike_everywhere_and_the_damaged_file_is_listed(
+def test_a_folder_is_calibrated_alike_by_any_number_of_processes_and_the_damaged_file_is_listed(
     tmp_path: Path, archive: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "archive"
@@ -308,14 +309,13 @@ def test_a_folder_is_calibrated_alike_everywhere_and_the_damaged_file_is_listed(
     damaged = folder / "run-2.h5"
     damaged.write_bytes(damaged.read_bytes()[:50_000])
     words = ["calibrate", str(folder), "--json"]
-    with cluster(tmp_path, 1, "--no-nanny") as (address, _):
-        outputs = []
-        for where in (["--jobs", "1"], ["--jobs", "2"], ["--scheduler", address]):
-            assert main([*words, *where]) == 2
-            said = capsys.readouterr()
-            assert "run-2.h5 cannot be read" in said.err
-            outputs.append(said.out)
-    assert outputs[0] == outputs[1] == outputs[2]
+    outputs = []
+    for jobs in ("1", "2"):
+        assert main([*words, "--jobs", jobs]) == 2
+        said = capsys.readouterr()
+        assert "run-2.h5 cannot be read" in said.err
+        outputs.append(said.out)
+    assert outputs[0] == outputs[1]
     objects = [json.loads(line) for line in outputs[0].splitlines()]
     assert [Path(o["recording"]).name for o in objects] == [f"run-{seed}.h5" for seed in range(4)]
     assert [o["outcome"] for o in objects] == ["PASS", "PASS", None, "PASS"]

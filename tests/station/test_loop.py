@@ -173,6 +173,7 @@ def test_a_fault_ends_the_loop_with_what_was_recorded(tmp_path: Path, capsys: py
     assert (folder / "1-calibration.h5").is_file()
 
 
+@pytest.mark.full  # the short form is that of station run
 def test_ctrl_c_in_a_run_brings_the_table_to_rest_and_keeps_the_recordings(tmp_path: Path) -> None:
     folder = tmp_path / "loop"
     arguments = command("loop", "--bench", bench_file(tmp_path), "-o", folder)

@@ -11,7 +11,6 @@ from faults import Fault, campaign, ended, faults_of
     [
         ("galil_xsens", "unplug"),
         ("galil_xsens", "bit flips"),
-        ("rtu_stim300", "silence"),
         ("rtu_stim300", "servo trip"),
         ("rtu_stim300", "stuck"),
     ],

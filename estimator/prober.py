@@ -1,0 +1,86 @@
+"""Files are read through by another process before this one opens them: a damaged one can hang or kill its reader."""
+
+from __future__ import annotations
+
+import atexit
+import json
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+from estimator.errors import RecordingError
+
+PROBE_LIMIT_S = 60.0
+
+
+def probe(path: Path, limit_s: float = PROBE_LIMIT_S) -> None:
+    """Have the whole file read in another process; RecordingError if that process fails on it, dies or hangs."""
+    if not path.is_file():
+        raise RecordingError(f"{path} is not a file: give the path of a recording (.h5)")
+    reason = _prober.ask(path, limit_s)
+    if reason is not None:
+        raise RecordingError(f"{path} {reason}")
+
+
+class _Prober:
+    """A process that reads one file after another; there is a new one after each that it could not read."""
+
+    def __init__(self) -> None:
+        self._child: subprocess.Popen[str] | None = None
+        self._one_at_a_time = threading.Lock()
+        atexit.register(self._end)
+
+    def ask(self, path: Path, limit_s: float) -> str | None:
+        """Return what is wrong with a file, None if it can be read."""
+        with self._one_at_a_time:
+            child = self._ready()
+            late = threading.Event()
+
+            def give_up() -> None:
+                late.set()
+                child.kill()
+
+            timer = threading.Timer(limit_s, give_up)
+            timer.start()
+            wrong: str | None = "cannot be read: it is damaged: the HDF5 library failed on it"
+            try:
+                assert child.stdin is not None
+                assert child.stdout is not None
+                print(json.dumps(str(path.absolute())), file=child.stdin, flush=True)
+                if answer := child.stdout.readline():
+                    reason = json.loads(answer)
+                    wrong = None if reason is None else f"cannot be read: {reason}"
+                elif late.is_set():
+                    wrong = f"is damaged: reading it did not end within {limit_s:.0f} s; what it holds cannot be used"
+            except OSError:
+                pass  # it died before it could be asked
+            finally:
+                timer.cancel()
+                if wrong is not None:  # or was interrupted: its next answer would be taken for that of the next file
+                    self._end()
+            return wrong
+
+    def _ready(self) -> subprocess.Popen[str]:
+        if self._child is None or self._child.poll() is not None:
+            self._end()
+            self._child = subprocess.Popen(
+                [sys.executable, str(Path(__file__).with_name("probe.py"))],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                start_new_session=True,  # Ctrl-C is for this process
+            )
+        return self._child
+
+    def _end(self) -> None:
+        child, self._child = self._child, None
+        if child is not None:
+            child.kill()
+            with suppress(OSError):
+                child.communicate()
+
+
+_prober = _Prober()
