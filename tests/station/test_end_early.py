@@ -53,7 +53,7 @@ def test_a_run_ends_once_every_sigma_is_reached_and_says_so(
     script: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first, second = tmp_path / "first.h5", tmp_path / "second.h5"
-    bench = bench_file(tmp_path, 'sd_bias = "5 deg/h"', 'sd_bias = "8 deg/h"')
+    bench = bench_file(tmp_path, 'sd_bias = "5 deg/h"', 'sd_bias = "12 deg/h"')
     arguments = ["run", "--bench", bench, "--script", script, "--end-early", "-o"]
     assert main([*arguments, str(first)]) == 0
     printed = capsys.readouterr().out
@@ -63,7 +63,7 @@ def test_a_run_ends_once_every_sigma_is_reached_and_says_so(
     assert "PASS" in printed
     assert first.read_bytes() == second.read_bytes()  # virtual time: the same instant each time
     sd = np.array([list(gyro["sd"].values()) for gyro in result["gyros"]])
-    assert (sd <= [100e-6, np.radians(8 / 3600), 100e-6, 100e-6]).all()
+    assert (sd <= [100e-6, np.radians(12 / 3600), 100e-6, 100e-6]).all()
     with h5py.File(first) as file:
         why = str(file.attrs["ended_early"])
         events = [text.decode() for text in file["events/text"][:]]
