@@ -24,6 +24,7 @@ from estimator.model import STATES
 from estimator.repeatability import Repeatability
 from estimator.rests import RestNoise
 from station.errors import EXIT_USAGE
+from station.figures import STATE_FIGURES, clock, number
 from station.outcome import Outcome, Verdict
 from station.snapshot import Snapshot
 
@@ -81,8 +82,8 @@ class Progress:
         self._shown_at = now
         snapshot = look()
         detail = (
-            f"{_clock(snapshot.remaining_s)} left   {snapshot.samples} samples, {snapshot.lost} lost   "
-            f"NIS {f'{snapshot.nis_mean:.2f}' if math.isfinite(snapshot.nis_mean) else '-'}"
+            f"{clock(snapshot.remaining_s)} left   {snapshot.samples} samples, {snapshot.lost} lost   "
+            f"NIS {number(snapshot.nis_mean, 2)}"
         )
         if self._bar is not None:
             self._bar.update(self._task, description=snapshot.phase, completed=snapshot.share, detail=detail)
@@ -96,16 +97,14 @@ def print_calibration(calibration: Calibration) -> None:
     """Print the states of every gyro with their sigmas, in the units people use."""
     table = Table(title="States and their standard deviations", title_style="bold", title_justify="left")
     table.add_column("gyro")
-    for heading in ("k (ppm)", "b (deg/s)", "sigma_j (deg)", "sigma_k (deg)"):
-        table.add_column(heading, justify="right")
+    for state in STATE_FIGURES:
+        table.add_column(f"{state.name} ({state.unit})", justify="right")
         table.add_column("±", justify="right", style="dim")
     table.add_column("noise (deg/s)", justify="right")
-    scales = (1e6, math.degrees(1), math.degrees(1), math.degrees(1))
-    formats = (".0f", ".5f", ".5f", ".5f")
     for gyro in calibration.gyros:
         cells = [gyro.name]
-        for value, sd, scale, form in zip(gyro.states, gyro.sd, scales, formats, strict=True):
-            cells += [format(value * scale, form), format(sd * scale, form)]
+        for state, value, sd in zip(STATE_FIGURES, gyro.states, gyro.sd, strict=True):
+            cells += [state.text(value), state.text(sd)]
         table.add_row(*cells, f"{math.degrees(gyro.noise_rps):.4f}")
     console = stdout()
     console.print(table)
@@ -133,10 +132,10 @@ def _print_effects(console: Console, gyros: Sequence[GyroCalibration]) -> None:
     table.add_column("gyro")
     table.add_column("found", justify="right")
     table.add_column("typical size", justify="right", style="dim")
-    for number, effect in enumerate(gyros[0].effects):
+    for place, effect in enumerate(gyros[0].effects):
         rows = gyros[:1] if effect.shared else gyros
         for row, gyro in enumerate(rows):
-            value = gyro.effects[number]
+            value = gyro.effects[place]
             found = human(Value(value.value, value.sd, value.unit))
             typical = human(Value(value.expected_sd, 0.0, value.unit)) if not (row or value.shared) else ""
             heads = ("", "") if row else (escape(words(value.effect)), escape(value.parameter))
@@ -340,8 +339,3 @@ def stdout() -> Console:
     """Return the console for results; a pipe has no width of its own, and a table of 80 columns loses its numbers."""
     console = Console()
     return console if console.is_terminal else Console(width=_PIPE_WIDTH)
-
-
-def _clock(seconds: float) -> str:
-    whole = max(round(seconds), 0)
-    return f"{whole // 60}:{whole % 60:02d}"

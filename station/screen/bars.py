@@ -9,7 +9,7 @@ from textual.app import RenderResult
 from textual.widget import Widget
 from textual.widgets import Static
 
-from station.screen.figures import clock
+from station.figures import clock
 from station.screen.live_run import LiveRun, Stage
 
 if TYPE_CHECKING:

@@ -14,9 +14,10 @@ from textual.binding import Binding
 from textual.containers import Horizontal
 from textual.widgets import DataTable, Input, Label, Static
 
+from station.figures import STATE_FIGURES, number
 from station.screen.archive import Entry
 from station.screen.base import Field, StationScreen
-from station.screen.figures import OUTCOME_STYLES, STATES, number
+from station.screen.figures import OUTCOME_STYLES
 from station.screen.plots import trend_plot
 
 _COLUMNS = ("when", "device", "script", "outcome", "operator", "accepted", "file")
@@ -97,7 +98,7 @@ class HistoryScreen(StationScreen):
 
     def action_state(self, step: int) -> None:
         """Show the trend of another state."""
-        self._state = (self._state + step) % len(STATES)
+        self._state = (self._state + step) % len(STATE_FIGURES)
         self._show_trend()
 
     def action_gyro(self, step: int) -> None:
@@ -159,7 +160,7 @@ class HistoryScreen(StationScreen):
         for entry in sorted(self._entries, key=lambda entry: entry.when_utc_s):
             if entry.same_device(chosen):
                 points += [g for g in entry.gyros if (g.source, g.name) == (gyro.source, gyro.name)]
-        unit = STATES[self._state]
+        unit = STATE_FIGURES[self._state]
         values = [point.states[self._state] * unit.factor for point in points]
         sds = [point.sds[self._state] * unit.factor for point in points]
         limit = self._limits.get(_LIMIT_KEYS[self._state], math.inf) * unit.factor

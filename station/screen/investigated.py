@@ -8,7 +8,8 @@ from typing import Any
 
 from rich.text import Text
 
-from station.screen.figures import columns, headed, number
+from station.figures import number
+from station.screen.figures import columns, headed
 
 _STYLES = {
     "nothing to add": "bold green",

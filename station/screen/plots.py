@@ -9,7 +9,7 @@ from itertools import groupby
 
 from rich.text import Text
 
-from station.screen.figures import STATES, number
+from station.figures import STATE_FIGURES, number
 from station.screen.live_run import Trend
 
 _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
@@ -128,7 +128,7 @@ def gyro_plots(name: str, trend: Trend, width: int) -> list[Text]:
     """Return the four states of a gyro over time, two beside two, so many characters wide."""
     each = max((width - 2) // 2, 30)
     blocks = []
-    for index, state in enumerate(STATES):
+    for index, state in enumerate(STATE_FIGURES):
         values = [row[index] * state.factor for row in trend.values]
         sds = [row[index] * state.factor for row in trend.sds]
         label = partial(number, digits=state.digits)

@@ -15,9 +15,10 @@ from textual.binding import Binding
 from textual.containers import Container, Horizontal, Vertical
 from textual.widgets import Button, Input, Label, Static
 
+from station.figures import clock, number
 from station.screen.base import Field, StationScreen
 from station.screen.choices import Choices
-from station.screen.figures import clock, columns, headed, number, titled
+from station.screen.figures import columns, headed, titled
 from station.screen.link import sessions_on
 from station.screen.live_run import LiveRun
 from station.screen.programs import Answer, ask

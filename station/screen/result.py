@@ -15,11 +15,12 @@ from textual.app import ComposeResult
 from textual.containers import Horizontal
 from textual.widgets import Button, Static
 
+from station.figures import STATE_FIGURES, number
 from station.screen.archive import Entry, GyroEntry, Whole, last_before
 from station.screen.base import StationScreen
 from station.screen.choices import free_path
 from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.figures import OUTCOME_STYLES, STATES, columns, headed, number, state_heads, titled
+from station.screen.figures import OUTCOME_STYLES, columns, headed, state_heads, titled
 from station.screen.investigated import investigation_lines
 from station.screen.live_run import Trend
 from station.screen.plots import gyro_plots
@@ -277,7 +278,7 @@ def state_lines(gyros: Sequence[GyroEntry]) -> list[Text]:
     """Return the states with their sigmas, a line a gyro below a heading."""
     rows = state_heads("gyro")
     for gyro in gyros:
-        pairs = zip(STATES, gyro.states, gyro.sds, strict=True)
+        pairs = zip(STATE_FIGURES, gyro.states, gyro.sds, strict=True)
         cells = [(s.text(value).rjust(s.width), s.text(sd).rjust(s.width - 1)) for s, value, sd in pairs]
         rows.append([gyro.name, *(cell for pair in cells for cell in pair)])
     return headed(columns(rows, gap=" "), 2)
@@ -295,7 +296,9 @@ def _change(entry: Entry, last: Entry | None) -> Text:
         if old is None:
             continue
         cells, far = [gyro.name], False
-        for state, new_value, new_sd, value, sd in zip(STATES, gyro.states, gyro.sds, old.states, old.sds, strict=True):
+        for state, new_value, new_sd, value, sd in zip(
+            STATE_FIGURES, gyro.states, gyro.sds, old.states, old.sds, strict=True
+        ):
             delta, sigma = new_value - value, math.hypot(new_sd, sd)
             ratio = delta / sigma if sigma > 0 else math.nan
             far = far or abs(ratio) > _MANY_SIGMAS

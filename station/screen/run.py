@@ -12,9 +12,10 @@ from textual.app import ComposeResult
 from textual.containers import Container, Vertical
 from textual.widgets import Input, Static
 
+from station.figures import STATE_FIGURES, clock, number
 from station.screen.bars import SILENCE_S, Lines, StopBar
 from station.screen.base import Field, StationDialog, StationScreen
-from station.screen.figures import OUTCOME_STYLES, STATES, clock, columns, headed, number, state_heads
+from station.screen.figures import OUTCOME_STYLES, columns, headed, state_heads
 from station.screen.live_run import LiveRun, Stage, Trend
 from station.screen.plots import bar, gyro_plots
 from station.snapshot import PAUSED, Snapshot
@@ -250,7 +251,7 @@ def estimate_lines(snapshot: Snapshot) -> list[Text]:
     for gyro in snapshot.gyros:
         cells = [
             text
-            for state, value, sd in zip(STATES, gyro.values, gyro.sds, strict=True)
+            for state, value, sd in zip(STATE_FIGURES, gyro.values, gyro.sds, strict=True)
             for text in (state.text(value).rjust(state.width), state.text(sd).rjust(state.width - 1))
         ]
         rows.append([gyro.name, *cells, number(gyro.nis, 2).rjust(4)])

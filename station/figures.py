@@ -1,0 +1,48 @@
+"""Figures as people read them: states in everyday units, durations as a clock has them, a dash for the unknown."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+UNKNOWN = "-"
+
+
+@dataclass(frozen=True, slots=True)
+class StateUnit:
+    """How a state is shown: its name, its unit, the factor from SI, digits after the point, room for its digits."""
+
+    name: str
+    unit: str
+    factor: float
+    digits: int
+    width: int
+
+    def text(self, value: float, *, signed: bool = False) -> str:
+        """Return a value in SI as digits in the unit."""
+        return number(value * self.factor, self.digits, signed=signed)
+
+
+STATE_FIGURES = (
+    StateUnit("k", "ppm", 1e6, 0, 6),
+    StateUnit("b", "deg/s", math.degrees(1), 5, 8),
+    StateUnit("sigma_j", "deg", math.degrees(1), 5, 8),
+    StateUnit("sigma_k", "deg", math.degrees(1), 5, 8),
+)
+"""The four states in order, in the units of the printed calibration."""
+
+
+def number(value: float | None, digits: int, *, signed: bool = False) -> str:
+    """Return a number with so many digits after the point, or a dash."""
+    if value is None or not math.isfinite(value):
+        return UNKNOWN
+    text = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
+    return text.lstrip("+-") if float(text) == 0 and not signed else text
+
+
+def clock(seconds: float) -> str:
+    """Return a duration as minutes and seconds."""
+    if not math.isfinite(seconds):
+        return UNKNOWN
+    whole = max(round(seconds), 0)
+    return f"{whole // 60}:{whole % 60:02d}"
