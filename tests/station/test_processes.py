@@ -16,15 +16,15 @@ import kill
 import numpy as np
 import pytest
 from support import TABLE_1, TwinProcess, station
-from test_run import BRIEF_SCRIPT, KEYS, bench_file
+from test_run import KEYS, SHORT_SCRIPT, bench_file
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX only")
 
 
 @pytest.fixture
-def brief(tmp_path: Path) -> Path:
-    path = tmp_path / "brief.toml"
-    path.write_text(BRIEF_SCRIPT)
+def short(tmp_path: Path) -> Path:
+    path = tmp_path / "short.toml"
+    path.write_text(SHORT_SCRIPT)
     return path
 
 
@@ -44,8 +44,8 @@ def worst_error(result: dict[str, Any]) -> float:
     return float(np.abs(errors).max())
 
 
-def test_a_run_against_twins_in_another_process_finds_the_truth(tmp_path: Path, brief: Path) -> None:
-    result = run_between_processes(tmp_path, "3", "array", "--bench", bench_file(tmp_path), "--script", brief)
+def test_a_run_against_twins_in_another_process_finds_the_truth(tmp_path: Path, short: Path) -> None:
+    result = run_between_processes(tmp_path, "3", "array", "--bench", bench_file(tmp_path), "--script", short)
     assert len(result["gyros"]) == 4
     assert worst_error(result) < 4
 
@@ -58,8 +58,8 @@ def test_the_paper_script_at_ten_times_real_time_gives_the_same_verdict(tmp_path
 
 
 @pytest.mark.full
-def test_a_stim300_on_a_pseudo_terminal_is_calibrated(tmp_path: Path, brief: Path) -> None:
-    result = run_between_processes(tmp_path, "3", "stim300", "--bench", bench_file(tmp_path), "--script", brief)
+def test_a_stim300_on_a_pseudo_terminal_is_calibrated(tmp_path: Path, short: Path) -> None:
+    result = run_between_processes(tmp_path, "3", "stim300", "--bench", bench_file(tmp_path), "--script", short)
     assert [g["name"] for g in result["gyros"]] == ["x", "y", "z"]
     assert abs(result["gyros"][1]["k"] + 200e-6) < 4 * result["gyros"][1]["sd"]["k"]
 
