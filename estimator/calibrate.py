@@ -13,6 +13,7 @@ from estimator.blocks import Blocks
 from estimator.budget import Contribution, table_budget
 from estimator.calibration import Calibration, EffectValue, GyroCalibration, unseen_notes
 from estimator.coloured import (
+    FEWEST_BLOCKS,
     GridFit,
     NoiseFound,
     NoiseGrid,
@@ -20,7 +21,6 @@ from estimator.coloured import (
     coarse,
     combine,
     fit_grids,
-    tells_colour,
     weights,
 )
 from estimator.error_model import ErrorModel
@@ -201,7 +201,8 @@ def _block_s(data: ImuData) -> float:
 
 def _device_fits(merged: list[Blocks], data: list[ImuData], span_s: float) -> list[GridFit]:
     parts = [Part(b, d.array, d.prior) for b, d in zip(merged, data, strict=True)]
-    grid = NoiseGrid.over(span_s, data[0].noise) if all(map(tells_colour, merged)) else NoiseGrid.white()
+    long_enough = min(len(b.index) for b in merged) >= FEWEST_BLOCKS
+    grid = NoiseGrid.over(span_s, data[0].noise) if long_enough else NoiseGrid.white()
     return fit_grids(parts, grid)
 
 

@@ -24,7 +24,8 @@ Floats = NDArray[np.float64]
 
 MOST_BLOCKS = 200
 """Blocks are merged until no more than this are left: the work grows with their third power."""
-_COLOUR_BLOCKS = 24  # fewer do not tell what noise is not white
+FEWEST_BLOCKS = 24
+"""Fewer do not tell what noise is not white."""
 _LEAST_BLOCKS = 10  # fewer do not tell how much noise there is
 _FINEST_S = 1.0
 _WHITE = 0.65  # expected before the data: that a kind of coloured noise is too small to matter
@@ -101,15 +102,13 @@ class Part:
 
 
 def coarse(blocks: Blocks) -> Blocks:
-    """Return blocks of a second or more, at most about 200; shorter ones where that would leave hardly any."""
+    """Return blocks of a second or more, at most about 200.
+
+    Where that would leave less than ten, they are shorter, and less than ``FEWEST_BLOCKS`` nevertheless.
+    """
     span = int(blocks.index[-1] - blocks.index[0]) + 1 if len(blocks.index) else 1
     factor = max(round(_FINEST_S / blocks.length_s), -(-span // MOST_BLOCKS))
     return blocks.merged(max(min(factor, span // _LEAST_BLOCKS), 1))
-
-
-def tells_colour(blocks: Blocks) -> bool:
-    """Return whether these blocks (of ``coarse``) last long enough to tell what noise is not white."""
-    return len(blocks.index) >= _COLOUR_BLOCKS and blocks.length_s > 0.9 * _FINEST_S
 
 
 def fit_grids(parts: Sequence[Part], grid: NoiseGrid) -> list[GridFit]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, cast
@@ -108,21 +108,17 @@ class RecordingWriter:
     def __init__(self, path: Path, attributes: Mapping[str, Any]) -> None:
         """Create the file; RecordingError if it exists or cannot be created."""
         self.path = path
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._ballast = Ballast(path.parent, _RESERVE_BYTES)
-        except OSError as error:
-            raise RecordingError(f"cannot create {path}: {_first_line(error)}") from None
-        try:
-            if not self._ballast.hold():
-                raise self._full()
-            self._file = h5py.File(path, "x")
-        except (OSError, ValueError) as error:
-            self._ballast.close()
-            raise RecordingError(f"cannot create {path}: {_first_line(error)}") from None
-        except RecordingError:
-            self._ballast.close()
-            raise
+        with ExitStack() as undone:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                self._ballast = Ballast(path.parent, _RESERVE_BYTES)
+                undone.callback(self._ballast.close)
+                if not self._ballast.hold():
+                    raise self._full()
+                self._file = h5py.File(path, "x")
+            except (OSError, ValueError) as error:
+                raise RecordingError(f"cannot create {path}: {_first_line(error)}") from None
+            undone.pop_all()
         self._pending: dict[str, list[NDArray[Any]]] = {}
         self._datasets: dict[str, Any] = {}
         self._lengths: dict[str, int] = {}
@@ -194,16 +190,17 @@ class RecordingWriter:
         return sum(rows.nbytes for blocks in self._pending.values() for rows in blocks)
 
     def _write(self) -> None:
-        for path, blocks in self._pending.items():
-            rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-            dataset = self._datasets.get(path)
-            if dataset is None:
-                self._datasets[path] = _create(self._file, path, rows, growing=True)
-                self._lengths[path] = len(rows)
-            else:
-                self._lengths[path] = _extend(dataset, self._lengths[path], rows)
-        self._pending.clear()
-        self._file.flush()
+        with _told_of(self.path):
+            for path, blocks in self._pending.items():
+                rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+                dataset = self._datasets.get(path)
+                if dataset is None:
+                    self._datasets[path] = _create(self._file, path, rows, growing=True)
+                    self._lengths[path] = len(rows)
+                else:
+                    self._lengths[path] = _extend(dataset, self._lengths[path], rows)
+            self._pending.clear()
+            self._file.flush()
 
     @property
     def descriptor(self) -> int:
@@ -211,12 +208,14 @@ class RecordingWriter:
         return int(self._file.id.get_vfd_handle())
 
     def close(self) -> None:
-        """Flush and close; twice is once."""
+        """Flush and close; twice is once. What cannot be written any more shows when the file is read."""
         if self._file:
             self._ballast.close()
-            if shutil.disk_usage(self.path.parent).free >= self._pending_bytes() + _CLOSING_BYTES:
-                self._write()
-            self._file.close()
+            with suppress(RecordingError):
+                if shutil.disk_usage(self.path.parent).free >= self._pending_bytes() + _CLOSING_BYTES:
+                    self._write()
+            with suppress(RecordingError), _told_of(self.path):
+                self._file.close()
 
 
 def write_recording(path: Path, recording: Recording) -> None:
@@ -293,9 +292,15 @@ def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
             f"the disk of {path} is full ({free / 1e6:.1f} MB left, {wanted_bytes / 1e6:.1f} MB are needed): the file "
             "is as it was; make room"
         )
+    with _told_of(path), h5py.File(path, "r+") as file:
+        yield file
+
+
+@contextmanager
+def _told_of(path: Path) -> Iterator[None]:
+    """Let what HDF5 could not write be a RecordingError."""
     try:
-        with h5py.File(path, "r+") as file:
-            yield file
+        yield
     except (OSError, RuntimeError) as error:  # HDF5 has both
         number = getattr(error, "errno", None)
         why = os.strerror(number) if number else _first_line(error)

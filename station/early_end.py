@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimator.blocks import Blocks
 from estimator.budget import table_budget
-from estimator.coloured import NoiseGrid, Part, coarse, combine, fit_grids, tells_colour, weights
+from estimator.coloured import FEWEST_BLOCKS, NoiseGrid, Part, coarse, combine, fit_grids, weights
 from estimator.model import decode
 from estimator.reference import TableReadings
 from station.bench import Bench, Limits
@@ -93,7 +93,7 @@ class EarlyEnd:
         own = [pair for name, pair in sources.items() if self._configs[name].name == device]
         config = next(config for config in self._configs.values() if config.name == device)
         parts = [Part(coarse(blocks), source.array, source.prior) for source, blocks in own]
-        if not all(tells_colour(part.blocks) for part in parts):
+        if min(len(part.blocks.index) for part in parts) < FEWEST_BLOCKS:
             return np.inf
         span_s = max(float(blocks.t_s[-1] - blocks.t_s[0]) + blocks.length_s for _, blocks in own)
         fits = fit_grids(parts, NoiseGrid.over(span_s, config.noise))

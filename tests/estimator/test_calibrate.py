@@ -114,6 +114,12 @@ def test_a_run_at_rest_sees_no_scale_factor() -> None:
         assert not any(note.startswith(f"{gyro.name}: bias") for note in calibration.notes)
 
 
+@pytest.mark.parametrize("rate_hz", [10.0, 100.0])  # slow samples make longer blocks
+def test_noise_that_is_not_white_is_looked_for_in_a_minute_at_any_rate(rate_hz: float) -> None:
+    calibration = calibrate(recorded(3, rate_hz=rate_hz))
+    assert all(gyro.noise is not None and gyro.noise.instability_below > 0 for gyro in calibration.gyros)
+
+
 @pytest.mark.parametrize("seconds", [1.5, 2.5, 6.0])
 def test_a_second_of_rest_gives_the_noise_and_a_bias_within_its_sigma(run: Recording, seconds: float) -> None:
     data = run.sources["array"]
