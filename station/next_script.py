@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise, permutations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +80,7 @@ class Past:
             steps = np.diff(data.rate_rps, axis=0)
             noise = NoiseModel(float(np.sqrt(np.median(steps**2) / 0.455 / 2 * run.period_s)))
         every = max(round(_PERIOD_S / run.grid.period_s), 1)
-        return cls(run.source, data.device, _part(run.grid, slice(None, None, every)), run.array, noise, run.prior)
+        return cls(run.source, data.device, run.grid.rows(slice(None, None, every)), run.array, noise, run.prior)
 
 
 def next_script(
@@ -301,13 +300,7 @@ def _since(conditions: Conditions, origin_s: float) -> tuple[Conditions, slice]:
     if origin_s >= float(conditions.t_s[0]) - conditions.period_s:
         return conditions, slice(None)
     rows = np.concatenate([[0, 0], np.arange(len(conditions.t_s))])
-    begun = _part(conditions, rows)
+    begun = conditions.rows(rows)
     t_s = begun.t_s.copy()
     t_s[:2] = origin_s, origin_s + conditions.period_s
     return replace(begun, t_s=t_s), slice(2, None)
-
-
-def _part(conditions: Conditions, rows: slice | NDArray[np.intp]) -> Conditions:
-    values = {f.name: getattr(conditions, f.name) for f in fields(conditions)}
-    cut: dict[str, Any] = {name: v[rows] for name, v in values.items() if isinstance(v, np.ndarray)}
-    return replace(conditions, **cut)

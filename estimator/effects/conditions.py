@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ class Conditions:
     ``angle_rad``, ``rate_rps``, ``acceleration_rps2`` (N, g): those of the ``gimbals``, outermost first.
     ``specific_force_mps2`` (N, 3) in body axes, NaN if it is not known; ``temperature_c`` (N,), None if that is
     not known. Without a table there are no ``gimbals``. ``w_rps`` holds Earth rate only where there is a ``site``.
+    ``delayed_rps`` gives, for a delay in s, the body rate (N, 3) that long ago, as means over the samples that the
+    output errors are means of; None where conditions are of a plan.
     """
 
     t_s: Floats
@@ -33,6 +36,7 @@ class Conditions:
     specific_force_mps2: Floats
     temperature_c: Floats | None = None
     site: Site | None = None
+    delayed_rps: Callable[[float], Floats] | None = None
 
     @property
     def offers(self) -> frozenset[str]:
@@ -48,6 +52,12 @@ class Conditions:
     def period_s(self) -> float:
         """Spacing of the grid."""
         return float(self.t_s[1] - self.t_s[0])
+
+    def rows(self, chosen: slice | NDArray[np.intp]) -> Conditions:
+        """Return those at some instants; what was before is not known of them."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        cut: dict[str, Any] = {name: v[chosen] for name, v in values.items() if isinstance(v, np.ndarray)}
+        return replace(self, **cut, delayed_rps=None)
 
     @classmethod
     def on_table(

@@ -11,11 +11,19 @@ from estimator.effects.effect import Axes, Effect, Parameter
 Floats = NDArray[np.float64]
 
 
-def latency() -> Effect:
-    """Return a delay of the gyros' stamps against the table's: -p . wdot, to first order in the delay."""
+_LAGUERRE = np.polynomial.laguerre.laggauss(4)
+
+
+def latency(delay_s: float = 0.0) -> Effect:
+    """Return a delay of the gyros' stamps against the table's: p . (w that long ago - w), per second of the delay.
+
+    It is exact for ``delay_s``; for 0, or where it is not known what was before, its limit -p . wdot.
+    """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return -conditions.wdot_rps2 @ axes.p
+        if not delay_s or conditions.delayed_rps is None:
+            return -conditions.wdot_rps2 @ axes.p
+        return (conditions.delayed_rps(delay_s) - conditions.delayed_rps(0.0)) @ axes.p / delay_s
 
     return Effect(
         "latency",
@@ -28,15 +36,19 @@ def latency() -> Effect:
 
 
 def bandwidth(tau_s: float = 0.004) -> Effect:
-    """Return a first-order lag, each gyro its own: -u' + tau u'' per second of the time constant, u = p . w.
+    """Return a first-order lag, each gyro its own, per second of its time constant; exact for ``tau_s``.
 
-    A lag of time constant T puts out u - T u' + T^2 u'' - ...; ``tau_s`` is the T for which the second term is right.
-    Beside a delay only that term differs, so the two look alike on ramps. Largest: 10 Hz, 16 ms.
+    A lag of time constant T is the mean of all delays, exp(-delay / T) / T each (four points of Gauss and Laguerre);
+    where it is not known what was before, -u' + tau u'', u = p . w. Beside a delay only the second derivative differs,
+    so the two look alike on ramps. Largest: 10 Hz, 16 ms.
     """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        slope = conditions.wdot_rps2 @ axes.p
-        return np.asarray(-slope + tau_s * np.gradient(slope, conditions.period_s))
+        if conditions.delayed_rps is None:
+            slope = conditions.wdot_rps2 @ axes.p
+            return np.asarray(-slope + tau_s * np.gradient(slope, conditions.period_s))
+        lagged = sum(weight * conditions.delayed_rps(tau_s * node) for node, weight in zip(*_LAGUERRE, strict=True))
+        return np.asarray((lagged - conditions.delayed_rps(0.0)) @ axes.p / tau_s)
 
     return Effect(
         "bandwidth",

@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 from estimator.effects.catalogue import HARMONICS, catalogue
 from estimator.effects.conditions import Conditions
 from estimator.effects.drift import bias_drift, bias_step, warm_up
-from estimator.effects.dynamics import latency
+from estimator.effects.dynamics import bandwidth, latency
 from estimator.effects.effect import Axes, Effect, Parameter
 from estimator.effects.scale import dead_band
 from estimator.effects.table import table_harmonic
 from estimator.kinematics import AXES, GRAVITY_MPS2, into_body
 from estimator.tracing.runs import Run
+from estimator.turned import by_turns
 
 Floats = NDArray[np.float64]
 
-_BY_ITSELF = frozenset({"warm_up", "bias_step", "tone", "table_rate"})
+_BY_ITSELF = frozenset({"warm_up", "bias_step", "tone", "table_rate", "latency", "bandwidth"})
 """Effects of the catalogue that are looked for in a way of their own, and one that passes for scale factor errors."""
 _OTHER_ORDERS = (3, 5, 6)
 # Log odds of an effect against the others before the data. What refines a simpler effect is rarer than that effect.
@@ -40,6 +41,7 @@ _EXPECTED_BESIDE = {"thermal_gradient": ("thermal_bias", -1.5)}
 _WARM_UPS = float(np.log(3600.0 / 5.0))  # time constants of warm-up from a chip's to a housing's
 _HELD = 6.0  # log odds of the delay of held samples against another delay: that they are held is seen in them
 _PICKED_UP = float(np.radians(0.5))
+_LAG_S = 0.004  # where the time constant of a gyro's own low pass is looked for first
 _LAGS_S = (15.0, 40.0, 120.0)
 
 
@@ -49,9 +51,9 @@ class Candidate:
 
     ``depends_on`` is set for general dependences: they prove that something is there, not what. ``theta`` holds the
     value of what is not linear, in ``unit``; ``of`` makes the effect anew for another, ``start`` lists where to begin
-    looking, ``range_log`` is the logarithm of the range it may have in nature. ``run`` is the recording of
-    a step. ``log_prior`` is the logarithm of its share of the expectation; if the effect ``beside`` is in the model, it
-    is so much ``likelier``.
+    looking, ``range_log`` is the logarithm of the range it may have in nature. ``run`` is the recording of a step.
+    ``by_size``: what is not linear is the effect's own size, its first parameter. ``log_prior`` is the logarithm of its
+    share of the expectation; if the effect ``beside`` is in the model, it is so much ``likelier``.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Candidate:
     range_log: float = 0.0
     beside: str = ""
     likelier: float = 0.0
+    by_size: bool = False
 
     @property
     def evenly(self) -> bool:
@@ -129,8 +132,17 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
 def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> list[Candidate]:
     listed = [effect for effect in catalogue(gimbals, span_s) if effect.name not in _BY_ITSELF]
     found = [Candidate(effect.name, effect, 0.0) for effect in listed if not effect.name.startswith("table_harmonic")]
+    far_s = (
+        np.array([-0.1, -0.05, 0.02, 0.05, 0.1]) if any(by_turns(r.recording.reference) for r in runs) else np.empty(0)
+    )
+    found.append(_by_size("latency", latency, np.concatenate([[0.0], far_s])))
+    found.append(_by_size("bandwidth", bandwidth, np.concatenate([[_LAG_S], far_s[far_s > _LAG_S]])))
     if any(run.held > 1 for run in runs):
-        found.append(Candidate("sample_hold", replace(latency(), name="sample_hold"), _HELD))
+
+        def hold(delay_s: float) -> Effect:
+            return replace(latency(delay_s), name="sample_hold")
+
+        found.append(replace(_by_size("sample_hold", hold, np.zeros(1)), log_prior=_HELD))
     bands = np.radians(np.geomspace(0.01, 3.0, 12))
     found.append(
         Candidate(
@@ -200,6 +212,10 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
                 )
             )
     return found
+
+
+def _by_size(name: str, of: Callable[[float], Effect], start: Floats) -> Candidate:
+    return Candidate(name, of(float(start[0])), 0.0, theta=float(start[0]), of=of, start=start, by_size=True)
 
 
 def _one_clock(runs: Sequence[Run]) -> float | None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.effects.conditions import Conditions
 from estimator.tracing.candidates import candidates_of
 from estimator.tracing.runs import Run
 
@@ -64,7 +63,7 @@ class Regressors:
     def __init__(self, runs: Sequence[Run]) -> None:
         """Take those functions that these runs have the conditions for."""
         self._runs = [_coarse(run) for run in runs]
-        candidates = [c for c in candidates_of(runs)[0] if c.theta is None and c.run is None]
+        candidates = [c for c in candidates_of(runs)[0] if (c.theta is None or c.by_size) and c.run is None]
         of = {c.name: c.depends_on or _OF_CATALOGUE.get(c.called, "") for c in candidates}
         self._candidates = sorted((c for c in candidates if of[c.name]), key=lambda c: _VARIABLES.index(of[c.name]))
         self.count = sum(len(c.effect.parameters) for c in self._candidates)
@@ -133,16 +132,5 @@ def _coarse(run: Run) -> Run:
     grid, blocks = run.grid, len(run.t_s)
     stride = 5 if len(grid.t_s) // blocks % 5 == 0 else 1
     rows = slice(stride // 2, None, stride)
-    thinned = Conditions(
-        grid.t_s[rows],
-        grid.w_rps[rows],
-        grid.wdot_rps2[rows],
-        grid.angle_rad[rows],
-        grid.rate_rps[rows],
-        grid.acceleration_rps2[rows],
-        grid.gimbals,
-        grid.specific_force_mps2[rows],
-        None if grid.temperature_c is None else grid.temperature_c[rows],
-        grid.site,
-    )
+    thinned = grid.rows(rows)
     return replace(run, grid=thinned, fold=lambda columns: columns.reshape(blocks, -1, columns.shape[1]).mean(axis=1))

@@ -397,16 +397,18 @@ def _added(traced: Traced, choice: Choice, model: Augmented, told: OutOfSample |
         for i, (value, doubt) in enumerate(zip(mean, doubts, strict=True)):
             parameter = effect.parameters[i % len(effect.parameters)]
             size = parameter.largest
+            if choice.candidate.by_size:  # what is late is what the gyro puts out, not the rate
+                size /= 1 - float(model.mean[:, 0].mean() if shared else model.mean[g, 0])
             label = parameter.name if shared else f"{name} {parameter.name}"
             if i >= len(effect.parameters):
                 label += f" in run {i // len(effect.parameters) + 1}"
             parameters[label] = Value(float(value * size), float(doubt * size), parameter.unit)
     theta = choice.candidate.theta
-    if theta is not None and choice.candidate.start is not None:
+    if theta is not None and choice.candidate.start is not None and not choice.candidate.by_size:
         sd = traced.search.sharpness(choice, traced.found.terms)
         what = {"warm_up": "time constant", "bias_step": "instant", "dead_band": "width"}[choice.candidate.called]
         parameters[what] = Value(float(theta), sd, choice.candidate.unit)
-    elif theta is not None:
+    elif choice.tone is not None and theta is not None:
         parameters["frequency"] = Value(float(theta), _tone_sd(traced, model, where), "Hz")
     gyros = tuple(model.names) if shared else tuple(shown or model.names)
     copies = traced.search.copies(choice, traced.found.terms) if choice.tone is None else []

@@ -10,17 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array import SensorArray
-from estimator.blocks import Blocks, BlockSums
+from estimator.blocks import BlockSums
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.health import usable
-from estimator.kinematics import GRAVITY_MPS2
+from estimator.kinematics import AXES, GRAVITY_MPS2, specific_force
 from estimator.model import Prior, regressor_maps
 from estimator.recording import ImuData, Recording
 from estimator.reference import AttitudeReadings, BodyRates, TableReadings, Turns
-from estimator.rows import MEAN_S, observations
+from estimator.rows import table_rows
 from estimator.tracing.faults import Fault, held_samples, saturations, split_faulty, without_stuck
 from estimator.tracing.investigation import InvestigationError
+from estimator.turned import Turned, by_turns
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -29,6 +30,7 @@ BLOCK_S = 0.2
 """Shortest block: ramps of half a second still show their shape."""
 _MOST_BLOCKS = 6000
 _GRID_S = 0.02  # instants at which conditions are worked out, within blocks
+_FINE_S = 0.005  # samples closer than this are taken together where the rate of before is looked up
 _GAP_S = 5.0  # a longer gap ends a stretch: what the noise did meanwhile is not known
 _FEWEST_BLOCKS = 40
 _JUMP, _JUMP_C = 8.0, 0.5  # sigmas, degC
@@ -145,28 +147,33 @@ def _hold_delay_s(data: ImuData, held: int) -> float:
 
 
 def _run(recording: Recording, source: str, data: ImuData, block_s: float, order: int, held: int) -> Run | None:
-    blocks = _blocks(recording, data, block_s)
-    if len(blocks.index) < _FEWEST_BLOCKS:
+    measured = (
+        _by_turns(recording, data, block_s) if by_turns(recording.reference) else _by_samples(recording, data, block_s)
+    )
+    if measured is None or len(measured.index) < _FEWEST_BLOCKS:
         return None
-    index, where = _even(blocks)
-    b, m = len(index), len(data.array)
+    index, where = _even(measured.index, measured.length_s)
+    b, m, length_s = len(index), len(data.array), measured.length_s
     w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)
-    full = np.median(blocks.rows)
-    good = blocks.rows >= 0.5 * full
-    w[where], z[where] = blocks.w_rps, blocks.z_rps
-    weight[where[good]] = 1.0
-    origin_s = _origin_ns(recording, data) * 1e-9
-    t_s = np.asarray(origin_s + (index + 0.5) * blocks.length_s, dtype=np.float64)
-    steps = max(round(blocks.length_s / _GRID_S), 1)
-    offsets = (np.arange(steps) + 0.5) / steps * blocks.length_s
-    grid_s = (t_s[:, None] - 0.5 * blocks.length_s + offsets).ravel()
-    grid = _conditions(recording, data, grid_s, w, steps)
+    w[where], z[where], weight[where] = measured.w_rps, measured.z_rps, measured.full
+    t_s = np.asarray(measured.origin_s + (index + 0.5) * length_s, dtype=np.float64)
+    steps = max(round(length_s / _GRID_S), 1)
+    offsets = (np.arange(steps) + 0.5) / steps * length_s
+    grid_s = (t_s[:, None] - 0.5 * length_s + offsets).ravel()
+
+    def delayed_rps(delay_s: float) -> Floats:
+        ago = w.copy()
+        past = measured.past_rps(delay_s)
+        ago[where] = np.where(np.isfinite(past), past, w[where])
+        return np.repeat(ago, steps, axis=0)
+
+    grid = replace(_conditions(recording, data, grid_s, w, steps), delayed_rps=delayed_rps)
     stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1)
     return Run(
         recording.name,
         source,
         data,
-        blocks.length_s,
+        length_s,
         t_s,
         w,
         z,
@@ -175,40 +182,101 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         grid,
         lambda columns: columns.reshape(b, steps, -1).mean(axis=1),
         recording,
-        blocks.period_s,
+        float(np.median(np.diff(data.t_ns))) * 1e-9,
         order,
         held,
     )
 
 
-def _origin_ns(recording: Recording, data: ImuData) -> int:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Measured:
+    """Blocks (B,) from ``origin_s`` on: number, mean body rate (B, 3), output error (B, m), whether they are ``full``.
+
+    ``past_rps`` gives their body rate (B, 3) some seconds ago, NaN where it is not known.
+    """
+
+    origin_s: float
+    length_s: float
+    index: NDArray[np.int64]
+    w_rps: Floats
+    z_rps: Floats
+    full: NDArray[np.bool_]
+    past_rps: Callable[[float], Floats]
+
+
+def _by_samples(recording: Recording, data: ImuData, block_s: float) -> _Measured | None:
+    """Return means over samples, the body rate at each of them."""
     reference = recording.reference
-    return int(reference.t_ns[0]) if isinstance(reference, TableReadings) else int(data.t_ns[0])
+    assert isinstance(reference, TableReadings)
+    period_s = float(np.median(np.diff(data.t_ns))) * 1e-9
+    length_s = _length_s(recording, data, block_s, period_s)
+    origin_ns = int(reference.t_ns[0])
+    sums = BlockSums(len(data.array), origin_ns, length_s, period_s)
+    known = []
+    for part in table_rows(recording, data):
+        assert part.t_ns is not None
+        sums.add(part.t_ns, part.w_rps, part.y_rps - part.w_rps @ data.array.p.T)
+        known.append(part.t_ns)
+    blocks = sums.blocks()
+    if not len(blocks.index):
+        return None
+    t_ns = np.concatenate(known)
+    # Every few samples together, by the middle of their instants: what is linear in between has the same means.
+    number = (t_ns - origin_ns) // round(length_s * 1e9)
+    first = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
+    within = np.arange(len(t_ns)) - np.repeat(first, np.diff(np.append(first, len(t_ns))))
+    group = np.flatnonzero(within % max(round(_FINE_S / period_s), 1) == 0)
+    count = np.diff(np.append(group, len(t_ns)))
+    instants = t_ns[0] + np.round(np.add.reduceat(t_ns - t_ns[0], group) / count).astype(np.int64)
+    start = np.searchsorted(group, first)
+    rates = BodyRates.of(reference, recording.site)
+
+    def past_rps(delay_s: float) -> Floats:
+        at = np.maximum(instants - round(delay_s * 1e9), origin_ns)
+        w = rates.at(np.minimum(at, rates.final_until_ns)) * count[:, None]
+        return np.asarray(np.add.reduceat(w, start, axis=0) / blocks.rows[:, None])
+
+    full = blocks.rows >= 0.5 * np.median(blocks.rows)
+    return _Measured(origin_ns * 1e-9, length_s, blocks.index, blocks.w_rps, blocks.z_rps, full, past_rps)
 
 
-def _blocks(recording: Recording, data: ImuData, block_s: float) -> Blocks:
-    span_s = float(data.t_ns[-1] - data.t_ns[0]) * 1e-9 if len(data.t_ns) > 1 else 0.0
-    period_s = float(np.median(np.diff(data.t_ns))) * 1e-9 if len(data.t_ns) > 1 else 1.0
-    if isinstance(recording.reference, AttitudeReadings):
-        period_s = max(period_s, MEAN_S)
+def _by_turns(recording: Recording, data: ImuData, block_s: float) -> _Measured | None:
+    """Return mean rates of the body and of the outputs over the same intervals."""
+    if len(data.t_ns) < 2:
+        return None
+    gyros, body = Turned.of_rates(data.t_ns, data.rate_rps), Turned.of_reference(recording.reference, recording.site)
+    length_s = _length_s(recording, data, block_s, 2 * max(float(np.median(np.diff(t))) for t in (gyros.t_s, body.t_s)))
+    origin_s = max(gyros.t_s[0], body.t_s[0])
+    count = int((min(gyros.t_s[-1], body.t_s[-1]) - origin_s) / length_s)
+    edges = origin_s + np.arange(count + 1) * length_s
+    w, y = body.means(edges[:-1], edges[1:]), gyros.means(edges[:-1], edges[1:])
+    index = np.flatnonzero(np.isfinite(w).all(axis=1) & np.isfinite(y).all(axis=1))
+    first, last = edges[index], edges[index + 1]
+    return _Measured(
+        float(origin_s),
+        length_s,
+        index.astype(np.int64),
+        w[index],
+        (y - w @ data.array.p.T)[index],
+        np.ones(len(index), dtype=np.bool_),
+        lambda delay_s: body.means(first - delay_s, last - delay_s),
+    )
+
+
+def _length_s(recording: Recording, data: ImuData, block_s: float, least_s: float) -> float:
+    span_s = float(data.t_ns[-1] - data.t_ns[0]) * 1e-9
     most = _MOST_BLOCKS * max(BLOCK_S / block_s, 1.0)
-    length_s = max(block_s, period_s, np.ceil(span_s / most / 0.1 - 1e-9) * 0.1 if span_s > most * block_s else 0.0)
-    sums = BlockSums(len(data.array), _origin_ns(recording, data), length_s, period_s)
-    part_of = Recording({"it": data}, recording.reference, recording.site, path=recording.path)
-    for part in observations(part_of, "it"):
-        if part.t_ns is not None:
-            sums.add(part.t_ns, part.w_rps, part.y_rps - part.w_rps @ data.array.p.T)
-    return sums.blocks()
+    return max(block_s, least_s, np.ceil(span_s / most / 0.1 - 1e-9) * 0.1 if span_s > most * block_s else 0.0)
 
 
-def _even(blocks: Blocks) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+def _even(known: NDArray[np.int64], length_s: float) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
     """Return block numbers with short gaps filled, and where the blocks that hold data are among them."""
-    most = max(int(_GAP_S / blocks.length_s), 1)
-    filled = [blocks.index[:1]]
-    for before, after in zip(blocks.index[:-1].tolist(), blocks.index[1:].tolist(), strict=True):
+    most = max(int(_GAP_S / length_s), 1)
+    filled = [known[:1]]
+    for before, after in pairwise(known.tolist()):
         filled.append(np.arange(before + 1, after + 1) if after - before <= most else np.array([after]))
     index = np.concatenate(filled).astype(np.int64)
-    return index, np.searchsorted(index, blocks.index)
+    return index, np.searchsorted(index, known)
 
 
 def _conditions(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floats, steps: int) -> Conditions:
@@ -217,22 +285,36 @@ def _conditions(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floa
         known = np.isfinite(data.temperature_c)
         temperature = _smooth_temperature(_seconds(data.t_ns[known]), data.temperature_c[known], grid_s)
     reference = recording.reference
-    if isinstance(reference, TableReadings):
-        angle, rate, acceleration = _gimbals(reference, grid_s)
-        return Conditions.on_table(
-            grid_s,
-            angle,
-            rate,
-            acceleration,
-            reference.gimbals,
-            temperature_c=temperature,
-            site=recording.site,
-        )
+    if by_turns(reference):
+        return _conditions_by_turns(recording, data, grid_s, w_rps, steps, temperature)
+    assert isinstance(reference, TableReadings)
+    angle, rate, acceleration = _gimbals(reference, grid_s)
+    return Conditions.on_table(
+        grid_s, angle, rate, acceleration, reference.gimbals, temperature_c=temperature, site=recording.site
+    )
+
+
+def _conditions_by_turns(
+    recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floats, steps: int, temperature_c: Floats | None
+) -> Conditions:
+    """Return conditions of which rate and acceleration are those of whole blocks."""
+    reference = recording.reference
+    body = Turned.of_reference(reference, recording.site)
+    period_s = grid_s[1] - grid_s[0]
+    length_s = steps * period_s
+    first_s = grid_s[::steps] - 0.5 * period_s
+    change = body.rates(first_s + length_s) - body.rates(first_s)
+    wdot = np.repeat(np.where(np.isfinite(change), change, 0.0) / length_s, steps, axis=0)
     w = np.repeat(w_rps, steps, axis=0)
-    wdot = np.repeat(np.gradient(w_rps, steps * (grid_s[1] - grid_s[0]), axis=0), steps, axis=0)
-    none = np.empty((len(grid_s), 0))
-    force = _force(recording, data, grid_s)
-    return Conditions(grid_s, w, wdot, none, none, none, (), force, temperature, recording.site)
+    if isinstance(reference, TableReadings):
+        column = AXES.index(reference.gimbals[0])
+        angle = np.interp(grid_s, reference.t_ns * 1e-9, np.unwrap(reference.angle_rad[:, 0]))[:, None]
+        rate, slope, gimbals = w[:, [column]], wdot[:, [column]], reference.gimbals
+        force = specific_force(angle, gimbals) if data.accel_mps2 is None else _force(recording, data, grid_s)
+    else:
+        angle = rate = slope = np.empty((len(grid_s), 0))
+        gimbals, force = (), _force(recording, data, grid_s)
+    return Conditions(grid_s, w, wdot, angle, rate, slope, gimbals, force, temperature_c, recording.site)
 
 
 def _seconds(t_ns: Stamps) -> Floats:

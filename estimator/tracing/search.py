@@ -41,6 +41,8 @@ _UNEXCITED = 0.5  # sigmas of an effect of the largest plausible size, all gyros
 _COPIED = 9.0  # squares over noise that a copy of an effect leaves in a gyro, within chance
 _RICH = 0.1  # scale of all effects at once, when it is asked what the noise may be
 _MOST_TONES = 3
+_SIZED = 3  # rounds in which the size of an effect settles that is exact for its size only
+_LONGEST_S = 0.3  # of a delay or a time constant: what is slower than this is no such
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -441,6 +443,9 @@ class Search:
                 continue
             gains = [scan.gain(_at(candidate, theta)) for theta in candidate.start.tolist()]
             best = int(np.argmax(gains))
+            if candidate.by_size:
+                renewed.append(_at(candidate, scan.size(candidate, float(candidate.start[best]))))
+                continue
             low = candidate.start[max(best - 1, 0)]
             high = candidate.start[min(best + 1, len(candidate.start) - 1)]
             theta = highest(partial(_gain_at, scan, candidate), float(low), float(high))
@@ -505,6 +510,20 @@ class _Scan:
                 parts.append(cosines((columns * run.weight[:, None])[stretch.blocks]))
             self._kept[key] = np.vstack(parts)
         return self._kept[key]
+
+    def size(self, candidate: Candidate, start: float) -> float:
+        """Return the size of an effect that is exact for this size: its first parameter, over all gyros."""
+        size = start
+        for _ in range(_SIZED):
+            at = _at(candidate, size)
+            products = np.zeros(2)
+            for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
+                new = self._turn(at, gyro)[:, 0] * root
+                new = new - basis @ (basis.T @ new)
+                products += new @ new, new @ rest
+            size = float(products[1] / max(products[0], 1e-30) * candidate.largest[0])
+            size = float(np.clip(size, -_LONGEST_S if candidate.effect.shared else 1e-4, _LONGEST_S))
+        return size
 
     def gain(self, candidate: Candidate) -> float:
         """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
