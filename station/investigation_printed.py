@@ -46,6 +46,7 @@ _UNITS = {
 _COLOURS = {
     Finding.NOTHING: "bold green",
     Finding.ADDED: "bold green",
+    Finding.PARTLY: "bold yellow",
     Finding.CANNOT_TELL: "bold yellow",
     Finding.UNEXPLAINED: "bold red",
 }

@@ -57,5 +57,8 @@ class Effect:
 
     def columns(self, conditions: Conditions, array: SensorArray, gyro: int) -> Floats:
         """Return the regressors (N, parameters) of gyro number ``gyro``: rad/s per unit of each parameter."""
-        axes = Axes(array.p[gyro], array.j[gyro], array.k[gyro])
+        return self.at(conditions, Axes(array.p[gyro], array.j[gyro], array.k[gyro]))
+
+    def at(self, conditions: Conditions, axes: Axes) -> Floats:
+        """Return the regressors (N, parameters) of a gyro with these axes."""
         return self.regressors(conditions, axes).reshape(len(conditions.t_s), len(self.parameters))

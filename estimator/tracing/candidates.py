@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -24,6 +25,8 @@ Floats = NDArray[np.float64]
 
 _BY_ITSELF = frozenset({"warm_up", "bias_step", "tone", "table_rate", "latency", "bandwidth"})
 """Effects of the catalogue that are looked for in a way of their own, and one that passes for scale factor errors."""
+OF_TIME = frozenset({"warm_up", "bias_step", "bias_drift"})
+"""Effects of which all gyros have the same columns."""
 _OTHER_ORDERS = (3, 5, 6)
 # Log odds of an effect against the others before the data. What refines a simpler effect is rarer than that effect.
 # A bias over temperature is in every data sheet; its gradient without it one part in a hundred may have, while beside
@@ -41,6 +44,7 @@ _EXPECTED_BESIDE = {"thermal_gradient": ("thermal_bias", -1.5)}
 _WARM_UPS = float(np.log(3600.0 / 5.0))  # time constants of warm-up from a chip's to a housing's
 _HELD = 6.0  # log odds of the delay of held samples against another delay: that they are held is seen in them
 _PICKED_UP = float(np.radians(0.5))
+_STEPS = 100  # instants in a run at which a step is looked for first
 _LAG_S = 0.004  # where the time constant of a gyro's own low pass is looked for first
 _LAGS_S = (15.0, 40.0, 120.0)
 
@@ -52,7 +56,8 @@ class Candidate:
     ``depends_on`` is set for general dependences: they prove that something is there, not what. ``theta`` holds the
     value of what is not linear, in ``unit``; ``of`` makes the effect anew for another, ``start`` lists where to begin
     looking, ``range_log`` is the logarithm of the range it may have in nature. ``run`` is the recording of a step.
-    ``by_size``: what is not linear is the effect's own size, its first parameter. ``log_prior`` is the logarithm of its
+    ``by_size``: what is not linear is the effect's own size, its first parameter. ``sensed`` are the directions (3,)
+    that gyros really sense, with their scale, in place of the nominal ones. ``log_prior`` is the logarithm of its
     share of the expectation; if the effect ``beside`` is in the model, it is so much ``likelier``.
     """
 
@@ -70,6 +75,7 @@ class Candidate:
     beside: str = ""
     likelier: float = 0.0
     by_size: bool = False
+    sensed: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def evenly(self) -> bool:
@@ -90,7 +96,10 @@ class Candidate:
         """Return the scaled columns (b, p) of gyro number ``gyro`` of a run. A step stays for all later recordings."""
         if self.run is not None and run.order != self.run:
             return np.full((len(run.t_s), 1), float(run.order > self.run)) * self.largest
-        return run.columns(self.effect, gyro) * self.largest
+        p = self.sensed.get(run.array.names[gyro])
+        array = run.array
+        axes = Axes(array.p[gyro] if p is None else p, array.j[gyro], array.k[gyro])
+        return run.fold(self.effect.at(run.grid, axes)) * self.largest
 
 
 def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]:
@@ -135,14 +144,15 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
     far_s = (
         np.array([-0.1, -0.05, 0.02, 0.05, 0.1]) if any(by_turns(r.recording.reference) for r in runs) else np.empty(0)
     )
-    found.append(_by_size("latency", latency, np.concatenate([[0.0], far_s])))
-    found.append(_by_size("bandwidth", bandwidth, np.concatenate([[_LAG_S], far_s[far_s > _LAG_S]])))
+    late = partial(_by_size, sensed=_sensed(runs))
+    found.append(late("latency", latency, np.concatenate([[0.0], far_s])))
+    found.append(late("bandwidth", bandwidth, np.concatenate([[_LAG_S], far_s[far_s > _LAG_S]])))
     if any(run.held > 1 for run in runs):
 
         def hold(delay_s: float) -> Effect:
             return replace(latency(delay_s), name="sample_hold")
 
-        found.append(replace(_by_size("sample_hold", hold, np.zeros(1)), log_prior=_HELD))
+        found.append(replace(late("sample_hold", hold, np.zeros(1)), log_prior=_HELD))
     bands = np.radians(np.geomspace(0.01, 3.0, 12))
     found.append(
         Candidate(
@@ -197,7 +207,7 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
             )
         )
     for run in {run.order: run for run in runs}.values():
-        times = np.arange(run.t_s[0] + 4.0, run.t_s[-1] - 4.0, 3.0)
+        times = np.arange(run.t_s[0] + 4.0, run.t_s[-1] - 4.0, max(3.0, np.ptp(run.t_s) / _STEPS))
         if len(times):
             found.append(
                 Candidate(
@@ -214,8 +224,28 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
     return found
 
 
-def _by_size(name: str, of: Callable[[float], Effect], start: Floats) -> Candidate:
-    return Candidate(name, of(float(start[0])), 0.0, theta=float(start[0]), of=of, start=start, by_size=True)
+def _by_size(name: str, of: Callable[[float], Effect], start: Floats, *, sensed: Mapping[str, Floats]) -> Candidate:
+    first = float(start[0])
+    return Candidate(name, of(first), 0.0, theta=first, of=of, start=start, by_size=True, sensed=sensed)
+
+
+def _sensed(runs: Sequence[Run]) -> dict[str, Floats]:
+    """Return the direction (3,) that each gyro senses, with its scale: what it puts out late is all of that.
+
+    Least squares of the output error on bias, body rate, and a delay of the nominal output.
+    """
+    found = {}
+    for name in dict.fromkeys(name for run in runs for name in run.array.names):
+        rows = []
+        for run in (run for run in runs if name in run.array.names):
+            i = run.array.names.index(name)
+            one = np.column_stack([np.ones(len(run.t_s)), run.w_rps, run.columns(latency(), i), run.z_rps[:, i]])
+            rows.append(one * run.weight[:, None])
+        whole = np.vstack(rows)
+        scale = np.maximum(np.sqrt(np.mean(whole[:, :-1] ** 2, axis=0)), 1e-12)
+        x = np.linalg.lstsq(whole[:, :-1] / scale, whole[:, -1], rcond=1e-3)[0] / scale
+        found[name] = np.asarray(run.array.p[i] + x[1:4])
+    return found
 
 
 def _one_clock(runs: Sequence[Run]) -> float | None:

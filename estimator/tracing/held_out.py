@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -46,8 +46,16 @@ def without(runs: Sequence[Run], model: Augmented, mask: Mask, shapes: NoiseShap
     Tones are taken off as they were found on all steps: a fifth of them says nothing else of a line.
     """
     kept = [replace(run, weight=run.weight * ~out) for run, out in zip(runs, mask, strict=True)]
-    spectra, terms = _spectra(kept, model)
-    return terms, Evidence(spectra, shapes)
+    evidence, terms = together(kept, model, shapes)
+    return terms, evidence
+
+
+def together(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> tuple[Evidence, list[Term]]:
+    """Return the evidence of runs with the effects of a model, tones taken off, what it does not fit being noise."""
+    spectra, terms = _spectra(runs, model)
+    evidence = Evidence(spectra, shapes)
+    evidence.allow_for_misfit(terms)
+    return evidence, terms
 
 
 def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> dict[str, OutOfSample]:
@@ -56,20 +64,26 @@ def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) ->
     What is left out is predicted from the rest, with all that the rest leaves open, with an effect and without it.
     Recordings are left out one at a time, and stretches of some steps; between stretches a bias may wander.
     """
-    spectra, terms = _spectra(runs, model)
+    evidence, terms = together(runs, model, shapes)
     if not terms:
         return {}
     orders = list(dict.fromkeys(run.order for run in runs))
     by_run = None
     if len(orders) > 1:
-        folds = [_of_recording(runs, order) for order in orders]
-        by_run = _predicted(spectra, terms, shapes, folds)
-    spectra, terms = _spectra([_cut(run) for run in runs], model)
-    count = max(len(gyro.stretches) for gyro in spectra)
+        by_run = _predicted(evidence, terms, [_of_recording(runs, order) for order in orders])
+    evidence, terms = together([_cut(run) for run in runs], model, shapes)
+    count = max(len(gyro.stretches) for gyro in evidence.gyros)
     if count < 2:
         return {}
-    steps = _predicted(spectra, terms, shapes, [_of_number(number) for number in range(count)])
+    steps = _predicted(evidence, terms, [_of_number(number) for number in range(count)])
     return {term.name: OutOfSample(None if by_run is None else by_run[term.name], steps[term.name]) for term in terms}
+
+
+def told_by(
+    evidence: Evidence, terms: Sequence[Term], runs: Sequence[Run], orders: Collection[int]
+) -> dict[str, float]:
+    """Return by effect how much more probable it makes some recordings beside the others, predicted from the rest."""
+    return _predicted(evidence, terms, [lambda _, stretch: runs[stretch.run].order in orders])
 
 
 def _of_recording(runs: Sequence[Run], order: int) -> Fold:
@@ -80,33 +94,20 @@ def _of_number(out: int) -> Fold:
     return lambda number, _: number == out
 
 
-def _predicted(
-    spectra: Sequence[GyroSpectra], terms: Sequence[Term], shapes: NoiseShapes, folds: Sequence[Fold]
-) -> dict[str, float]:
+def _predicted(evidence: Evidence, terms: Sequence[Term], folds: Sequence[Fold]) -> dict[str, float]:
     """Return by effect how much more probable it makes each fold of stretches beside the others, summed."""
-    whole = _gained(spectra, terms, shapes)
+    whole = _gained(evidence, terms)
     total = dict.fromkeys(whole, 0.0)
     for fold in folds:
-        rest = _gained([_but(gyro, fold) for gyro in spectra], terms, shapes)
+        rest = _gained(evidence.without(fold), terms)
         for name, gained in whole.items():
             total[name] += gained - rest[name]
     return total
 
 
-def _gained(spectra: Sequence[GyroSpectra], terms: Sequence[Term], shapes: NoiseShapes) -> dict[str, float]:
-    evidence = Evidence(spectra, shapes)
-    together = evidence.of(terms)
-    return {term.name: together - evidence.of([t for t in terms if t is not term]) for term in terms}
-
-
-def _but(gyro: GyroSpectra, fold: Fold) -> GyroSpectra:
-    kept = [n for n, stretch in enumerate(gyro.stretches) if not fold(n, stretch)]
-    return replace(
-        gyro,
-        stretches=[gyro.stretches[n] for n in kept],
-        columns=[gyro.columns[n] for n in kept],
-        products=[gyro.products[n] for n in kept],
-    )
+def _gained(evidence: Evidence, terms: Sequence[Term]) -> dict[str, float]:
+    both = evidence.of(terms)
+    return {term.name: both - evidence.of([t for t in terms if t is not term]) for term in terms}
 
 
 def _cut(run: Run) -> Run:

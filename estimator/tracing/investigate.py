@@ -8,16 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model import decode
 from estimator.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.candidates import candidates_of
-from estimator.tracing.evidence import Evidence, Term
+from estimator.tracing.evidence import Evidence, Posterior, Term
 from estimator.tracing.faults import Fault
-from estimator.tracing.held_out import Mask, by_step, held, out_of_sample, without
+from estimator.tracing.held_out import FOLDS, Mask, by_step, held, out_of_sample, together, told_by, without
 from estimator.tracing.investigation import (
     Added,
-    Errors,
     Finding,
+    GyroErrors,
     Investigation,
     InvestigationError,
     ModelStep,
@@ -26,33 +27,26 @@ from estimator.tracing.investigation import (
     Unexplained,
     Value,
 )
+from estimator.tracing.open_world import SIZES_RPS, OpenWorld
 from estimator.tracing.residual import Residual, residuals
 from estimator.tracing.runs import BLOCK_S, Run, runs_of, same_devices
 from estimator.tracing.search import CERTAIN, Choice, Found, Search
 from estimator.tracing.spectra import GyroSpectra, NoiseShapes, gyro_spectra
-from estimator.tracing.verification import Judged, judge
+from estimator.tracing.verification import Judged, Truth, drawn, judge, sum_of
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _SURPRISED = 8.0
 """Sigmas by which the error on a verification run exceeds chance before a verdict is taken back."""
+_CONFIRMED = 2.0
+"""Natural logarithm by which an effect must make the verification run more probable: less is chance."""
 _REST_RPS = 2e-3  # several times Earth rate
 _VISIBLE = 3.0
 _SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
-_KIN = {
-    "rate": frozenset({"scale_asymmetry", "scale_quadratic", "scale_cubic", "dead_band"}),
-    "acceleration": frozenset({"latency", "bandwidth", "acceleration_sensitivity", "sample_hold"}),
-    "temperature": frozenset(
-        {"thermal_bias", "thermal_bias_quadratic", "thermal_gradient", "thermal_scale", "warm_up"}
-    ),
-    "time": frozenset({"bias_drift", "warm_up", "bias_step"}),
-    "direction": frozenset({"scale_asymmetry", "bias_step"}),
-    "angle": frozenset({"table_harmonic", "table_axes", "earth_rate"}),
-    "gravity": frozenset({"g_sensitivity"}),
-}
-"""Effects that depend on the same as structure that none explains: they fit a part of it and are no cause then."""
+_MATTERS = 1e-2  # share of the probability below which what may act is not averaged over
+NOTHING_MEASURED = "nothing that was measured"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,46 +170,50 @@ def _conclude(
     verification: Sequence[Recording],
 ) -> Investigation:
     choices = _visible(traced)
-    general = [c for c in choices if c.candidate.depends_on]
-    kin = set().union(*(_KIN.get(c.candidate.depends_on, frozenset()) for c in general))
-    named = [c for c in choices if not c.candidate.depends_on and c.candidate.called not in kin]
     if _at_rest(traced.runs):
-        named = [_with_copies(traced, choice) for choice in named]
+        choices = tuple(_with_copies(traced, choice) for choice in choices)
     weight = traced.search.evidence.noise_weight([c.term for c in choices])
     told = out_of_sample(traced.runs, _model(traced, choices, weight), traced.search.evidence.shapes)
-    named = [_proven(choice, told.get(choice.term.name)) for choice in named]
-    certain = [c for c in named if c.probability >= CERTAIN]
+    named = [_proven(choice, told.get(choice.term.name)) for choice in choices]
+    certain, taken_back = _confirmed(traced, [c for c in named if c.probability >= CERTAIN], held_back)
     doubtful = [c for c in named if c.probability < CERTAIN]
-    before = _model(traced, [], weight)
-    after = _model(traced, certain, weight)
-    whole = _model(traced, [*certain, *doubtful], weight) if doubtful else after
+    before, after = _model(traced, [], weight), _model(traced, certain, weight)
+    opened = traced.search.open_world([c.term for c in certain if c.tone is None])
     judged = _judged(traced, held_back, before, after, verification, certain)
-    rivals = _rivals(doubtful)
-    rivals = [names for names in rivals if len(names) > 1] or rivals
-    unexplained = _unexplained(traced, general, weight) if general else None
-    if doubtful:
+    judged = replace(judged, gyros=_owned_up(traced, judged.gyros, after, [*certain, *doubtful], opened))
+    residuals_of = _left(traced.runs, 0, before, after), _left(held_back, len(traced.runs), before, after)
+    unexplained = _unexplained(residuals_of[0][1]) if opened.probability > CERTAIN else None
+    rivals = [names for names in _rivals(doubtful) if len(names) > 1] if not unexplained else []
+    faulty = _faulty(faults)
+    added = [a.effect for a in faulty] + [c.candidate.called for c in certain]
+    if rivals or (doubtful and not unexplained):
+        rivals = rivals or _rivals(doubtful)
         finding = Finding.CANNOT_TELL
         reason = "these recordings cannot tell apart " + "; nor ".join(" and ".join(names) for names in rivals)
-    elif general:
-        finding = Finding.UNEXPLAINED
-        reason = (
-            f"the residual depends on {general[0].candidate.depends_on}, and no effect of the catalogue explains it"
-        )
-    elif certain or _faulty(faults):
-        names = [a.effect for a in _faulty(faults)] + [c.candidate.called for c in certain]
-        finding, reason = Finding.ADDED, "added " + ", ".join(names)
+    elif unexplained:
+        finding = Finding.PARTLY if added else Finding.UNEXPLAINED
+        what = "what is left" if added else "the residual"
+        reason = f"added {', '.join(added)}; " if added else ""
+        reason += f"{what} depends on {unexplained.depends_on}, and no effect that is known explains it"
+    elif added:
+        finding, reason = Finding.ADDED, "added " + ", ".join(added)
     else:
         finding, reason = Finding.NOTHING, "the residual is that of the noise"
+    if taken_back:
+        notes.append(
+            f"{', '.join(taken_back)}: the recordings speak for it, but it does not lower the error on the "
+            "verification run beyond chance: taken back"
+        )
     if held_back and finding in (Finding.NOTHING, Finding.ADDED) and judged.surprise > _SURPRISED:
-        finding, reason, rivals, unexplained = _taken_back(traced, held_back, most, certain)
+        finding, reason, rivals, unexplained = _surprised(traced, held_back, most, certain, residuals_of[1][1])
     gained = traced.found.log_evidence[-1] - traced.found.log_evidence[0]
     models = [ModelStep((), 0.0, judged.before)]
     if certain:
-        called = tuple(c.candidate.called for c in certain)
-        models.append(ModelStep(called, gained, judged.after))
+        models.append(ModelStep(tuple(c.candidate.called for c in certain), gained, judged.after))
     if doubtful:
         called = tuple(c.candidate.called for c in [*certain, *doubtful])
-        errors = _judged(traced, held_back, before, whole, verification, [*certain, *doubtful]).after
+        wider = _model(traced, [*certain, *doubtful], weight)
+        errors = _judged(traced, held_back, before, wider, verification, [*certain, *doubtful]).after
         models.append(ModelStep(called, gained, errors))
     for choice in certain:
         if choice.tone is not None and not choice.tone.found.locked:
@@ -226,7 +224,7 @@ def _conclude(
     return Investigation(
         finding,
         reason,
-        (*_faulty(faults), *(_added(traced, choice, after, told.get(choice.term.name)) for choice in certain)),
+        (*faulty, *(_added(traced, choice, after, told.get(choice.term.name)) for choice in certain)),
         tuple(rivals),
         unexplained,
         judged.before,
@@ -238,11 +236,66 @@ def _conclude(
         _suspects(traced.found),
         left_out,
         tuple(notes),
+        tuple(taken_back),
         judged.views,
         after,
-        *_left(traced.runs, 0, before, after),
-        *_left(held_back, len(traced.runs), before, after),
+        *residuals_of[0],
+        *residuals_of[1],
     )
+
+
+def _confirmed(traced: Traced, certain: list[Choice], held_back: Sequence[Run]) -> tuple[list[Choice], list[str]]:
+    """Return the effects that the verification run bears out, and the names of those that it does not.
+
+    The one that lowers its error least goes first, and the rest is judged again.
+    """
+    taken_back: list[str] = []
+    while held_back and any(c.tone is None for c in certain):
+        evidence, terms, runs = _with_held_back(traced, held_back, certain)
+        told = told_by(evidence, terms, runs, {run.order for run in held_back})
+        worst = min((c for c in certain if c.tone is None), key=lambda c: told[c.term.name])
+        if told[worst.term.name] >= _CONFIRMED:
+            break
+        certain = [c for c in certain if c is not worst]
+        taken_back.append(worst.candidate.called)
+    return certain, taken_back
+
+
+def _with_held_back(
+    traced: Traced, held_back: Sequence[Run], choices: Sequence[Choice]
+) -> tuple[Evidence, list[Term], list[Run]]:
+    """Return the evidence of all recordings, the verification runs' too, with the terms of some effects."""
+    weight = traced.search.evidence.noise_weight([c.term for c in choices])
+    runs = [*traced.runs, *held_back]
+    return *together(runs, _model(traced, choices, weight), traced.search.evidence.shapes), runs
+
+
+def _owned_up(
+    traced: Traced, gyros: Sequence[GyroErrors], after: Augmented, choices: Sequence[Choice], opened: OpenWorld
+) -> tuple[GyroErrors, ...]:
+    """Return errors with sigmas of the states that hold what may act beside the model: rivals, and what has no name."""
+    search = traced.search
+    sets = [(terms, value + np.log1p(-opened.probability)) for terms, value in search.alternatives(choices)]
+    sure = [c.term for c in choices if c.probability >= CERTAIN and c.tone is None]
+    top = max(value for _, value in sets)
+    share = opened.by_size - np.logaddexp.reduce(opened.by_size) + np.log(max(opened.probability, 1e-30))
+    base = np.logaddexp.reduce([value for _, value in sets]) - np.log1p(-min(opened.probability, 1 - 1e-12))
+    sets += [([*sure, search.open_term(float(s))], base + w) for s, w in zip(SIZES_RPS, share, strict=True)]
+    total = np.logaddexp.reduce([value for _, value in sets])
+    weights = [(terms, float(np.exp(value - total))) for terms, value in sets if value > top - 50 or value > total - 50]
+    weights = [(terms, w) for terms, w in weights if w > _MATTERS]
+    scale = sum(w for _, w in weights)
+    posteriors = [(search.evidence.posterior(terms), w / scale) for terms, w in weights]
+    known = []
+    for gyro in gyros:
+        g = after.names.index(gyro.name)
+        covariance = np.zeros((4, 4))
+        for posterior, w in posteriors:
+            apart = posterior.own[g][:4] - after.mean[g, :4]
+            covariance += w * (posterior.own_covariance[g][:4, :4] + np.outer(apart, apart))
+        sd = np.sqrt(np.diag(decode(after.mean[g, :4], covariance)[1]))
+        known.append(replace(gyro, sd_after=np.maximum(sd, gyro.sd_after)))
+    return tuple(known)
 
 
 def _left(
@@ -327,41 +380,66 @@ def _judged(
     verification: Sequence[Recording],
     choices: Sequence[Choice],
 ) -> Judged:
+    evidence, terms, _ = _with_held_back(traced, held_back, choices)
+    posterior = evidence.posterior(terms)
+    all_of_it = _estimated(after, posterior)
+    misfit: dict[tuple[str, int], float] = {}
+    for gyro, left in zip(evidence.gyros, evidence.misfit, strict=True):
+        for stretch, squares in zip(gyro.stretches, left, strict=True):
+            key = gyro.name, stretch.run
+            misfit[key] = misfit.get(key, 0.0) + squares
+    truth = Truth(all_of_it, misfit)
     if not held_back:
-        return _cross_validated(traced, before, after, choices)
+        return _cross_validated(traced, before, after, choices, truth)
     tones = [c.tone.found.frequency_hz for c in choices if c.tone is not None]
     fine_s = min([BLOCK_S, *(1 / (_TONE_BLOCKS * hz) for hz in tones)])
     runs: list[Run] = list(held_back)
     if fine_s < BLOCK_S:
         runs = _all_runs(verification, held_back[0].order, fine_s)[0]
-    return judge(runs, len(traced.runs), before, after, held_back=True)
+        scale = len(runs[0].t_s) / len(held_back[0].t_s)
+        truth = replace(truth, misfit={key: scale * squares for key, squares in misfit.items()})
+    first = len(traced.runs)
+    return judge(runs, first, before, after, True, drawn(runs, first, before, after, truth))
 
 
-def _cross_validated(traced: Traced, before: Augmented, after: Augmented, choices: Sequence[Choice]) -> Judged:
+def _estimated(model: Augmented, posterior: Posterior) -> Augmented:
+    """Return a model with another estimate; its tones stay as they are."""
+    mean, covariance = model.mean.copy(), model.covariance.copy()
+    h = len(posterior.shared)
+    for g in range(len(mean)):
+        c = len(posterior.own[g])
+        mean[g, : c + h] = np.concatenate([posterior.own[g], posterior.shared])
+        both = [[posterior.own_covariance[g], posterior.cross[g]], [posterior.cross[g].T, posterior.shared_covariance]]
+        covariance[g, : c + h, : c + h] = np.block(both)
+    return replace(model, mean=mean, covariance=covariance)
+
+
+def _cross_validated(
+    traced: Traced, before: Augmented, after: Augmented, choices: Sequence[Choice], truth: Truth
+) -> Judged:
     """Return errors on each fifth of the steps of models fitted to the others, the noise as found on all."""
     if not choices:
-        return judge(traced.runs, 0, before, after, held_back=False)
+        return judge(traced.runs, 0, before, after, False, drawn(traced.runs, 0, before, after, truth))
     # The models are those of all the data; errors by step hold what a fit without that step would have said.
     weight = traced.search.evidence.noise_weight([c.term for c in choices])
     full = _model(traced, choices, weight)
-    judged = []
+    parts = []
+    share = replace(truth, misfit={key: squares / FOLDS for key, squares in truth.misfit.items()})
     for mask in by_step(traced.runs):
+        runs = held(traced.runs, mask)
         old, new = _models_without(traced, full, mask, weight)
-        judged.append(judge(held(traced.runs, mask), 0, old, new, held_back=False))
-    whole = judge(traced.runs, 0, before, after, held_back=False)
+        errors = drawn(runs, 0, old, new, share)
+        parts.append((judge(runs, 0, old, new, False, errors), errors))
+    whole = {name: sum_of(errors[name] for _, errors in parts) for name in after.names}
+    judged = judge(traced.runs, 0, before, after, False, whole)
+    cover = [
+        float(np.mean([own.coverage95 for own in which if np.isfinite(own.coverage95)]))
+        for which in ([j.before for j, _ in parts], [j.after for j, _ in parts])
+    ]
     return replace(
-        whole,
-        before=_mean([j.before for j in judged]),
-        after=_mean([j.after for j in judged]),
-    )
-
-
-def _mean(errors: Sequence[Errors]) -> Errors:
-    known = [e for e in errors if np.isfinite(e.rms_rps)]
-    return Errors(
-        float(np.sqrt(np.mean([e.rms_rps**2 for e in known]))),
-        max(e.max_rps for e in known),
-        float(np.mean([e.coverage95 for e in known])),
+        judged,
+        before=replace(judged.before, coverage95=cover[0]),
+        after=replace(judged.after, coverage95=cover[1]),
     )
 
 
@@ -397,8 +475,6 @@ def _added(traced: Traced, choice: Choice, model: Augmented, told: OutOfSample |
         for i, (value, doubt) in enumerate(zip(mean, doubts, strict=True)):
             parameter = effect.parameters[i % len(effect.parameters)]
             size = parameter.largest
-            if choice.candidate.by_size:  # what is late is what the gyro puts out, not the rate
-                size /= 1 - float(model.mean[:, 0].mean() if shared else model.mean[g, 0])
             label = parameter.name if shared else f"{name} {parameter.name}"
             if i >= len(effect.parameters):
                 label += f" in run {i // len(effect.parameters) + 1}"
@@ -425,34 +501,23 @@ def _tone_sd(traced: Traced, model: Augmented, where: slice) -> float:
     return float(np.sqrt(6) / (np.pi * span_s * np.sqrt(max(told, 1.0))))
 
 
-def _unexplained(traced: Traced, general: Sequence[Choice], weight: Floats) -> Unexplained:
-    """Return what the residual depends on, and the share of its power beyond the noise that this takes up."""
-    terms = traced.found.terms
-    without = [t for t in terms if t.name not in {c.candidate.name for c in general}]
-    power_with, power_without = _power(traced, terms, weight), _power(traced, without, weight)
-    blocks = sum(len(s.band) for gyro in traced.spectra for s in gyro.stretches)
-    # Where what is left is below the white noise found at high frequencies, all of it counts.
-    noise = blocks if power_with > blocks else 0.0
-    share = 1 - (power_with - noise) / max(power_without - noise, 1e-9)
-    return Unexplained(general[0].candidate.depends_on, float(np.clip(share, 0.0, 1.0)))
-
-
-def _power(traced: Traced, terms: Sequence[Term], weight: Floats) -> float:
-    """Return the squares left beside a model, over the white noise."""
-    posterior = traced.search.evidence.posterior(terms, weight)
-    own = [c for t in terms if not t.shared for c in t.columns]
-    shared = [c for t in terms if t.shared for c in t.columns]
+def _unexplained(residual: Residual | None) -> Unexplained:
+    """Return what a residual depends on most, and the share of its power beyond the noise that this takes up."""
+    power: dict[str, float] = {}
     total = 0.0
-    for gyro, mean in zip(traced.search.evidence.gyros, posterior.own, strict=True):
-        whole = np.concatenate([mean, posterior.shared])
-        for part in gyro.columns:
-            rest = part[:, 4] - part[:, [*range(4), *own, *shared]] @ whole
-            total += float(rest @ rest)
-    return total
+    for gyro in residual.gyros if residual else ():
+        total += gyro.nis * gyro.beyond
+        for dependence in gyro.dependences:
+            taken = gyro.nis * gyro.beyond * dependence.share
+            power[dependence.variable] = power.get(dependence.variable, 0.0) + taken
+    most = max(power, key=lambda variable: power[variable], default="")
+    if not power or power[most] <= 0:
+        return Unexplained(NOTHING_MEASURED, 0.0)
+    return Unexplained(most, float(np.clip(power[most] / total, 0.0, 1.0)))
 
 
-def _taken_back(
-    traced: Traced, held_back: Sequence[Run], most: int, certain: Sequence[Choice]
+def _surprised(
+    traced: Traced, held_back: Sequence[Run], most: int, certain: Sequence[Choice], residual: Residual | None
 ) -> tuple[Finding, str, list[tuple[str, ...]], Unexplained | None]:
     """Return the verdict where the verification shows an error that the other recordings could not show.
 
@@ -460,17 +525,17 @@ def _taken_back(
     """
     wider, _ = _trace([*traced.runs, *held_back], most)
     known = {c.candidate.called for c in certain}
-    extra = [c for c in wider.found.choices if c.candidate.called not in known]
-    named = [c for c in extra if not c.candidate.depends_on]
-    said = "the verification run shows an error that the other recordings cannot show"
-    if named:
-        would = ", ".join(c.candidate.called for c in named)
-        reason = f"{said}; it would fit {would}, which a run of its own must prove"
-        return Finding.CANNOT_TELL, reason, _rivals(named), None
+    extra = [c for c in wider.found.choices if c.candidate.called not in known and c.probability >= CERTAIN]
+    reason = "the verification run shows an error that the other recordings cannot show"
     if extra:
-        weight = wider.search.evidence.noise_weight(wider.found.terms)
-        return Finding.UNEXPLAINED, said, [], _unexplained(wider, extra, weight)
-    return Finding.UNEXPLAINED, said, [], Unexplained("time", 0.0)
+        would = ", ".join(c.candidate.called for c in extra)
+        return (
+            Finding.CANNOT_TELL,
+            f"{reason}; it would fit {would}, which a run of its own must prove",
+            _rivals(extra),
+            None,
+        )
+    return Finding.PARTLY if certain else Finding.UNEXPLAINED, reason, [], _unexplained(residual)
 
 
 def _rivals(choices: Sequence[Choice]) -> list[tuple[str, ...]]:

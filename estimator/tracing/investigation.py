@@ -28,6 +28,7 @@ class Finding(StrEnum):
 
     NOTHING = "nothing to add"
     ADDED = "added"
+    PARTLY = "added in part"
     CANNOT_TELL = "cannot tell"
     UNEXPLAINED = "unexplained"
 
@@ -57,6 +58,8 @@ class Added:
     parameters: Mapping[str, Value]
     out_of_sample: OutOfSample | None = None
     same: tuple[str, ...] = ()
+    constructed: bool = False
+    expression: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +80,7 @@ class OutOfSample:
 
 @dataclass(frozen=True, slots=True)
 class Unexplained:
-    """Structure of the residual that no effect explains: what it depends on, its share of the residual's power."""
+    """Structure of the residual that no effect explains: what it depends on, and the share of it that does."""
 
     depends_on: str
     share: float
@@ -111,7 +114,11 @@ class PhaseErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroErrors:
-    """One gyro before and after; ``moved`` (4,): by how many of their old sigmas its states moved."""
+    """One gyro before and after.
+
+    ``states_before`` and ``states_after`` (4,) have standard deviations ``sd_before`` and ``sd_after``; ``moved`` (4,):
+    by how many of their old sigmas the states moved.
+    """
 
     name: str
     before: Errors
@@ -120,11 +127,13 @@ class GyroErrors:
     states_before: Floats
     states_after: Floats
     moved: Floats
+    sd_before: Floats = field(default_factory=lambda: np.full(4, np.nan))
+    sd_after: Floats = field(default_factory=lambda: np.full(4, np.nan))
 
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
-    """Error before over error after, and its 95 % interval by block bootstrap."""
+    """Error before over error after, and its 95 % interval."""
 
     ratio: float
     low: float
@@ -174,6 +183,7 @@ class Investigation:
 
     ``rivals``: sets of effects that these recordings cannot tell apart. ``models``: the chain from the first model
     to the last; ``model`` is the last itself. ``left_out``: effects that could not be tried, with the reason.
+    ``taken_back``: effects that the recordings spoke for and that did not lower the error on the verification run.
     ``residual_before`` and ``residual_after`` are those of the recordings that were fitted, ``verified_before`` and
     ``verified_after`` those of the verification run.
     """
@@ -192,6 +202,7 @@ class Investigation:
     suspects: tuple[Suspect, ...]
     left_out: Mapping[str, str]
     notes: tuple[str, ...]
+    taken_back: tuple[str, ...] = ()
     views: tuple[ResidualView, ...] = field(default=(), repr=False)
     model: Augmented | None = field(default=None, repr=False)
     residual_before: Residual | None = field(default=None, repr=False)

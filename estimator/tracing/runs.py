@@ -28,7 +28,9 @@ Stamps = NDArray[np.int64]
 
 BLOCK_S = 0.2
 """Shortest block: ramps of half a second still show their shape."""
-_MOST_BLOCKS = 6000
+_MOVED_S = 0.1  # where no table makes the motion: hands and shafts turn about within a second
+_TURNS_RAD = 0.5
+_MOST_BLOCKS = 8000
 _GRID_S = 0.02  # instants at which conditions are worked out, within blocks
 _FINE_S = 0.005  # samples closer than this are taken together where the rate of before is looked up
 _GAP_S = 5.0  # a longer gap ends a stretch: what the noise did meanwhile is not known
@@ -245,6 +247,8 @@ def _by_turns(recording: Recording, data: ImuData, block_s: float) -> _Measured 
     if len(data.t_ns) < 2:
         return None
     gyros, body = Turned.of_rates(data.t_ns, data.rate_rps), Turned.of_reference(recording.reference, recording.site)
+    if np.abs(body.integral).max() > _TURNS_RAD:
+        block_s = min(block_s, _MOVED_S)
     length_s = _length_s(recording, data, block_s, 2 * max(float(np.median(np.diff(t))) for t in (gyros.t_s, body.t_s)))
     origin_s = max(gyros.t_s[0], body.t_s[0])
     count = int((min(gyros.t_s[-1], body.t_s[-1]) - origin_s) / length_s)

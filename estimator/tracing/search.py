@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.effects.dynamics import tone as tone_at
-from estimator.tracing.candidates import Candidate
+from estimator.tracing.candidates import OF_TIME, Candidate
 from estimator.tracing.evidence import SCALES, Base, Evidence, Term
 from estimator.tracing.investigation import InvestigationError
+from estimator.tracing.open_world import OpenWorld
 from estimator.tracing.peaks import highest
 from estimator.tracing.runs import Run
 from estimator.tracing.spectra import GyroSpectra, cosines
@@ -34,12 +35,12 @@ CERTAIN = 0.95
 _SET = 0.99  # rivals are as many as share this probability
 _ROUNDS = 12
 _STOP_LOG_PRIOR = 0.0  # nothing more: as likely as all effects together, several times over
-_IN_PLACE = 2  # effects that may stand for one general dependence
-_CLEARLY = 2.0  # by so much they must be more probable: a flexible sum of effects is no cause either
 _LOST = 0.3  # share of the rate within a dead band that may be missing to all of it
 _UNEXCITED = 0.5  # sigmas of an effect of the largest plausible size, all gyros and runs together
 _COPIED = 9.0  # squares over noise that a copy of an effect leaves in a gyro, within chance
 _RICH = 0.1  # scale of all effects at once, when it is asked what the noise may be
+_NOT_OPEN = frozenset({"bias_step", "warm_up", "dead_band", "table_rate"})  # of them one of many is in the model
+_MOST_SETS = 40
 _MOST_TONES = 3
 _SIZED = 3  # rounds in which the size of an effect settles that is exact for its size only
 _LONGEST_S = 0.3  # of a delay or a time constant: what is slower than this is no such
@@ -135,6 +136,8 @@ class Search:
         for turn in range(_ROUNDS):
             model = [terms[name] for name in chosen]
             self._refine(model, chosen)
+            self._allow_for_misfit(terms)
+            chain[-1] = self.evidence.of(model) + heard
             scores = self._scores(model, chosen)
             stop = self.evidence.of(model) + _STOP_LOG_PRIOR
             tone = self._tone(model)
@@ -164,10 +167,72 @@ class Search:
             else:
                 chosen.append(best)
                 terms[best] = scores[best][1]
-            chosen, terms = self._settle(chosen, terms)
+            chosen, terms = self._exchanged(chosen, terms)
             chain.append(self.evidence.of([terms[name] for name in chosen]) + heard)
         choices = [*(self._judge(name, chosen, terms) for name in chosen), *self._tones]
-        return Found(tuple(choices), tuple(chain), first, nothing)
+        return Found(tuple(self._beside_open(choices)), tuple(chain), first, nothing)
+
+    def open_world(self, model: Sequence[Term]) -> OpenWorld:
+        """Return how probable it is beside a model that something acts that has no name."""
+        columns, sizes = self._open_columns()
+        return OpenWorld.beside(self.evidence, model, columns, sizes)
+
+    def open_term(self, size_rps: float) -> Term:
+        """Return the sum of functions that may act without a name, of this size, as a term."""
+        columns, sizes = self._open_columns()
+        return Term("open", tuple(columns), False, size_rps, sizes=tuple(sizes.tolist()))
+
+    def alternatives(self, choices: Sequence[Choice]) -> list[tuple[list[Term], float]]:
+        """Return the sets of terms that may be true where choices are open, each with its log evidence and expectation.
+
+        In the place of each that is not certain stands nothing, itself, or one of its rivals.
+        """
+        kept = [c for c in choices if c.tone is None and c.probability >= CERTAIN]
+        sets = [kept]
+        for choice in (c for c in choices if c.tone is None and c.probability < CERTAIN):
+            scores = self._scores([c.term for c in kept], [c.candidate.name for c in kept])
+            rivals = [n for n, _ in scores.items() if self._known[n][0].called in choice.rivals]
+            swapped = [replace(choice, candidate=self._known[n][0], term=scores[n][1]) for n in rivals]
+            sets = [[*own, *more] for own in sets for more in ([], *([one] for one in [choice, *swapped]))][:_MOST_SETS]
+        found = []
+        for own in sets:
+            terms = list({c.candidate.name: c.term for c in own}.values())
+            prior = sum(c.candidate.log_prior for c in own if c not in kept)
+            found.append((terms, self.evidence.of(terms) + prior))
+        return found
+
+    def _open_columns(self) -> tuple[list[int], Floats]:
+        """Return columns that stand for any function of what was measured, and how each is scaled to 1 rad/s rms."""
+        columns = [
+            c for candidate, term in self._known.values() if candidate.called not in _NOT_OPEN for c in term.columns
+        ]
+        squares, seconds = np.zeros(len(columns)), 0.0
+        for gyro in self._spectra:
+            for stretch, part in zip(gyro.stretches, gyro.columns, strict=True):
+                squares += np.sum(part[1:, columns] ** 2, axis=0) * gyro.arw**2
+                seconds += len(part) * stretch.length_s
+        rms = np.sqrt(squares / seconds)
+        seen = rms > 1e-9 * rms.max(initial=1e-30)
+        return [c for c, there in zip(columns, seen, strict=True) if there], 1 / rms[seen]
+
+    def _beside_open(self, choices: Sequence[Choice]) -> list[Choice]:
+        """Return choices no more probable than they are where something without a name may act as well."""
+        terms = [choice.term for choice in choices if choice.tone is None]
+        with_all = self.open_world(terms).total if terms else 0.0
+        judged = []
+        for choice in choices:
+            if choice.tone is None:
+                others = [term for term in terms if term is not choice.term]
+                odds = with_all - self.open_world(others).total + choice.candidate.log_prior - choice.term.log_tries
+                known = float(1 / (1 + np.exp(-np.clip(odds, -50, 50))))
+                choice = replace(choice, probability=min(choice.probability, known))
+            judged.append(choice)
+        return judged
+
+    def _allow_for_misfit(self, chosen: Mapping[str, Term]) -> None:
+        """Count as noise what neither the effects chosen nor all others together explain."""
+        self.evidence.allow_for_misfit([chosen.get(name, term) for name, (_, term) in self._known.items()])
+        self._scored.clear()
 
     def _tone(self, model: Sequence[Term]) -> ToneFound | None:
         """Return the strongest line beside a model."""
@@ -234,7 +299,7 @@ class Search:
         found = {}
         taken = {t.name for t in terms}
         for name, (candidate, term) in self._known.items():
-            if name not in taken and name not in self._barred:
+            if name not in taken and name not in self._barred and not candidate.depends_on:
                 value, scaled = base.with_term(shared, term)
                 likelier = candidate.likelier if candidate.beside in taken else 0.0
                 found[name] = (value + candidate.log_prior + likelier, scaled)
@@ -264,16 +329,6 @@ class Search:
         lost = np.array([mean[at] for mean in posterior.own]) * candidate.largest[0]
         return bool(np.any(np.abs(lost - 1) < _LOST)) and bool(np.all(lost > -_LOST))
 
-    def _settle(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
-        """Exchange effects, put effects with a name in the place of general dependences, until neither changes any."""
-        for _ in range(_ROUNDS):
-            chosen, terms = self._exchanged(chosen, terms)
-            before = list(chosen)
-            chosen, terms = self._named(chosen, terms)
-            if chosen == before:
-                break
-        return chosen, terms
-
     def _exchanged(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
         """Try to remove and to exchange each effect, until nothing makes the model more probable."""
         for _ in range(_ROUNDS):
@@ -295,25 +350,6 @@ class Search:
                     break
             if not changed:
                 break
-        return chosen, terms
-
-    def _named(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
-        """Try in the place of each general dependence up to a few effects with a name, added one at a time."""
-        for name in [n for n in chosen if self._known[n][0].depends_on]:
-            others = [other for other in chosen if other != name]
-            kept = {other: terms[other] for other in others}
-            scores = self._scores(list(kept.values()), others)
-            target = scores[name][0]
-            for _ in range(_IN_PLACE):
-                self._refine(list(kept.values()), list(kept))
-                scores = self._scores(list(kept.values()), list(kept))
-                scores = {n: s for n, s in scores.items() if not self._known[n][0].depends_on}
-                best = max(scores, key=lambda n: scores[n][0])
-                kept[best] = scores[best][1]
-                # What was expected of those put in before counts too: the target knows of one addition only.
-                value = scores[best][0] + sum(self._known[n][0].log_prior for n in kept if n not in (*others, best))
-                if value > target + _CLEARLY:
-                    return list(kept), {**terms, **kept}
         return chosen, terms
 
     def best_of(self, effect: str, chosen: Sequence[Choice]) -> Choice:
@@ -487,9 +523,13 @@ class _Scan:
         columns = [*range(4), *(c for t in terms for c in t.columns)]
         self._runs, self._spectra = runs, spectra
         self._roots, self._bases, self._rest = [], [], []
-        for gyro in spectra:
+        for gyro, excess in zip(spectra, evidence.excess, strict=True):
+            density = [
+                (evidence.shapes.density(s)[best] * more)[s.band]
+                for s, more in zip(gyro.stretches, excess, strict=True)
+            ]
             root = (
-                np.concatenate([np.sqrt(s.length_s / evidence.shapes.density(s)[best][s.band]) for s in gyro.stretches])
+                np.concatenate([np.sqrt(s.length_s / d) for s, d in zip(gyro.stretches, density, strict=True)])
                 / gyro.arw
             )
             lengths = np.concatenate([np.full(len(s.band), s.length_s) for s in gyro.stretches])
@@ -501,7 +541,9 @@ class _Scan:
             self._rest.append(z - basis @ (basis.T @ z))
 
     def _turn(self, candidate: Candidate, gyro: GyroSpectra) -> Floats:
-        key = candidate.name, float(candidate.theta or 0.0), gyro.name
+        alike = candidate.called in OF_TIME  # the same for all gyros of a source
+        source = str([s.run for s in gyro.stretches])
+        key = candidate.name, float(candidate.theta or 0.0), source if alike else gyro.name
         if key not in self._kept:
             parts = []
             for stretch in gyro.stretches:

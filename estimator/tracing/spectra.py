@@ -8,7 +8,7 @@ weight for each frequency, and the products of all columns, summed within narrow
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from estimator.tracing.runs import Run
 Floats = NDArray[np.float64]
 
 _BANDS_A_DECADE = 8
+_UNLIKE = 5.0  # over the root of how many frequencies tell it: by so much levels of noise differ that are not the same
 _SINGLE = 12  # so many of the lowest frequencies of a stretch have a band of their own
 
 
@@ -30,7 +31,10 @@ def cosines(columns: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """A stretch of a run: its blocks, and the band (b,) that each of its frequencies (b,) in Hz falls into."""
+    """A stretch of a run: its blocks, and the band (b,) that each of its frequencies (b,) in Hz falls into.
+
+    ``level`` is the variance of its white noise over that of all runs.
+    """
 
     run: int
     blocks: slice
@@ -40,6 +44,7 @@ class Stretch:
     counts: Floats
     length_s: float
     alone: bool
+    level: float = 1.0
 
     @classmethod
     def of(cls, run: int, blocks: slice, length_s: float, alone: bool) -> Stretch:
@@ -93,11 +98,11 @@ class NoiseShapes:
         """Return the variance (G, bands) of a coefficient in each band over that of white noise."""
         hz = np.maximum(stretch.band_hz, 1e-12)
         circle = 2 * np.pi * hz
-        out = 1 + self.instability[:, None] ** 2 / circle + (self.walk[:, None] / circle) ** 2
+        out = stretch.level + self.instability[:, None] ** 2 / circle + (self.walk[:, None] / circle) ** 2
         span_s = len(stretch.band) * stretch.length_s
         wander = self.instability**2 * np.log(10 + span_s) / np.pi + self.walk**2 * span_s
         # The mean of a stretch holds what the bias has wandered to since another stretch, and since power-on.
-        out[:, 0] = 1 + span_s * (wander + (0.0 if stretch.alone else self.turn_on**2))
+        out[:, 0] = stretch.level + span_s * (wander + (0.0 if stretch.alone else self.turn_on**2))
         return np.asarray(out)
 
     def __len__(self) -> int:
@@ -192,10 +197,22 @@ def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) ->
         if prior is None or not stretches:
             continue
         white = arw[name] if arw is not None else _white(parts, stretches)
+        stretches = _levelled(parts, stretches, white)
         gyro = GyroSpectra(name, prior, white, stretches, [np.empty((len(p), 0)) for p in parts])
         gyro.add(parts)
         found.append(gyro)
     return found
+
+
+def _levelled(parts: Sequence[Floats], stretches: Sequence[Stretch], white: float) -> list[Stretch]:
+    """Return stretches with the level of the white noise of their run, where that is not the level of all by chance."""
+    levels = {}
+    for run in {stretch.run for stretch in stretches}:
+        own = [n for n, stretch in enumerate(stretches) if stretch.run == run]
+        ratio = _white([parts[n] for n in own], [stretches[n] for n in own]) / white
+        known = sum(len(parts[n]) for n in own) / 2
+        levels[run] = ratio**2 if abs(np.log(ratio)) > _UNLIKE / np.sqrt(known) else 1.0
+    return [replace(stretch, level=levels[stretch.run]) for stretch in stretches]
 
 
 def _white(parts: Sequence[Floats], stretches: Sequence[Stretch]) -> float:

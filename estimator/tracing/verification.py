@@ -8,7 +8,7 @@ phases in which the two models differ by more than an interval's standard deviat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -25,7 +25,8 @@ Floats = NDArray[np.float64]
 _PIECE_S = 5.0  # without a table: phases of this length
 _RAMP_SHARE = 0.02  # of the steepest acceleration of a run: what counts as a ramp
 _FEWEST = 2
-_RESAMPLED = 400
+_DRAWN = 400
+_MISFIT_DOF = 50.0  # of what no model fits: coherent with the motion, so far fewer than blocks
 _LONG = 30.0
 _APART = 1.0  # sigmas of an interval by which models differ, to be told apart by it
 _FEWEST_JUDGED = 20
@@ -54,16 +55,12 @@ class Judged:
 
 @dataclass(slots=True, eq=False)
 class _Sums:
-    """Of one phase and gyro: squares of the projections, noise and doubt in them, blocks; before and after.
+    """Of one phase and gyro, before and after: ``largest`` error of the mean.
 
     ``inside``, ``apart`` and ``chi`` are of the last projection: the direction in which the models differ.
     """
 
     gyro: str
-    squares: tuple[float, float]
-    noise: float
-    doubt: tuple[float, float]
-    blocks: int
     inside: tuple[bool, bool]
     largest: tuple[float, float]
     apart: float
@@ -94,8 +91,75 @@ def phases_of(run: Run) -> list[Phase]:
     return [p for p in found if p.blocks.stop - p.blocks.start >= least[p.kind]]
 
 
-def judge(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, held_back: bool) -> Judged:
-    """Return the errors of two models on runs, of which the first has this number among all."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What all recordings together say: parameters as in the last model, and by gyro and number of a run its misfit.
+
+    The misfit is the sum over blocks of what no model fits beyond the noise, (rad/s)^2, with its degrees of freedom.
+    """
+
+    model: Augmented
+    misfit: Mapping[tuple[str, int], float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """Sums over ``blocks`` of squared errors of one gyro before and after (m,), for draws of what may be true."""
+
+    before: Floats
+    after: Floats
+    blocks: float
+
+    def __add__(self, other: Drawn) -> Drawn:
+        return Drawn(self.before + other.before, self.after + other.after, self.blocks + other.blocks)
+
+    @property
+    def rms_rps(self) -> tuple[float, float]:
+        """Before and after, the mean over the draws."""
+        n = max(self.blocks, 1.0)
+        return float(np.sqrt(self.before.mean() / n)), float(np.sqrt(self.after.mean() / n))
+
+    @property
+    def improvement(self) -> Improvement:
+        """Before over after, and its 95 % interval."""
+        before, after = self.rms_rps
+        ratios = np.sqrt(self.before / np.maximum(self.after, 1e-300))
+        low, high = np.quantile(ratios, [0.025, 0.975])
+        return Improvement(before / max(after, 1e-150), float(low), float(high))
+
+
+def drawn(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, truth: Truth) -> dict[str, Drawn]:
+    """Return by gyro how wrong two models are on the whole of runs, the noise apart, if truth is what all data say.
+
+    Draws are from the posterior of all recordings; what nothing fits is an error of both models, known by chance only.
+    """
+    sums: dict[str, Drawn] = {}
+    for name in after.names:
+        g = after.names.index(name)
+        random = np.random.default_rng(g)  # the same figures for the same recordings
+        true = random.multivariate_normal(truth.model.mean[g], truth.model.covariance[g], _DRAWN, method="eigh")
+        old = np.zeros(true.shape[1])
+        old[: before.mean.shape[1]] = before.mean[g]
+        for number, run in enumerate(runs):
+            if name not in run.array.names:
+                continue
+            columns = after.columns(run, first + number, run.array.names.index(name)) * run.weight[:, None]
+            gram = columns.T @ columns
+            squares = [np.einsum("mi,ij,mj->m", true - x, gram, true - x) for x in (old, after.mean[g])]
+            left = truth.misfit.get((name, first + number), 0.0)
+            chance = random.chisquare(_MISFIT_DOF, _DRAWN) / _MISFIT_DOF
+            own = Drawn(squares[0] + left * chance, squares[1] + left * chance, float(run.weight.sum()))
+            sums[name] = sums[name] + own if name in sums else own
+    return sums
+
+
+def judge(
+    runs: Sequence[Run], first: int, before: Augmented, after: Augmented, held_back: bool, errors: Mapping[str, Drawn]
+) -> Judged:
+    """Return the errors of two models on runs, of which the first has this number among all.
+
+    ``errors`` are those of the whole runs by gyro.
+    """
     sums: list[tuple[int, int, _Sums]] = []
     phases: dict[str, list[PhaseErrors]] = {name: [] for name in after.names}
     views = []
@@ -126,20 +190,12 @@ def judge(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, 
                 inside = [bool(abs(s[-1]) < 1.96 * np.sqrt(v)) for s, v in zip(scores, variances, strict=True)]
                 fits = [basis @ s for s in scores]
                 mean_noise = float(np.sqrt(noise[0] / len(keep)))
-                spread = [
-                    float(np.mean(np.einsum("ij,jk,ik->i", c[keep], m.covariance[g], c[keep])))
-                    for c, m in ((columns_before, before), (columns_after, after))
-                ]
                 sums.append(
                     (
                         number,
                         p,
                         _Sums(
                             name,
-                            (float(scores[0] @ scores[0]), float(scores[1] @ scores[1])),
-                            float(noise.sum()),
-                            (spread[0], spread[1]),
-                            len(keep),
                             (inside[0], inside[1]),
                             (float(np.abs(fits[0]).max()), float(np.abs(fits[1]).max())),
                             float(abs(scores[0][-1] - scores[1][-1]) / np.sqrt(variances[1])),
@@ -176,16 +232,17 @@ def judge(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, 
             )
     everything = [s for _, _, s in sums]
     gyros = tuple(
-        _gyro(name, before, after, [s for s in everything if s.gyro == name], phases[name])
+        _gyro(name, before, after, [s for s in everything if s.gyro == name], phases[name], errors[name])
         for name in after.names
         if any(s.gyro == name for s in everything)
     )
     dof = len(everything)
     surprise = (sum(s.chi for s in everything) - dof) / np.sqrt(2 * max(dof, 1))
+    whole = sum_of(errors.values())
     return Judged(
-        _errors(everything, 0),
-        _errors(everything, 1),
-        _improvement(sums) if after.parts else None,
+        _errors(everything, 0, whole),
+        _errors(everything, 1, whole),
+        whole.improvement if after.parts else None,
         gyros,
         tuple(views),
         float(surprise),
@@ -218,55 +275,33 @@ def _noise(model: Augmented, g: int, basis: Floats, run: Run, blocks: int, sigma
     return np.asarray(white + wander * basis.sum(axis=0) ** 2)
 
 
-def _errors(sums: Sequence[_Sums], which: int) -> Errors:
+def sum_of(errors: Iterable[Drawn]) -> Drawn:
+    """Return the errors of all gyros together."""
+    return sum(errors, Drawn(np.zeros(_DRAWN), np.zeros(_DRAWN), 0.0))
+
+
+def _errors(sums: Sequence[_Sums], which: int, whole: Drawn) -> Errors:
     if not sums:
         return Errors(float("nan"), float("nan"), float("nan"))
-    squares = np.array([s.squares[which] for s in sums])
-    noise = np.array([s.noise for s in sums])
-    blocks = np.array([s.blocks for s in sums])
-    doubt = np.array([s.doubt[which] * s.blocks for s in sums])
-    # Of the squares, noise is taken off; the error is never said to be less than the model's own doubt.
-    mean = max(float((squares - noise).sum()), float(doubt.sum())) / float(blocks.sum())
     # Where the models agree their intervals hold or fail together; what differs is judged where they do not.
     told = sorted(sums, key=lambda s: -s.apart)
     count = max(sum(s.apart > _APART for s in told), min(_FEWEST_JUDGED, len(told)))
     inside = [s.inside[which] for s in (told[:count] if told[0].apart > 0 else told)]
-    return Errors(float(np.sqrt(mean)), max(s.largest[which] for s in sums), float(np.mean(inside)))
-
-
-def _improvement(sums: Sequence[tuple[int, int, _Sums]]) -> Improvement | None:
-    """Return rms before over rms after, and its interval from phases drawn again, all gyros together."""
-    keys = sorted({(number, p) for number, p, _ in sums})
-    grouped = {key: [s for number, p, s in sums if (number, p) == key] for key in keys}
-    totals = np.array(
-        [
-            [
-                sum(s.squares[0] - s.noise for s in grouped[key]),
-                sum(s.squares[1] - s.noise for s in grouped[key]),
-                sum(s.doubt[0] * s.blocks for s in grouped[key]),
-                sum(s.doubt[1] * s.blocks for s in grouped[key]),
-            ]
-            for key in keys
-        ]
-    )
-    if len(keys) < 4:
-        return None
-
-    def ratio(rows: Floats) -> float:
-        a, b, c, d = rows.sum(axis=0)
-        return float(np.sqrt(max(a, c) / max(b, d, 1e-30)))
-
-    random = np.random.default_rng(0)  # the same figures for the same recordings
-    drawn = [ratio(totals[random.integers(0, len(keys), len(keys))]) for _ in range(_RESAMPLED)]
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    return Improvement(ratio(totals), float(low), float(high))
+    return Errors(whole.rms_rps[which], max(s.largest[which] for s in sums), float(np.mean(inside)))
 
 
 def _gyro(
-    name: str, before: Augmented, after: Augmented, sums: Sequence[_Sums], phases: Sequence[PhaseErrors]
+    name: str,
+    before: Augmented,
+    after: Augmented,
+    sums: Sequence[_Sums],
+    phases: Sequence[PhaseErrors],
+    errors: Drawn,
 ) -> GyroErrors:
     g = after.names.index(name)
     old, old_covariance = decode(before.mean[g, :4], before.covariance[g, :4, :4])
-    new, _ = decode(after.mean[g, :4], after.covariance[g, :4, :4])
+    new, covariance = decode(after.mean[g, :4], after.covariance[g, :4, :4])
     moved = (new - old) / np.sqrt(np.diag(old_covariance))
-    return GyroErrors(name, _errors(sums, 0), _errors(sums, 1), tuple(phases), old, new, np.asarray(moved))
+    sd = [np.sqrt(np.diag(c)) for c in (old_covariance, covariance)]
+    both = _errors(sums, 0, errors), _errors(sums, 1, errors)
+    return GyroErrors(name, *both, tuple(phases), old, new, np.asarray(moved), *sd)
