@@ -129,7 +129,7 @@ def answer_of(case: Case) -> Answer:
     oracle = oracle_of(case, world)
     before, after = true_errors(found, world.clean)
     ranges = _bias_ranges(case, world.columns)
-    scales, biases, met = _covered(found, ranges)
+    scales, biases, met = covered(found, ranges)
     improvement = found.improvement
     solved = after < _LIKE_ORACLE * oracle.error_rps
     unexplained = found.unexplained
@@ -206,7 +206,7 @@ def _addition(case: Case, added: Added, solved: bool) -> Addition:
     return Addition(added.effect, added.probability, constructed, expression, right, added.effect in law.parts)
 
 
-def _covered(found: Investigation, ranges: Floats) -> tuple[int, int, int]:
+def covered(found: Investigation, ranges: Floats) -> tuple[int, int, int]:
     """Return how many intervals hold k and the tilts, b, and how many meet the range (m, 2) of the true bias."""
     scales = biases = met = 0
     assert found.model is not None

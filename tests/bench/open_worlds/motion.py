@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -120,6 +121,20 @@ def _tilted(name: str, tilt_deg: tuple[float, float], rates_dps: tuple[float, fl
     return between_rests(name, steps)
 
 
+def _spindle(name: str, rates_dps: Sequence[float]) -> Script:
+    """Return turns of z alone, as on a spindle with an encoder."""
+    return between_rests(name, [turn for rate in rates_dps for turn in there_and_back("z", rate)])
+
+
+def _poses(name: str, seed: int, count: int = 24) -> Script:
+    """Return rests of ten seconds in poses that differ in the angles of x and y."""
+    random = np.random.default_rng(seed)
+    steps: list[Step] = [Rest(10.0)]
+    for i in range(count):
+        steps += [_to("xy"[i % 2], 15.0 * float(random.integers(-11, 12))), Rest(10.0)]
+    return Script(name, tuple(steps))
+
+
 def _to(axis: str, angle_deg: float) -> Move:
     return Move(axis, angle_deg * DEG, 20 * DEG, RAMP_RPS2, f"{axis} to {angle_deg:g} deg")
 
@@ -130,4 +145,10 @@ SCRIPTS = {
     "verification": verification_script(),
     "tilted exploration": _tilted("tilted exploration", (40.0, 50.0), (12.0, 30.0)),
     "tilted verification": _tilted("tilted verification", (-55.0, 35.0), (-20.0, 25.0)),
+    "spindle calibration": _spindle("spindle calibration", (10.0, 20.0, 40.0, -15.0, 35.0)),
+    "spindle exploration": _spindle("spindle exploration", (5.0, 12.0, 30.0, 60.0, -25.0)),
+    "spindle verification": _spindle("spindle verification", (-45.0, 8.0, 22.0, 50.0)),
+    "poses calibration": _poses("poses calibration", 1),
+    "poses exploration": _poses("poses exploration", 2, 36),
+    "poses verification": _poses("poses verification", 3),
 }
