@@ -66,7 +66,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS), metavar="KIND")
     parser.add_argument("--sizes", nargs="+", type=float, default=[1.0, 0.3])
-    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--half", choices=(*HALVES, "all"), default="development")
     parser.add_argument("--most", type=int, help="stop after so many cases")
     parser.add_argument("--workers", type=int, default=2)

@@ -52,9 +52,11 @@ _WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Addition:
-    """An effect that was added. ``right``: named, equivalent, or built and as good as an oracle or of the right kind.
+    """An effect that was added.
 
-    ``part``: a leading term of the law.
+    ``right``: it says the same as the law; or it is a leading term of it, and all that was added leaves no more than
+    an oracle; or it was built, and leaves no more than an oracle or is of what the law depends on. ``part``: it is a
+    leading term of the law.
     """
 
     name: str
@@ -202,7 +204,7 @@ def _addition(case: Case, added: Added, solved: bool) -> Addition:
         about = dependences(f"{expression} {added.effect}")
         right = solved or (bool(about) and about <= law.depends_on)
     else:
-        right = added.effect in law.equivalents
+        right = added.effect in law.equivalents or (solved and added.effect in law.parts)
     return Addition(added.effect, added.probability, constructed, expression, right, added.effect in law.parts)
 
 
