@@ -110,6 +110,8 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
     left_out: dict[str, str] = {}
     if not gimbals:
         left_out["table_harmonic"] = "the recordings hold no gimbals"
+    if any(by_turns(run.recording.reference) for run in runs):
+        left_out["bandwidth"] = "another instrument has a lag of its own: a delay against it is the sum of all lags"
     listed = _catalogue(runs, gimbals, span_s)
     chosen = []
     for candidate in listed:
@@ -146,7 +148,8 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
     )
     late = partial(_by_size, sensed=_sensed(runs))
     found.append(late("latency", latency, np.concatenate([[0.0], far_s])))
-    found.append(late("bandwidth", bandwidth, np.concatenate([[_LAG_S], far_s[far_s > _LAG_S]])))
+    if not len(far_s):
+        found.append(late("bandwidth", bandwidth, np.array([_LAG_S])))
     if any(run.held > 1 for run in runs):
 
         def hold(delay_s: float) -> Effect:

@@ -275,11 +275,12 @@ def _owned_up(
 ) -> tuple[GyroErrors, ...]:
     """Return errors with sigmas of the states that hold what may act beside the model: rivals, and what has no name."""
     search = traced.search
-    sets = [(terms, value + np.log1p(-opened.probability)) for terms, value in search.alternatives(choices)]
+    closed = np.log1p(-min(opened.probability, 1 - 1e-12))
+    sets = [(terms, value + closed) for terms, value in search.alternatives(choices)]
     sure = [c.term for c in choices if c.probability >= CERTAIN and c.tone is None]
     top = max(value for _, value in sets)
     share = opened.by_size - np.logaddexp.reduce(opened.by_size) + np.log(max(opened.probability, 1e-30))
-    base = np.logaddexp.reduce([value for _, value in sets]) - np.log1p(-min(opened.probability, 1 - 1e-12))
+    base = np.logaddexp.reduce([value for _, value in sets]) - closed
     sets += [([*sure, search.open_term(float(s))], base + w) for s, w in zip(SIZES_RPS, share, strict=True)]
     total = np.logaddexp.reduce([value for _, value in sets])
     weights = [(terms, float(np.exp(value - total))) for terms, value in sets if value > top - 50 or value > total - 50]

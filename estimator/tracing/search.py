@@ -35,14 +35,18 @@ CERTAIN = 0.95
 _SET = 0.99  # rivals are as many as share this probability
 _ROUNDS = 12
 _STOP_LOG_PRIOR = 0.0  # nothing more: as likely as all effects together, several times over
-_LOST = 0.3  # share of the rate within a dead band that may be missing to all of it
+_LOST = 0.3  # share of the rate within a dead band that may be missing to all of it; so of a lag
 _UNEXCITED = 0.5  # sigmas of an effect of the largest plausible size, all gyros and runs together
 _COPIED = 9.0  # squares over noise that a copy of an effect leaves in a gyro, within chance
 _RICH = 0.1  # scale of all effects at once, when it is asked what the noise may be
 _NOT_OPEN = frozenset({"bias_step", "warm_up", "dead_band", "table_rate"})  # of them one of many is in the model
+_LIKE = 0.1  # share of a function's squares that an effect puts out: from then on they are of a kind
+_CHANCE = 3.0  # natural logarithm by which functions without a name may be the more probable by chance
+_IMPLAUSIBLE = 2.0  # of the largest plausible size: larger, it is something else
 _MOST_SETS = 40
 _MOST_TONES = 3
-_SIZED = 3  # rounds in which the size of an effect settles that is exact for its size only
+_NEAR_S = 0.005  # about where its size seems to be an effect is looked for that is exact for its size only
+_SHORTEST_S = 1e-4  # of a time constant, which is not negative
 _LONGEST_S = 0.3  # of a delay or a time constant: what is slower than this is no such
 
 
@@ -216,18 +220,39 @@ class Search:
         return [c for c, there in zip(columns, seen, strict=True) if there], 1 / rms[seen]
 
     def _beside_open(self, choices: Sequence[Choice]) -> list[Choice]:
-        """Return choices no more probable than they are where something without a name may act as well."""
+        """Return choices no more probable than the structure beside them allows.
+
+        An effect that only imitates another leaves a part of it, in functions that are like itself. Who explains a
+        residual leaves nothing of the kind.
+        """
         terms = [choice.term for choice in choices if choice.tone is None]
-        with_all = self.open_world(terms).total if terms else 0.0
         judged = []
         for choice in choices:
             if choice.tone is None:
                 others = [term for term in terms if term is not choice.term]
-                odds = with_all - self.open_world(others).total + choice.candidate.log_prior - choice.term.log_tries
-                known = float(1 / (1 + np.exp(-np.clip(odds, -50, 50))))
-                choice = replace(choice, probability=min(choice.probability, known))
+                columns, sizes = self._open_columns()
+                like = self._likeness(choice.term, np.array(columns, dtype=np.intp), others) > _LIKE
+                kept = [c for c, is_like in zip(columns, like, strict=True) if is_like], sizes[like]
+                left = OpenWorld.beside(self.evidence, terms, *kept)
+                explained = max(left.closed - self.evidence.of(others), 0.0)
+                beside = max(float(left.by_size.max()) - left.closed - _CHANCE, 0.0)
+                choice = replace(choice, probability=choice.probability * explained / max(explained + beside, 1e-9))
             judged.append(choice)
         return judged
+
+    def _likeness(self, term: Term, columns: NDArray[np.intp], beside: Sequence[Term]) -> Floats:
+        """Return the share of the squares of columns (c,) that a term's own put out beside others, over all gyros."""
+        best = int(np.argmax(self.evidence.noise_weight(beside)))
+        mine = np.array(term.columns)
+        base = Base(self.evidence, [t for t in beside if not t.shared])
+        shown, whole = np.zeros(len(columns)), np.full(len(columns), 1e-300)
+        for reduced in base.reduced:
+            own = reduced[best]
+            across = own[np.ix_(mine, columns)]
+            inner = own[np.ix_(mine, mine)] + (1e-12 * np.trace(own[np.ix_(mine, mine)]) + 1e-30) * np.eye(len(mine))
+            whole += own[columns, columns]
+            shown += np.sum(across * np.linalg.solve(inner, across), axis=0)
+        return np.asarray(shown / whole)
 
     def _allow_for_misfit(self, chosen: Mapping[str, Term]) -> None:
         """Count as noise what neither the effects chosen nor all others together explain."""
@@ -319,15 +344,29 @@ class Search:
         return tuple(sorted(listed, key=lambda item: -item[2]))
 
     def _sensible(self, name: str, term: Term, model: Sequence[Term]) -> bool:
-        """Return whether an effect came out as something that it can be: within a dead band a gyro loses all rates."""
+        """Return whether an effect came out as something that it can be.
+
+        Within a dead band a gyro loses all rates; a lag is as long as the lag that it was worked out for.
+        """
         candidate = self._known[name][0]
-        if candidate.called != "dead_band":
-            return True
-        terms = [*model, term]
-        posterior = self.evidence.posterior(terms)
+        if candidate.called == "dead_band":
+            lost = self._sizes(candidate, term, model)
+            return bool(np.any(np.abs(lost - 1) < _LOST)) and bool(np.all(lost > -_LOST))
+        if candidate.by_size and candidate.theta:
+            of_it = self._sizes(candidate, term, model) / candidate.theta
+            return bool(np.abs(np.median(of_it) - 1) < _LOST)
+        posterior = self.evidence.posterior([*model, term])
         at = 4 + sum(len(t.columns) for t in model if not t.shared)
-        lost = np.array([mean[at] for mean in posterior.own]) * candidate.largest[0]
-        return bool(np.any(np.abs(lost - 1) < _LOST)) and bool(np.all(lost > -_LOST))
+        sizes = [posterior.shared[-len(term.columns) :]] if term.shared else [m[at:] for m in posterior.own]
+        return bool(np.sqrt(np.mean(np.square(sizes))) < _IMPLAUSIBLE)
+
+    def _sizes(self, candidate: Candidate, term: Term, model: Sequence[Term]) -> Floats:
+        """Return the first parameter of an effect beside a model, by gyro."""
+        posterior = self.evidence.posterior([*model, term])
+        if term.shared:
+            return np.asarray(posterior.shared[-len(term.columns) :][:1] * candidate.largest[0])
+        at = 4 + sum(len(t.columns) for t in model if not t.shared)
+        return np.asarray(np.array([mean[at] for mean in posterior.own]) * candidate.largest[0])
 
     def _exchanged(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
         """Try to remove and to exchange each effect, until nothing makes the model more probable."""
@@ -477,11 +516,11 @@ class Search:
         for candidate in open_ones:
             if candidate.start is None or candidate.of is None:
                 continue
+            if candidate.by_size:
+                renewed.append(_at(candidate, scan.size(candidate)))
+                continue
             gains = [scan.gain(_at(candidate, theta)) for theta in candidate.start.tolist()]
             best = int(np.argmax(gains))
-            if candidate.by_size:
-                renewed.append(_at(candidate, scan.size(candidate, float(candidate.start[best]))))
-                continue
             low = candidate.start[max(best - 1, 0)]
             high = candidate.start[min(best + 1, len(candidate.start) - 1)]
             theta = highest(partial(_gain_at, scan, candidate), float(low), float(high))
@@ -553,19 +592,42 @@ class _Scan:
             self._kept[key] = np.vstack(parts)
         return self._kept[key]
 
-    def size(self, candidate: Candidate, start: float) -> float:
-        """Return the size of an effect that is exact for this size: its first parameter, over all gyros."""
-        size = start
-        for _ in range(_SIZED):
-            at = _at(candidate, size)
-            products = np.zeros(2)
-            for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
-                new = self._turn(at, gyro)[:, 0] * root
-                new = new - basis @ (basis.T @ new)
-                products += new @ new, new @ rest
-            size = float(products[1] / max(products[0], 1e-30) * candidate.largest[0])
-            size = float(np.clip(size, -_LONGEST_S if candidate.effect.shared else 1e-4, _LONGEST_S))
-        return size
+    def size(self, candidate: Candidate) -> float:
+        """Return the size of an effect, exact for its size, that leaves least: its first parameter, all gyros alike.
+
+        It is not fitted to its own column, which noise of the reference makes too large.
+        """
+        assert candidate.start is not None
+
+        def gain(size: float) -> float:
+            return self._gain_of(candidate, size)
+
+        start = np.sort(np.append(candidate.start, self._first_size(candidate)))
+        best = int(np.argmax([gain(size) for size in start.tolist()]))
+        reach = max(abs(float(start[best])), _NEAR_S)
+        least = -_LONGEST_S if candidate.start.min() <= 0 else _SHORTEST_S
+        low = max(float(start[best - 1]) if best else -np.inf, float(start[best]) - reach, least)
+        high = min(float(start[best + 1]) if best + 1 < len(start) else np.inf, float(start[best]) + reach, _LONGEST_S)
+        return highest(gain, low, high)
+
+    def _first_size(self, candidate: Candidate) -> float:
+        """Return the size by the candidate as it is: right where it is small."""
+        products = self._products(candidate)
+        return float(products[1] / max(products[0], 1e-30) * candidate.largest[0])
+
+    def _gain_of(self, candidate: Candidate, size: float) -> float:
+        own, right = self._products(_at(candidate, size))
+        share = size / candidate.largest[0]
+        return float(share * right - 0.5 * share**2 * own)
+
+    def _products(self, candidate: Candidate) -> Floats:
+        """Return the squares of the first column of a candidate beside the model, and its product with what is left."""
+        products = np.zeros(2)
+        for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
+            new = self._turn(candidate, gyro)[:, 0] * root
+            new = new - basis @ (basis.T @ new)
+            products += new @ new, new @ rest
+        return products
 
     def gain(self, candidate: Candidate) -> float:
         """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
