@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from estimator.effects.catalogue import HARMONICS, catalogue
 from estimator.effects.conditions import Conditions
+from estimator.effects.constructed import NAME, last_sign
 from estimator.effects.drift import bias_drift, bias_step, warm_up
 from estimator.effects.dynamics import bandwidth, latency
 from estimator.effects.effect import Axes, Effect, Parameter
@@ -86,6 +87,11 @@ class Candidate:
     def called(self) -> str:
         """Name of the effect in results: that of its kind."""
         return self.effect.name.split(":")[0]
+
+    @property
+    def law(self) -> str:
+        """The law of a constructed effect, empty for those of the catalogue."""
+        return self.effect.name.partition(": ")[2] if self.called == NAME else ""
 
     @property
     def largest(self) -> Floats:
@@ -327,22 +333,14 @@ def _of_rate(conditions: Conditions, axes: Axes) -> Floats:
     return np.column_stack([np.abs(x), x**2, x**3, x**4, still])
 
 
-def _last_sign(values: Floats, limit: float) -> Floats:
-    """Return the sign of the last value beyond a limit, 0 before the first."""
-    sign = np.where(np.abs(values) > limit, np.sign(values), 0.0)
-    last = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign)), -1))
-    return np.asarray(np.where(last >= 0, sign[np.maximum(last, 0)], 0.0))
-
-
 def _of_direction(conditions: Conditions, axes: Axes) -> Floats:
     u, top = _rate(conditions, axes)
-    last = _last_sign(u, 0.05 * top)
+    last = last_sign(u)
     return np.column_stack([last, last * (np.abs(u) < 0.02 * top)])
 
 
 def _of_axis_direction(conditions: Conditions, axes: Axes) -> Floats:
-    top = max(float(np.abs(conditions.rate_rps).max(initial=0.0)), 1e-9)
-    return np.column_stack([_last_sign(column, 0.05 * top) for column in conditions.rate_rps.T])
+    return np.column_stack([last_sign(column) for column in conditions.rate_rps.T])
 
 
 def _of_acceleration(conditions: Conditions, axes: Axes) -> Floats:

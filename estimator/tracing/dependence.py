@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ class Regressors:
 
     def __init__(self, runs: Sequence[Run]) -> None:
         """Take those functions that these runs have the conditions for."""
-        self._runs = [_coarse(run) for run in runs]
+        self._runs = [run.coarse() for run in runs]
         candidates = [c for c in candidates_of(runs)[0] if (c.theta is None or c.by_size) and c.run is None]
         of = {c.name: c.depends_on or _OF_CATALOGUE.get(c.called, "") for c in candidates}
         self._candidates = sorted((c for c in candidates if of[c.name]), key=lambda c: _VARIABLES.index(of[c.name]))
@@ -125,12 +125,3 @@ def _taken(gram: Floats, columns: Columns, beside: Columns, rest: int) -> tuple[
     kept = values > _INDEPENDENT * len(columns)
     onto = vectors[:, kept].T @ (right / size)
     return float(np.sum(onto**2 / values[kept])), int(kept.sum())
-
-
-def _coarse(run: Run) -> Run:
-    """Return a run with a fifth of its grid: a few instants in each block do for this."""
-    grid, blocks = run.grid, len(run.t_s)
-    stride = 5 if len(grid.t_s) // blocks % 5 == 0 else 1
-    rows = slice(stride // 2, None, stride)
-    thinned = grid.rows(rows)
-    return replace(run, grid=thinned, fold=lambda columns: columns.reshape(blocks, -1, columns.shape[1]).mean(axis=1))

@@ -141,7 +141,7 @@ class Evidence:
                 freedom = np.maximum(stretch.counts - fitted, 0.05 * stretch.counts)
                 excess[number] = _excess(squares, freedom)
                 beyond = (excess[number] > 1) * density * (squares - freedom)
-                misfit[number] = float(beyond.sum()) * gyro.arw**2 / stretch.length_s
+                misfit[number] = max(float(beyond.sum()), 0.0) * gyro.arw**2 / stretch.length_s
         self.refresh()
 
     def of(self, terms: Sequence[Term]) -> float:

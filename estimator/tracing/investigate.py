@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.constructed import in_words
 from estimator.model import decode
 from estimator.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.candidates import candidates_of
+from estimator.tracing.composing import laws_of
 from estimator.tracing.evidence import Evidence, Posterior, Term
 from estimator.tracing.faults import Fault
 from estimator.tracing.held_out import FOLDS, Mask, by_step, held, out_of_sample, together, told_by, without
@@ -45,7 +47,9 @@ _REST_RPS = 2e-3  # several times Earth rate
 _VISIBLE = 3.0
 _SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
+_MAY_BE = 0.5  # probability of something without a name from which laws are composed for it
 _MATTERS = 1e-2  # share of the probability below which what may act is not averaged over
+_OF_THETA = {"warm_up": "time constant", "bias_step": "instant", "dead_band": "width"}
 NOTHING_MEASURED = "nothing that was measured"
 
 
@@ -145,7 +149,11 @@ def _trace(
     runs: Sequence[Run], most: int, tell: Callable[[float], None] | None = None
 ) -> tuple[Traced, dict[str, str]]:
     traced, left_out = _prepared(runs)
-    return replace(traced, found=traced.search.run(most, tell)), left_out
+    found = traced.search.run(most, tell)
+    named = [c.term for c in found.choices if c.tone is None]
+    if named or traced.search.open_world(named).probability > _MAY_BE:
+        found = traced.search.composed(found, laws_of(runs), most)
+    return replace(traced, found=found), left_out
 
 
 def _prepared(runs: Sequence[Run], only: Sequence[str] | None = None) -> tuple[Traced, dict[str, str]]:
@@ -185,7 +193,7 @@ def _conclude(
     unexplained = _unexplained(residuals_of[0][1]) if opened.probability > CERTAIN else None
     rivals = [names for names in _rivals(doubtful) if len(names) > 1] if not unexplained else []
     faulty = _faulty(faults)
-    added = [a.effect for a in faulty] + [c.candidate.called for c in certain]
+    added = [a.effect for a in faulty] + [_called(c) for c in certain]
     if rivals or (doubtful and not unexplained):
         rivals = rivals or _rivals(doubtful)
         finding = Finding.CANNOT_TELL
@@ -209,9 +217,9 @@ def _conclude(
     gained = traced.found.log_evidence[-1] - traced.found.log_evidence[0]
     models = [ModelStep((), 0.0, judged.before)]
     if certain:
-        models.append(ModelStep(tuple(c.candidate.called for c in certain), gained, judged.after))
+        models.append(ModelStep(tuple(_called(c) for c in certain), gained, judged.after))
     if doubtful:
-        called = tuple(c.candidate.called for c in [*certain, *doubtful])
+        called = tuple(_called(c) for c in [*certain, *doubtful])
         wider = _model(traced, [*certain, *doubtful], weight)
         errors = _judged(traced, held_back, before, wider, verification, [*certain, *doubtful]).after
         models.append(ModelStep(called, gained, errors))
@@ -244,6 +252,12 @@ def _conclude(
     )
 
 
+def _called(choice: Choice) -> str:
+    """Return the name of an effect, or what a law is that has none."""
+    law = choice.candidate.law
+    return f"{in_words(law)} (constructed)" if law else choice.candidate.called
+
+
 def _confirmed(traced: Traced, certain: list[Choice], held_back: Sequence[Run]) -> tuple[list[Choice], list[str]]:
     """Return the effects that the verification run bears out, and the names of those that it does not.
 
@@ -257,7 +271,7 @@ def _confirmed(traced: Traced, certain: list[Choice], held_back: Sequence[Run]) 
         if told[worst.term.name] >= _CONFIRMED:
             break
         certain = [c for c in certain if c is not worst]
-        taken_back.append(worst.candidate.called)
+        taken_back.append(_called(worst))
     return certain, taken_back
 
 
@@ -483,13 +497,15 @@ def _added(traced: Traced, choice: Choice, model: Augmented, told: OutOfSample |
     theta = choice.candidate.theta
     if theta is not None and choice.candidate.start is not None and not choice.candidate.by_size:
         sd = traced.search.sharpness(choice, traced.found.terms)
-        what = {"warm_up": "time constant", "bias_step": "instant", "dead_band": "width"}[choice.candidate.called]
+        what = _OF_THETA.get(choice.candidate.called, "constant")
         parameters[what] = Value(float(theta), sd, choice.candidate.unit)
     elif choice.tone is not None and theta is not None:
         parameters["frequency"] = Value(float(theta), _tone_sd(traced, model, where), "Hz")
     gyros = tuple(model.names) if shared else tuple(shown or model.names)
     copies = traced.search.copies(choice, traced.found.terms) if choice.tone is None else []
-    return Added(choice.candidate.called, gyros, choice.probability, parameters, told, tuple(copies))
+    law = choice.candidate.law
+    called = in_words(law) if law else choice.candidate.called
+    return Added(called, gyros, choice.probability, parameters, told, tuple(copies), bool(law), law)
 
 
 def _tone_sd(traced: Traced, model: Augmented, where: slice) -> float:

@@ -85,6 +85,17 @@ class Run:
         one = np.column_stack([np.ones(len(self.t_s)), self.w_rps])
         return np.asarray(np.einsum("bj,mij->mbi", one, regressor_maps(self.array)))
 
+    def coarse(self) -> Run:
+        """Return the run with a fifth of its grid: a few instants in each block do where many functions are tried."""
+        blocks = len(self.t_s)
+        stride = 5 if len(self.grid.t_s) // blocks % 5 == 0 else 1
+        thinned = self.grid.rows(slice(stride // 2, None, stride))
+
+        def fold(columns: Floats) -> Floats:
+            return np.asarray(columns.reshape(blocks, len(thinned.t_s) // blocks, -1).mean(axis=1))
+
+        return replace(self, grid=thinned, fold=fold)
+
     def stretches(self) -> list[slice]:
         """Return the blocks of each stretch."""
         edges = np.flatnonzero(np.diff(self.stretch)) + 1

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.constructed import NAME
 from estimator.effects.dynamics import tone as tone_at
 from estimator.tracing.candidates import OF_TIME, Candidate
 from estimator.tracing.evidence import SCALES, Base, Evidence, Term
@@ -39,11 +40,13 @@ _LOST = 0.3  # share of the rate within a dead band that may be missing to all o
 _UNEXCITED = 0.5  # sigmas of an effect of the largest plausible size, all gyros and runs together
 _COPIED = 9.0  # squares over noise that a copy of an effect leaves in a gyro, within chance
 _RICH = 0.1  # scale of all effects at once, when it is asked what the noise may be
-_NOT_OPEN = frozenset({"bias_step", "warm_up", "dead_band", "table_rate"})  # of them one of many is in the model
+_NOT_OPEN = frozenset({"bias_step", "warm_up", "dead_band", "table_rate", NAME})  # of them one of many is in the model
 _LIKE = 0.1  # share of a function's squares that an effect puts out: from then on they are of a kind
 _CHANCE = 3.0  # natural logarithm by which functions without a name may be the more probable by chance
 _IMPLAUSIBLE = 2.0  # of the largest plausible size: larger, it is something else
 _MOST_SETS = 40
+_MOST_LAWS, _LAWS_TRIED = 2, 12
+_CLEARLY = 3.0  # natural logarithm by which a law must be the more probable
 _MOST_TONES = 3
 _NEAR_S = 0.005  # about where its size seems to be an effect is looked for that is exact for its size only
 _SHORTEST_S = 1e-4  # of a time constant, which is not negative
@@ -85,6 +88,7 @@ class Search:
     def __init__(self, runs: Sequence[Run], spectra: Sequence[GyroSpectra], evidence: Evidence) -> None:
         """Begin with no candidates: ``add`` brings them in."""
         self._runs, self._spectra, self.evidence = list(runs), list(spectra), evidence
+        self._coarse = [run.coarse() for run in runs]
         self._known: dict[str, tuple[Candidate, Term]] = {}
         self._samples = [samples_of(run) for run in runs]
         self._tones: list[Choice] = []
@@ -175,6 +179,58 @@ class Search:
             chain.append(self.evidence.of([terms[name] for name in chosen]) + heard)
         choices = [*(self._judge(name, chosen, terms) for name in chosen), *self._tones]
         return Found(tuple(self._beside_open(choices)), tuple(chain), first, nothing)
+
+    def composed(self, found: Found, laws: Sequence[Candidate], most: int) -> Found:
+        """Return what was found with laws that have no name, where they explain more than names do, or beside these."""
+        named = [c for c in found.choices if c.tone is None]
+        tones = [c for c in found.choices if c.tone is not None]
+        model = [(c.candidate, c.term) for c in named]
+        best = self._worth(model)
+        for _ in range(_MOST_LAWS):
+            # A law may stand beside what was found, or in the place of some of it.
+            bases = [model, [], *([pair for pair in model if pair is not one] for one in model)]
+            tried = []
+            for n, base in enumerate(bases):
+                if base not in bases[:n] and len(base) + len(tones) < most:
+                    tried.append([*base, *self._best_law(base, laws)])
+            worths = [self._worth(one) for one in tried]
+            if not worths or max(worths) < best + _CLEARLY:
+                break
+            best = max(worths)
+            model = tried[worths.index(best)]
+        if not any(candidate.called == NAME for candidate, _ in model):
+            return found
+        names, terms = [c.name for c, _ in model], {c.name: term for c, term in model}
+        judged = [self._judge(name, names, terms) for name in names]
+        chain = (*found.log_evidence, self.evidence.of(list(terms.values())))
+        return replace(found, choices=tuple(self._beside_open([*judged, *tones])), log_evidence=chain)
+
+    def _worth(self, model: Sequence[tuple[Candidate, Term]]) -> float:
+        """Return the log evidence of a model, and how much it was expected."""
+        expected = sum(candidate.log_prior - term.log_tries for candidate, term in model)
+        return self.evidence.of([term for _, term in model]) + expected
+
+    def _best_law(
+        self, base: Sequence[tuple[Candidate, Term]], laws: Sequence[Candidate]
+    ) -> list[tuple[Candidate, Term]]:
+        """Return the law that explains most beside a model; none if there is none."""
+        terms = [term for _, term in base]
+        scan = _Scan(self._coarse, self._spectra, self.evidence, terms, self._turned)
+        taken = {candidate.name for candidate, _ in base}
+        ranked = []
+        for law in (law for law in laws if law.name not in taken):
+            options = [law] if law.start is None else [_at(law, theta) for theta in law.start.tolist()]
+            gains = [scan.gain(option) for option in options]
+            ranked.append((max(gains) + law.log_prior, options[int(np.argmax(gains))]))
+        ranked.sort(key=lambda pair: -pair[0])
+        chosen = [self._tuned(law, scan) if law.start is not None else law for _, law in ranked[:_LAWS_TRIED]]
+        for name in [n for n, (c, _) in self._known.items() if c.called == NAME and n not in taken]:
+            del self._known[name]
+        self.add(chosen)
+        scores = self._scores(terms, [*taken])
+        found = [law.name for law in chosen if self._sensible(law.name, scores[law.name][1], terms)]
+        best = max(found, key=lambda name: scores[name][0], default=None)
+        return [] if best is None else [(self._known[best][0], scores[best][1])]
 
     def open_world(self, model: Sequence[Term]) -> OpenWorld:
         """Return how probable it is beside a model that something acts that has no name."""
@@ -506,9 +562,28 @@ class Search:
             parts.append(whole[stretch.run][stretch.blocks])
         return parts
 
+    def _tuned(self, candidate: Candidate, scan: _Scan) -> Candidate:
+        """Return a candidate with the most telling value of what is not linear in it."""
+        assert candidate.start is not None
+        gains = [scan.gain(_at(candidate, theta)) for theta in candidate.start.tolist()]
+        best = int(np.argmax(gains))
+        low = candidate.start[max(best - 1, 0)]
+        high = candidate.start[min(best + 1, len(candidate.start) - 1)]
+        theta = highest(partial(_gain_at, scan, candidate), float(low), float(high))
+        if scan.gain(_at(candidate, theta)) < gains[best]:
+            theta = float(candidate.start[best])
+        tuned = _at(candidate, theta)
+        # What it costs that the value was looked for: the share of its range that would do as well.
+        width = np.sqrt(2 * np.pi) * self._width(tuned, scan)
+        spread = float(candidate.start[-1] - candidate.start[0])
+        share = width / spread if candidate.evenly else width / theta / candidate.range_log
+        return replace(tuned, log_tries=float(-np.log(np.clip(share, 1e-4, 1.0))))
+
     def _refine(self, terms: Sequence[Term], chosen: Sequence[str]) -> None:
         """Look for the most telling time constants and instants beside the effects chosen so far."""
-        open_ones = [c for c, _ in self._known.values() if c.of is not None and c.name not in chosen]
+        open_ones = [
+            c for c, _ in self._known.values() if c.of is not None and c.name not in chosen and c.called != NAME
+        ]
         if not open_ones:
             return
         scan = _Scan(self._runs, self._spectra, self.evidence, terms, self._turned)
@@ -519,19 +594,7 @@ class Search:
             if candidate.by_size:
                 renewed.append(_at(candidate, scan.size(candidate)))
                 continue
-            gains = [scan.gain(_at(candidate, theta)) for theta in candidate.start.tolist()]
-            best = int(np.argmax(gains))
-            low = candidate.start[max(best - 1, 0)]
-            high = candidate.start[min(best + 1, len(candidate.start) - 1)]
-            theta = highest(partial(_gain_at, scan, candidate), float(low), float(high))
-            if scan.gain(_at(candidate, theta)) < gains[best]:
-                theta = float(candidate.start[best])
-            tuned = _at(candidate, theta)
-            # What it costs that the value was looked for: the share of its range that would do as well.
-            width = np.sqrt(2 * np.pi) * self._width(tuned, scan)
-            spread = float(candidate.start[-1] - candidate.start[0])
-            share = width / spread if candidate.evenly else width / theta / candidate.range_log
-            renewed.append(replace(tuned, log_tries=float(-np.log(np.clip(share, 1e-4, 1.0)))))
+            renewed.append(self._tuned(candidate, scan))
         self.add(renewed)
 
 

@@ -1,0 +1,277 @@
+"""Effects built from a small grammar of what was measured, where the catalogue has none: sums of one law's terms.
+
+A law is text, as ``lag(T, 58)*gx``: names of variables, numbers, products, powers, quotients, and some functions.
+Three of these remember: ``lag(x, c)`` follows x as a first-order lag of c seconds, ``play(x, c)`` as a linkage with a
+play of c follows its drive (Krasnosel'skii, Pokrovskii 1989); ``last(x)`` is the sign that x had last, beyond a
+twentieth of its largest size. Terms of one law are separated by semicolons, each with a coefficient of its own.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.conditions import Conditions
+from estimator.effects.effect import Axes, Effect, Parameter
+from estimator.kinematics import AXES, GRAVITY_MPS2, into_body
+
+Floats = NDArray[np.float64]
+
+NAME = "constructed"
+REFERENCE_C = 25.0
+_MOST_CHARACTERS = 200
+_LAST = 0.05  # share of the largest size beyond which a sign counts
+
+VARIABLES: Mapping[str, tuple[str, str, str]] = {
+    "u": ("rate", "rad/s", "rate about the sense axis"),
+    "wx": ("rate", "rad/s", "rate about body x"),
+    "wy": ("rate", "rad/s", "rate about body y"),
+    "wz": ("rate", "rad/s", "rate about body z"),
+    "speed": ("rate", "rad/s", "size of the rate"),
+    "a": ("acceleration", "rad/s2", "angular acceleration about the sense axis"),
+    "jolt": ("acceleration", "rad/s2", "size of the angular acceleration"),
+    "T": ("temperature", "K", "temperature above 25 degC"),
+    "Tdot": ("temperature", "K/s", "slope of the temperature"),
+    "t": ("time", "s", "time since the start"),
+    "gx": ("gravity", "g", "specific force along body x"),
+    "gy": ("gravity", "g", "specific force along body y"),
+    "gz": ("gravity", "g", "specific force along body z"),
+    "gs": ("gravity", "g", "specific force along the sense axis"),
+    **{f"angle_{axis}": ("angle", "rad", f"angle of axis {axis}") for axis in AXES},
+    **{f"rate_{axis}": ("rate", "rad/s", f"rate of axis {axis}") for axis in AXES},
+    **{
+        f"u_{axis}": ("rate", "rad/s", f"part of the rate about the sense axis that axis {axis} makes") for axis in AXES
+    },
+}
+"""What a law may name: what it depends on, its unit, and what it is."""
+_NEEDS = {"temperature": "temperature", "gravity": "specific force", "angle": "gimbals"}
+
+
+class LawError(ValueError):
+    """A text that is no law; the message says where."""
+
+
+def constructed(law: str, largest: tuple[float, ...] = ()) -> Effect:
+    """Return the effect of a law, a gyro its own; ``largest`` sizes of its coefficients, 1 if not given.
+
+    Raises LawError for a text that is no law.
+    """
+    trees = parsed(law)
+    names = variables_of(law)
+    sizes = largest or (1.0,) * len(trees)
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        known = _Values(conditions, axes)
+        return np.column_stack([np.broadcast_to(evaluated(tree, known), conditions.t_s.shape) for tree in trees])
+
+    needs = {_NEEDS[VARIABLES[name][0]] for name in names if VARIABLES[name][0] in _NEEDS}
+    needs |= {"gimbals" for name in names if "_" in name}
+    terms = [term.strip() for term in law.split(";")]
+    parameters = [Parameter(f"of {term}", "rad/s per unit", size) for term, size in zip(terms, sizes, strict=True)]
+    return Effect(f"{NAME}: {law}", tuple(parameters), False, "", (), columns, frozenset(needs))
+
+
+def variables_of(law: str) -> tuple[str, ...]:
+    """Return the variables that a law names, in the order in which they come."""
+    return tuple(
+        dict.fromkeys(
+            node.id
+            for tree in parsed(law)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Name) and node.id in VARIABLES
+        )
+    )
+
+
+def depends_on(law: str) -> tuple[str, ...]:
+    """Return what a law depends on: rate, direction, acceleration, temperature, time, gravity, angle."""
+    found = [VARIABLES[name][0] for name in variables_of(law)]
+    return tuple(dict.fromkeys([*(["direction"] if "last(" in law or "sign(" in law else []), *found]))
+
+
+def in_words(law: str) -> str:
+    """Return a law as a sentence's object: "a bias in proportion to temperature lagged by 58 s"."""
+    words = [_words(tree) for tree in parsed(law)]
+    return "a bias in proportion to " + " and to ".join(words)
+
+
+def parsed(law: str) -> list[ast.expr]:
+    """Return the terms of a law as trees; LawError for anything that the grammar does not hold."""
+    if not law.strip() or len(law) > _MOST_CHARACTERS:
+        raise LawError(f"a law has 1 to {_MOST_CHARACTERS} characters")
+    trees = []
+    for term in law.split(";"):
+        try:
+            tree = ast.parse(term.strip(), mode="eval").body
+        except (SyntaxError, RecursionError, ValueError):
+            raise LawError(f"{term.strip()!r} is no term of a law") from None
+        _check(tree)
+        trees.append(tree)
+    return trees
+
+
+def _check(node: ast.expr) -> None:
+    match node:
+        case ast.Constant(value=int() | float()):
+            return
+        case ast.Name(id=name) if name in VARIABLES:
+            return
+        case ast.BinOp(op=ast.Mult() | ast.Div() | ast.Sub() | ast.Add()):
+            _check(node.left)
+            _check(node.right)
+        case ast.BinOp(op=ast.Pow(), right=ast.Constant(value=int())):
+            _check(node.left)
+        case ast.UnaryOp(op=ast.USub()):
+            _check(node.operand)
+        case ast.Call(func=ast.Name(id=name), args=[inner], keywords=[]) if name in _PLAIN:
+            _check(inner)
+        case ast.Call(func=ast.Name(id="last"), args=[inner], keywords=[]):
+            _check(inner)
+        case ast.Call(func=ast.Name(id="lag" | "play"), args=[inner, ast.Constant(value=int() | float())], keywords=[]):
+            _check(inner)
+        case _:
+            raise LawError(f"{ast.unparse(node)!r} is not of the grammar of laws")
+
+
+_PLAIN: Mapping[str, Callable[[Any], Any]] = {
+    "abs": np.abs,
+    "sign": np.sign,
+    "sqrt": np.sqrt,
+    "log1p": np.log1p,
+    "exp": np.exp,
+    "tanh": np.tanh,
+    "cos": np.cos,
+    "sin": np.sin,
+}
+
+
+class _Values:
+    """The variables of a law under some conditions, worked out when they are asked for."""
+
+    def __init__(self, conditions: Conditions, axes: Axes) -> None:
+        self.conditions, self._axes = conditions, axes
+
+    def __getitem__(self, name: str) -> Floats:
+        c, p = self.conditions, self._axes.p
+        if name in ("u", "wx", "wy", "wz"):
+            return np.asarray(c.w_rps @ p if name == "u" else c.w_rps[:, AXES.index(name[1])])
+        if name in ("a", "jolt"):
+            return np.asarray(c.wdot_rps2 @ p if name == "a" else np.linalg.norm(c.wdot_rps2, axis=1))
+        if name == "speed":
+            return np.asarray(np.linalg.norm(c.w_rps, axis=1))
+        if name in ("T", "Tdot"):
+            warm = np.zeros(len(c.t_s)) if c.temperature_c is None else c.temperature_c - REFERENCE_C
+            return np.asarray(warm) if name == "T" else np.asarray(np.gradient(warm, c.period_s))
+        if name == "t":
+            return np.asarray(c.t_s - c.t_s[0])
+        if name in ("gx", "gy", "gz", "gs"):
+            force = c.specific_force_mps2 / GRAVITY_MPS2
+            return np.asarray(force @ p if name == "gs" else force[:, AXES.index(name[1])])
+        what, axis = name.split("_")
+        column = c.gimbals.index(axis)
+        if what == "angle":
+            return np.asarray(c.angle_rad[:, column])
+        if what == "rate":
+            return np.asarray(c.rate_rps[:, column])
+        part = np.zeros((len(c.t_s), 3))
+        part[:, AXES.index(axis)] = c.rate_rps[:, column]
+        return np.asarray(into_body(part, c.angle_rad[:, column + 1 :], c.gimbals[column + 1 :]) @ p)
+
+
+def evaluated(node: ast.expr, known: _Values) -> Floats:
+    """Return the value (N,) of a checked tree under known conditions; numbers as they are."""
+    value = partial(evaluated, known=known)
+    match node:
+        case ast.Constant(value=number):
+            return np.asarray(float(number))  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            return np.asarray(known[name])
+        case ast.UnaryOp(operand=operand):
+            return -value(operand)
+        case ast.BinOp(left=left, op=op, right=right):
+            return _COMBINED[type(op)](value(left), value(right))
+        case ast.Call(func=ast.Name(id="lag"), args=[inner, ast.Constant(value=constant)]):
+            return lagged(value(inner), known.conditions.t_s, float(constant))  # type: ignore[arg-type]
+        case ast.Call(func=ast.Name(id="play"), args=[inner, ast.Constant(value=constant)]):
+            return played(value(inner), float(constant))  # type: ignore[arg-type]
+        case ast.Call(func=ast.Name(id="last"), args=[inner]):
+            return last_sign(value(inner))
+        case ast.Call(func=ast.Name(id=name), args=[inner]):
+            return np.asarray(_PLAIN[name](value(inner)))
+    raise LawError(ast.unparse(node))
+
+
+_COMBINED: Mapping[type[ast.operator], Callable[[Floats, Floats], Floats]] = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.Pow: np.power,
+}
+
+
+def lagged(values: Floats, t_s: Floats, lag_s: float) -> Floats:
+    """Return values (N,) at instants (N,) through a first-order lag that begins settled."""
+    from scipy.signal import lfilter
+
+    steps = np.diff(t_s)
+    if len(steps) and np.ptp(steps) < 1e-6 * steps[0]:
+        keep = np.exp(-steps[0] / lag_s)
+        slow, _ = lfilter([1 - keep], [1, -keep], values - values[0], zi=[0.0])
+        return np.asarray(slow + values[0])
+    out = np.array(values, dtype=np.float64)
+    for row, keep in enumerate(np.exp(-np.maximum(steps, 0.0) / lag_s).tolist(), 1):
+        out[row] = values[row] + (out[row - 1] - values[row]) * keep
+    return out
+
+
+def played(values: Floats, width: float) -> Floats:
+    """Return what follows values (N,) with a play of ``width`` in all, beginning in its middle."""
+    out = np.empty(len(values))
+    held, half = float(values[0]), 0.5 * width
+    for row, value in enumerate(values.tolist()):
+        held = min(max(held, value - half), value + half)
+        out[row] = held
+    return out
+
+
+def last_sign(values: Floats) -> Floats:
+    """Return the sign (N,) of the last value beyond a twentieth of the largest, 0 before the first."""
+    limit = _LAST * float(np.abs(values).max(initial=0.0))
+    sign = np.where(np.abs(values) > limit, np.sign(values), 0.0)
+    last = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign)), -1))
+    return np.asarray(np.where(last >= 0, sign[np.maximum(last, 0)], 0.0))
+
+
+_POWERS = {"2": "square", "3": "cube"}
+
+
+def _words(node: ast.expr) -> str:
+    match node:
+        case ast.Name(id=name):
+            return VARIABLES[name][2]
+        case ast.Call(func=ast.Name(id="lag"), args=[inner, constant]):
+            return f"{_words(inner)} lagged by {ast.unparse(constant)} s"
+        case ast.Call(func=ast.Name(id="play"), args=[inner, constant]):
+            return f"{_words(inner)} with a play of {ast.unparse(constant)}"
+        case ast.Call(func=ast.Name(id="last"), args=[inner]):
+            return f"the last direction of the {_words(inner)}"
+        case ast.Call(func=ast.Name(id="abs"), args=[inner]):
+            return f"the size of the {_words(inner)}"
+        case ast.Call(func=ast.Name(id="sign"), args=[inner]):
+            return f"the sign of the {_words(inner)}"
+        case ast.Call(func=ast.Name(id=name), args=[inner]):
+            return f"{name} of ({_words(inner)})"
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            return f"{_words(left)} times {_words(right)}"
+        case ast.BinOp(left=left, op=ast.Div(), right=right):
+            return f"{_words(left)} over {_words(right)}"
+        case ast.BinOp(left=left, op=ast.Pow(), right=right):
+            power = ast.unparse(right)
+            return f"the {_POWERS.get(power, f'power {power}')} of the {_words(left)}"
+    return ast.unparse(node)
