@@ -41,7 +41,7 @@ class Table:
         if found != width or len({len(part) for part in parts}) != 1:
             shapes = ", ".join(f"{n} {self.columns[n].shape}" for n in wanted.names)
             raise RecordingError(f"{self.name}: {what} needs {width} columns of one length, there are {shapes}")
-        return np.asarray(np.hstack(parts) * wanted.scale + wanted.shift, dtype=np.float64)
+        return np.asarray((np.hstack(parts) - wanted.offset) * wanted.scale + wanted.shift, dtype=np.float64)
 
     def number(self, name: str) -> float:
         """Return a variable that holds one number."""

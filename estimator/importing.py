@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from estimator.errors import RecordingError
 from estimator.fitting import fitted
 from estimator.foreign_rows import ForeignRows, foreign_reference, reference_rows
 from estimator.held import updates
-from estimator.mapping import Mapping
+from estimator.mapping import Mapping, Timing
 from estimator.mapping_columns import RATE_UNITS
 from estimator.mapping_reference import AngleColumn, AttitudeColumns, RateColumns, Rests, SectionTurns
 from estimator.recording import ImuData, Recording
@@ -160,11 +161,25 @@ def _read_columns(mapping: Mapping, path: Path) -> Table:
 
 
 def _times(mapping: Mapping, table: Table, rate: Floats, beside: list[Floats]) -> TimeFit:
-    timing = mapping.timing
+    """Return the instants of the part of the file that is read; its rows are numbered as in the file."""
+    position = np.arange(len(rate)) if table.position is None else table.position
+    read = mapping.extent.rows(position)
+    if len(read) < 2:
+        raise RecordingError(f"{table.name} has {len(rate)} rows: check from_row and until_row in [file]")
+    time = _all_times(mapping.timing, table, position, read, np.hstack([rate, *beside]))
+    kept = mapping.extent.within(time.t_s)
+    if kept.sum() < 2:
+        raise RecordingError(f"{table.name} lasts {time.t_s[-1]:.6g} s: check from_s and until_s in [file]")
+    return replace(time, t_s=time.t_s[kept], rows=read[time.rows][kept])
+
+
+def _all_times(
+    timing: Timing, table: Table, position: NDArray[np.int64], read: NDArray[np.intp], values: Floats
+) -> TimeFit:
     if timing.stamps is not None:
         stamps = table.values(timing.stamps, 1, "[time] column")[:, 0]
         try:
-            return fit_times(stamps, np.hstack([rate, *beside]), table.position)
+            return fit_times(stamps[read], values[read], position[read])
         except RecordingError as error:
             raise RecordingError(f"{table.name} {error}") from None
     rate_hz = timing.rate_hz
@@ -172,7 +187,7 @@ def _times(mapping: Mapping, table: Table, rate: Floats, beside: list[Floats]) -
         rate_hz = table.number(timing.rate_variable)
     if rate_hz is None or rate_hz <= 0:
         raise RecordingError(f"{table.name}: {timing.rate_variable} is {rate_hz}, not a sample rate in Hz")
-    return regular_times(np.arange(len(rate)) if table.position is None else table.position, rate_hz)
+    return regular_times(position[read], rate_hz)
 
 
 def _line_notes(mapping: Mapping, table: Table, time: TimeFit) -> list[str]:
@@ -213,9 +228,9 @@ def _filled(table: Table, time: TimeFit, own: NDArray[np.intp], values: Floats |
 
 
 def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) -> Imported:
-    starts_s = [0.0]
-    for part in parts[:-1]:
-        starts_s.append(starts_s[-1] + float(part.time.t_s[-1]) + _GAP_S)
+    starts_s = [-float(parts[0].time.t_s[0])]
+    for before, part in pairwise(parts):
+        starts_s.append(starts_s[-1] + float(before.time.t_s[-1]) + _GAP_S - float(part.time.t_s[0]))
     data = ImuData(
         mapping.gyro.array,
         np.concatenate([_ns(part.t_s + start) for part, start in zip(parts, starts_s, strict=True)]),

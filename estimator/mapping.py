@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array import SensorArray, sensor_array
 from estimator.errors import GeometryError, RecordingError
@@ -50,6 +51,24 @@ class FileFormat:
 
 
 @dataclass(frozen=True, slots=True)
+class Extent:
+    """The part of a file that is read: data rows (the first is 0), and of these seconds from the first."""
+
+    from_row: int = 0
+    until_row: float = math.inf
+    from_s: float = 0.0
+    until_s: float = math.inf
+
+    def rows(self, number: NDArray[np.int64]) -> NDArray[np.intp]:
+        """Return where ``number`` (rows,), the numbers of data rows, is within the rows that are read."""
+        return np.flatnonzero((number >= self.from_row) & (number < self.until_row))
+
+    def within(self, t_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which instants (rows,) are within the seconds that are read."""
+        return np.asarray((t_s >= self.from_s) & (t_s <= self.until_s))
+
+
+@dataclass(frozen=True, slots=True)
 class Timing:
     """Either a fixed rate, or a variable that holds it, or a column of stamps (``scale`` makes seconds)."""
 
@@ -86,6 +105,7 @@ class Mapping:
     licence: str
     source: str
     format: FileFormat
+    extent: Extent
     timing: Timing
     gyro: GyroColumns
     accelerometer: Accelerometer | None
@@ -110,7 +130,8 @@ def read_mapping(path: Path) -> Mapping:
     device = top.table("device")
     named = (device.string("name"), device.string("licence", ""), device.string("source", ""))
     device.done()
-    file_format = _format(top.table("file"))
+    file_section = top.table("file")
+    extent, file_format = _extent(file_section), _format(file_section)
     timing = _timing(top.table("time"), file_format)
     gyro = _gyro(top.table("gyro"), file_format)
     accelerometer = _accelerometer(top.table("accelerometer")) if top.has("accelerometer") else None
@@ -119,7 +140,9 @@ def read_mapping(path: Path) -> Mapping:
     section = top.table("reference")
     reference = read_reference(section)
     top.done(also=("accelerometer", "temperature", "site"))
-    mapping = Mapping(path.name, text, *named, file_format, timing, gyro, accelerometer, temperature, reference, site)
+    mapping = Mapping(
+        path.name, text, *named, file_format, extent, timing, gyro, accelerometer, temperature, reference, site
+    )
     _check(mapping, section)
     return mapping
 
@@ -146,6 +169,16 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
             raise section.fail(
                 "earth_rate", 'needs to know what points up: add up = "z" (the body axis) or an [accelerometer]'
             )
+
+
+def _extent(section: StrictTable) -> Extent:
+    """Take the limits of what is read."""
+    from_row, from_s = section.integer("from_row", 0), section.number("from_s", 0.0, least=0.0)
+    until_row, until_s = section.value("until_row", math.inf), section.value("until_s", math.inf)
+    for key, start, end in (("until_row", from_row, until_row), ("until_s", from_s, until_s)):
+        if not isinstance(end, (int, float)) or not end > start >= 0:
+            raise section.fail(key, f"{end!r} is not after {key.replace('until', 'from')} {start:g}")
+    return Extent(from_row, until_row, from_s, until_s)
 
 
 def _format(section: StrictTable) -> FileFormat:
@@ -224,8 +257,7 @@ def _accelerometer(section: StrictTable) -> Accelerometer:
 
 
 def _temperature(section: StrictTable) -> Columns:
-    unit = section.string("unit", one_of=tuple(TEMPERATURE_UNITS))
-    columns = Columns((section.string("column"),), shift=TEMPERATURE_UNITS[unit])
+    columns = stated_columns(section, TEMPERATURE_UNITS, key="column")
     section.done()
     return columns
 

@@ -15,7 +15,8 @@ RATE_UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180}
 ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180}
 ACCEL_UNITS = {"m/s2": 1.0, "g": 9.80665}
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-TEMPERATURE_UNITS = {"degC": 0.0, "K": -273.15}
+TEMPERATURE_UNITS = {"degC": 1.0, "K": 1.0}
+_SHIFT = {"K": -273.15}
 UNIT_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 Vector = tuple[float, float, float]
@@ -23,12 +24,13 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Columns of a text file, or variables of a .mat file; values are multiplied by ``scale``, then shifted."""
+    """Columns of a text file, or variables of a .mat file; SI is (value - ``offset``) * ``scale`` + ``shift``."""
 
     names: tuple[str, ...]
     scale: float = 1.0
     shift: float = 0.0
     raw: bool = False
+    offset: float = 0.0
 
 
 def stated_columns(
@@ -36,16 +38,17 @@ def stated_columns(
 ) -> Columns:
     """Return the columns of a table with what makes SI of them: their unit, or the size of a count.
 
-    Where the size is not needed and not stated, a count is one degree (a second).
+    Where the size is not needed and not stated, a count is one degree (a second). ``offset`` is the value that stands
+    for zero, in the unit of the column.
     """
-    names = section.strings(key)
+    names, offset = section.strings(key), section.number("offset", 0.0)
     unit = section.string("unit", one_of=(*units, "raw"))
-    if unit != "raw":
-        return Columns(names, units[unit])
-    if not count_needed and not section.has("count"):
-        return Columns(names, units[section.string("count_unit", "deg/s", one_of=tuple(units))], raw=True)
-    size_unit = section.string("count_unit", one_of=tuple(units))
-    return Columns(names, section.number("count", positive=True) * units[size_unit], raw=True)
+    raw, size = unit == "raw", 1.0
+    if raw and not count_needed and not section.has("count"):
+        unit = section.string("count_unit", "deg/s", one_of=tuple(units))
+    elif raw:
+        unit, size = section.string("count_unit", one_of=tuple(units)), section.number("count", positive=True)
+    return Columns(names, size * units[unit], _SHIFT.get(unit, 0.0), raw, offset)
 
 
 def signed_axis(text: str) -> Vector:

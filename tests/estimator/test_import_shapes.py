@@ -182,6 +182,16 @@ def test_an_encoder_that_counts_backwards_is_told_or_turned_round(tmp_path: Path
         assert_within(only(calibration), k=0.004, b_dps=-0.4)
 
 
+def test_the_angle_at_which_the_body_is_level_is_the_offset_of_the_encoder(tmp_path: Path) -> None:
+    log = gyro_encoder_angle(tmp_path / "log.csv")
+    change = ("count_unit", "offset = 1024   # a quarter of a turn\ncount_unit")
+    moved = imported(tmp_path, shape("gyro_encoder_angle", change), log).recording.reference
+    as_counted = imported(tmp_path, shape("gyro_encoder_angle"), log).recording.reference
+    assert isinstance(moved, TableReadings)
+    assert isinstance(as_counted, TableReadings)
+    np.testing.assert_allclose(as_counted.angle_rad - moved.angle_rad, np.pi / 2, atol=1e-9)
+
+
 def test_encoder_files_follow_each_other_wherever_the_angle_begins(tmp_path: Path) -> None:
     logs = [gyro_encoder_angle(tmp_path / f"{i}.csv", turn=1) for i in range(2)]
     cut = logs[1].read_text().splitlines()

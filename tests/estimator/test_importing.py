@@ -13,8 +13,8 @@ from estimator.calibration import Calibration
 from estimator.errors import RecordingError
 from estimator.importing import SOURCE, Imported, import_recording
 from estimator.mapping import read_mapping
-from estimator.recording import Recording, read_recording, write_recording
-from estimator.reference import AttitudeReadings, RateReadings, Turns
+from estimator.recording import ImuData, Recording, read_recording, write_recording
+from estimator.reference import AttitudeReadings, RateReadings, TableReadings, Turns
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -154,6 +154,74 @@ def test_a_phone_on_a_bench_is_a_percent_from_nominal_and_its_runs_agree(
         t_s = (data.t_ns[inside] - start) * 1e-9
         turned = np.trapezoid(data.rate_rps[inside] + x[:, 1], t_s, axis=0)
         assert np.linalg.norm(turned - turn) < 0.04 * np.linalg.norm(turn) + np.radians(2)
+
+
+def test_a_stepper_motor_with_an_encoder_gives_the_factor_of_its_axis(tmp_path: Path) -> None:
+    run = imported(DATA / "mpu6050" / "yaw.toml", DATA / "mpu6050" / "yaw_medium_110s.mat")
+    assert "2 rows are left out that were written twice" in run.notes
+    data, reference = run.recording.sources[SOURCE], run.recording.reference
+    assert len(data.t_ns) == 11000 - 561 - 2
+    assert data.t_ns[0] == 0
+    assert isinstance(reference, TableReadings)
+    assert reference.gimbals == ("z",)
+    # The table of the source has a factor of -1.0065 to the encoder, whose sense the mapping turns round.
+    over_1_s = slice(50, -50, 100)
+    turned = np.cumsum(data.rate_rps[:, 2]) * np.median(np.diff(data.t_ns)) * 1e-9
+    slope = np.polyfit(reference.angle_rad[over_1_s, 0], turned[over_1_s], 1)[0]
+    assert slope == pytest.approx(1.0065, abs=0.01)
+    assert data.accel_mps2 is not None
+    np.testing.assert_allclose(data.accel_mps2.mean(axis=0), [0, 0, 9.8], atol=0.2)
+
+
+def test_part_of_a_file_is_read_by_rows_or_by_seconds(tmp_path: Path) -> None:
+    def limited(limits: str) -> ImuData:
+        mapping = RATE_MAPPING.replace('format = "csv"', f'format = "csv"\n{limits}')
+        return imported(*written(tmp_path, mapping, "\n".join(rate_rows()))).recording.sources[SOURCE]
+
+    whole = limited("")
+    by_row, by_time = limited("from_row = 100\nuntil_row = 350"), limited("from_s = 1\nuntil_s = 3.495")
+    for part in (by_row, by_time):
+        np.testing.assert_array_equal(part.rate_rps, whole.rate_rps[100:350])
+        np.testing.assert_array_equal(part.t_ns, whole.t_ns[:250])
+    with pytest.raises(RecordingError, match="has 600 rows: check from_row and until_row"):
+        limited("from_row = 600")
+    with pytest.raises(RecordingError, match=r"lasts 5.99 s: check from_s and until_s"):
+        limited("from_s = 7")
+    (tmp_path / "mapping.toml").write_text(RATE_MAPPING.replace('"csv"', '"csv"\nfrom_s = 5\nuntil_s = 3', 1))
+    with pytest.raises(RecordingError, match=r"line 7: file.until_s: 3 is not after from_s 5"):
+        read_mapping(tmp_path / "mapping.toml")
+
+
+COUNTS = """
+[temperature]
+column = "t"
+unit = "raw"
+count = 0.00294117647
+count_unit = "degC"
+offset = -12420.2           # MPU-6050: raw / 340 + 36.53
+
+[accelerometer]
+columns = ["gx", "gy", "gz"]
+unit = "raw"
+count = 0.001
+count_unit = "g"
+offset = 32768
+"""
+
+
+def test_counts_about_a_middle_become_rates_forces_and_temperatures(tmp_path: Path) -> None:
+    w = 20 * np.random.default_rng(3).normal(size=(100, 3))
+    counts = 32768 + np.round(w / 0.01)
+    rows = [",".join(f"{v:.9g}" for v in (*c, *r, -340)) for c, r in zip(counts, w, strict=True)]
+    raw = 'unit = "raw"\ncount = 0.01\ncount_unit = "deg/s"\noffset = 32768\naxes = ["x", "y", "z"]'
+    mapping = RATE_MAPPING.replace('unit = "deg/s"\naxes = ["x", "-y", "z"]', raw) + COUNTS
+    run = imported(*written(tmp_path, mapping, "\n".join(["gx,gy,gz,rx,ry,rz,t", *rows])))
+    data = run.recording.sources[SOURCE]
+    np.testing.assert_allclose(np.degrees(data.rate_rps), w, atol=0.0051)
+    assert data.temperature_c is not None
+    assert data.accel_mps2 is not None
+    np.testing.assert_allclose(data.temperature_c, 35.53, atol=1e-3)
+    np.testing.assert_allclose(data.accel_mps2, (counts - 32768) * 9.80665e-3)
 
 
 def test_the_sense_of_a_turn_is_taken_from_the_data(tmp_path: Path) -> None:
