@@ -15,9 +15,9 @@ from estimator.errors import RecordingError
 from estimator.fitting import fitted
 from estimator.foreign_rows import ForeignRows, foreign_reference, reference_rows
 from estimator.held import updates
-from estimator.mapping import Mapping, Timing
+from estimator.mapping import FileFormat, Mapping, ReferenceFile, Timing
 from estimator.mapping_columns import RATE_UNITS
-from estimator.mapping_reference import AngleColumn, AttitudeColumns, RateColumns, Rests, SectionTurns
+from estimator.mapping_reference import AngleColumn, AttitudeColumns, ForeignReference, RateColumns, Rests, SectionTurns
 from estimator.recording import ImuData, Recording
 from estimator.reference import Reference, Turns
 from estimator.rest_import import PartRests, earth_note, part_rests, rests_text
@@ -29,6 +29,7 @@ Floats = NDArray[np.float64]
 
 SOURCE = "imu"
 """Name of the one source of an imported recording."""
+_BESIDE_S = 1.0  # of a reference in a file of its own before and behind the samples that is kept
 _GAP_S = 10.0  # between files that follow each other: longer than what corrects or correlates within one
 _UNIT_ROW = {"rad/s": ("rad/s", "rps"), "deg/s": ("deg/s", "dps", "°/s", "degree/s", "degrees/s")}
 
@@ -94,13 +95,13 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
         accel = table.values(mapping.accelerometer.columns, 3, "[accelerometer] columns")
         accel = accel @ np.array(mapping.accelerometer.axes)
     warmth = table.values(mapping.temperature, 1, "[temperature] column") if mapping.temperature else None
-    told = reference_rows(mapping, table)
+    told = reference_rows(mapping, table) if mapping.reference_file is None else None
     for what, other in (("accelerometer", accel), ("temperature", warmth), ("reference", told)):
         if other is not None and len(other) != len(rate):
             raise RecordingError(f"{path.name} has {len(rate)} gyro rows but {len(other)} {what} rows")
     beside = [other for other in (accel, warmth, told) if other is not None]
-    time = _times(mapping, table, rate, beside)
-    notes = _line_notes(mapping, table, time)
+    time = _times(mapping.timing, mapping.format, table, np.hstack([rate, *beside]))
+    notes = [*_line_notes(table, time), *_unit_notes(mapping, table)]
     spans, refused = turn_spans(mapping, path, table, time, rate)
     # Logs of several devices have rows without this one; a gyro that is read too often repeats itself.
     own = np.flatnonzero(np.isfinite(rate[time.rows]).any(axis=1))
@@ -121,11 +122,9 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     if rests is not None:
         known = ForeignRows(t_s, rests.rate_rps)
     elif told is not None:
-        fresh = updates(told[time.rows])
-        if fresh is not None:
-            notes.append(_held_note("the reference", fresh, time.t_s))
-        at = slice(None) if fresh is None else fresh
-        known = ForeignRows(time.t_s[at], told[time.rows][at])
+        known = _fresh_rows(ForeignRows(time.t_s, told[time.rows]), notes)
+    elif mapping.reference_file is not None:
+        known = _fresh_rows(_rows_beside(mapping, mapping.reference_file, path, time, notes), notes)
     part = _Part(
         path.name,
         time,
@@ -142,32 +141,74 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     return part, refused
 
 
+def _fresh_rows(rows: ForeignRows, notes: list[str]) -> ForeignRows:
+    """Return the rows of a reference at which it is new, and tell if it is held."""
+    fresh = updates(rows.values)
+    if fresh is None:
+        return rows
+    notes.append(_held_note("the reference", fresh, rows.t_s))
+    return ForeignRows(rows.t_s[fresh], rows.values[fresh])
+
+
+def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeFit, notes: list[str]) -> ForeignRows:
+    """Return the rows of a reference in a file of its own, on the time of the data file ``path``.
+
+    Two columns of stamps are of one clock; without stamps on one side both files begin together.
+    """
+    name = other.name.replace("{stem}", path.stem)
+    names = _reference_names(mapping.reference)
+    table = read_table(path.with_name(name), other.format, _wanted(other.timing, names))
+    values = reference_rows(mapping, table)
+    assert values is not None
+    fit = _times(other.timing, other.format, table, values)
+    notes += [f"{name}: {note}" for note in [fit.text, *_line_notes(table, fit)]]
+    t_s = fit.t_s + other.offset_s
+    if fit.zero_s is not None and time.zero_s is not None:
+        t_s += fit.zero_s - time.zero_s
+    first, last = float(time.t_s[0]), float(time.t_s[-1])
+    shared = (t_s >= first - _BESIDE_S) & (t_s <= last + _BESIDE_S)
+    if shared.sum() < 2:
+        raise RecordingError(
+            f"{name} lasts from {t_s[0]:.6g} to {t_s[-1]:.6g} s of the time of {path.name}, whose samples last from "
+            f"{first:.6g} to {last:.6g} s: check unit, or state offset_s, which is added to its stamps, in "
+            "[reference.time]"
+        )
+    t_s = t_s[shared]
+    missing = max(t_s[0] - first, 0.0) + max(last - t_s[-1], 0.0)
+    if missing > _BESIDE_S:
+        notes.append(f"{name} does not cover {missing:.3g} of {last - first:.6g} s")
+    return ForeignRows(t_s, values[fit.rows[shared]])
+
+
+def _wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ()) -> Wanted:
+    needed = timing.stamps.names if timing.stamps else (timing.rate_variable,) if timing.rate_variable else ()
+    return Wanted(needed, tuple(others), labels, timing.calendar)
+
+
+def _reference_names(reference: ForeignReference) -> tuple[str, ...]:
+    if isinstance(reference, (AttitudeColumns, RateColumns)):
+        return reference.columns.names
+    return reference.column.names if isinstance(reference, AngleColumn) else ()
+
+
 def _read_columns(mapping: Mapping, path: Path) -> Table:
-    needed = list(mapping.timing.stamps.names) if mapping.timing.stamps else []
-    if mapping.timing.rate_variable:
-        needed.append(mapping.timing.rate_variable)
     others = list(mapping.gyro.columns.names)
     others += mapping.accelerometer.columns.names if mapping.accelerometer else ()
     others += mapping.temperature.names if mapping.temperature else ()
     reference = mapping.reference
-    label = None
-    if isinstance(reference, (AttitudeColumns, RateColumns)):
-        others += reference.columns.names
-    elif isinstance(reference, AngleColumn):
-        others += reference.column.names
-    elif isinstance(reference, (SectionTurns, Rests)):
-        label = reference.cuts.column
-    return read_table(path, mapping.format, Wanted(tuple(needed), tuple(others), (label,) if label else ()))
+    others += _reference_names(reference) if mapping.reference_file is None else ()
+    label = reference.cuts.column if isinstance(reference, (SectionTurns, Rests)) else None
+    return read_table(path, mapping.format, _wanted(mapping.timing, others, (label,) if label else ()))
 
 
-def _times(mapping: Mapping, table: Table, rate: Floats, beside: list[Floats]) -> TimeFit:
+def _times(timing: Timing, file_format: FileFormat, table: Table, values: Floats) -> TimeFit:
     """Return the instants of the part of the file that is read; its rows are numbered as in the file."""
-    position = np.arange(len(rate)) if table.position is None else table.position
-    read = mapping.extent.rows(position)
+    position = np.arange(len(values)) if table.position is None else table.position
+    read = file_format.extent.rows(position)
     if len(read) < 2:
-        raise RecordingError(f"{table.name} has {len(rate)} rows: check from_row and until_row in [file]")
-    time = _all_times(mapping.timing, table, position, read, np.hstack([rate, *beside]))
-    kept = mapping.extent.within(time.t_s)
+        raise RecordingError(f"{table.name} has {len(values)} rows: check from_row and until_row in [file]")
+    time = _all_times(timing, table, position, read, values)
+    kept = file_format.extent.within(time.t_s)
     if kept.sum() < 2:
         raise RecordingError(f"{table.name} lasts {time.t_s[-1]:.6g} s: check from_s and until_s in [file]")
     return replace(time, t_s=time.t_s[kept], rows=read[time.rows][kept])
@@ -177,7 +218,11 @@ def _all_times(
     timing: Timing, table: Table, position: NDArray[np.int64], read: NDArray[np.intp], values: Floats
 ) -> TimeFit:
     if timing.stamps is not None:
+        if timing.wraps_at is not None:
+            table = table.unwrapped(timing.stamps.names[0], timing.wraps_at)
         stamps = table.values(timing.stamps, 1, "[time] column")[:, 0]
+        if len(stamps) != len(values):
+            raise RecordingError(f"{table.name} has {len(values)} rows but {len(stamps)} stamps")
         try:
             return fit_times(stamps[read], values[read], position[read])
         except RecordingError as error:
@@ -190,13 +235,18 @@ def _all_times(
     return regular_times(position[read], rate_hz)
 
 
-def _line_notes(mapping: Mapping, table: Table, time: TimeFit) -> list[str]:
-    notes = []
+def _line_notes(table: Table, time: TimeFit) -> list[str]:
+    notes = [*table.notes]
     if table.skipped_lines:
         lines = "line is" if table.skipped_lines == 1 else "lines are"
         notes.append(f"{table.skipped_lines} broken {lines} left out, the first is {table.first_skipped}")
     if time.doubled:
         notes.append(f"{time.doubled} rows are left out that were written twice")
+    return notes
+
+
+def _unit_notes(mapping: Mapping, table: Table) -> list[str]:
+    notes = []
     columns = mapping.gyro.columns
     said = {table.units.get(name, "").lower() for name in columns.names}
     for unit, spellings in _UNIT_ROW.items():

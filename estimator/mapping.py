@@ -6,9 +6,13 @@ Units are those of the foreign file here and only here; what leaves this module 
 from __future__ import annotations
 
 import math
+import re
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Callable
+from collections.abc import Mapping as Dict
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,18 +40,7 @@ from estimator.mapping_reference import (
 )
 from estimator.strict_toml import StrictTable
 
-
-@dataclass(frozen=True, slots=True)
-class FileFormat:
-    """``kind`` is csv or mat; text is split at ``delimiter`` (empty: at blanks), its numbers have a ``decimal`` mark.
-
-    ``columns`` names the columns of a text file without a heading.
-    """
-
-    kind: str
-    delimiter: str = ","
-    decimal: str = "."
-    columns: tuple[str, ...] = ()
+_COLUMN = re.compile(r"(?P<name>\S+) (?P<many>\d*)(?P<kind>[iu][1248]|f[48]|V)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +61,55 @@ class Extent:
         return np.asarray((t_s >= self.from_s) & (t_s <= self.until_s))
 
 
+Capture = Callable[[bytes, str], tuple[Dict[str, NDArray[Any]], tuple[str, ...]]]
+"""Decodes the bytes of a capture to columns (rows,) or (rows, width) and notes, a row for each of the column named."""
+Protocols = Dict[str, Callable[[StrictTable, Path], Capture]]
+"""For each protocol what takes its keys from the table [file] of a mapping, whose folder is given."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileFormat:
+    """``kind`` is csv, mat, binary or a protocol, ``extent`` the part that is read.
+
+    Text is split at ``delimiter`` (empty: at blanks), has a ``decimal`` mark, and without a heading its ``columns`` are
+    named. Binary files are a header and then a ``record`` a row.
+    """
+
+    kind: str
+    delimiter: str = ","
+    decimal: str = "."
+    columns: tuple[str, ...] = ()
+    extent: Extent = field(default_factory=Extent)
+    record: np.dtype[Any] | None = None
+    header_bytes: int = 0
+    capture: Capture | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Either a fixed rate, or a variable that holds it, or a column of stamps (``scale`` makes seconds)."""
+    """Either a fixed rate, or a variable that holds it, or a column of stamps (``scale`` makes seconds).
+
+    The column may be one of a ``calendar``, or a counter that goes round at ``wraps_at``.
+    """
 
     rate_hz: float | None = None
     rate_variable: str | None = None
     stamps: Columns | None = None
+    calendar: bool = False
+    wraps_at: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceFile:
+    """A reference in a file of its own; in its ``name`` "{stem}" is that of the data file.
+
+    ``offset_s`` is added to its stamps.
+    """
+
+    name: str
+    format: FileFormat
+    timing: Timing
+    offset_s: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,17 +140,29 @@ class Mapping:
     licence: str
     source: str
     format: FileFormat
-    extent: Extent
     timing: Timing
     gyro: GyroColumns
     accelerometer: Accelerometer | None
     temperature: Columns | None
     reference: ForeignReference
+    reference_file: ReferenceFile | None
     site: Site | None
 
 
-def read_mapping(path: Path) -> Mapping:
-    """Read a mapping file; RecordingError with file, line and what to write for anything unknown or wrong."""
+_TABLES = {
+    "device": 'name = "..."',
+    "file": 'format = "csv"',
+    "time": 'column = "..." and unit = "s", or rate_hz without a column of time',
+    "gyro": 'columns = [...] and unit = "deg/s"',
+    "reference": 'kind = "rate", "angle", "attitude", "turns" or "rest"',
+}
+
+
+def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
+    """Read a mapping file; captures of the ``protocols`` are formats beside csv, tsv, mat and binary.
+
+    Raises RecordingError with file, line and what to write for anything unknown or wrong.
+    """
     try:
         text = path.read_text(encoding="utf-8")
         values = tomllib.loads(text)
@@ -124,24 +171,25 @@ def read_mapping(path: Path) -> Mapping:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path} is not TOML: {error}") from None
     top = StrictTable(values, (), text, path.name, RecordingError)
-    for name in ("device", "file", "time", "gyro", "reference"):
+    for name, keys in _TABLES.items():
         if not top.has(name):
-            raise RecordingError(f"{path.name} has no table [{name}]: add it")
+            raise RecordingError(f"{path.name} has no table [{name}]: add it, with {keys}")
+    protocols, folder = protocols or {}, path.parent
     device = top.table("device")
     named = (device.string("name"), device.string("licence", ""), device.string("source", ""))
     device.done()
-    file_section = top.table("file")
-    extent, file_format = _extent(file_section), _format(file_section)
+    file_format = _format(top.table("file"), protocols, folder)
     timing = _timing(top.table("time"), file_format)
     gyro = _gyro(top.table("gyro"), file_format)
     accelerometer = _accelerometer(top.table("accelerometer")) if top.has("accelerometer") else None
     temperature = _temperature(top.table("temperature")) if top.has("temperature") else None
     site = _site(top.table("site")) if top.has("site") else None
     section = top.table("reference")
-    reference = read_reference(section)
+    other = _reference_file(section, file_format, timing, protocols, folder) if section.has("file") else None
+    reference = read_reference(section, wide=(other.format if other else file_format).kind != "csv")
     top.done(also=("accelerometer", "temperature", "site"))
     mapping = Mapping(
-        path.name, text, *named, file_format, extent, timing, gyro, accelerometer, temperature, reference, site
+        path.name, text, *named, file_format, timing, gyro, accelerometer, temperature, reference, other, site
     )
     _check(mapping, section)
     return mapping
@@ -150,9 +198,11 @@ def read_mapping(path: Path) -> Mapping:
 def _check(mapping: Mapping, section: StrictTable) -> None:
     """Refuse tables that do not go together."""
     reference = mapping.reference
-    if isinstance(reference, (SectionTurns, Rests)) and reference.cuts.column and mapping.format.kind == "mat":
+    if isinstance(reference, (SectionTurns, Rests)) and reference.cuts.column and mapping.format.kind != "csv":
         raise section.fail("section_column", "is for text files: write section_list, or start_s and end_s in sections")
     if isinstance(reference, (Rests, FileTurns, SectionTurns)):
+        if mapping.reference_file:
+            raise section.fail("file", "is for kind = rate, angle or attitude")
         for key, asked in (("sign", mapping.gyro.sign_from_data), ("scale", mapping.gyro.scale_from_data)):
             if asked:
                 raise RecordingError(
@@ -181,11 +231,33 @@ def _extent(section: StrictTable) -> Extent:
     return Extent(from_row, until_row, from_s, until_s)
 
 
-def _format(section: StrictTable) -> FileFormat:
-    kind = section.string("format", one_of=("csv", "tsv", "mat"))
-    if kind == "mat":
+def _reference_file(
+    section: StrictTable, file_format: FileFormat, timing: Timing, protocols: Protocols, folder: Path
+) -> ReferenceFile:
+    offset_s = 0.0
+    if isinstance(section.again().value("file"), str):
+        name, own = section.string("file"), replace(file_format, columns=(), extent=Extent())
+    else:
+        stated = section.table("file")
+        name, own = stated.string("name"), _format(stated, protocols, folder)
+    if section.has("time"):
+        stated = section.table("time")
+        offset_s = stated.number("offset_s", 0.0)
+        timing = _timing(stated, own) if stated.remaining() else timing
+    return ReferenceFile(name, own, timing, offset_s)
+
+
+def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFormat:
+    extent = _extent(section)
+    kind = section.string("format", one_of=("csv", "tsv", "mat", "binary", *protocols))
+    if kind == "binary":
+        record, header_bytes = _record(section), section.integer("header_bytes", 0)
         section.done()
-        return FileFormat("mat")
+        return FileFormat(kind, extent=extent, record=record, header_bytes=header_bytes)
+    if kind == "mat" or kind in protocols:
+        capture = protocols[kind](section, folder) if kind in protocols else None
+        section.done()
+        return FileFormat(kind, extent=extent, capture=capture)
     delimiter = section.string("delimiter", "\t" if kind == "tsv" else ",")
     delimiter = {"tab": "\t", "space": " "}.get(delimiter, delimiter)
     decimal = section.string("decimal", ".", one_of=(".", ","))
@@ -193,17 +265,35 @@ def _format(section: StrictTable) -> FileFormat:
         raise section.fail("delimiter", f"{delimiter!r}: write one character that is not the decimal mark")
     columns = section.strings("columns") if section.has("columns") else ()
     section.done(also=("columns",))
-    return FileFormat("csv", delimiter.strip(" "), decimal, columns)
+    return FileFormat("csv", delimiter.strip(" "), decimal, columns, extent)
+
+
+def _record(section: StrictTable) -> np.dtype[Any]:
+    """Return what a row of a binary file is made of."""
+    order = section.string("byte_order", "little", one_of=("little", "big"))
+    fields: dict[str, str] = {}
+    for entry in section.strings("record"):
+        found = _COLUMN.fullmatch(entry)
+        if not found or found["name"] in fields:
+            raise section.fail("record", f'holds {entry!r}: write a name and a type, "t f8", "gyro 3i2" or "pad 4V"')
+        fields[found["name"]] = f"{found['many'] or ''}{found['kind']}" if found["kind"] != "V" else f"V{found['many']}"
+    return np.dtype(list(fields.items())).newbyteorder("<" if order == "little" else ">")
 
 
 def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
     given = [key for key in ("rate_hz", "rate_variable", "column") if section.has(key)]
     if len(given) != 1:
-        raise section.fail(given[0] if given else None, "give one of rate_hz, rate_variable, column")
+        raise section.fail(
+            given[0] if given else None,
+            "give one of rate_hz, rate_variable, column: a rate, one in a .mat file, or stamps with their unit",
+        )
     timing: Timing
     if given[0] == "column":
-        unit = section.string("unit", one_of=tuple(TIME_UNITS))
-        timing = Timing(stamps=Columns((section.string("column"),), TIME_UNITS[unit]))
+        calendar = section.again().value("unit") == "iso"
+        if calendar and file_format.kind != "csv":
+            raise section.fail("unit", "iso is for text files: write s, ms, us or ns")
+        wraps_at = section.number("wraps_at", positive=True) if section.has("wraps_at") else None
+        timing = Timing(stamps=stated_columns(section, TIME_UNITS, key="column"), calendar=calendar, wraps_at=wraps_at)
     elif given[0] == "rate_variable":
         if file_format.kind != "mat":
             raise section.fail("rate_variable", "is for .mat files: write rate_hz or column")
@@ -225,7 +315,7 @@ def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
     if not isinstance(axes, (list, tuple)):
         raise section.fail("axes", 'must be a list: ["x", "-y", "z"] or one row of three numbers for each gyro')
     p = [body_axis(section, "axes", axis) for axis in axes]
-    if file_format.kind != "mat" and len(columns.names) != len(axes):
+    if file_format.kind == "csv" and len(columns.names) != len(axes):
         raise section.fail(
             where,
             f"does not fit: there are {len(columns.names)} columns and {len(axes)} axes (x, y, z if none are stated); "

@@ -11,10 +11,19 @@ import numpy as np
 
 from estimator.strict_toml import StrictTable
 
-RATE_UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180}
-ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180}
-ACCEL_UNITS = {"m/s2": 1.0, "g": 9.80665}
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_DEG, _TURN = math.pi / 180, 2 * math.pi
+RATE_UNITS = {
+    "rad/s": 1.0,
+    "deg/s": _DEG,
+    "mrad/s": 1e-3,
+    "mdps": 1e-3 * _DEG,
+    "deg/h": _DEG / 3600,
+    "rev/s": _TURN,
+    "rpm": _TURN / 60,
+}
+ANGLE_UNITS = {"rad": 1.0, "deg": _DEG, "mrad": 1e-3, "rev": _TURN, "arcmin": _DEG / 60, "arcsec": _DEG / 3600}
+ACCEL_UNITS = {"m/s2": 1.0, "g": 9.80665, "mg": 9.80665e-3}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
 TEMPERATURE_UNITS = {"degC": 1.0, "K": 1.0}
 _SHIFT = {"K": -273.15}
 UNIT_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}

@@ -117,8 +117,11 @@ class Rests:
 ForeignReference = AttitudeColumns | RateColumns | AngleColumn | FileTurns | SectionTurns | Rests
 
 
-def read_reference(section: StrictTable) -> ForeignReference:
-    """Return the reference that a mapping states; RecordingError with file, line and what to write."""
+def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignReference:
+    """Return the reference that a mapping states; in ``wide`` files a name can be that of several columns.
+
+    Raises RecordingError with file, line and what to write.
+    """
     kind = section.string("kind", one_of=KINDS)
     reference: ForeignReference
     if kind == "attitude":
@@ -127,7 +130,7 @@ def read_reference(section: StrictTable) -> ForeignReference:
         reference = AttitudeColumns(Columns(section.strings("columns")), order, direction == "reference to body")
     elif kind == "rate":
         columns = stated_columns(section, RATE_UNITS)
-        reference = RateColumns(columns, _rate_axis(section, columns))
+        reference = RateColumns(columns, _rate_axis(section, columns, wide))
     elif kind == "angle":
         reference = _angle(section)
     elif kind == "turns":
@@ -147,9 +150,9 @@ def turn_about(axis: str, angle_deg: float) -> Turn:
     return Turn((abs(x), abs(y), abs(z)), sign * math.radians(angle_deg))
 
 
-def _rate_axis(section: StrictTable, columns: Columns) -> Vector | None:
+def _rate_axis(section: StrictTable, columns: Columns, wide: bool) -> Vector | None:
     if not section.has("axis"):
-        if len(columns.names) == 1:
+        if len(columns.names) == 1 and not wide:
             raise section.fail("columns", 'is one column: add axis = "z", the body axis that it is the rate about')
         return None
     if len(columns.names) != 1:

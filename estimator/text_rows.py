@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +20,22 @@ BROKEN_SHARE = 0.1
 """A text file of which more lines than this cannot be read is refused."""
 _PREAMBLE_LINES = 200
 _COMMENTS = ("#", "%", "//")
+_DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": ""}
+_CHECK_ROWS = "check delimiter and decimal in [file], or repair the file"
 _SHOWN = 60  # characters of a broken line in a message
 
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """Names of columns: ``needed`` in every row, those that ``may_be_blank`` (NaN there), and ``labels`` (text)."""
+    """Names of columns: ``needed`` in every row, those that ``may_be_blank`` (NaN there), and ``labels`` (text).
+
+    With ``calendar`` the needed ones are dates with times (ISO 8601), which become seconds since 1970.
+    """
 
     needed: tuple[str, ...]
     may_be_blank: tuple[str, ...]
     labels: tuple[str, ...] = ()
+    calendar: bool = False
 
     @property
     def numeric(self) -> tuple[str, ...]:
@@ -58,6 +67,8 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
     Raises RecordingError, naming the file, if it is empty, lacks a column, or is broken in more than 10 % of its
     lines; then with the first of them.
     """
+    needed, blank, labels = (tuple(map(_bare, names)) for names in (wanted.needed, wanted.may_be_blank, wanted.labels))
+    wanted = Wanted(needed, blank, labels, wanted.calendar)
     lines = [(number, line) for number, line in enumerate(re.split(r"\r\n|\n|\r", text), 1) if line.strip("\0 \t")]
     if not lines:
         raise RecordingError(f"{name} is empty")
@@ -76,10 +87,13 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
     if not rows:
         raise RecordingError(f"{name} has a heading but no rows")
     if found.skipped > BROKEN_SHARE * rows:
+        other = replace(file_format, decimal="," if file_format.decimal == "." else ".")
+        again = _careful(body[:_PREAMBLE_LINES], header, where, other, wanted)
+        better = f'write decimal = "{other.decimal}" in [file]' if len(again.values) > again.skipped else _CHECK_ROWS
         raise RecordingError(
             f"{name}: {found.skipped} of {rows} lines are no rows of {len(header)} fields with delimiter "
             f"{file_format.delimiter or 'space'!r} and decimal mark {file_format.decimal!r}, the first is "
-            f"{found.first_skipped}: check these two in [file] of the mapping, or repair the file"
+            f"{found.first_skipped}: {better}"
         )
     return TextRows(found.values, found.labels, found.position, found.skipped, found.first_skipped, units)
 
@@ -93,7 +107,7 @@ def _heading(name: str, lines: list[tuple[int, str]], file_format: FileFormat, w
         return 0, list(file_format.columns)
     best, best_at, best_count = [""], 0, -1
     for at, (_, line) in enumerate(lines[:_PREAMBLE_LINES]):
-        header = _fields(re.sub(r"^\s*(#|%|//)\s*", "", line), file_format)
+        header = _fields(_bare(line), file_format)
         count = sum(key in header for key in wanted.all)
         if count == len(wanted.all):
             return at + 1, header
@@ -101,16 +115,31 @@ def _heading(name: str, lines: list[tuple[int, str]], file_format: FileFormat, w
             best, best_at, best_count = header, at, count
     missing = [key for key in wanted.all if key not in best]
     which = "its first line" if best_at == 0 else f"its line {lines[best_at][0]}"
-    hint = "; if it has no heading, name its columns by columns = [...] in [file]" if best_count == 0 else ""
+    hint = _heading_hint(lines, file_format, wanted, missing)
     raise RecordingError(
         f"{name} has no column {', '.join(missing)}: {which} has {', '.join(best)[:400]}; correct the mapping "
         f"(names, delimiter) or give the file it is for{hint}"
     )
 
 
+def _heading_hint(lines: list[tuple[int, str]], file_format: FileFormat, wanted: Wanted, missing: list[str]) -> str:
+    for written, mark in _DELIMITERS.items():
+        other = replace(file_format, delimiter=mark)
+        if any(set(wanted.all) <= set(_fields(_bare(line), other)) for _, line in lines[:_PREAMBLE_LINES]):
+            return f'; it has them with delimiter = "{written}" in [file]'
+    if len(missing) == len(wanted.all):
+        return "; if it has no heading, name its columns by columns = [...] in [file]"
+    return "; if it has no time, state rate_hz in [time]" if set(missing) <= set(wanted.needed) else ""
+
+
 def _fields(line: str, file_format: FileFormat) -> list[str]:
     fields = line.split(file_format.delimiter) if file_format.delimiter else line.split()
     return [field.strip().strip("\"'").strip() for field in fields]
+
+
+def _bare(text: str) -> str:
+    """Return a heading, or a name in one, without the comment sign before it."""
+    return re.sub(r"^\s*(#+|%+|//)\s*", "", text) or text
 
 
 def _is_number(field: str) -> bool:
@@ -125,7 +154,7 @@ def _fast(
     body: list[tuple[int, str]], header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted
 ) -> TextRows | None:
     """Return all rows at once if nothing about them is special, else None."""
-    if wanted.labels or file_format.decimal != "." or not file_format.delimiter:
+    if wanted.labels or wanted.calendar or file_format.decimal != "." or not file_format.delimiter:
         return None
     separators = len(header) - 1
     if any(line.count(file_format.delimiter) != separators for _, line in body):
@@ -143,8 +172,9 @@ def _careful(
     body: list[tuple[int, str]], header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted
 ) -> TextRows:
     label_at = [header.index(key) for key in wanted.labels]
-    blank_ok = [False] * len(wanted.needed) + [True] * len(wanted.may_be_blank)
     comma = file_format.decimal == ","
+    needed = [_calendar_s if wanted.calendar else float] * len(wanted.needed)
+    convert: list[Callable[[str], float]] = [*needed, *[_or_blank] * len(wanted.may_be_blank)]
     rows: list[list[float]] = []
     texts: list[list[str]] = []
     position: list[int] = []
@@ -154,7 +184,8 @@ def _careful(
         row = None
         if len(fields) == len(header) or (len(fields) == len(header) + 1 and not fields[-1]):
             numbers = [fields[i].replace(",", ".") if comma else fields[i] for i in where]
-            row = _numbers(numbers, blank_ok)
+            with suppress(ValueError):
+                row = [to_number(field) for to_number, field in zip(convert, numbers, strict=True)]
         if row is None:
             skipped += 1
             first_skipped = first_skipped or f"line {number} ({line.strip()[:_SHOWN]!r})"
@@ -168,9 +199,11 @@ def _careful(
     return TextRows(values, texts, np.array(position, dtype=np.int64), skipped, first_skipped, ())
 
 
-def _numbers(fields: list[str], blank_ok: list[bool]) -> list[float] | None:
-    """Return the numbers of a line, NaN where a field is blank that may be; None for a broken line."""
-    try:
-        return [float(f) if f or not blank else float("nan") for f, blank in zip(fields, blank_ok, strict=True)]
-    except ValueError:
-        return None
+def _or_blank(field: str) -> float:
+    return float(field) if field else float("nan")
+
+
+def _calendar_s(field: str) -> float:
+    """Return seconds since 1970 of a date with its time (ISO 8601), UTC if it has no zone; ValueError."""
+    at = datetime.fromisoformat(field)
+    return (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()

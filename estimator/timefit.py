@@ -18,6 +18,8 @@ _COARSE_SHARE = 0.2
 _WITHIN_STAMP = 0.35  # median distance from an even grid of coarse stamps, in their own steps; 0.25 if nothing is off
 _JUMP_PERIODS = 10.0  # a stamp this far behind the one before is no jitter
 _LONGEST_REPLAY_S = 2.0
+_LATE_SHARE = 0.2  # of uneven stamps, those no later than one before; more are no time
+_STANDS = "has time stamps that do not advance: check column in [time], or state rate_hz in its place"
 _SAME_SHARE = 0.5  # of the rows of a replay, how many must be there already, to the last digit
 
 
@@ -25,7 +27,8 @@ _SAME_SHARE = 0.5  # of the rows of a replay, how many must be there already, to
 class TimeFit:
     """Instants (kept rows,) in seconds from the first, the rows that are kept, and in words what was done.
 
-    ``replayed`` counts rows that were delivered a second time, ``doubled`` those written twice in a row.
+    ``replayed`` counts rows that were delivered a second time, ``doubled`` those written twice in a row. ``zero_s`` is
+    the stamp of the instant 0; None without stamps.
     """
 
     t_s: Floats
@@ -33,6 +36,7 @@ class TimeFit:
     replayed: int
     text: str
     doubled: int = 0
+    zero_s: float | None = None
 
 
 def regular_times(position: NDArray[np.int64], rate_hz: float) -> TimeFit:
@@ -53,12 +57,14 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
     Raises RecordingError for stamps that are not finite, do not advance, or go back as two runs in a file do.
     """
     if len(stamps_s) < 8:
-        raise RecordingError(f"has {len(stamps_s)} rows, too few for a fit of their times: record more")
+        raise RecordingError(
+            f"has {len(stamps_s)} rows, too few for a fit of their times: record more, or state rate_hz in [time]"
+        )
     if not np.isfinite(stamps_s).all():
         raise RecordingError("has time stamps that are no numbers: repair the time column")
     forward = np.diff(stamps_s)
     if not (forward > 0).any():
-        raise RecordingError("has time stamps that do not advance: is this the time column?")
+        raise RecordingError(_STANDS)
     values = np.nan_to_num(values, nan=-1e300)  # blank is equal to blank
     rows = _without_replays(stamps_s, values, float(np.median(forward[forward > 0])))
     replayed = len(stamps_s) - len(rows)
@@ -68,7 +74,7 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
     ]
     fits = [(fit, kept, doubled) for kept, doubled in tried for fit in _grids(stamps_s[kept], kept, position)]
     if not fits:
-        raise RecordingError("has time stamps that do not advance: is this the time column?")
+        raise RecordingError(_STANDS)
     best, rows, doubled = min(fits, key=lambda tried: (not tried[0].even, tried[0].away))
     t = stamps_s[rows]
     done = f", {replayed} replayed rows left out" if replayed else ""
@@ -77,13 +83,16 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         text = (
             f"even grid of {1 / best.period_s:.6g} Hz fitted to the stamps (they scatter by {best.scatter:.2f} periods)"
         )
-        return TimeFit(best.number * np.float64(best.period_s), rows, replayed, text + done, doubled)
+        t_s = best.number * np.float64(best.period_s)
+        return TimeFit(t_s, rows, replayed, text + done, doubled, float(np.median(t - t_s)))
     late = t <= np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
+    if late.mean() > _LATE_SHARE:
+        raise RecordingError(f"has stamps that go back in {late.mean():.0%} of its rows: check column in [time]")
     t, rows = t[~late], rows[~late]
     text = f"as stamped (uneven: off an even grid of {1 / best.period_s:.4g} Hz by {best.away:.1f} periods)"
     if late.any():
         text += f", {int(late.sum())} rows left out whose stamp is no later than the one before"
-    return TimeFit(t - t[0], rows, replayed, text + done, doubled)
+    return TimeFit(t - t[0], rows, replayed, text + done, doubled, float(t[0]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +174,8 @@ def _without_replays(stamps_s: Floats, values: Floats, period_s: float) -> NDArr
         if back_s > _LONGEST_REPLAY_S or same < _SAME_SHARE:
             raise RecordingError(
                 f"has a time column that goes back by {back_s:.3g} s at data row {first + 1}, where it does not "
-                "repeat what was there: split the file if it holds two runs"
+                "repeat what was there: split the file if it holds two runs, or read one by from_row or until_row in "
+                "[file]; for a counter that goes round state wraps_at in [time]"
             )
         keep[first:stop] = False
         start = stop
