@@ -36,11 +36,15 @@ _UNIT_ROW = {"rad/s": ("rad/s", "rps"), "deg/s": ("deg/s", "dps", "°/s", "degre
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imported:
-    """What became of foreign files; ``notes`` tell what a person should know of it, also kept in the recording."""
+    """What became of foreign files; ``notes`` tell what a person should know of it, also kept in the recording.
+
+    ``refused`` are files and sections of files, ``lost_files`` how many files gave nothing.
+    """
 
     recording: Recording
     refused: tuple[Refused, ...]
     notes: tuple[str, ...] = ()
+    lost_files: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +85,7 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
             parts.append(part)
     if not parts:
         raise RecordingError("nothing to import: " + "; ".join(str(r) for r in refused))
-    return _joined(mapping, parts, tuple(refused))
+    return replace(_joined(mapping, parts, tuple(refused)), lost_files=len(data_paths) - len(parts))
 
 
 def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused]]:

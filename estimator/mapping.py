@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from collections.abc import Mapping as Dict
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -61,8 +61,8 @@ class Extent:
         return np.asarray((t_s >= self.from_s) & (t_s <= self.until_s))
 
 
-Capture = Callable[[bytes, str], tuple[Dict[str, NDArray[Any]], tuple[str, ...]]]
-"""Decodes the bytes of a capture to columns (rows,) or (rows, width) and notes, a row for each of the column named."""
+Capture = Callable[[bytes, Sequence[str]], tuple[Dict[str, NDArray[np.float64]], tuple[str, ...]]]
+"""Decodes a capture to columns (rows,) or (rows, width), a row for each value of the first that is named, and notes."""
 Protocols = Dict[str, Callable[[StrictTable, Path], Capture]]
 """For each protocol what takes its keys from the table [file] of a mapping, whose folder is given."""
 
