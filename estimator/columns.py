@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -46,10 +46,6 @@ class Table:
             shapes = ", ".join(f"{n} {self.columns[n].shape}" for n in wanted.names)
             raise RecordingError(f"{self.name}: {what} needs {width} columns of one length, there are {shapes}")
         return np.asarray((np.hstack(parts) - wanted.offset) * wanted.scale + wanted.shift, dtype=np.float64)
-
-    def unwrapped(self, name: str, wraps_at: float) -> Table:
-        """Return this with a counter that goes on where it goes round."""
-        return replace(self, columns={**self.columns, name: np.unwrap(self.columns[name], period=wraps_at, axis=0)})
 
     def number(self, name: str) -> float:
         """Return a variable that holds one number."""

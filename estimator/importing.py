@@ -17,7 +17,7 @@ from estimator.foreign_rows import ForeignRows, foreign_reference, reference_row
 from estimator.held import updates
 from estimator.mapping import FileFormat, Mapping, ReferenceFile, Timing
 from estimator.mapping_columns import RATE_UNITS
-from estimator.mapping_reference import AngleColumn, AttitudeColumns, ForeignReference, RateColumns, Rests, SectionTurns
+from estimator.mapping_reference import AngleColumn, MeasuredReference, Rests, SectionTurns
 from estimator.recording import ImuData, Recording
 from estimator.reference import Reference, Turns
 from estimator.rest_import import PartRests, earth_note, part_rests, rests_text
@@ -129,20 +129,9 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
         known = _fresh_rows(ForeignRows(time.t_s, told[time.rows]), notes)
     elif mapping.reference_file is not None:
         known = _fresh_rows(_rows_beside(mapping, mapping.reference_file, path, time, notes), notes)
-    part = _Part(
-        path.name,
-        time,
-        table.skipped_lines,
-        t_s,
-        rate[rows],
-        accel,
-        None if warmth is None else warmth[:, 0],
-        known,
-        tuple(spans or ()),
-        rests,
-        tuple(notes),
-    )
-    return part, refused
+    warm = None if warmth is None else warmth[:, 0]
+    measured = (time, table.skipped_lines, t_s, rate[rows], accel, warm)
+    return _Part(path.name, *measured, known, tuple(spans or ()), rests, tuple(notes)), refused
 
 
 def _fresh_rows(rows: ForeignRows, notes: list[str]) -> ForeignRows:
@@ -160,8 +149,8 @@ def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeF
     Two columns of stamps are of one clock; without stamps on one side both files begin together.
     """
     name = other.name.replace("{stem}", path.stem)
-    names = _reference_names(mapping.reference)
-    table = read_table(path.with_name(name), other.format, _wanted(other.timing, names))
+    assert isinstance(mapping.reference, MeasuredReference)
+    table = read_table(path.with_name(name), other.format, _wanted(other.timing, mapping.reference.columns.names))
     values = reference_rows(mapping, table)
     assert values is not None
     fit = _times(other.timing, other.format, table, values)
@@ -189,18 +178,12 @@ def _wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ())
     return Wanted(needed, tuple(others), labels, timing.calendar)
 
 
-def _reference_names(reference: ForeignReference) -> tuple[str, ...]:
-    if isinstance(reference, (AttitudeColumns, RateColumns)):
-        return reference.columns.names
-    return reference.column.names if isinstance(reference, AngleColumn) else ()
-
-
 def _read_columns(mapping: Mapping, path: Path) -> Table:
-    others = list(mapping.gyro.columns.names)
+    others, reference = list(mapping.gyro.columns.names), mapping.reference
     others += mapping.accelerometer.columns.names if mapping.accelerometer else ()
     others += mapping.temperature.names if mapping.temperature else ()
-    reference = mapping.reference
-    others += _reference_names(reference) if mapping.reference_file is None else ()
+    if isinstance(reference, MeasuredReference) and mapping.reference_file is None:
+        others += reference.columns.names
     label = reference.cuts.column if isinstance(reference, (SectionTurns, Rests)) else None
     return read_table(path, mapping.format, _wanted(mapping.timing, others, (label,) if label else ()))
 
@@ -208,11 +191,12 @@ def _read_columns(mapping: Mapping, path: Path) -> Table:
 def _times(timing: Timing, file_format: FileFormat, table: Table, values: Floats) -> TimeFit:
     """Return the instants of the part of the file that is read; its rows are numbered as in the file."""
     position = np.arange(len(values)) if table.position is None else table.position
-    read = file_format.extent.rows(position)
+    extent = file_format.extent
+    read = np.flatnonzero((position >= extent.from_row) & (position < extent.until_row))
     if len(read) < 2:
         raise RecordingError(f"{table.name} has {len(values)} rows: check from_row and until_row in [file]")
     time = _all_times(timing, table, position, read, values)
-    kept = file_format.extent.within(time.t_s)
+    kept = (time.t_s >= extent.from_s) & (time.t_s <= extent.until_s)
     if kept.sum() < 2:
         raise RecordingError(f"{table.name} lasts {time.t_s[-1]:.6g} s: check from_s and until_s in [file]")
     return replace(time, t_s=time.t_s[kept], rows=read[time.rows][kept])
@@ -222,18 +206,16 @@ def _all_times(
     timing: Timing, table: Table, position: NDArray[np.int64], read: NDArray[np.intp], values: Floats
 ) -> TimeFit:
     if timing.stamps is not None:
-        if timing.wraps_at is not None:
-            table = table.unwrapped(timing.stamps.names[0], timing.wraps_at)
         stamps = table.values(timing.stamps, 1, "[time] column")[:, 0]
+        if timing.wraps_at < np.inf:
+            stamps = np.unwrap(stamps, period=timing.wraps_at * timing.stamps.scale)
         if len(stamps) != len(values):
             raise RecordingError(f"{table.name} has {len(values)} rows but {len(stamps)} stamps")
         try:
             return fit_times(stamps[read], values[read], position[read])
         except RecordingError as error:
             raise RecordingError(f"{table.name} {error}") from None
-    rate_hz = timing.rate_hz
-    if timing.rate_variable is not None:
-        rate_hz = table.number(timing.rate_variable)
+    rate_hz = table.number(timing.rate_variable) if timing.rate_variable else timing.rate_hz
     if rate_hz is None or rate_hz <= 0:
         raise RecordingError(f"{table.name}: {timing.rate_variable} is {rate_hz}, not a sample rate in Hz")
     return regular_times(position[read], rate_hz)
@@ -250,13 +232,13 @@ def _line_notes(table: Table, time: TimeFit) -> list[str]:
 
 
 def _unit_notes(mapping: Mapping, table: Table) -> list[str]:
-    notes = []
     columns = mapping.gyro.columns
     said = {table.units.get(name, "").lower() for name in columns.names}
-    for unit, spellings in _UNIT_ROW.items():
-        if not columns.raw and columns.scale != RATE_UNITS[unit] and said & set(spellings):
-            notes.append(f"the row of units says {unit} of the gyro, the mapping does not: check unit in [gyro]")
-    return notes
+    return [
+        f"the row of units says {unit} of the gyro, the mapping does not: check unit in [gyro]"
+        for unit, spellings in _UNIT_ROW.items()
+        if not columns.raw and columns.scale != RATE_UNITS[unit] and said & set(spellings)
+    ]
 
 
 def _held_note(what: str, fresh: NDArray[np.intp], t_s: Floats) -> str:
@@ -285,15 +267,16 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) 
     starts_s = [-float(parts[0].time.t_s[0])]
     for before, part in pairwise(parts):
         starts_s.append(starts_s[-1] + float(before.time.t_s[-1]) + _GAP_S - float(part.time.t_s[0]))
+    placed = list(zip(parts, starts_s, strict=True))
     data = ImuData(
         mapping.gyro.array,
-        np.concatenate([_ns(part.t_s + start) for part, start in zip(parts, starts_s, strict=True)]),
+        np.concatenate([_ns(part.t_s + start) for part, start in placed]),
         np.vstack([part.rate_rps for part in parts]),
         temperature_c=_stack([part.temperature_c for part in parts]),
         accel_mps2=_stack([part.accel_mps2 for part in parts]),
     )
     earth = isinstance(mapping.reference, (AngleColumn, Rests)) and mapping.reference.earth_rate
-    recording = Recording({SOURCE: data}, _reference(mapping, parts, starts_s), mapping.site if earth else None)
+    recording = Recording({SOURCE: data}, _reference(mapping, placed), mapping.site if earth else None)
     recording, found, factors = fitted(recording, SOURCE, mapping.gyro)
     several = len(parts) > 1
     notes = [f"{part.name}: {note}" if several else note for part in parts for note in part.notes]
@@ -304,7 +287,7 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) 
         add = isinstance(mapping.reference, (AngleColumn, Rests))
         how = "add earth_rate = true to [reference]" if add else "Earth rate is for kind = angle and rest"
         notes.append(f"the site is not used: {how}")
-    rests = [(part.rests, start) for part, start in zip(parts, starts_s, strict=True) if part.rests]
+    rests = [(part.rests, start) for part, start in placed if part.rests]
     attributes = {
         "device": mapping.device,
         "imported_from": ", ".join(part.name for part in parts),
@@ -319,17 +302,16 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) 
         "rests": rests_text(rests),
         "gyro_factor": factors,
     }
-    kept = {key: value for key, value in attributes.items() if not isinstance(value, str) or value}
-    kept = {key: value for key, value in kept.items() if value is not None}
+    kept = {key: value for key, value in attributes.items() if isinstance(value, (int, np.ndarray)) or value}
     return Imported(Recording(recording.sources, recording.reference, recording.site, kept), refused, tuple(notes))
 
 
-def _reference(mapping: Mapping, parts: list[_Part], starts_s: list[float]) -> Reference:
-    rows = [(part.reference, start) for part, start in zip(parts, starts_s, strict=True) if part.reference]
+def _reference(mapping: Mapping, placed: list[tuple[_Part, float]]) -> Reference:
+    rows = [(part.reference, start) for part, start in placed if part.reference]
     if rows:
         t_ns = np.concatenate([_ns(own.t_s + start) for own, start in rows])
         return foreign_reference(mapping.reference, t_ns, np.vstack([own.values for own, _ in rows]))
-    spans = [(span, start) for part, start in zip(parts, starts_s, strict=True) for span in part.spans]
+    spans = [(span, start) for part, start in placed for span in part.spans]
     return Turns(
         _ns(np.array([start + span.start_s for span, start in spans])),
         _ns(np.array([start + span.end_s for span, start in spans])),

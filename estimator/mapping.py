@@ -30,14 +30,7 @@ from estimator.mapping_columns import (
     body_axis,
     stated_columns,
 )
-from estimator.mapping_reference import (
-    AngleColumn,
-    FileTurns,
-    ForeignReference,
-    Rests,
-    SectionTurns,
-    read_reference,
-)
+from estimator.mapping_reference import AngleColumn, ForeignReference, MeasuredReference, Rests, read_reference
 from estimator.strict_toml import StrictTable
 
 _COLUMN = re.compile(r"(?P<name>\S+) (?P<many>\d*)(?P<kind>[iu][1248]|f[48]|V)")
@@ -51,14 +44,6 @@ class Extent:
     until_row: float = math.inf
     from_s: float = 0.0
     until_s: float = math.inf
-
-    def rows(self, number: NDArray[np.int64]) -> NDArray[np.intp]:
-        """Return where ``number`` (rows,), the numbers of data rows, is within the rows that are read."""
-        return np.flatnonzero((number >= self.from_row) & (number < self.until_row))
-
-    def within(self, t_s: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which instants (rows,) are within the seconds that are read."""
-        return np.asarray((t_s >= self.from_s) & (t_s <= self.until_s))
 
 
 Capture = Callable[[bytes, Sequence[str]], tuple[Dict[str, NDArray[np.float64]], tuple[str, ...]]]
@@ -96,7 +81,7 @@ class Timing:
     rate_variable: str | None = None
     stamps: Columns | None = None
     calendar: bool = False
-    wraps_at: float | None = None
+    wraps_at: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,9 +183,7 @@ def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
 def _check(mapping: Mapping, section: StrictTable) -> None:
     """Refuse tables that do not go together."""
     reference = mapping.reference
-    if isinstance(reference, (SectionTurns, Rests)) and reference.cuts.column and mapping.format.kind != "csv":
-        raise section.fail("section_column", "is for text files: write section_list, or start_s and end_s in sections")
-    if isinstance(reference, (Rests, FileTurns, SectionTurns)):
+    if not isinstance(reference, MeasuredReference):
         if mapping.reference_file:
             raise section.fail("file", "is for kind = rate, angle or attitude")
         for key, asked in (("sign", mapping.gyro.sign_from_data), ("scale", mapping.gyro.scale_from_data)):
@@ -250,14 +233,12 @@ def _reference_file(
 def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFormat:
     extent = _extent(section)
     kind = section.string("format", one_of=("csv", "tsv", "mat", "binary", *protocols))
-    if kind == "binary":
-        record, header_bytes = _record(section), section.integer("header_bytes", 0)
-        section.done()
-        return FileFormat(kind, extent=extent, record=record, header_bytes=header_bytes)
-    if kind == "mat" or kind in protocols:
+    if kind not in ("csv", "tsv"):
+        record = _record(section) if kind == "binary" else None
+        header_bytes = section.integer("header_bytes", 0) if record else 0
         capture = protocols[kind](section, folder) if kind in protocols else None
         section.done()
-        return FileFormat(kind, extent=extent, capture=capture)
+        return FileFormat(kind, extent=extent, record=record, header_bytes=header_bytes, capture=capture)
     delimiter = section.string("delimiter", "\t" if kind == "tsv" else ",")
     delimiter = {"tab": "\t", "space": " "}.get(delimiter, delimiter)
     decimal = section.string("decimal", ".", one_of=(".", ","))
@@ -287,13 +268,12 @@ def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
             given[0] if given else None,
             "give one of rate_hz, rate_variable, column: a rate, one in a .mat file, or stamps with their unit",
         )
-    timing: Timing
     if given[0] == "column":
         calendar = section.again().value("unit") == "iso"
         if calendar and file_format.kind != "csv":
             raise section.fail("unit", "iso is for text files: write s, ms, us or ns")
-        wraps_at = section.number("wraps_at", positive=True) if section.has("wraps_at") else None
-        timing = Timing(stamps=stated_columns(section, TIME_UNITS, key="column"), calendar=calendar, wraps_at=wraps_at)
+        wraps_at = section.number("wraps_at", math.inf, positive=True)
+        timing = Timing(None, None, stated_columns(section, TIME_UNITS, key="column"), calendar, wraps_at)
     elif given[0] == "rate_variable":
         if file_format.kind != "mat":
             raise section.fail("rate_variable", "is for .mat files: write rate_hz or column")

@@ -36,7 +36,7 @@ class RateColumns:
 class AngleColumn:
     """The angle of an encoder: the body turns about gimbal x, y or z by ``sign`` times it."""
 
-    column: Columns
+    columns: Columns
     gimbal: str
     sign: float
     earth_rate: bool
@@ -114,7 +114,8 @@ class Rests:
     earth_rate: bool
 
 
-ForeignReference = AttitudeColumns | RateColumns | AngleColumn | FileTurns | SectionTurns | Rests
+MeasuredReference = AttitudeColumns | RateColumns | AngleColumn
+ForeignReference = MeasuredReference | FileTurns | SectionTurns | Rests
 
 
 def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignReference:
@@ -137,6 +138,8 @@ def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignRefere
         reference = _turns(section)
     else:
         reference = _rests(section)
+    if wide and isinstance(reference, (SectionTurns, Rests)) and reference.cuts.column:
+        raise section.fail("section_column", "is for text files: write section_list, or start_s and end_s in sections")
     section.done()
     return reference
 
@@ -157,11 +160,16 @@ def _rate_axis(section: StrictTable, columns: Columns, wide: bool) -> Vector | N
         return None
     if len(columns.names) != 1:
         raise section.fail("axis", "is for one column: leave it out beside the three columns x, y, z")
-    axis = np.array(body_axis(section, "axis", section.value("axis")))
-    length = float(np.linalg.norm(axis))
+    return _direction(section, "axis")
+
+
+def _direction(section: StrictTable, key: str) -> Vector:
+    """Take a direction in body axes; it becomes a unit vector."""
+    v = np.array(body_axis(section, key, section.value(key)))
+    length = float(np.linalg.norm(v))
     if not length > 0:
-        raise section.fail("axis", "is no direction: write x, y or z with a sign, or three numbers")
-    x, y, z = (axis / length).tolist()
+        raise section.fail(key, "is no direction: write x, y or z with a sign, or three numbers")
+    x, y, z = (v / length).tolist()
     return x, y, z
 
 
@@ -169,11 +177,7 @@ def _angle(section: StrictTable) -> AngleColumn:
     column = stated_columns(section, ANGLE_UNITS, key="column")
     if len(column.names) != 1:
         raise section.fail("column", "must be one column")
-    text = section.string("axis")
-    try:
-        axis = signed_axis(text)
-    except ValueError as error:
-        raise section.fail("axis", str(error)) from None
+    axis = body_axis(section, "axis", section.string("axis"))
     gimbal = "xyz"[int(np.argmax(np.abs(axis)))]
     return AngleColumn(column, gimbal, float(sum(axis)), section.flag("earth_rate", False))
 
@@ -248,16 +252,7 @@ def _rests(section: StrictTable) -> Rests:
 
 
 def _pose(section: StrictTable) -> Pose:
-    found: dict[str, Vector] = {}
-    for key in ("up", "north"):
-        if not section.has(key):
-            continue
-        v = np.array(body_axis(section, key, section.value(key)))
-        length = float(np.linalg.norm(v))
-        if not length > 0:
-            raise section.fail(key, "is no direction: write x, y or z with a sign, or three numbers")
-        x, y, z = (v / length).tolist()
-        found[key] = (x, y, z)
+    found = {key: _direction(section, key) for key in ("up", "north") if section.has(key)}
     if "north" in found and "up" not in found:
         raise section.fail("north", "is stated without up: add up, the body axis that points up")
     if "north" in found and abs(float(np.dot(found["up"], found["north"]))) > 0.1:
@@ -267,10 +262,8 @@ def _pose(section: StrictTable) -> Pose:
 
 def _sections(section: StrictTable) -> tuple[Cuts, dict[str, StrictTable]]:
     """Return how files are cut, and the table of each section less its limits."""
-    tables = {}
     table = section.table("sections")
-    for name in table.remaining():
-        tables[name] = table.table(name)
+    tables = {name: table.table(name) for name in table.remaining()}
     if not tables:
         raise section.fail("sections", "is empty: name a section and what is known of it")
     list_name = section.string("section_list") if section.has("section_list") else None

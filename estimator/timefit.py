@@ -18,8 +18,8 @@ _COARSE_SHARE = 0.2
 _WITHIN_STAMP = 0.35  # median distance from an even grid of coarse stamps, in their own steps; 0.25 if nothing is off
 _JUMP_PERIODS = 10.0  # a stamp this far behind the one before is no jitter
 _LONGEST_REPLAY_S = 2.0
-_LATE_SHARE = 0.2  # of uneven stamps, those no later than one before; more are no time
-_STANDS = "has time stamps that do not advance: check column in [time], or state rate_hz in its place"
+_BEHIND_SHARE = 0.2  # of uneven stamps, those before an earlier one; a column with more is no time
+_CHECK = "check column in [time], or state rate_hz in its place"
 _SAME_SHARE = 0.5  # of the rows of a replay, how many must be there already, to the last digit
 
 
@@ -64,7 +64,7 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         raise RecordingError("has time stamps that are no numbers: repair the time column")
     forward = np.diff(stamps_s)
     if not (forward > 0).any():
-        raise RecordingError(_STANDS)
+        raise RecordingError(f"has time stamps that do not advance: {_CHECK}")
     values = np.nan_to_num(values, nan=-1e300)  # blank is equal to blank
     rows = _without_replays(stamps_s, values, float(np.median(forward[forward > 0])))
     replayed = len(stamps_s) - len(rows)
@@ -74,7 +74,7 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
     ]
     fits = [(fit, kept, doubled) for kept, doubled in tried for fit in _grids(stamps_s[kept], kept, position)]
     if not fits:
-        raise RecordingError(_STANDS)
+        raise RecordingError(f"has time stamps that do not advance: {_CHECK}")
     best, rows, doubled = min(fits, key=lambda tried: (not tried[0].even, tried[0].away))
     t = stamps_s[rows]
     done = f", {replayed} replayed rows left out" if replayed else ""
@@ -85,9 +85,10 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         )
         t_s = best.number * np.float64(best.period_s)
         return TimeFit(t_s, rows, replayed, text + done, doubled, float(np.median(t - t_s)))
-    late = t <= np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
-    if late.mean() > _LATE_SHARE:
-        raise RecordingError(f"has stamps that go back in {late.mean():.0%} of its rows: check column in [time]")
+    newest = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
+    late, behind = t <= newest, float(np.mean(t < newest))
+    if behind > _BEHIND_SHARE:
+        raise RecordingError(f"has stamps that lie behind earlier ones in {behind:.0%} of its rows: {_CHECK}")
     t, rows = t[~late], rows[~late]
     text = f"as stamped (uneven: off an even grid of {1 / best.period_s:.4g} Hz by {best.away:.1f} periods)"
     if late.any():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ _Decoded = tuple[Columns, tuple[str, ...]]
 _VNIMU = {"imu.uncomp_mag": slice(3), "imu.uncomp_accel": slice(3, 6), "imu.uncomp_gyro": slice(6, 9)}
 _VNIMU_FIELDS = 11
 _FRAME = re.compile(
-    r"\((\d+\.\d+)\)\s+\S+\s+([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})(?:#|\s+\[\d+\]\s+)((?:[0-9A-Fa-f]{2} ?)*)\s*[RT]?\s*"
+    r"\s*\((\d+\.\d+)\)\s+\S+\s+([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})(?:#|\s+\[\d+\]\s+)((?:[0-9A-Fa-f]{2} ?)*)\s*[RT]?\s*"
 )
 _STANDARD_DIGITS = 3
 _SAME_SAMPLE = 0.6  # of a message's period: one further away is of another sample
@@ -91,12 +91,11 @@ def _packets(samples: Samples) -> Columns:
 
 def _stim300(section: StrictTable, _folder: Path) -> Capture:
     codes = {name: code for code, name in UNITS.items()}
-    stated = section.has("gyro_output")
-    code = codes[section.string("gyro_output", UNITS[0], one_of=codes)]
+    stated = section.string("gyro_output", one_of=codes) if section.has("gyro_output") else ""
     range_g = section.integer("accel_range_g", 10)
     if range_g not in ACCEL_LSB_G:
         raise section.fail("accel_range_g", f"{range_g}: write one of {', '.join(map(str, ACCEL_LSB_G))}")
-    return partial(_read_stim300, code if stated else None, range_g)
+    return partial(_read_stim300, codes.get(stated), range_g)
 
 
 def _read_stim300(code: int | None, range_g: int, raw: bytes, names: Sequence[str]) -> _Decoded:
@@ -182,24 +181,24 @@ def _read_candump(database: Any, dbc: Path, raw: bytes, names: Sequence[str]) ->
     lengths = {keys[name]: reader.length for name, reader in readers.items()}
     stamps: dict[MessageKey, list[float]] = defaultdict(list)
     frames: dict[MessageKey, list[bytes]] = defaultdict(list)
-    damaged = 0
-    for line in raw.decode("ascii", errors="replace").splitlines():
-        found = _FRAME.fullmatch(line.strip())
-        plain = (int(found[2], 16), len(found[2]) > _STANDARD_DIGITS) if found else (0, False)
-        key = next((k for k in (_key(*plain, False), _key(*plain, True)) if k in lengths), None)
-        data = bytes.fromhex(found[3]) if found else b""
-        damaged += (not found and bool(line.strip())) or (key is not None and len(data) != lengths[key])
-        if found and key is not None and len(data) == lengths[key]:
-            stamps[key].append(float(found[1]))
-            frames[key].append(data)
-    tables = {key: np.frombuffer(b"".join(rows), np.uint8).reshape(len(rows), -1) for key, rows in frames.items()}
-    if not (lead_s := np.array(stamps[keys[names[0]]])).size:
+    lines = [line for line in raw.decode("ascii", errors="replace").splitlines() if line.strip()]
+    found = [match.groups() for match in map(_FRAME.fullmatch, lines) if match]
+    damaged = len(lines) - len(found)
+    for stamp, identifier, digits in found:
+        plain, data = (int(identifier, 16), len(identifier) > _STANDARD_DIGITS), bytes.fromhex(digits)
+        for key in lengths.keys() & {_key(*plain, False), _key(*plain, True)}:
+            if len(data) == lengths[key]:
+                stamps[key].append(float(stamp))
+                frames[key].append(data)
+            else:
+                damaged += 1
+    if keys[names[0]] not in frames:
         return {}, ()
-    columns = {"time": lead_s}
-    for name, reader in readers.items():
-        if keys[name] in tables:
-            values = reader.values(tables[keys[name]])
-            columns[name] = _nearest(lead_s, np.array(stamps[keys[name]]), values)
+    columns = {"time": np.array(stamps[keys[names[0]]])}
+    for name, key in keys.items():
+        if key in frames:
+            table = np.frombuffer(b"".join(frames[key]), np.uint8).reshape(-1, lengths[key])
+            columns[name] = _nearest(columns["time"], np.array(stamps[key]), readers[name].values(table))
     return columns, _damaged(damaged, "frames")
 
 
@@ -219,14 +218,10 @@ def _nearest(at_s: Floats, t_s: Floats, values: Floats) -> Floats:
     return np.where(near, values[index], np.nan)
 
 
-def _plain(decode: Callable[[bytes, Sequence[str]], _Decoded]) -> Callable[[StrictTable, Path], Capture]:
-    return lambda _section, _folder: decode
-
-
 PROTOCOLS: Protocols = {
-    "xbus": _plain(_xbus),
+    "xbus": lambda _section, _folder: _xbus,
     "stim300": _stim300,
-    "vectornav": _plain(_vectornav),
+    "vectornav": lambda _section, _folder: _vectornav,
     "candump": _candump,
 }
 """Formats of captures that a mapping file may name, beside those of the estimator."""
