@@ -39,13 +39,18 @@ class Table:
     notes: tuple[str, ...] = ()
 
     def values(self, wanted: Columns, width: int, what: str) -> Floats:
-        """Return (rows, width) values in SI; RecordingError if columns are missing or not this many."""
+        """Return (rows, width) values in SI, NaN where one is beyond measure.
+
+        Raises RecordingError if columns are missing or not this many.
+        """
         parts = [np.atleast_2d(self.columns[name].T).T for name in wanted.names]
         found = sum(part.shape[1] for part in parts)
         if found != width or len({len(part) for part in parts}) != 1:
             shapes = ", ".join(f"{n} {self.columns[n].shape}" for n in wanted.names)
             raise RecordingError(f"{self.name}: {what} needs {width} columns of one length, there are {shapes}")
-        return np.asarray((np.hstack(parts) - wanted.offset) * wanted.scale + wanted.shift, dtype=np.float64)
+        with np.errstate(invalid="ignore", over="ignore"):
+            values = (np.hstack(parts).astype(np.float64) - wanted.offset) * wanted.scale + wanted.shift
+            return np.where(np.abs(values) < _HUGE, values, np.nan)
 
     def number(self, name: str) -> float:
         """Return a variable that holds one number."""

@@ -246,6 +246,36 @@ def test_a_counter_that_goes_round_is_a_time(tmp_path: Path) -> None:
     assert_calibrates(imported(tmp_path, CSV + time + "wraps_at = 65536\n" + GYRO + RATE, log))
 
 
+# --- what spoils samples
+
+
+def test_gyros_that_do_not_follow_the_reference_are_told(tmp_path: Path) -> None:
+    t = np.arange(3000) / 100
+    noise = np.random.default_rng(8).normal(scale=30, size=(3000, 3))
+    log = table(tmp_path / "log.csv", "t,gx,gy,gz,rx,ry,rz", np.column_stack([t, noise, rates(t)]))
+    notes = imported(tmp_path, STAMPED + GYRO + RATE, log).notes
+    assert sum("its output hardly follows the reference" in note for note in notes) == 3
+
+
+@pytest.mark.parametrize("count", range(2990, 3000))
+def test_held_samples_end_with_the_file(tmp_path: Path, count: int) -> None:
+    t = np.arange(count) / 100
+    held = gyro(t)[(np.floor(np.arange(count) / 3.6) * 3.6).astype(int)]
+    log = table(tmp_path / "log.csv", "t,gx,gy,gz,rx,ry,rz", np.column_stack([t, held, rates(t)]))
+    run = imported(tmp_path, STAMPED + GYRO + RATE, log)
+    assert len(run.recording.sources[SOURCE].t_ns) == pytest.approx(count / 3.6, abs=2)
+    assert any("the gyro is new in one row of 3.6" in note for note in run.notes)
+
+
+def test_a_number_beyond_measure_is_a_blank(tmp_path: Path) -> None:
+    t = np.arange(2000) / 100
+    rows = np.column_stack([t, gyro(t), rates(t)])
+    rows[500, 1:4], rows[700, 5] = 1e300, -np.inf
+    run = imported(tmp_path, STAMPED + GYRO + RATE, table(tmp_path / "log.csv", "t,gx,gy,gz,rx,ry,rz", rows))
+    assert len(run.recording.sources[SOURCE].t_ns) == 1999
+    assert_calibrates(run)
+
+
 # --- headings, units, messages
 
 
