@@ -79,7 +79,7 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
     if file_format.capture is not None:
         columns, notes = file_format.capture(raw, (*wanted.may_be_blank, *wanted.needed))
         if not columns:
-            raise RecordingError(f"{path.name} holds no message of {file_format.kind}: check format in [file]")
+            raise RecordingError(f"{path.name} holds no message of {file_format.kind}: check [file]")
         _check_present(path.name, wanted.all, list(columns), "the capture")
         return Table(path.name, columns, {}, notes=notes)
     rows = read_rows(path.name, _decoded(raw, wanted), file_format, wanted)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign_logs import SHAPES
 
 from estimator.calibrate import calibrate
 from estimator.errors import RecordingError
@@ -61,21 +62,7 @@ def beside(tmp_path: Path, *, late_s: float = 0.0, until_s: float = 35.0) -> tup
     return log, tmp_path / "run1_table.txt"
 
 
-BESIDE = (
-    STAMPED
-    + GYRO
-    + RATE
-    + """
-[reference.file]
-name = "{stem}_table.txt"
-format = "csv"
-delimiter = ";"
-
-[reference.time]
-column = "micros"
-unit = "us"
-"""
-)
+BESIDE = (SHAPES / "two_files.toml").read_text()
 
 
 def test_samples_and_reference_in_two_files_are_joined_by_their_stamps(tmp_path: Path) -> None:
@@ -94,7 +81,7 @@ def test_a_clock_that_is_off_by_a_known_time_is_put_right_by_an_offset(tmp_path:
     log, _ = beside(tmp_path, late_s=1000)
     with pytest.raises(RecordingError, match=r"run1_table.txt lasts from -1002 to .*state offset_s, which is added"):
         imported(tmp_path, BESIDE, log)
-    assert_calibrates(imported(tmp_path, BESIDE + "offset_s = 1000\n", log))
+    assert_calibrates(imported(tmp_path, BESIDE.replace("offset_s = 0", "offset_s = 1000"), log))
 
 
 def test_a_reference_that_ends_early_is_told(tmp_path: Path) -> None:
@@ -147,13 +134,7 @@ def test_a_reference_file_that_is_not_there_costs_its_data_file_only(tmp_path: P
 
 # --- binary records
 
-BINARY = """
-[file]
-format = "binary"
-header_bytes = 16
-byte_order = "big"
-record = ["t f8", "gyro 3f8", "status u2", "reference 3f4", "pad 2V"]
-"""
+BINARY = (SHAPES / "binary_records.toml").read_text()
 
 
 def binary_log(path: Path, cut: int = 0) -> tuple[Path, np.ndarray]:
@@ -166,14 +147,9 @@ def binary_log(path: Path, cut: int = 0) -> tuple[Path, np.ndarray]:
     return path, rows["gyro"].astype(np.float64)
 
 
-def binary_mapping() -> str:
-    named = GYRO.replace('["gx", "gy", "gz"]', '"gyro"') + RATE.replace('["rx", "ry", "rz"]', '"reference"')
-    return DEVICE + BINARY + '[time]\ncolumn = "t"\nunit = "s"\n' + named
-
-
 def test_binary_records_of_any_types_are_read(tmp_path: Path) -> None:
     log, expected = binary_log(tmp_path / "log.bin")
-    run = imported(tmp_path, binary_mapping(), log)
+    run = imported(tmp_path, BINARY, log)
     np.testing.assert_allclose(np.degrees(run.recording.sources[SOURCE].rate_rps), expected, rtol=1e-12)
     assert run.notes == ()
     assert_calibrates(run)
@@ -181,7 +157,7 @@ def test_binary_records_of_any_types_are_read(tmp_path: Path) -> None:
 
 def test_a_binary_file_that_is_cut_loses_its_last_record(tmp_path: Path) -> None:
     log, expected = binary_log(tmp_path / "log.bin", cut=5)
-    run = imported(tmp_path, binary_mapping(), log)
+    run = imported(tmp_path, BINARY, log)
     assert run.notes == ("it ends within a record: the last 43 bytes are left out",)
     assert len(run.recording.sources[SOURCE].t_ns) == len(expected) - 1
 
@@ -199,7 +175,7 @@ def test_a_binary_file_that_is_cut_loses_its_last_record(tmp_path: Path) -> None
 def test_a_record_that_does_not_fit_says_what_to_write(tmp_path: Path, old: str, new: str, message: str) -> None:
     log, _ = binary_log(tmp_path / "log.bin")
     with pytest.raises(RecordingError, match=message):
-        imported(tmp_path, binary_mapping().replace(old, new, 1), log)
+        imported(tmp_path, BINARY.replace(old, new, 1), log)
 
 
 # --- times
@@ -219,6 +195,24 @@ def test_stamps_of_the_calendar_are_times(tmp_path: Path, style: str) -> None:
     run = imported(tmp_path, mapping, log)
     t_s = run.recording.sources[SOURCE].t_ns * 1e-9
     np.testing.assert_allclose(t_s, t, atol=1e-6)
+    assert_calibrates(run)
+
+
+def test_a_converter_with_a_tachometer_is_read_from_its_counts(tmp_path: Path) -> None:
+    t = np.arange(3000) / 100
+    start = datetime(2026, 3, 29, 0, 59, 50)
+    counts = np.round(gyro(t)[:, 0] / 0.01) + 32768
+    counts[:100] = 0
+    rows = [
+        f"{(start + timedelta(seconds=float(s))).isoformat()},{count:.0f},-340,{rate / 6:.9f}"
+        for s, count, rate in zip(t, counts, rates(t)[:, 0], strict=True)
+    ]
+    (tmp_path / "log.csv").write_text("when,adc,raw_t,tacho\n" + "\n".join(rows))
+    run = imported(tmp_path, (SHAPES / "adc_counts.toml").read_text(), tmp_path / "log.csv")
+    data = run.recording.sources[SOURCE]
+    assert len(data.t_ns) == 2900
+    assert data.temperature_c is not None
+    np.testing.assert_allclose(data.temperature_c, 35.53, atol=1e-3)
     assert_calibrates(run)
 
 

@@ -21,12 +21,13 @@ from estimator.recording import ImuData, read_recording
 from station.cli import main
 
 DATA = Path(__file__).parents[1] / "data"
+SHAPES = DATA / "shapes"
 DEVICE = '[device]\nname = "unit"\n[reference]\nkind = "rest"\nwhere = "everywhere"\nrest_limit_dps = 500\n'
 BY_TIME = '[time]\ncolumn = "time"\nunit = "s"\n'
 
 
 def imported(tmp_path: Path, mapping: str, *files: Path, code: int = 0) -> ImuData:
-    (tmp_path / "mapping.toml").write_text(DEVICE + mapping)
+    (tmp_path / "mapping.toml").write_text(mapping)
     output = tmp_path / "out.h5"
     output.unlink(missing_ok=True)
     assert main(["import", str(tmp_path / "mapping.toml"), *map(str, files), "-o", str(output)]) == code
@@ -39,11 +40,7 @@ def told(tmp_path: Path) -> str:
 
 # --- Xsens
 
-XBUS = (
-    '[file]\nformat = "xbus"\n'
-    + BY_TIME
-    + '[gyro]\ncolumns = "RateOfTurn"\nunit = "rad/s"\n[accelerometer]\ncolumns = "Acceleration"\nunit = "m/s2"\n'
-)
+XBUS = (SHAPES / "mti_capture.toml").read_text()
 
 
 @pytest.mark.parametrize("name", ["capture1", "capture2"])
@@ -72,7 +69,8 @@ def test_damaged_bytes_in_a_capture_cost_their_messages_only(tmp_path: Path) -> 
 # --- STIM300
 
 STIM300 = (
-    '[file]\nformat = "stim300"\n'
+    DEVICE
+    + '[file]\nformat = "stim300"\n'
     + BY_TIME
     + '[gyro]\ncolumns = "gyro"\nunit = "rad/s"\n[temperature]\ncolumn = "temperature"\nunit = "degC"\n'
 )
@@ -136,24 +134,20 @@ def test_binary_output_and_sentences_of_a_vectornav_are_read(tmp_path: Path) -> 
     )
     gyro = '[gyro]\ncolumns = "imu.uncomp_gyro"\nunit = "rad/s"\n'
     gyro += '[temperature]\ncolumn = "imu.temperature"\nunit = "degC"\n'
-    data = imported(tmp_path, '[file]\nformat = "vectornav"\n' + BY_TIME + gyro, tmp_path / "binary.bin")
+    data = imported(tmp_path, DEVICE + '[file]\nformat = "vectornav"\n' + BY_TIME + gyro, tmp_path / "binary.bin")
     np.testing.assert_array_equal(data.rate_rps, rows["imu.uncomp_gyro"].astype(float))
     np.testing.assert_allclose(data.t_ns * 1e-9, np.arange(200) / 50, atol=1e-9)
     fields = [("0", "0", "0", "0", "0", "9.8", *(f"{v:.6f}" for v in w), "31.0", "101.3") for w in data.rate_rps]
     (tmp_path / "ascii.txt").write_bytes(b"".join(encode_sentence(Sentence("VNIMU", row)) for row in fields))
-    by_rate = imported(tmp_path, '[file]\nformat = "vectornav"\n[time]\nrate_hz = 50\n' + gyro, tmp_path / "ascii.txt")
+    by_rate = imported(
+        tmp_path, DEVICE + '[file]\nformat = "vectornav"\n[time]\nrate_hz = 50\n' + gyro, tmp_path / "ascii.txt"
+    )
     np.testing.assert_allclose(by_rate.rate_rps, data.rate_rps, atol=1e-6)
 
 
 # --- CAN
 
-CANDUMP = (
-    '[file]\nformat = "candump"\ndbc = "xsens_mti600"\n'
-    + BY_TIME
-    + '[gyro]\ncolumns = ["XCDI_RateOfTurn.gyrX", "XCDI_RateOfTurn.gyrY", "XCDI_RateOfTurn.gyrZ"]\nunit = "rad/s"\n'
-    + '[accelerometer]\ncolumns = ["XCDI_Acceleration.accX", "XCDI_Acceleration.accY", "XCDI_Acceleration.accZ"]\n'
-    + 'unit = "m/s2"\n'
-)
+CANDUMP = (SHAPES / "can_log.toml").read_text()
 
 
 def table_style(message: can.Message) -> str:
@@ -201,20 +195,20 @@ def test_a_log_of_candump_is_read_by_the_signals_of_a_dbc(tmp_path: Path, style:
 @pytest.mark.parametrize(
     ("mapping", "message"),
     [
-        (XBUS.replace('"xbus"', '"stim300"'), "capture1.bin: holds no message of stim300: check format in [file]"),
+        (XBUS.replace('"xbus"', '"stim300"'), "capture1.bin: holds no message of stim300: check [file]"),
         (XBUS.replace('"RateOfTurn"', '"Rate"'), "has no column Rate: the capture has "),
         (
             STIM300.replace('"stim300"', '"stim300"\ngyro_output = "turns"'),
             "line 9: file.gyro_output: 'turns' is not one",
         ),
-        (CANDUMP.replace("xsens_mti600", "none"), "line 9: file.dbc: no CAN mapping none: give one of aceinna"),
-        (CANDUMP.replace("gyrX", "gyro_x"), "has no signal XCDI_RateOfTurn.gyro_x: write it as MESSAGE.Signal"),
+        (CANDUMP.replace("xsens_mti600", "none"), "line 8: file.dbc: no CAN mapping none: give one of aceinna"),
+        (CANDUMP.replace("gyrX", "gyro_x", 1), "has no signal XCDI_RateOfTurn.gyro_x: write it as MESSAGE.Signal"),
     ],
 )
 def test_a_capture_that_cannot_be_read_says_why(
     tmp_path: Path, mapping: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "mapping.toml").write_text(DEVICE + mapping)
+    (tmp_path / "mapping.toml").write_text(mapping)
     capture = str(DATA / "xsens" / "capture1.bin")
     assert main(["import", str(tmp_path / "mapping.toml"), capture, "-o", str(tmp_path / "out.h5")]) == 2
     assert message in capsys.readouterr().err
@@ -232,7 +226,7 @@ def test_files_that_cannot_be_read_cost_themselves_only(tmp_path: Path, capsys: 
     assert refused[:3] == [
         "refused empty.bin: is empty",
         "refused absent.bin: cannot be read: No such file or directory",
-        "refused noise.bin: holds no message of xbus: check format in [file]",
+        "refused noise.bin: holds no message of xbus: check [file]",
     ]
     assert refused[3].endswith("cannot be read: Is a directory")
     as_json = ["import", str(tmp_path / "mapping.toml"), *map(str, files), "-o", str(tmp_path / "b.h5"), "--json"]
