@@ -16,7 +16,7 @@ from estimator.fitting import fitted
 from estimator.foreign_rows import ForeignRows, foreign_reference, reference_rows
 from estimator.held import updates
 from estimator.mapping import FileFormat, Mapping, ReferenceFile, Timing
-from estimator.mapping_columns import RATE_UNITS
+from estimator.mapping_columns import UNITS
 from estimator.mapping_reference import AngleColumn, MeasuredReference, Rests, SectionTurns
 from estimator.recording import ImuData, Recording
 from estimator.reference import Reference, Turns
@@ -72,6 +72,9 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
     """
     if not data_paths:
         raise RecordingError("no data files are given: name at least one beside the mapping")
+    if mapping.reference_file:  # "*.csv" names the references, too
+        others = {other for path in data_paths if (other := mapping.reference_file.beside(path)) != path}
+        data_paths = [path for path in data_paths if path not in others]
     parts: list[_Part] = []
     refused: list[Refused] = []
     for path in data_paths:
@@ -148,9 +151,9 @@ def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeF
 
     Two columns of stamps are of one clock; without stamps on one side both files begin together.
     """
-    name = other.name.replace("{stem}", path.stem)
+    name = other.beside(path).name
     assert isinstance(mapping.reference, MeasuredReference)
-    table = read_table(path.with_name(name), other.format, _wanted(other.timing, mapping.reference.columns.names))
+    table = read_table(other.beside(path), other.format, _wanted(other.timing, mapping.reference.columns.names))
     values = reference_rows(mapping, table)
     assert values is not None
     fit = _times(other.timing, other.format, table, values)
@@ -174,7 +177,7 @@ def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeF
 
 
 def _wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ()) -> Wanted:
-    needed = timing.stamps.names if timing.stamps else (timing.rate_variable,) if timing.rate_variable else ()
+    needed = timing.stamps.names if timing.stamps else (timing.rate,) if isinstance(timing.rate, str) else ()
     return Wanted(needed, tuple(others), labels, timing.calendar)
 
 
@@ -215,9 +218,9 @@ def _all_times(
             return fit_times(stamps[read], values[read], position[read])
         except RecordingError as error:
             raise RecordingError(f"{table.name} {error}") from None
-    rate_hz = table.number(timing.rate_variable) if timing.rate_variable else timing.rate_hz
-    if rate_hz is None or rate_hz <= 0:
-        raise RecordingError(f"{table.name}: {timing.rate_variable} is {rate_hz}, not a sample rate in Hz")
+    rate_hz = table.number(timing.rate) if isinstance(timing.rate, str) else timing.rate
+    if rate_hz <= 0:
+        raise RecordingError(f"{table.name}: {timing.rate} is {rate_hz}, not a sample rate in Hz")
     return regular_times(position[read], rate_hz)
 
 
@@ -237,7 +240,7 @@ def _unit_notes(mapping: Mapping, table: Table) -> list[str]:
     return [
         f"the row of units says {unit} of the gyro, the mapping does not: check unit in [gyro]"
         for unit, spellings in _UNIT_ROW.items()
-        if not columns.raw and columns.scale != RATE_UNITS[unit] and said & set(spellings)
+        if not columns.raw and columns.scale != UNITS["rate"][unit] and said & set(spellings)
     ]
 
 

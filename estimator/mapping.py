@@ -20,16 +20,7 @@ from numpy.typing import NDArray
 from estimator.array import SensorArray, sensor_array
 from estimator.errors import GeometryError, RecordingError
 from estimator.kinematics import Site
-from estimator.mapping_columns import (
-    ACCEL_UNITS,
-    RATE_UNITS,
-    TEMPERATURE_UNITS,
-    TIME_UNITS,
-    Columns,
-    Vector,
-    body_axis,
-    stated_columns,
-)
+from estimator.mapping_columns import Columns, Vector, body_axis, stated_columns
 from estimator.mapping_reference import AngleColumn, ForeignReference, MeasuredReference, Rests, read_reference
 from estimator.strict_toml import StrictTable
 
@@ -40,7 +31,7 @@ _COLUMN = re.compile(r"(?P<name>\S+) (?P<many>\d*)(?P<kind>[iu][1248]|f[48]|V)")
 class Extent:
     """The part of a file that is read: data rows (the first is 0), and of these seconds from the first."""
 
-    from_row: int = 0
+    from_row: float = 0
     until_row: float = math.inf
     from_s: float = 0.0
     until_s: float = math.inf
@@ -72,13 +63,12 @@ class FileFormat:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Either a fixed rate, or a variable that holds it, or a column of stamps (``scale`` makes seconds).
+    """Either a fixed ``rate`` in Hz, or a variable that holds it, or a column of stamps (``scale`` makes seconds).
 
     The column may be one of a ``calendar``, or a counter that goes round at ``wraps_at``.
     """
 
-    rate_hz: float | None = None
-    rate_variable: str | None = None
+    rate: float | str = 0.0
     stamps: Columns | None = None
     calendar: bool = False
     wraps_at: float = math.inf
@@ -95,6 +85,10 @@ class ReferenceFile:
     format: FileFormat
     timing: Timing
     offset_s: float
+
+    def beside(self, path: Path) -> Path:
+        """Return where it is for a data file."""
+        return path.with_name(self.name.replace("{stem}", path.stem))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,12 +180,12 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
     if not isinstance(reference, MeasuredReference):
         if mapping.reference_file:
             raise section.fail("file", "is for kind = rate, angle or attitude")
-        for key, asked in (("sign", mapping.gyro.sign_from_data), ("scale", mapping.gyro.scale_from_data)):
-            if asked:
-                raise RecordingError(
-                    f'{mapping.name}: {key} = "from data" in [gyro] needs a rate, an angle or an attitude beside the '
-                    "samples; against turns or rests state axes, unit and count"
-                )
+        if mapping.gyro.sign_from_data or mapping.gyro.scale_from_data:
+            key = "sign" if mapping.gyro.sign_from_data else "scale"
+            raise RecordingError(
+                f'{mapping.name}: {key} = "from data" in [gyro] needs a rate, an angle or an attitude beside the '
+                "samples; against turns or rests state axes, unit and count"
+            )
     if not isinstance(reference, (AngleColumn, Rests)) or not reference.earth_rate:
         return
     if mapping.site is None:
@@ -206,12 +200,13 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
 
 def _extent(section: StrictTable) -> Extent:
     """Take the limits of what is read."""
-    from_row, from_s = section.integer("from_row", 0), section.number("from_s", 0.0, least=0.0)
-    until_row, until_s = section.value("until_row", math.inf), section.value("until_s", math.inf)
-    for key, start, end in (("until_row", from_row, until_row), ("until_s", from_s, until_s)):
-        if not isinstance(end, (int, float)) or not end > start >= 0:
-            raise section.fail(key, f"{end!r} is not after {key.replace('until', 'from')} {start:g}")
-    return Extent(from_row, until_row, from_s, until_s)
+    limits: list[float] = []
+    for what in ("row", "s"):
+        start, end = section.number(f"from_{what}", 0.0, least=0.0), section.number(f"until_{what}", math.inf)
+        if end <= start:
+            raise section.fail(f"until_{what}", f"{end:g} is not after from_{what} {start:g}")
+        limits += [start, end]
+    return Extent(*limits)
 
 
 def _reference_file(
@@ -273,13 +268,13 @@ def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
         if calendar and file_format.kind != "csv":
             raise section.fail("unit", "iso is for text files: write s, ms, us or ns")
         wraps_at = section.number("wraps_at", math.inf, positive=True)
-        timing = Timing(None, None, stated_columns(section, TIME_UNITS, key="column"), calendar, wraps_at)
+        timing = Timing(0.0, stated_columns(section, "time", "column"), calendar, wraps_at)
     elif given[0] == "rate_variable":
         if file_format.kind != "mat":
             raise section.fail("rate_variable", "is for .mat files: write rate_hz or column")
-        timing = Timing(rate_variable=section.string("rate_variable"))
+        timing = Timing(section.string("rate_variable"))
     else:
-        timing = Timing(rate_hz=section.number("rate_hz", positive=True))
+        timing = Timing(section.number("rate_hz", positive=True))
     section.done(also=("rate_hz", "rate_variable", "column", "unit"))
     return timing
 
@@ -287,7 +282,7 @@ def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
 def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
     sign = section.string("sign", "stated", one_of=("stated", "from data")) == "from data"
     scale = section.string("scale", "stated", one_of=("stated", "from data")) == "from data"
-    columns = stated_columns(section, RATE_UNITS, count_needed=not scale)
+    columns = stated_columns(section, "rate", count_needed=not scale)
     where = "axes" if section.has("axes") else "columns"
     axes = section.value("axes", ("x", "y", "z"))
     if isinstance(axes, str):
@@ -314,7 +309,7 @@ def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
 
 
 def _accelerometer(section: StrictTable) -> Accelerometer:
-    columns = stated_columns(section, ACCEL_UNITS)
+    columns = stated_columns(section, "acceleration")
     stated = section.value("axes", ["x", "y", "z"])
     if not isinstance(stated, list) or len(stated) != 3:
         raise section.fail("axes", 'must be the body axes of the three columns: ["x", "-y", "-z"]')
@@ -327,7 +322,7 @@ def _accelerometer(section: StrictTable) -> Accelerometer:
 
 
 def _temperature(section: StrictTable) -> Columns:
-    columns = stated_columns(section, TEMPERATURE_UNITS, key="column")
+    columns = stated_columns(section, "temperature", "column")
     section.done()
     return columns
 

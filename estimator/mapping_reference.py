@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimator.mapping_columns import ANGLE_UNITS, RATE_UNITS, Columns, Vector, body_axis, signed_axis, stated_columns
+from estimator.mapping_columns import Columns, Vector, body_axis, signed_axis, stated_columns
 from estimator.strict_toml import StrictTable
 
 KINDS = ("attitude", "rate", "angle", "turns", "rest")
@@ -130,7 +130,7 @@ def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignRefere
         direction = section.string("direction", "body to reference", one_of=("body to reference", "reference to body"))
         reference = AttitudeColumns(Columns(section.strings("columns")), order, direction == "reference to body")
     elif kind == "rate":
-        columns = stated_columns(section, RATE_UNITS)
+        columns = stated_columns(section, "rate")
         reference = RateColumns(columns, _rate_axis(section, columns, wide))
     elif kind == "angle":
         reference = _angle(section)
@@ -174,7 +174,7 @@ def _direction(section: StrictTable, key: str) -> Vector:
 
 
 def _angle(section: StrictTable) -> AngleColumn:
-    column = stated_columns(section, ANGLE_UNITS, key="column")
+    column = stated_columns(section, "angle", "column")
     if len(column.names) != 1:
         raise section.fail("column", "must be one column")
     axis = body_axis(section, "axis", section.string("axis"))

@@ -105,15 +105,12 @@ def _heading(name: str, lines: list[tuple[int, str]], file_format: FileFormat, w
         if missing:
             raise RecordingError(f"columns in [file] does not name {', '.join(missing)}, which the mapping uses")
         return 0, list(file_format.columns)
-    best, best_at, best_count = [""], 0, -1
-    for at, (_, line) in enumerate(lines[:_PREAMBLE_LINES]):
-        header = _fields(_bare(line), file_format)
-        count = sum(key in header for key in wanted.all)
-        if count == len(wanted.all):
-            return at + 1, header
-        if count > best_count:
-            best, best_at, best_count = header, at, count
+    headers = [_fields(_bare(line), file_format) for _, line in lines[:_PREAMBLE_LINES]]
+    best_at = max(range(len(headers)), key=lambda at: sum(key in headers[at] for key in wanted.all))
+    best = headers[best_at]
     missing = [key for key in wanted.all if key not in best]
+    if not missing:
+        return best_at + 1, best
     which = "its first line" if best_at == 0 else f"its line {lines[best_at][0]}"
     hint = _heading_hint(lines, file_format, wanted, missing)
     raise RecordingError(

@@ -12,19 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers import mtdata2
 from drivers.can_imu import load_dbc
 from drivers.can_mappings import MappingError, load_mapping
 from drivers.can_signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.errors import DeviceError
-from drivers.mtdata2 import (
-    KINDS,
-    PACKET_COUNTER_MODULUS,
-    SAMPLE_TIME_MODULUS,
-    SAMPLE_TIME_TICK_S,
-    Samples,
-    kind_of,
-    parse_mtdata2,
-)
 from drivers.stim300 import COUNTER_MODULUS, INTERNAL_RATE_HZ, TEMPERATURE_LSB_C, Datagrams, Stim300Decoder, vouched
 from drivers.stim300_special import Configuration
 from drivers.stim300_units import ACCEL_LSB_G, UNITS, accel_unit_mps2, gyro_unit_rps
@@ -68,24 +60,27 @@ def _xbus(raw: bytes, names: Sequence[str]) -> _Decoded:
     pieces: list[Columns] = []
     malformed = 0
     for messages in [*decoder.feed(raw), *decoder.flush()]:
-        found, bad = parse_mtdata2(messages.data) if messages.mid == Mid.MTDATA2 else ([], 0)
+        found, bad = mtdata2.parse_mtdata2(messages.data) if messages.mid == Mid.MTDATA2 else ([], 0)
         pieces += [_packets(samples) for samples in found]
         malformed += bad
     columns = _gathered([piece for piece in pieces if piece], names[0])
-    for name, period in (("SampleTimeFine", SAMPLE_TIME_MODULUS), ("PacketCounter", PACKET_COUNTER_MODULUS)):
+    for name, period in (
+        ("SampleTimeFine", mtdata2.SAMPLE_TIME_MODULUS),
+        ("PacketCounter", mtdata2.PACKET_COUNTER_MODULUS),
+    ):
         if name in columns:
             columns[name] = np.unwrap(columns[name], period=period)
     if "SampleTimeFine" in columns:
-        columns["time"] = columns["SampleTimeFine"] * SAMPLE_TIME_TICK_S
+        columns["time"] = columns["SampleTimeFine"] * mtdata2.SAMPLE_TIME_TICK_S
     return columns, _damaged(decoder.bad_messages + malformed, "messages")
 
 
-def _packets(samples: Samples) -> Columns:
+def _packets(samples: mtdata2.Samples) -> Columns:
     out = {}
-    for kind in {kind_of(packet.data_id) for packet in samples.packets} & set(KINDS):
-        values = samples.numbers(kind) if KINDS[kind].integers is None else samples.integers(kind)
+    for kind in {mtdata2.kind_of(packet.data_id) for packet in samples.packets} & set(mtdata2.KINDS):
+        values = samples.numbers(kind) if mtdata2.KINDS[kind].integers is None else samples.integers(kind)
         assert values is not None
-        out[KINDS[kind].name] = np.asarray(values if values.shape[1] > 1 else values[:, 0], dtype=np.float64)
+        out[mtdata2.KINDS[kind].name] = np.asarray(values if values.shape[1] > 1 else values[:, 0], dtype=np.float64)
     return out
 
 

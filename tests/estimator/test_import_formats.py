@@ -91,6 +91,22 @@ def test_a_reference_that_ends_early_is_told(tmp_path: Path) -> None:
     assert_calibrates(run)
 
 
+def test_a_reference_that_is_named_as_data_is_no_data(tmp_path: Path) -> None:
+    log, reference = beside(tmp_path)
+    run = imported(tmp_path, BESIDE, log, reference)
+    assert run.refused == ()
+    assert run.lost_files == 0
+
+
+def test_a_reference_may_have_stamps_of_its_own_in_the_same_file(tmp_path: Path) -> None:
+    t = np.arange(3000) / 100
+    later = t + 0.037
+    rows = np.column_stack([t, gyro(t), later * 1e3, rates(later)])
+    log = table(tmp_path / "log.csv", "t,gx,gy,gz,ms,rx,ry,rz", rows)
+    mapping = STAMPED + GYRO + RATE + 'file = "{stem}.csv"\n[reference.time]\ncolumn = "ms"\nunit = "ms"\n'
+    assert_calibrates(imported(tmp_path, mapping, log))
+
+
 def test_files_without_stamps_begin_together(tmp_path: Path) -> None:
     t, other = np.arange(3000) / 100, np.arange(1200) / 40
     log = table(tmp_path / "a.csv", "gx,gy,gz", gyro(t))
