@@ -39,10 +39,7 @@ class Table:
     notes: tuple[str, ...] = ()
 
     def values(self, wanted: Columns, width: int, what: str) -> Floats:
-        """Return (rows, width) values in SI, NaN where one is beyond measure.
-
-        Raises RecordingError if columns are missing or not this many.
-        """
+        """Return (rows, width) values in SI, NaN if beyond measure; RecordingError if there are not this many columns."""
         parts = [np.atleast_2d(self.columns[name].T).T for name in wanted.names]
         found = sum(part.shape[1] for part in parts)
         if found != width or len({len(part) for part in parts}) != 1:
@@ -115,7 +112,8 @@ def _check_present(name: str, wanted: Sequence[str], present: Sequence[str], whe
 
 
 def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int, wanted: Sequence[str]) -> Table:
-    _check_present(name, wanted, record.names or (), "record in [file]")
+    numeric = [key for key in record.names or () if record[key].base.kind != "V"]
+    _check_present(name, wanted, numeric, "record in [file]")
     count, rest = divmod(len(raw) - header_bytes, record.itemsize)
     if count < 1:
         raise RecordingError(

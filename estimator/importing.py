@@ -246,10 +246,7 @@ def _unit_notes(mapping: Mapping, table: Table) -> list[str]:
 
 def _held_note(what: str, fresh: NDArray[np.intp], t_s: Floats) -> str:
     each_hz = (len(fresh) - 1) / float(t_s[fresh[-1]] - t_s[fresh[0]])
-    return (
-        f"{what} is new in one row of {len(t_s) / len(fresh):.2g} ({each_hz:.3g} Hz) and held between; what is held is "
-        "left out"
-    )
+    return f"{what} is new in one row of {len(t_s) / len(fresh):.2g} ({each_hz:.3g} Hz); rows between are left out"
 
 
 def _filled(table: Table, time: TimeFit, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:

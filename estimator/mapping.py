@@ -230,7 +230,7 @@ def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFor
     kind = section.string("format", one_of=("csv", "tsv", "mat", "binary", *protocols))
     if kind not in ("csv", "tsv"):
         record = _record(section) if kind == "binary" else None
-        header_bytes = section.integer("header_bytes", 0) if record else 0
+        header_bytes = int(section.number("header_bytes", 0.0, least=0.0)) if kind == "binary" else 0
         capture = protocols[kind](section, folder) if kind in protocols else None
         section.done()
         return FileFormat(kind, extent=extent, record=record, header_bytes=header_bytes, capture=capture)

@@ -21,7 +21,6 @@ BROKEN_SHARE = 0.1
 _PREAMBLE_LINES = 200
 _COMMENTS = ("#", "%", "//")
 _DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": ""}
-_CHECK_ROWS = "check delimiter and decimal in [file], or repair the file"
 _SHOWN = 60  # characters of a broken line in a message
 
 
@@ -87,15 +86,26 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
     if not rows:
         raise RecordingError(f"{name} has a heading but no rows")
     if found.skipped > BROKEN_SHARE * rows:
-        other = replace(file_format, decimal="," if file_format.decimal == "." else ".")
-        again = _careful(body[:_PREAMBLE_LINES], header, where, other, wanted)
-        better = f'write decimal = "{other.decimal}" in [file]' if len(again.values) > again.skipped else _CHECK_ROWS
         raise RecordingError(
             f"{name}: {found.skipped} of {rows} lines are no rows of {len(header)} fields with delimiter "
             f"{file_format.delimiter or 'space'!r} and decimal mark {file_format.decimal!r}, the first is "
-            f"{found.first_skipped}: {better}"
+            f"{found.first_skipped}: {_rows_hint(body[:_PREAMBLE_LINES], header, where, file_format, wanted)}"
         )
     return TextRows(found.values, found.labels, found.position, found.skipped, found.first_skipped, units)
+
+
+def _rows_hint(
+    body: list[tuple[int, str]], header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted
+) -> str:
+    mark = "," if file_format.decimal == "." else "."
+    for other, rows, hint in (
+        (replace(file_format, decimal=mark), wanted, f'write decimal = "{mark}" in [file]'),
+        (file_format, replace(wanted, calendar=True), 'write unit = "iso" in [time]'),
+    ):
+        found = _careful(body, header, where, other, rows)
+        if len(found.values) > found.skipped:
+            return hint
+    return f"check delimiter and decimal in [file]{', unit in [time]' * wanted.calendar}, or repair the file"
 
 
 def _heading(name: str, lines: list[tuple[int, str]], file_format: FileFormat, wanted: Wanted) -> tuple[int, list[str]]:

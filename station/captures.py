@@ -30,6 +30,7 @@ Floats = NDArray[np.float64]
 Columns = dict[str, Floats]
 _Decoded = tuple[Columns, tuple[str, ...]]
 
+_WRAPS = {"SampleTimeFine": mtdata2.SAMPLE_TIME_MODULUS, "PacketCounter": mtdata2.PACKET_COUNTER_MODULUS}
 _VNIMU = {"imu.uncomp_mag": slice(3), "imu.uncomp_accel": slice(3, 6), "imu.uncomp_gyro": slice(6, 9)}
 _VNIMU_FIELDS = 11
 _FRAME = re.compile(
@@ -64,12 +65,7 @@ def _xbus(raw: bytes, names: Sequence[str]) -> _Decoded:
         pieces += [_packets(samples) for samples in found]
         malformed += bad
     columns = _gathered([piece for piece in pieces if piece], names[0])
-    for name, period in (
-        ("SampleTimeFine", mtdata2.SAMPLE_TIME_MODULUS),
-        ("PacketCounter", mtdata2.PACKET_COUNTER_MODULUS),
-    ):
-        if name in columns:
-            columns[name] = np.unwrap(columns[name], period=period)
+    columns |= {name: np.unwrap(columns[name], period=period) for name, period in _WRAPS.items() if name in columns}
     if "SampleTimeFine" in columns:
         columns["time"] = columns["SampleTimeFine"] * mtdata2.SAMPLE_TIME_TICK_S
     return columns, _damaged(decoder.bad_messages + malformed, "messages")
@@ -104,7 +100,7 @@ def _read_stim300(code: int | None, range_g: int, raw: bytes, names: Sequence[st
     if len(columns.get("time", ())) < 2:
         return {}, ()
     counter = columns["time"].astype(np.int64)
-    count = np.unwrap(columns["time"], period=COUNTER_MODULUS)
+    count = np.concatenate([[0], np.cumsum(np.diff(counter) % COUNTER_MODULUS)])  # it never goes back
     ticks = max(round(float(np.median(np.diff(count)))), 1)
     notes = _damaged(decoder.bad_datagrams, "datagrams")
     accel_code = 0
@@ -182,11 +178,10 @@ def _read_candump(database: Any, dbc: Path, raw: bytes, names: Sequence[str]) ->
     for stamp, identifier, digits in found:
         plain, data = (int(identifier, 16), len(identifier) > _STANDARD_DIGITS), bytes.fromhex(digits)
         for key in lengths.keys() & {_key(*plain, False), _key(*plain, True)}:
+            damaged += len(data) != lengths[key]
             if len(data) == lengths[key]:
                 stamps[key].append(float(stamp))
                 frames[key].append(data)
-            else:
-                damaged += 1
     if keys[names[0]] not in frames:
         return {}, ()
     columns = {"time": np.array(stamps[keys[names[0]]])}

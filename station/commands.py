@@ -150,8 +150,7 @@ def command_import(arguments: argparse.Namespace) -> int:
 
     output = Path(arguments.output)
     try:
-        data = [Path(name) for name in arguments.data]
-        imported = import_recording(read_mapping(Path(arguments.mapping), PROTOCOLS), data)
+        imported = import_recording(read_mapping(Path(arguments.mapping), PROTOCOLS), [Path(d) for d in arguments.data])
         write_recording(output, imported.recording)
     except EstimatorError as error:
         return refuse(str(error), arguments.json)

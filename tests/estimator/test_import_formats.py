@@ -183,6 +183,12 @@ def test_a_binary_file_that_is_cut_loses_its_last_record(tmp_path: Path) -> None
     [
         ("t f8", "t f8 s", r"line \d+: file.record: holds 't f8 s': write a name and a type, \"t f8\""),
         ("t f8", "status f8", r"file.record: holds 'status u2'"),
+        (
+            'columns = "gyro"',
+            'columns = "pad"',
+            r"has no column pad: record in \[file\] has t, gyro, status, reference;",
+        ),
+        ("header_bytes = 16", "header_bytes = -1", r"line 8: file.header_bytes: -1: write a number of 0 or more"),
         ("t f8", "time f8", r"log.bin: has no column t: record in \[file\] has time, gyro"),
         ('byte_order = "big"', "", r"no sensible numbers: check record, header_bytes and byte_order"),
         ("header_bytes = 16", "header_bytes = 900000", "less than header_bytes and one record of 48: check"),
@@ -244,6 +250,22 @@ def test_stamps_of_the_calendar_join_files_of_different_zones(tmp_path: Path) ->
         (tmp_path / f"{name}.csv").write_text(f"t,{columns}\n" + "\n".join(rows) + "\n")
     mapping = STAMPED.replace('"s"', '"iso"') + GYRO + RATE + 'file = "{stem}_ref.csv"'
     assert_calibrates(imported(tmp_path, mapping, tmp_path / "a.csv"))
+
+
+@pytest.mark.parametrize(
+    ("stamp", "unit", "message"),
+    [
+        ("2026-03-29T00:59:50.", "s", r'write unit = "iso" in \[time\]'),
+        ("00:59:50.", "iso", r"check delimiter and decimal in \[file\], unit in \[time\]"),
+    ],
+)
+def test_stamps_that_are_no_numbers_or_no_dates_say_what_to_write(
+    tmp_path: Path, stamp: str, unit: str, message: str
+) -> None:
+    lines = [f"{stamp}{i:03},{i % 7},0,0,0,0,0" for i in range(500)]
+    (tmp_path / "log.csv").write_text("t,gx,gy,gz,rx,ry,rz\n" + "\n".join(lines))
+    with pytest.raises(RecordingError, match=message):
+        imported(tmp_path, STAMPED.replace('unit = "s"', f'unit = "{unit}"') + GYRO + RATE, tmp_path / "log.csv")
 
 
 def test_a_counter_that_goes_round_is_a_time(tmp_path: Path) -> None:

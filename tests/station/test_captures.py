@@ -112,6 +112,14 @@ def test_datagrams_of_a_stim300_have_the_unit_that_its_configuration_or_the_mapp
         np.testing.assert_allclose(data.temperature_c, 25.0)
 
 
+def test_a_gap_in_a_capture_of_a_stim300_keeps_its_length(tmp_path: Path) -> None:
+    stream = encode(datagrams(300, np.ones((300, 3))))
+    size = len(stream) // 300
+    (tmp_path / "log.bin").write_bytes(stream[: 100 * size] + stream[110 * size :])
+    t_s = imported(tmp_path, STIM300, tmp_path / "log.bin").t_ns * 1e-9
+    np.testing.assert_allclose(t_s, np.delete(np.arange(300), slice(100, 110)) / 125, atol=1e-9)
+
+
 def test_a_stim300_that_does_not_say_what_it_puts_out_is_told(tmp_path: Path) -> None:
     (tmp_path / "log.bin").write_bytes(encode(datagrams(300, np.ones((300, 3)))))
     imported(tmp_path, STIM300, tmp_path / "log.bin")
