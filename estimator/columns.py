@@ -39,7 +39,7 @@ class Table:
     notes: tuple[str, ...] = ()
 
     def values(self, wanted: Columns, width: int, what: str) -> Floats:
-        """Return (rows, width) values in SI, NaN if beyond measure; RecordingError if there are not this many columns."""
+        """Return (rows, width) values in SI, NaN if beyond measure; RecordingError if they are not this many."""
         parts = [np.atleast_2d(self.columns[name].T).T for name in wanted.names]
         found = sum(part.shape[1] for part in parts)
         if found != width or len({len(part) for part in parts}) != 1:
