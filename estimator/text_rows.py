@@ -15,6 +15,7 @@ from estimator.errors import RecordingError
 from estimator.mapping import FileFormat
 
 Floats = NDArray[np.float64]
+Lines = list[tuple[int, str]]
 
 BROKEN_SHARE = 0.1
 """A text file of which more lines than this cannot be read is refused."""
@@ -94,9 +95,7 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
     return TextRows(found.values, found.labels, found.position, found.skipped, found.first_skipped, units)
 
 
-def _rows_hint(
-    body: list[tuple[int, str]], header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted
-) -> str:
+def _rows_hint(body: Lines, header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted) -> str:
     mark = "," if file_format.decimal == "." else "."
     for other, rows, hint in (
         (replace(file_format, decimal=mark), wanted, f'write decimal = "{mark}" in [file]'),
@@ -108,7 +107,7 @@ def _rows_hint(
     return f"check delimiter and decimal in [file]{', unit in [time]' * wanted.calendar}, or repair the file"
 
 
-def _heading(name: str, lines: list[tuple[int, str]], file_format: FileFormat, wanted: Wanted) -> tuple[int, list[str]]:
+def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -> tuple[int, list[str]]:
     """Return at which of the lines the rows begin, and the names of the columns."""
     if file_format.columns:
         missing = [key for key in wanted.all if key not in file_format.columns]
@@ -129,7 +128,7 @@ def _heading(name: str, lines: list[tuple[int, str]], file_format: FileFormat, w
     )
 
 
-def _heading_hint(lines: list[tuple[int, str]], file_format: FileFormat, wanted: Wanted, missing: list[str]) -> str:
+def _heading_hint(lines: Lines, file_format: FileFormat, wanted: Wanted, missing: list[str]) -> str:
     for written, mark in _DELIMITERS.items():
         other = replace(file_format, delimiter=mark)
         if any(set(wanted.all) <= set(_fields(_bare(line), other)) for _, line in lines[:_PREAMBLE_LINES]):
@@ -157,9 +156,7 @@ def _is_number(field: str) -> bool:
     return True
 
 
-def _fast(
-    body: list[tuple[int, str]], header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted
-) -> TextRows | None:
+def _fast(body: Lines, header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted) -> TextRows | None:
     """Return all rows at once if nothing about them is special, else None."""
     if wanted.labels or wanted.calendar or file_format.decimal != "." or not file_format.delimiter:
         return None
@@ -175,9 +172,7 @@ def _fast(
     return TextRows(values, [], np.arange(len(values)), 0, "", ())
 
 
-def _careful(
-    body: list[tuple[int, str]], header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted
-) -> TextRows:
+def _careful(body: Lines, header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted) -> TextRows:
     label_at = [header.index(key) for key in wanted.labels]
     comma = file_format.decimal == ","
     needed = [_calendar_s if wanted.calendar else float] * len(wanted.needed)

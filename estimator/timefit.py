@@ -18,6 +18,7 @@ _COARSE_SHARE = 0.2
 _WITHIN_STAMP = 0.35  # median distance from an even grid of coarse stamps, in their own steps; 0.25 if nothing is off
 _JUMP_PERIODS = 10.0  # a stamp this far behind the one before is no jitter
 _LONGEST_REPLAY_S = 2.0
+_EVEN_ROWS, _NEARLY_ALL = 101, 0.99  # rows over which a wandering clock is even, and how many must be near
 _BEHIND_SHARE = 0.2  # of uneven stamps, those before an earlier one; a column with more is no time
 _CHECK = "check column in [time], or state rate_hz in its place"
 _SAME_SHARE = 0.5  # of the rows of a replay, how many must be there already, to the last digit
@@ -51,8 +52,8 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
     ``position`` (rows,) numbers the rows with those that were lost on the way. Rows that are delivered a second
     time (their stamps lie in the past, their values are there already) and rows written twice (equal stamps, equal
     values) are left out. If the rest lies near an even grid, the order of the rows is right and the grid replaces
-    the stamps, whose scatter is that of their delivery; many samples to a stamp are spread over it. If not, the
-    sampling was uneven and the stamps stand.
+    the stamps, whose scatter is that of their delivery; many samples to a stamp are spread over it. So it is where
+    stamps are even over stretches of 101 rows. If not, the sampling was uneven and the stamps stand.
 
     Raises RecordingError for stamps that are not finite, do not advance, or go back as two runs in a file do.
     """
@@ -85,6 +86,10 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         )
         t_s = best.number * np.float64(best.period_s)
         return TimeFit(t_s, rows, replayed, text + done, doubled, float(np.median(t - t_s)))
+    wandering = _wandering(t)
+    if wandering is not None:
+        text = f"even over seconds at {1 / np.median(np.diff(wandering)):.6g} Hz; the clock of the stamps wanders"
+        return TimeFit(wandering - wandering[0], rows, replayed, text + done, doubled, float(wandering[0]))
     newest = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
     late, behind = t <= newest, float(np.mean(t < newest))
     if behind > _BEHIND_SHARE:
@@ -135,6 +140,21 @@ def _grid(t: Floats, number: NDArray[np.int64]) -> _Grid | None:
     coarse = coarse_s / period
     even = scatter <= max(REGULAR_WITHIN, _WITHIN_STAMP * coarse) and drift <= max(1.0, coarse)
     return _Grid(number, period, scatter, max(scatter, drift), even)
+
+
+def _wandering(t: Floats) -> Floats | None:
+    """Return the instants of samples that are even for seconds, if not for ever; None if they are not, or overlap."""
+    if len(t) < 2 * _EVEN_ROWS:
+        return None
+    steps = np.round(np.diff(t) / max(float(np.median(np.diff(t))), 1e-12))
+    if steps.min() < 1 or np.quantile(steps, 0.9) > 1:
+        return None
+    grid = np.concatenate([[0.0], np.cumsum(steps)])
+    period_s = float(np.median((t[_EVEN_ROWS:] - t[:-_EVEN_ROWS]) / (grid[_EVEN_ROWS:] - grid[:-_EVEN_ROWS])))
+    grid *= period_s
+    around = np.pad(t - grid, _EVEN_ROWS // 2, "reflect", reflect_type="odd")  # which keeps a slope at the ends
+    fit = grid + np.convolve(around, np.full(_EVEN_ROWS, 1 / _EVEN_ROWS), "valid")
+    return fit if np.quantile(np.abs(t - fit), _NEARLY_ALL) <= REGULAR_WITHIN * period_s else None
 
 
 def _usual_rows(t: Floats) -> list[int]:

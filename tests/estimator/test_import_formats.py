@@ -308,6 +308,20 @@ def test_a_number_beyond_measure_is_a_blank(tmp_path: Path) -> None:
     assert_calibrates(run)
 
 
+def test_a_clock_that_wanders_and_lost_samples_leave_the_samples_even(tmp_path: Path) -> None:
+    t = np.arange(30000) / 99.89
+    wander = 0.02 * np.sin(t / 40)
+    kept = np.delete(np.arange(30000), [9000, 15000, 15001, 21000])
+    stamps = np.round((t + wander)[kept], 3)  # to 1 ms: two rates of 190 deg/s would be 10 % apart from row to row
+    log = table(tmp_path / "log.csv", "t,gx,gy,gz,rx,ry,rz", np.column_stack([stamps, gyro(t)[kept], rates(t)[kept]]))
+    run = imported(tmp_path, STAMPED + GYRO + RATE, log)
+    assert "even over seconds at 99.9" in str(run.recording.attributes["time_fit"])
+    t_s = run.recording.sources[SOURCE].t_ns * 1e-9
+    true = (t + wander)[kept]
+    assert np.std(t_s - true) < 1e-4
+    assert np.abs(np.diff(t_s) - np.diff(true)).max() < 1e-4
+
+
 # --- headings, units, messages
 
 
