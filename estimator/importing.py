@@ -95,8 +95,6 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     table = _read_columns(mapping, path)
     gyro, reference = mapping.gyro, mapping.reference
     rate = table.values(gyro.columns, len(gyro.array), "[gyro] columns")
-    if not np.isfinite(rate).any(axis=0).all():
-        raise RecordingError(f"{path.name} has a gyro column without a single number: check [gyro] columns")
     accel = None
     if mapping.accelerometer:
         accel = table.values(mapping.accelerometer.columns, 3, "[accelerometer] columns")
@@ -108,6 +106,8 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
             raise RecordingError(f"{path.name} has {len(rate)} gyro rows but {len(other)} {what} rows")
     beside = [other for other in (accel, warmth, told) if other is not None]
     time = _times(mapping.timing, mapping.format, table, np.hstack([rate, *beside]))
+    if not np.isfinite(rate[time.rows]).any(axis=0).all():
+        raise RecordingError(f"{path.name} has a gyro column without a single number: check [gyro] columns")
     notes = [*_line_notes(table, time), *_unit_notes(mapping, table)]
     spans, refused = turn_spans(mapping, path, table, time, rate)
     # Logs of several devices have rows without this one; a gyro that is read too often repeats itself.
@@ -128,22 +128,16 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     known = None
     if rests is not None:
         known = ForeignRows(t_s, rests.rate_rps)
-    elif told is not None:
-        known = _fresh_rows(ForeignRows(time.t_s, told[time.rows]), notes)
     elif mapping.reference_file is not None:
-        known = _fresh_rows(_rows_beside(mapping, mapping.reference_file, path, time, notes), notes)
+        known = _rows_beside(mapping, mapping.reference_file, path, time, notes)
+    elif told is not None:
+        known = ForeignRows(time.t_s, told[time.rows])
+    if rests is None and known is not None and (fresh := updates(known.values)) is not None:
+        notes.append(_held_note("the reference", fresh, known.t_s))
+        known = ForeignRows(known.t_s[fresh], known.values[fresh])
     warm = None if warmth is None else warmth[:, 0]
     measured = (time, table.skipped_lines, t_s, rate[rows], accel, warm)
     return _Part(path.name, *measured, known, tuple(spans or ()), rests, tuple(notes)), refused
-
-
-def _fresh_rows(rows: ForeignRows, notes: list[str]) -> ForeignRows:
-    """Return the rows of a reference at which it is new, and tell if it is held."""
-    fresh = updates(rows.values)
-    if fresh is None:
-        return rows
-    notes.append(_held_note("the reference", fresh, rows.t_s))
-    return ForeignRows(rows.t_s[fresh], rows.values[fresh])
 
 
 def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeFit, notes: list[str]) -> ForeignRows:
@@ -278,16 +272,13 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) 
     earth = isinstance(mapping.reference, (AngleColumn, Rests)) and mapping.reference.earth_rate
     recording = Recording({SOURCE: data}, _reference(mapping, placed), mapping.site if earth else None)
     recording, found, factors = fitted(recording, SOURCE, mapping.gyro)
-    several = len(parts) > 1
-    notes = [f"{part.name}: {note}" if several else note for part in parts for note in part.notes]
-    notes += found
+    notes = [f"{part.name}: {note}" if len(parts) > 1 else note for part in parts for note in part.notes] + found
     if earth and isinstance(mapping.reference, Rests):
         notes += earth_note(mapping, [part.rests for part in parts if part.rests])
     elif mapping.site and not earth:
         add = isinstance(mapping.reference, (AngleColumn, Rests))
         how = "add earth_rate = true to [reference]" if add else "Earth rate is for kind = angle and rest"
         notes.append(f"the site is not used: {how}")
-    rests = [(part.rests, start) for part, start in placed if part.rests]
     attributes = {
         "device": mapping.device,
         "imported_from": ", ".join(part.name for part in parts),
@@ -299,7 +290,7 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) 
         "licence": mapping.licence,
         "source": mapping.source,
         "imported": "\n".join(notes),
-        "rests": rests_text(rests),
+        "rests": rests_text([(part.rests, start) for part, start in placed if part.rests]),
         "gyro_factor": factors,
     }
     kept = {key: value for key, value in attributes.items() if isinstance(value, (int, np.ndarray)) or value}

@@ -128,15 +128,6 @@ class Mapping:
     site: Site | None
 
 
-_TABLES = {
-    "device": 'name = "..."',
-    "file": 'format = "csv"',
-    "time": 'column = "..." and unit = "s", or rate_hz without a column of time',
-    "gyro": 'columns = [...] and unit = "deg/s"',
-    "reference": 'kind = "rate", "angle", "attitude", "turns" or "rest"',
-}
-
-
 def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
     """Read a mapping file; captures of the ``protocols`` are formats beside csv, tsv, mat and binary.
 
@@ -150,9 +141,10 @@ def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path} is not TOML: {error}") from None
     top = StrictTable(values, (), text, path.name, RecordingError)
-    for name, keys in _TABLES.items():
+    for name in ("device", "file", "time", "gyro", "reference"):
         if not top.has(name):
-            raise RecordingError(f"{path.name} has no table [{name}]: add it, with {keys}")
+            how = ", with column and unit of the stamps, or rate_hz if there are none" if name == "time" else ""
+            raise RecordingError(f"{path.name} has no table [{name}]: add it{how}")
     protocols, folder = protocols or {}, path.parent
     device = top.table("device")
     named = (device.string("name"), device.string("licence", ""), device.string("source", ""))

@@ -299,6 +299,15 @@ def test_held_samples_end_with_the_file(tmp_path: Path, count: int) -> None:
     assert any("the gyro is new in one row of 3.6" in note for note in run.notes)
 
 
+def test_a_part_of_a_file_without_a_number_is_refused(tmp_path: Path) -> None:
+    t = np.arange(2000) / 100
+    rows = np.column_stack([t, gyro(t), rates(t)])
+    rows[:500, 1:4] = np.inf
+    log = table(tmp_path / "log.csv", "t,gx,gy,gz,rx,ry,rz", rows)
+    with pytest.raises(RecordingError, match="has a gyro column without a single number"):
+        imported(tmp_path, (STAMPED + GYRO + RATE).replace('"csv"', '"csv"\nuntil_s = 4'), log)
+
+
 def test_a_number_beyond_measure_is_a_blank(tmp_path: Path) -> None:
     t = np.arange(2000) / 100
     rows = np.column_stack([t, gyro(t), rates(t)])
