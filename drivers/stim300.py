@@ -238,6 +238,14 @@ def invalid_channels(status: Ints) -> NDArray[np.bool_]:
     return np.asarray(everything[:, None] | (some[:, None] & named))
 
 
+def vouched(raw: Ints, status: Ints) -> NDArray[np.float64]:
+    """Return raw numbers (n, 3) as floats, NaN where the device itself calls them invalid by their status (n,)."""
+    values = raw.astype(np.float64)
+    if status.any():
+        values[invalid_channels(status)] = np.nan
+    return values
+
+
 def _next_id(view: bytes, start: int) -> int:
     match = _ANY_ID.search(view, start)
     return match.start() if match else len(view)

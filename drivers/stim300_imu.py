@@ -26,7 +26,7 @@ from drivers.stim300 import (
     TEMPERATURE_LSB_C,
     Datagrams,
     Stim300Decoder,
-    invalid_channels,
+    vouched,
 )
 from drivers.stim300_special import RATES_HZ, Configuration, PartNumber, SerialNumber, Special
 from drivers.stim300_units import UNITS, accel_unit_mps2, gyro_unit_rps
@@ -195,14 +195,14 @@ class Stim300Imu:
         if not len(t_ns):
             return None
         counter = data.counter[new]
-        rate = self._gyro.rates(_vouched(data.gyro[new], data.gyro_status[new]), counter, t_ns, self._ticks)
+        rate = self._gyro.rates(vouched(data.gyro[new], data.gyro_status[new]), counter, t_ns, self._ticks)
         temperature = np.full(len(t_ns), np.nan)
         if data.temperatures is not None and data.temperature_status is not None:
             temperature = data.temperatures[new, 0].mean(axis=1) * TEMPERATURE_LSB_C
             temperature[(data.temperature_status[new, 0] & _NO_TEMPERATURE) != 0] = np.nan
         accel = None
         if data.accelerometer is not None and data.accelerometer_status is not None:
-            raw = _vouched(data.accelerometer[new], data.accelerometer_status[new])
+            raw = vouched(data.accelerometer[new], data.accelerometer_status[new])
             accel = self._accel.rates(raw, counter, t_ns, self._ticks)
         centre_ns = round(self._gyro.centre_s * 1e9)
         return ImuBlock(t_ns - centre_ns, arrival_ns[new], rate, temperature, counter, accel)
@@ -243,11 +243,3 @@ class Stim300Imu:
         raise DeviceRefused(
             self._device, f"the device {found}, the bench file says {wanted}: correct the bench file{otherwise}"
         )
-
-
-def _vouched(raw: Stamps, status: Stamps) -> NDArray[np.float64]:
-    """Return raw numbers as floats, NaN where the device itself calls them invalid."""
-    values = raw.astype(np.float64)
-    if status.any():
-        values[invalid_channels(status)] = np.nan
-    return values

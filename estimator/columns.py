@@ -17,13 +17,16 @@ from estimator.text_rows import Wanted, read_rows
 
 Floats = NDArray[np.float64]
 
+_HUGE = 1e25  # no measured number is larger, nor smaller than one in it, if its bytes are read as they were written
+_ABSURD_SHARE = 0.1
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
     """Columns of one foreign file by name, each (rows,) or (rows, width), and how many lines were unreadable.
 
     ``position`` (rows,) numbers the rows of a text file with the broken ones counted, ``first_skipped`` is the first
-    of these, ``units`` says what the row of units says of each column.
+    of these, ``units`` says what the row of units says of each column, ``notes`` what else is to be told.
     """
 
     name: str
@@ -33,15 +36,18 @@ class Table:
     first_skipped: str = ""
     position: NDArray[np.int64] | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def values(self, wanted: Columns, width: int, what: str) -> Floats:
-        """Return (rows, width) values in SI; RecordingError if columns are missing or not this many."""
+        """Return (rows, width) values in SI, NaN if beyond measure; RecordingError if they are not this many."""
         parts = [np.atleast_2d(self.columns[name].T).T for name in wanted.names]
         found = sum(part.shape[1] for part in parts)
         if found != width or len({len(part) for part in parts}) != 1:
             shapes = ", ".join(f"{n} {self.columns[n].shape}" for n in wanted.names)
             raise RecordingError(f"{self.name}: {what} needs {width} columns of one length, there are {shapes}")
-        return np.asarray((np.hstack(parts) - wanted.offset) * wanted.scale + wanted.shift, dtype=np.float64)
+        with np.errstate(invalid="ignore", over="ignore"):
+            values = (np.hstack(parts).astype(np.float64) - wanted.offset) * wanted.scale + wanted.shift
+            return np.where(np.abs(values) < _HUGE, values, np.nan)
 
     def number(self, name: str) -> float:
         """Return a variable that holds one number."""
@@ -65,6 +71,14 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
         raw = path.read_bytes()
     except OSError as error:
         raise RecordingError(f"{path.name} cannot be read: {error.strerror or error}") from None
+    if file_format.record is not None:
+        return _read_binary(path.name, raw, file_format.record, file_format.header_bytes, wanted.all)
+    if file_format.capture is not None:
+        columns, notes = file_format.capture(raw, (*wanted.may_be_blank, *wanted.needed))
+        if not columns:
+            raise RecordingError(f"{path.name} holds no message of {file_format.kind}: check [file]")
+        _check_present(path.name, wanted.all, list(columns), "the capture")
+        return Table(path.name, columns, {}, notes=notes)
     rows = read_rows(path.name, _decoded(raw, wanted), file_format, wanted)
     return Table(
         path.name,
@@ -95,6 +109,24 @@ def _check_present(name: str, wanted: Sequence[str], present: Sequence[str], whe
             f"{name} has no column {', '.join(missing)}: {where} has {', '.join(present)}; correct the mapping "
             "(names, delimiter) or give the file it is for"
         )
+
+
+def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int, wanted: Sequence[str]) -> Table:
+    numeric = [key for key in record.names or () if record[key].base.kind != "V"]
+    _check_present(name, wanted, numeric, "record in [file]")
+    count, rest = divmod(len(raw) - header_bytes, record.itemsize)
+    if count < 1:
+        raise RecordingError(
+            f"{name} has {len(raw)} bytes, less than header_bytes and one record of {record.itemsize}: check [file]"
+        )
+    rows = np.frombuffer(raw, record, count, header_bytes)
+    with np.errstate(invalid="ignore"):  # what is no number may spell a signalling NaN
+        columns = {key: rows[key].astype(np.float64) for key in wanted}
+    size = np.concatenate([np.abs(column).ravel() for column in columns.values()])
+    if np.mean((size > _HUGE) | ((size > 0) & (size < 1 / _HUGE))) > _ABSURD_SHARE:
+        raise RecordingError(f"{name} holds no sensible numbers: check record, header_bytes and byte_order in [file]")
+    notes = (f"it ends within a record: the last {rest} bytes are left out",) if rest else ()
+    return Table(name, columns, {}, notes=notes)
 
 
 def _read_mat(path: Path, wanted: Sequence[str]) -> Table:

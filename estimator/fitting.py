@@ -89,7 +89,7 @@ def _prior(data: ImuData, found: list[Gain | None]) -> Prior:
     usual = data.prior
     off = max((abs(g.factor - 1) for g in found if g is not None and g.told), default=0.0)
     offset = [float(np.abs(g.offset_rps)) for g in found if g is not None and g.told]
-    offset += [abs(float(np.nanmean(data.rate_rps[:, i]))) for i, g in enumerate(found) if g is None]
+    offset += [abs(float(np.nanmean(data.rate_rps[:, i]))) for i, g in enumerate(found) if g is None or not g.told]
     return Prior(
         max(usual.k, _WIDER * off if off > _NARROW else 0.0), max(usual.b_rps, _WIDER * max(offset)), usual.sigma_rad
     )

@@ -38,7 +38,7 @@ def reference_rows(mapping: Mapping, table: Table) -> Floats | None:
             return _some(table, table.values(reference.columns, 3, "[reference] columns"))
         return _some(table, table.values(reference.columns, 1, "[reference] columns") * np.array([reference.axis]))
     if isinstance(reference, AngleColumn):
-        return _some(table, reference.sign * table.values(reference.column, 1, "[reference] column"))
+        return _some(table, reference.sign * table.values(reference.columns, 1, "[reference] column"))
     if not isinstance(reference, AttitudeColumns):
         return None
     q = table.values(reference.columns, 4, "[reference] columns")

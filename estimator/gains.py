@@ -88,7 +88,7 @@ def gain_notes(names: tuple[str, ...], p: Floats, found: list[Gain | None]) -> l
         if gain.follows < _FOLLOWS:
             notes.append(
                 f"{name}: its output hardly follows the reference ({gain.follows:.0%} of its variance): check columns, "
-                "axes, and that gyro and reference belong to the same times"
+                "axes, and that gyro and reference belong to the same times (two files: offset_s)"
             )
         elif gain.axis is not None:
             notes.append(

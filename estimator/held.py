@@ -39,7 +39,8 @@ def updates(values: Floats) -> NDArray[np.intp] | None:
     first = changes[0] - period * np.arange(int(changes[0] / period), 0, -1)
     parts = [start + period * np.arange(n) for start, n in zip(changes[:-1], periods, strict=True)]
     last = np.arange(changes[-1], len(values), period)
-    return np.round(np.concatenate([first, *parts, last])).astype(np.intp)
+    rows = np.round(np.concatenate([first, *parts, last])).astype(np.intp)
+    return rows[rows < len(values)]
 
 
 def _quantum(steps: Floats) -> Floats:

@@ -15,9 +15,9 @@ from estimator.errors import RecordingError
 from estimator.fitting import fitted
 from estimator.foreign_rows import ForeignRows, foreign_reference, reference_rows
 from estimator.held import updates
-from estimator.mapping import Mapping, Timing
-from estimator.mapping_columns import RATE_UNITS
-from estimator.mapping_reference import AngleColumn, AttitudeColumns, RateColumns, Rests, SectionTurns
+from estimator.mapping import FileFormat, Mapping, ReferenceFile, Timing
+from estimator.mapping_columns import UNITS
+from estimator.mapping_reference import AngleColumn, MeasuredReference, Rests, SectionTurns
 from estimator.recording import ImuData, Recording
 from estimator.reference import Reference, Turns
 from estimator.rest_import import PartRests, earth_note, part_rests, rests_text
@@ -29,17 +29,22 @@ Floats = NDArray[np.float64]
 
 SOURCE = "imu"
 """Name of the one source of an imported recording."""
+_BESIDE_S = 1.0  # of a reference in a file of its own before and behind the samples that is kept
 _GAP_S = 10.0  # between files that follow each other: longer than what corrects or correlates within one
 _UNIT_ROW = {"rad/s": ("rad/s", "rps"), "deg/s": ("deg/s", "dps", "°/s", "degree/s", "degrees/s")}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imported:
-    """What became of foreign files; ``notes`` tell what a person should know of it, also kept in the recording."""
+    """What became of foreign files; ``notes`` tell what a person should know of it, also kept in the recording.
+
+    ``refused`` are files and sections of files, ``lost_files`` how many files gave nothing.
+    """
 
     recording: Recording
     refused: tuple[Refused, ...]
     notes: tuple[str, ...] = ()
+    lost_files: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +72,9 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
     """
     if not data_paths:
         raise RecordingError("no data files are given: name at least one beside the mapping")
+    if mapping.reference_file:  # "*.csv" names the references, too
+        others = {other for path in data_paths if (other := mapping.reference_file.beside(path)) != path}
+        data_paths = [path for path in data_paths if path not in others]
     parts: list[_Part] = []
     refused: list[Refused] = []
     for path in data_paths:
@@ -80,27 +88,27 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
             parts.append(part)
     if not parts:
         raise RecordingError("nothing to import: " + "; ".join(str(r) for r in refused))
-    return _joined(mapping, parts, tuple(refused))
+    return replace(_joined(mapping, parts, tuple(refused)), lost_files=len(data_paths) - len(parts))
 
 
 def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused]]:
     table = _read_columns(mapping, path)
     gyro, reference = mapping.gyro, mapping.reference
     rate = table.values(gyro.columns, len(gyro.array), "[gyro] columns")
-    if not np.isfinite(rate).any(axis=0).all():
-        raise RecordingError(f"{path.name} has a gyro column without a single number: check [gyro] columns")
     accel = None
     if mapping.accelerometer:
         accel = table.values(mapping.accelerometer.columns, 3, "[accelerometer] columns")
         accel = accel @ np.array(mapping.accelerometer.axes)
     warmth = table.values(mapping.temperature, 1, "[temperature] column") if mapping.temperature else None
-    told = reference_rows(mapping, table)
+    told = reference_rows(mapping, table) if mapping.reference_file is None else None
     for what, other in (("accelerometer", accel), ("temperature", warmth), ("reference", told)):
         if other is not None and len(other) != len(rate):
             raise RecordingError(f"{path.name} has {len(rate)} gyro rows but {len(other)} {what} rows")
     beside = [other for other in (accel, warmth, told) if other is not None]
-    time = _times(mapping, table, rate, beside)
-    notes = _line_notes(mapping, table, time)
+    time = _times(mapping.timing, mapping.format, table, np.hstack([rate, *beside]))
+    if not np.isfinite(rate[time.rows]).any(axis=0).all():
+        raise RecordingError(f"{path.name} has a gyro column without a single number: check [gyro] columns")
+    notes = [*_line_notes(table, time), *_unit_notes(mapping, table)]
     spans, refused = turn_spans(mapping, path, table, time, rate)
     # Logs of several devices have rows without this one; a gyro that is read too often repeats itself.
     own = np.flatnonzero(np.isfinite(rate[time.rows]).any(axis=1))
@@ -120,54 +128,72 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     known = None
     if rests is not None:
         known = ForeignRows(t_s, rests.rate_rps)
+    elif mapping.reference_file is not None:
+        known = _rows_beside(mapping, mapping.reference_file, path, time, notes)
     elif told is not None:
-        fresh = updates(told[time.rows])
-        if fresh is not None:
-            notes.append(_held_note("the reference", fresh, time.t_s))
-        at = slice(None) if fresh is None else fresh
-        known = ForeignRows(time.t_s[at], told[time.rows][at])
-    part = _Part(
-        path.name,
-        time,
-        table.skipped_lines,
-        t_s,
-        rate[rows],
-        accel,
-        None if warmth is None else warmth[:, 0],
-        known,
-        tuple(spans or ()),
-        rests,
-        tuple(notes),
-    )
-    return part, refused
+        known = ForeignRows(time.t_s, told[time.rows])
+    if rests is None and known is not None and (fresh := updates(known.values)) is not None:
+        notes.append(_held_note("the reference", fresh, known.t_s))
+        known = ForeignRows(known.t_s[fresh], known.values[fresh])
+    warm = None if warmth is None else warmth[:, 0]
+    measured = (time, table.skipped_lines, t_s, rate[rows], accel, warm)
+    return _Part(path.name, *measured, known, tuple(spans or ()), rests, tuple(notes)), refused
+
+
+def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeFit, notes: list[str]) -> ForeignRows:
+    """Return the rows of a reference in a file of its own, on the time of the data file ``path``.
+
+    Two columns of stamps are of one clock; without stamps on one side both files begin together.
+    """
+    name = other.beside(path).name
+    assert isinstance(mapping.reference, MeasuredReference)
+    table = read_table(other.beside(path), other.format, _wanted(other.timing, mapping.reference.columns.names))
+    values = reference_rows(mapping, table)
+    assert values is not None
+    fit = _times(other.timing, other.format, table, values)
+    notes += [f"{name}: {note}" for note in [fit.text, *_line_notes(table, fit)]]
+    t_s = fit.t_s + other.offset_s
+    if fit.zero_s is not None and time.zero_s is not None:
+        t_s += fit.zero_s - time.zero_s
+    first, last = float(time.t_s[0]), float(time.t_s[-1])
+    shared = (t_s >= first - _BESIDE_S) & (t_s <= last + _BESIDE_S)
+    if shared.sum() < 2:
+        raise RecordingError(
+            f"{name} lasts from {t_s[0]:.6g} to {t_s[-1]:.6g} s of the time of {path.name}, whose samples last from "
+            f"{first:.6g} to {last:.6g} s: check unit, or state offset_s, which is added to its stamps, in "
+            "[reference.time]"
+        )
+    t_s = t_s[shared]
+    missing = max(t_s[0] - first, 0.0) + max(last - t_s[-1], 0.0)
+    if missing > _BESIDE_S:
+        notes.append(f"{name} does not cover {missing:.3g} of {last - first:.6g} s")
+    return ForeignRows(t_s, values[fit.rows[shared]])
+
+
+def _wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ()) -> Wanted:
+    needed = timing.stamps.names if timing.stamps else (timing.rate,) if isinstance(timing.rate, str) else ()
+    return Wanted(needed, tuple(others), labels, timing.calendar)
 
 
 def _read_columns(mapping: Mapping, path: Path) -> Table:
-    needed = list(mapping.timing.stamps.names) if mapping.timing.stamps else []
-    if mapping.timing.rate_variable:
-        needed.append(mapping.timing.rate_variable)
-    others = list(mapping.gyro.columns.names)
+    others, reference = list(mapping.gyro.columns.names), mapping.reference
     others += mapping.accelerometer.columns.names if mapping.accelerometer else ()
     others += mapping.temperature.names if mapping.temperature else ()
-    reference = mapping.reference
-    label = None
-    if isinstance(reference, (AttitudeColumns, RateColumns)):
+    if isinstance(reference, MeasuredReference) and mapping.reference_file is None:
         others += reference.columns.names
-    elif isinstance(reference, AngleColumn):
-        others += reference.column.names
-    elif isinstance(reference, (SectionTurns, Rests)):
-        label = reference.cuts.column
-    return read_table(path, mapping.format, Wanted(tuple(needed), tuple(others), (label,) if label else ()))
+    label = reference.cuts.column if isinstance(reference, (SectionTurns, Rests)) else None
+    return read_table(path, mapping.format, _wanted(mapping.timing, others, (label,) if label else ()))
 
 
-def _times(mapping: Mapping, table: Table, rate: Floats, beside: list[Floats]) -> TimeFit:
+def _times(timing: Timing, file_format: FileFormat, table: Table, values: Floats) -> TimeFit:
     """Return the instants of the part of the file that is read; its rows are numbered as in the file."""
-    position = np.arange(len(rate)) if table.position is None else table.position
-    read = mapping.extent.rows(position)
+    position = np.arange(len(values)) if table.position is None else table.position
+    extent = file_format.extent
+    read = np.flatnonzero((position >= extent.from_row) & (position < extent.until_row))
     if len(read) < 2:
-        raise RecordingError(f"{table.name} has {len(rate)} rows: check from_row and until_row in [file]")
-    time = _all_times(mapping.timing, table, position, read, np.hstack([rate, *beside]))
-    kept = mapping.extent.within(time.t_s)
+        raise RecordingError(f"{table.name} has {len(values)} rows: check from_row and until_row in [file]")
+    time = _all_times(timing, table, position, read, values)
+    kept = (time.t_s >= extent.from_s) & (time.t_s <= extent.until_s)
     if kept.sum() < 2:
         raise RecordingError(f"{table.name} lasts {time.t_s[-1]:.6g} s: check from_s and until_s in [file]")
     return replace(time, t_s=time.t_s[kept], rows=read[time.rows][kept])
@@ -178,39 +204,43 @@ def _all_times(
 ) -> TimeFit:
     if timing.stamps is not None:
         stamps = table.values(timing.stamps, 1, "[time] column")[:, 0]
+        if timing.wraps_at < np.inf:
+            stamps = np.unwrap(stamps, period=timing.wraps_at * timing.stamps.scale)
+        if len(stamps) != len(values):
+            raise RecordingError(f"{table.name} has {len(values)} rows but {len(stamps)} stamps")
         try:
             return fit_times(stamps[read], values[read], position[read])
         except RecordingError as error:
             raise RecordingError(f"{table.name} {error}") from None
-    rate_hz = timing.rate_hz
-    if timing.rate_variable is not None:
-        rate_hz = table.number(timing.rate_variable)
-    if rate_hz is None or rate_hz <= 0:
-        raise RecordingError(f"{table.name}: {timing.rate_variable} is {rate_hz}, not a sample rate in Hz")
+    rate_hz = table.number(timing.rate) if isinstance(timing.rate, str) else timing.rate
+    if rate_hz <= 0:
+        raise RecordingError(f"{table.name}: {timing.rate} is {rate_hz}, not a sample rate in Hz")
     return regular_times(position[read], rate_hz)
 
 
-def _line_notes(mapping: Mapping, table: Table, time: TimeFit) -> list[str]:
-    notes = []
+def _line_notes(table: Table, time: TimeFit) -> list[str]:
+    notes = [*table.notes]
     if table.skipped_lines:
         lines = "line is" if table.skipped_lines == 1 else "lines are"
         notes.append(f"{table.skipped_lines} broken {lines} left out, the first is {table.first_skipped}")
     if time.doubled:
         notes.append(f"{time.doubled} rows are left out that were written twice")
+    return notes
+
+
+def _unit_notes(mapping: Mapping, table: Table) -> list[str]:
     columns = mapping.gyro.columns
     said = {table.units.get(name, "").lower() for name in columns.names}
-    for unit, spellings in _UNIT_ROW.items():
-        if not columns.raw and columns.scale != RATE_UNITS[unit] and said & set(spellings):
-            notes.append(f"the row of units says {unit} of the gyro, the mapping does not: check unit in [gyro]")
-    return notes
+    return [
+        f"the row of units says {unit} of the gyro, the mapping does not: check unit in [gyro]"
+        for unit, spellings in _UNIT_ROW.items()
+        if not columns.raw and columns.scale != UNITS["rate"][unit] and said & set(spellings)
+    ]
 
 
 def _held_note(what: str, fresh: NDArray[np.intp], t_s: Floats) -> str:
     each_hz = (len(fresh) - 1) / float(t_s[fresh[-1]] - t_s[fresh[0]])
-    return (
-        f"{what} is new in one row of {len(t_s) / len(fresh):.2g} ({each_hz:.3g} Hz) and held between; what is held is "
-        "left out"
-    )
+    return f"{what} is new in one row of {len(t_s) / len(fresh):.2g} ({each_hz:.3g} Hz); rows between are left out"
 
 
 def _filled(table: Table, time: TimeFit, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:
@@ -231,26 +261,24 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) 
     starts_s = [-float(parts[0].time.t_s[0])]
     for before, part in pairwise(parts):
         starts_s.append(starts_s[-1] + float(before.time.t_s[-1]) + _GAP_S - float(part.time.t_s[0]))
+    placed = list(zip(parts, starts_s, strict=True))
     data = ImuData(
         mapping.gyro.array,
-        np.concatenate([_ns(part.t_s + start) for part, start in zip(parts, starts_s, strict=True)]),
+        np.concatenate([_ns(part.t_s + start) for part, start in placed]),
         np.vstack([part.rate_rps for part in parts]),
         temperature_c=_stack([part.temperature_c for part in parts]),
         accel_mps2=_stack([part.accel_mps2 for part in parts]),
     )
     earth = isinstance(mapping.reference, (AngleColumn, Rests)) and mapping.reference.earth_rate
-    recording = Recording({SOURCE: data}, _reference(mapping, parts, starts_s), mapping.site if earth else None)
+    recording = Recording({SOURCE: data}, _reference(mapping, placed), mapping.site if earth else None)
     recording, found, factors = fitted(recording, SOURCE, mapping.gyro)
-    several = len(parts) > 1
-    notes = [f"{part.name}: {note}" if several else note for part in parts for note in part.notes]
-    notes += found
+    notes = [f"{part.name}: {note}" if len(parts) > 1 else note for part in parts for note in part.notes] + found
     if earth and isinstance(mapping.reference, Rests):
         notes += earth_note(mapping, [part.rests for part in parts if part.rests])
     elif mapping.site and not earth:
         add = isinstance(mapping.reference, (AngleColumn, Rests))
         how = "add earth_rate = true to [reference]" if add else "Earth rate is for kind = angle and rest"
         notes.append(f"the site is not used: {how}")
-    rests = [(part.rests, start) for part, start in zip(parts, starts_s, strict=True) if part.rests]
     attributes = {
         "device": mapping.device,
         "imported_from": ", ".join(part.name for part in parts),
@@ -262,20 +290,19 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) 
         "licence": mapping.licence,
         "source": mapping.source,
         "imported": "\n".join(notes),
-        "rests": rests_text(rests),
+        "rests": rests_text([(part.rests, start) for part, start in placed if part.rests]),
         "gyro_factor": factors,
     }
-    kept = {key: value for key, value in attributes.items() if not isinstance(value, str) or value}
-    kept = {key: value for key, value in kept.items() if value is not None}
+    kept = {key: value for key, value in attributes.items() if isinstance(value, (int, np.ndarray)) or value}
     return Imported(Recording(recording.sources, recording.reference, recording.site, kept), refused, tuple(notes))
 
 
-def _reference(mapping: Mapping, parts: list[_Part], starts_s: list[float]) -> Reference:
-    rows = [(part.reference, start) for part, start in zip(parts, starts_s, strict=True) if part.reference]
+def _reference(mapping: Mapping, placed: list[tuple[_Part, float]]) -> Reference:
+    rows = [(part.reference, start) for part, start in placed if part.reference]
     if rows:
         t_ns = np.concatenate([_ns(own.t_s + start) for own, start in rows])
         return foreign_reference(mapping.reference, t_ns, np.vstack([own.values for own, _ in rows]))
-    spans = [(span, start) for part, start in zip(parts, starts_s, strict=True) for span in part.spans]
+    spans = [(span, start) for part, start in placed for span in part.spans]
     return Turns(
         _ns(np.array([start + span.start_s for span, start in spans])),
         _ns(np.array([start + span.end_s for span, start in spans])),

@@ -6,9 +6,13 @@ Units are those of the foreign file here and only here; what leaves this module 
 from __future__ import annotations
 
 import math
+import re
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from collections.abc import Mapping as Dict
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,65 +20,75 @@ from numpy.typing import NDArray
 from estimator.array import SensorArray, sensor_array
 from estimator.errors import GeometryError, RecordingError
 from estimator.kinematics import Site
-from estimator.mapping_columns import (
-    ACCEL_UNITS,
-    RATE_UNITS,
-    TEMPERATURE_UNITS,
-    TIME_UNITS,
-    Columns,
-    Vector,
-    body_axis,
-    stated_columns,
-)
-from estimator.mapping_reference import (
-    AngleColumn,
-    FileTurns,
-    ForeignReference,
-    Rests,
-    SectionTurns,
-    read_reference,
-)
+from estimator.mapping_columns import Columns, Vector, body_axis, stated_columns
+from estimator.mapping_reference import AngleColumn, ForeignReference, MeasuredReference, Rests, read_reference
 from estimator.strict_toml import StrictTable
 
-
-@dataclass(frozen=True, slots=True)
-class FileFormat:
-    """``kind`` is csv or mat; text is split at ``delimiter`` (empty: at blanks), its numbers have a ``decimal`` mark.
-
-    ``columns`` names the columns of a text file without a heading.
-    """
-
-    kind: str
-    delimiter: str = ","
-    decimal: str = "."
-    columns: tuple[str, ...] = ()
+_COLUMN = re.compile(r"(?P<name>\S+) (?P<many>\d*)(?P<kind>[iu][1248]|f[48]|V)")
 
 
 @dataclass(frozen=True, slots=True)
 class Extent:
     """The part of a file that is read: data rows (the first is 0), and of these seconds from the first."""
 
-    from_row: int = 0
+    from_row: float = 0
     until_row: float = math.inf
     from_s: float = 0.0
     until_s: float = math.inf
 
-    def rows(self, number: NDArray[np.int64]) -> NDArray[np.intp]:
-        """Return where ``number`` (rows,), the numbers of data rows, is within the rows that are read."""
-        return np.flatnonzero((number >= self.from_row) & (number < self.until_row))
 
-    def within(self, t_s: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which instants (rows,) are within the seconds that are read."""
-        return np.asarray((t_s >= self.from_s) & (t_s <= self.until_s))
+Capture = Callable[[bytes, Sequence[str]], tuple[Dict[str, NDArray[np.float64]], tuple[str, ...]]]
+"""Decodes a capture to columns (rows,) or (rows, width), a row for each value of the first that is named, and notes."""
+Protocols = Dict[str, Callable[[StrictTable, Path], Capture]]
+"""For each protocol what takes its keys from the table [file] of a mapping, whose folder is given."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileFormat:
+    """``kind`` is csv, mat, binary or a protocol, ``extent`` the part that is read.
+
+    Text is split at ``delimiter`` (empty: at blanks), has a ``decimal`` mark, and without a heading its ``columns`` are
+    named. Binary files are a header and then a ``record`` a row.
+    """
+
+    kind: str
+    delimiter: str = ","
+    decimal: str = "."
+    columns: tuple[str, ...] = ()
+    extent: Extent = field(default_factory=Extent)
+    record: np.dtype[Any] | None = None
+    header_bytes: int = 0
+    capture: Capture | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Either a fixed rate, or a variable that holds it, or a column of stamps (``scale`` makes seconds)."""
+    """Either a fixed ``rate`` in Hz, or a variable that holds it, or a column of stamps (``scale`` makes seconds).
 
-    rate_hz: float | None = None
-    rate_variable: str | None = None
+    The column may be one of a ``calendar``, or a counter that goes round at ``wraps_at``.
+    """
+
+    rate: float | str = 0.0
     stamps: Columns | None = None
+    calendar: bool = False
+    wraps_at: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceFile:
+    """A reference in a file of its own; in its ``name`` "{stem}" is that of the data file.
+
+    ``offset_s`` is added to its stamps.
+    """
+
+    name: str
+    format: FileFormat
+    timing: Timing
+    offset_s: float
+
+    def beside(self, path: Path) -> Path:
+        """Return where it is for a data file."""
+        return path.with_name(self.name.replace("{stem}", path.stem))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,17 +119,20 @@ class Mapping:
     licence: str
     source: str
     format: FileFormat
-    extent: Extent
     timing: Timing
     gyro: GyroColumns
     accelerometer: Accelerometer | None
     temperature: Columns | None
     reference: ForeignReference
+    reference_file: ReferenceFile | None
     site: Site | None
 
 
-def read_mapping(path: Path) -> Mapping:
-    """Read a mapping file; RecordingError with file, line and what to write for anything unknown or wrong."""
+def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
+    """Read a mapping file; captures of the ``protocols`` are formats beside csv, tsv, mat and binary.
+
+    Raises RecordingError with file, line and what to write for anything unknown or wrong.
+    """
     try:
         text = path.read_text(encoding="utf-8")
         values = tomllib.loads(text)
@@ -126,22 +143,24 @@ def read_mapping(path: Path) -> Mapping:
     top = StrictTable(values, (), text, path.name, RecordingError)
     for name in ("device", "file", "time", "gyro", "reference"):
         if not top.has(name):
-            raise RecordingError(f"{path.name} has no table [{name}]: add it")
+            how = ", with column and unit of the stamps, or rate_hz if there are none" if name == "time" else ""
+            raise RecordingError(f"{path.name} has no table [{name}]: add it{how}")
+    protocols, folder = protocols or {}, path.parent
     device = top.table("device")
     named = (device.string("name"), device.string("licence", ""), device.string("source", ""))
     device.done()
-    file_section = top.table("file")
-    extent, file_format = _extent(file_section), _format(file_section)
+    file_format = _format(top.table("file"), protocols, folder)
     timing = _timing(top.table("time"), file_format)
     gyro = _gyro(top.table("gyro"), file_format)
     accelerometer = _accelerometer(top.table("accelerometer")) if top.has("accelerometer") else None
     temperature = _temperature(top.table("temperature")) if top.has("temperature") else None
     site = _site(top.table("site")) if top.has("site") else None
     section = top.table("reference")
-    reference = read_reference(section)
+    other = _reference_file(section, file_format, timing, protocols, folder) if section.has("file") else None
+    reference = read_reference(section, wide=(other.format if other else file_format).kind != "csv")
     top.done(also=("accelerometer", "temperature", "site"))
     mapping = Mapping(
-        path.name, text, *named, file_format, extent, timing, gyro, accelerometer, temperature, reference, site
+        path.name, text, *named, file_format, timing, gyro, accelerometer, temperature, reference, other, site
     )
     _check(mapping, section)
     return mapping
@@ -150,15 +169,15 @@ def read_mapping(path: Path) -> Mapping:
 def _check(mapping: Mapping, section: StrictTable) -> None:
     """Refuse tables that do not go together."""
     reference = mapping.reference
-    if isinstance(reference, (SectionTurns, Rests)) and reference.cuts.column and mapping.format.kind == "mat":
-        raise section.fail("section_column", "is for text files: write section_list, or start_s and end_s in sections")
-    if isinstance(reference, (Rests, FileTurns, SectionTurns)):
-        for key, asked in (("sign", mapping.gyro.sign_from_data), ("scale", mapping.gyro.scale_from_data)):
-            if asked:
-                raise RecordingError(
-                    f'{mapping.name}: {key} = "from data" in [gyro] needs a rate, an angle or an attitude beside the '
-                    "samples; against turns or rests state axes, unit and count"
-                )
+    if not isinstance(reference, MeasuredReference):
+        if mapping.reference_file:
+            raise section.fail("file", "is for kind = rate, angle or attitude")
+        if mapping.gyro.sign_from_data or mapping.gyro.scale_from_data:
+            key = "sign" if mapping.gyro.sign_from_data else "scale"
+            raise RecordingError(
+                f'{mapping.name}: {key} = "from data" in [gyro] needs a rate, an angle or an attitude beside the '
+                "samples; against turns or rests state axes, unit and count"
+            )
     if not isinstance(reference, (AngleColumn, Rests)) or not reference.earth_rate:
         return
     if mapping.site is None:
@@ -173,19 +192,40 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
 
 def _extent(section: StrictTable) -> Extent:
     """Take the limits of what is read."""
-    from_row, from_s = section.integer("from_row", 0), section.number("from_s", 0.0, least=0.0)
-    until_row, until_s = section.value("until_row", math.inf), section.value("until_s", math.inf)
-    for key, start, end in (("until_row", from_row, until_row), ("until_s", from_s, until_s)):
-        if not isinstance(end, (int, float)) or not end > start >= 0:
-            raise section.fail(key, f"{end!r} is not after {key.replace('until', 'from')} {start:g}")
-    return Extent(from_row, until_row, from_s, until_s)
+    limits: list[float] = []
+    for what in ("row", "s"):
+        start, end = section.number(f"from_{what}", 0.0, least=0.0), section.number(f"until_{what}", math.inf)
+        if end <= start:
+            raise section.fail(f"until_{what}", f"{end:g} is not after from_{what} {start:g}")
+        limits += [start, end]
+    return Extent(*limits)
 
 
-def _format(section: StrictTable) -> FileFormat:
-    kind = section.string("format", one_of=("csv", "tsv", "mat"))
-    if kind == "mat":
+def _reference_file(
+    section: StrictTable, file_format: FileFormat, timing: Timing, protocols: Protocols, folder: Path
+) -> ReferenceFile:
+    offset_s = 0.0
+    if isinstance(section.again().value("file"), str):
+        name, own = section.string("file"), replace(file_format, columns=(), extent=Extent())
+    else:
+        stated = section.table("file")
+        name, own = stated.string("name"), _format(stated, protocols, folder)
+    if section.has("time"):
+        stated = section.table("time")
+        offset_s = stated.number("offset_s", 0.0)
+        timing = _timing(stated, own) if stated.remaining() else timing
+    return ReferenceFile(name, own, timing, offset_s)
+
+
+def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFormat:
+    extent = _extent(section)
+    kind = section.string("format", one_of=("csv", "tsv", "mat", "binary", *protocols))
+    if kind not in ("csv", "tsv"):
+        record = _record(section) if kind == "binary" else None
+        header_bytes = int(section.number("header_bytes", 0.0, least=0.0)) if kind == "binary" else 0
+        capture = protocols[kind](section, folder) if kind in protocols else None
         section.done()
-        return FileFormat("mat")
+        return FileFormat(kind, extent=extent, record=record, header_bytes=header_bytes, capture=capture)
     delimiter = section.string("delimiter", "\t" if kind == "tsv" else ",")
     delimiter = {"tab": "\t", "space": " "}.get(delimiter, delimiter)
     decimal = section.string("decimal", ".", one_of=(".", ","))
@@ -193,23 +233,40 @@ def _format(section: StrictTable) -> FileFormat:
         raise section.fail("delimiter", f"{delimiter!r}: write one character that is not the decimal mark")
     columns = section.strings("columns") if section.has("columns") else ()
     section.done(also=("columns",))
-    return FileFormat("csv", delimiter.strip(" "), decimal, columns)
+    return FileFormat("csv", delimiter.strip(" "), decimal, columns, extent)
+
+
+def _record(section: StrictTable) -> np.dtype[Any]:
+    """Return what a row of a binary file is made of."""
+    order = section.string("byte_order", "little", one_of=("little", "big"))
+    fields: dict[str, str] = {}
+    for entry in section.strings("record"):
+        found = _COLUMN.fullmatch(entry)
+        if not found or found["name"] in fields:
+            raise section.fail("record", f'holds {entry!r}: write a name and a type, "t f8", "gyro 3i2" or "pad 4V"')
+        fields[found["name"]] = f"{found['many'] or ''}{found['kind']}" if found["kind"] != "V" else f"V{found['many']}"
+    return np.dtype(list(fields.items())).newbyteorder("<" if order == "little" else ">")
 
 
 def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
     given = [key for key in ("rate_hz", "rate_variable", "column") if section.has(key)]
     if len(given) != 1:
-        raise section.fail(given[0] if given else None, "give one of rate_hz, rate_variable, column")
-    timing: Timing
+        raise section.fail(
+            given[0] if given else None,
+            "give one of rate_hz, rate_variable, column: a rate, one in a .mat file, or stamps with their unit",
+        )
     if given[0] == "column":
-        unit = section.string("unit", one_of=tuple(TIME_UNITS))
-        timing = Timing(stamps=Columns((section.string("column"),), TIME_UNITS[unit]))
+        calendar = section.again().value("unit") == "iso"
+        if calendar and file_format.kind != "csv":
+            raise section.fail("unit", "iso is for text files: write s, ms, us or ns")
+        wraps_at = section.number("wraps_at", math.inf, positive=True)
+        timing = Timing(0.0, stated_columns(section, "time", "column"), calendar, wraps_at)
     elif given[0] == "rate_variable":
         if file_format.kind != "mat":
             raise section.fail("rate_variable", "is for .mat files: write rate_hz or column")
-        timing = Timing(rate_variable=section.string("rate_variable"))
+        timing = Timing(section.string("rate_variable"))
     else:
-        timing = Timing(rate_hz=section.number("rate_hz", positive=True))
+        timing = Timing(section.number("rate_hz", positive=True))
     section.done(also=("rate_hz", "rate_variable", "column", "unit"))
     return timing
 
@@ -217,7 +274,7 @@ def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
 def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
     sign = section.string("sign", "stated", one_of=("stated", "from data")) == "from data"
     scale = section.string("scale", "stated", one_of=("stated", "from data")) == "from data"
-    columns = stated_columns(section, RATE_UNITS, count_needed=not scale)
+    columns = stated_columns(section, "rate", count_needed=not scale)
     where = "axes" if section.has("axes") else "columns"
     axes = section.value("axes", ("x", "y", "z"))
     if isinstance(axes, str):
@@ -225,7 +282,7 @@ def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
     if not isinstance(axes, (list, tuple)):
         raise section.fail("axes", 'must be a list: ["x", "-y", "z"] or one row of three numbers for each gyro')
     p = [body_axis(section, "axes", axis) for axis in axes]
-    if file_format.kind != "mat" and len(columns.names) != len(axes):
+    if file_format.kind == "csv" and len(columns.names) != len(axes):
         raise section.fail(
             where,
             f"does not fit: there are {len(columns.names)} columns and {len(axes)} axes (x, y, z if none are stated); "
@@ -244,7 +301,7 @@ def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
 
 
 def _accelerometer(section: StrictTable) -> Accelerometer:
-    columns = stated_columns(section, ACCEL_UNITS)
+    columns = stated_columns(section, "acceleration")
     stated = section.value("axes", ["x", "y", "z"])
     if not isinstance(stated, list) or len(stated) != 3:
         raise section.fail("axes", 'must be the body axes of the three columns: ["x", "-y", "-z"]')
@@ -257,7 +314,7 @@ def _accelerometer(section: StrictTable) -> Accelerometer:
 
 
 def _temperature(section: StrictTable) -> Columns:
-    columns = stated_columns(section, TEMPERATURE_UNITS, key="column")
+    columns = stated_columns(section, "temperature", "column")
     section.done()
     return columns
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping as Dict
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +10,17 @@ import numpy as np
 
 from estimator.strict_toml import StrictTable
 
-RATE_UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180}
-ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180}
-ACCEL_UNITS = {"m/s2": 1.0, "g": 9.80665}
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-TEMPERATURE_UNITS = {"degC": 1.0, "K": 1.0}
+_DEG, _TURN = math.pi / 180, 2 * math.pi
+_ANGLES = {"rad": 1.0, "deg": _DEG, "mrad": 1e-3, "rev": _TURN, "arcmin": _DEG / 60, "arcsec": _DEG / 3600}
+UNITS = {
+    "angle": _ANGLES,
+    "rate": {f"{unit}/s": size for unit, size in _ANGLES.items()}
+    | {"deg/h": _DEG / 3600, "mdps": 1e-3 * _DEG, "rpm": _TURN / 60},
+    "acceleration": {"m/s2": 1.0, "g": 9.80665, "mg": 9.80665e-3},
+    "temperature": {"degC": 1.0, "K": 1.0},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0},
+}
+"""What a column can be, and the size in SI of the units it may have."""
 _SHIFT = {"K": -273.15}
 UNIT_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -33,15 +38,13 @@ class Columns:
     offset: float = 0.0
 
 
-def stated_columns(
-    section: StrictTable, units: Dict[str, float], *, key: str = "columns", count_needed: bool = True
-) -> Columns:
-    """Return the columns of a table with what makes SI of them: their unit, or the size of a count.
+def stated_columns(section: StrictTable, quantity: str, key: str = "columns", *, count_needed: bool = True) -> Columns:
+    """Return the columns of a table with what makes SI of them: a unit of the quantity, or the size of a count.
 
     Where the size is not needed and not stated, a count is one degree (a second). ``offset`` is the value that stands
     for zero, in the unit of the column.
     """
-    names, offset = section.strings(key), section.number("offset", 0.0)
+    units, names, offset = UNITS[quantity], section.strings(key), section.number("offset", 0.0)
     unit = section.string("unit", one_of=(*units, "raw"))
     raw, size = unit == "raw", 1.0
     if raw and not count_needed and not section.has("count"):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimator.mapping_columns import ANGLE_UNITS, RATE_UNITS, Columns, Vector, body_axis, signed_axis, stated_columns
+from estimator.mapping_columns import Columns, Vector, body_axis, signed_axis, stated_columns
 from estimator.strict_toml import StrictTable
 
 KINDS = ("attitude", "rate", "angle", "turns", "rest")
@@ -36,7 +36,7 @@ class RateColumns:
 class AngleColumn:
     """The angle of an encoder: the body turns about gimbal x, y or z by ``sign`` times it."""
 
-    column: Columns
+    columns: Columns
     gimbal: str
     sign: float
     earth_rate: bool
@@ -114,11 +114,15 @@ class Rests:
     earth_rate: bool
 
 
-ForeignReference = AttitudeColumns | RateColumns | AngleColumn | FileTurns | SectionTurns | Rests
+MeasuredReference = AttitudeColumns | RateColumns | AngleColumn
+ForeignReference = MeasuredReference | FileTurns | SectionTurns | Rests
 
 
-def read_reference(section: StrictTable) -> ForeignReference:
-    """Return the reference that a mapping states; RecordingError with file, line and what to write."""
+def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignReference:
+    """Return the reference that a mapping states; in ``wide`` files a name can be that of several columns.
+
+    Raises RecordingError with file, line and what to write.
+    """
     kind = section.string("kind", one_of=KINDS)
     reference: ForeignReference
     if kind == "attitude":
@@ -126,14 +130,16 @@ def read_reference(section: StrictTable) -> ForeignReference:
         direction = section.string("direction", "body to reference", one_of=("body to reference", "reference to body"))
         reference = AttitudeColumns(Columns(section.strings("columns")), order, direction == "reference to body")
     elif kind == "rate":
-        columns = stated_columns(section, RATE_UNITS)
-        reference = RateColumns(columns, _rate_axis(section, columns))
+        columns = stated_columns(section, "rate")
+        reference = RateColumns(columns, _rate_axis(section, columns, wide))
     elif kind == "angle":
         reference = _angle(section)
     elif kind == "turns":
         reference = _turns(section)
     else:
         reference = _rests(section)
+    if wide and isinstance(reference, (SectionTurns, Rests)) and reference.cuts.column:
+        raise section.fail("section_column", "is for text files: write section_list, or start_s and end_s in sections")
     section.done()
     return reference
 
@@ -147,30 +153,31 @@ def turn_about(axis: str, angle_deg: float) -> Turn:
     return Turn((abs(x), abs(y), abs(z)), sign * math.radians(angle_deg))
 
 
-def _rate_axis(section: StrictTable, columns: Columns) -> Vector | None:
+def _rate_axis(section: StrictTable, columns: Columns, wide: bool) -> Vector | None:
     if not section.has("axis"):
-        if len(columns.names) == 1:
+        if len(columns.names) == 1 and not wide:
             raise section.fail("columns", 'is one column: add axis = "z", the body axis that it is the rate about')
         return None
     if len(columns.names) != 1:
         raise section.fail("axis", "is for one column: leave it out beside the three columns x, y, z")
-    axis = np.array(body_axis(section, "axis", section.value("axis")))
-    length = float(np.linalg.norm(axis))
+    return _direction(section, "axis")
+
+
+def _direction(section: StrictTable, key: str) -> Vector:
+    """Take a direction in body axes; it becomes a unit vector."""
+    v = np.array(body_axis(section, key, section.value(key)))
+    length = float(np.linalg.norm(v))
     if not length > 0:
-        raise section.fail("axis", "is no direction: write x, y or z with a sign, or three numbers")
-    x, y, z = (axis / length).tolist()
+        raise section.fail(key, "is no direction: write x, y or z with a sign, or three numbers")
+    x, y, z = (v / length).tolist()
     return x, y, z
 
 
 def _angle(section: StrictTable) -> AngleColumn:
-    column = stated_columns(section, ANGLE_UNITS, key="column")
+    column = stated_columns(section, "angle", "column")
     if len(column.names) != 1:
         raise section.fail("column", "must be one column")
-    text = section.string("axis")
-    try:
-        axis = signed_axis(text)
-    except ValueError as error:
-        raise section.fail("axis", str(error)) from None
+    axis = body_axis(section, "axis", section.string("axis"))
     gimbal = "xyz"[int(np.argmax(np.abs(axis)))]
     return AngleColumn(column, gimbal, float(sum(axis)), section.flag("earth_rate", False))
 
@@ -245,16 +252,7 @@ def _rests(section: StrictTable) -> Rests:
 
 
 def _pose(section: StrictTable) -> Pose:
-    found: dict[str, Vector] = {}
-    for key in ("up", "north"):
-        if not section.has(key):
-            continue
-        v = np.array(body_axis(section, key, section.value(key)))
-        length = float(np.linalg.norm(v))
-        if not length > 0:
-            raise section.fail(key, "is no direction: write x, y or z with a sign, or three numbers")
-        x, y, z = (v / length).tolist()
-        found[key] = (x, y, z)
+    found = {key: _direction(section, key) for key in ("up", "north") if section.has(key)}
     if "north" in found and "up" not in found:
         raise section.fail("north", "is stated without up: add up, the body axis that points up")
     if "north" in found and abs(float(np.dot(found["up"], found["north"]))) > 0.1:
@@ -264,10 +262,8 @@ def _pose(section: StrictTable) -> Pose:
 
 def _sections(section: StrictTable) -> tuple[Cuts, dict[str, StrictTable]]:
     """Return how files are cut, and the table of each section less its limits."""
-    tables = {}
     table = section.table("sections")
-    for name in table.remaining():
-        tables[name] = table.table(name)
+    tables = {name: table.table(name) for name in table.remaining()}
     if not tables:
         raise section.fail("sections", "is empty: name a section and what is known of it")
     list_name = section.string("section_list") if section.has("section_list") else None

@@ -45,10 +45,6 @@ class Span:
     sd_rad: float
 
 
-class _Refusal(Exception):
-    """Why a section or a file of turns cannot be used."""
-
-
 def turn_spans(
     mapping: Mapping, path: Path, table: Table, time: TimeFit, rate: Floats
 ) -> tuple[list[Span] | None, list[Refused]]:
@@ -65,7 +61,7 @@ def turn_spans(
     for name, first, stop, turn in rows:
         try:
             spans.append(_span(mapping, reference.checks, time.t_s[first:stop], rate[time.rows[first:stop]], turn))
-        except _Refusal as reason:
+        except RecordingError as reason:
             refused.append(Refused(name, str(reason)))
     return spans, refused
 
@@ -178,18 +174,18 @@ def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
 
 
 def _span(mapping: Mapping, checks: TurnChecks, t_s: Floats, rate: Floats, turn: Turn) -> Span:
-    """Return the checked turn of these samples; _Refusal if they do not begin and end at rest."""
+    """Return the checked turn of these samples; RecordingError if they do not begin and end at rest."""
     whole = np.isfinite(rate).all(axis=1)
     t_s, rate = t_s[whole], rate[whole]
     if len(t_s) < 2 * _EDGE_ROWS:
-        raise _Refusal(f"it has {len(t_s)} usable rows, too few for a turn")
+        raise RecordingError(f"it has {len(t_s)} usable rows, too few for a turn")
     period_s = float(np.median(np.diff(t_s)))
     edge = min(max(round(checks.rest_s / period_s), _EDGE_ROWS), len(t_s) // 2)
     limit = checks.rest_limit_rps
     for end, rows in (("start", rate[:edge]), ("end", rate[-edge:])):
         worst = float(np.abs(rows.mean(axis=0)).max())
         if worst > limit:
-            raise _Refusal(
+            raise RecordingError(
                 f"it is not at rest at the {end} ({np.degrees(worst):.1f} deg/s over {edge * period_s:.2g} s, "
                 f"{np.degrees(limit):.3g} allowed), so its turned angle is not known"
             )
@@ -198,7 +194,7 @@ def _span(mapping: Mapping, checks: TurnChecks, t_s: Floats, rate: Floats, turn:
     if not turn.angle_rad:
         worst = float(np.abs(turned).max()) / length_s
         if worst > limit:
-            raise _Refusal(f"it is said to be at rest but turns at {np.degrees(worst):.1f} deg/s on average")
+            raise RecordingError(f"it is said to be at rest but turns at {np.degrees(worst):.1f} deg/s on average")
         return Span(float(t_s[0]), float(t_s[-1]), np.zeros(3), checks.rest_sd_rad)
     angle = _checked_angle(mapping, checks, turned, turn)
     sd = float(np.hypot(checks.sd_rad, checks.sd_share * angle))
@@ -206,18 +202,18 @@ def _span(mapping: Mapping, checks: TurnChecks, t_s: Floats, rate: Floats, turn:
 
 
 def _checked_angle(mapping: Mapping, checks: TurnChecks, turned_rad: Floats, turn: Turn) -> float:
-    """Return the stated angle with the sign that holds; _Refusal if the gyros (m,) turned otherwise."""
+    """Return the stated angle with the sign that holds; RecordingError if the gyros (m,) turned otherwise."""
     p, axis, angle = mapping.gyro.array.p, np.array(turn.axis), turn.angle_rad
     if np.linalg.lstsq(p, p @ axis, rcond=None)[0] @ axis < _SENSED:
         if checks.sign_from_data:
-            raise _Refusal("no gyro senses the axis of its turn, so the data cannot tell the sign: state it")
+            raise RecordingError("no gyro senses the axis of its turn, so the data cannot tell the sign: state it")
         return angle
     # What the body turned by, as far as the gyros tell: least squares over their nominal axes.
     measured = float(np.linalg.lstsq(p, turned_rad, rcond=None)[0] @ axis)
     if checks.sign_from_data and measured * angle < 0:
         angle = -angle
     if not abs(measured / angle - 1) < _WRONG_BY:
-        raise _Refusal(
+        raise RecordingError(
             f"its gyros turn by {np.degrees(measured):.1f} deg where {np.degrees(angle):.1f} are stated: check axis, "
             "sign, angle and [gyro] unit"
         )

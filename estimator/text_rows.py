@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,21 +15,27 @@ from estimator.errors import RecordingError
 from estimator.mapping import FileFormat
 
 Floats = NDArray[np.float64]
+Lines = list[tuple[int, str]]
 
 BROKEN_SHARE = 0.1
 """A text file of which more lines than this cannot be read is refused."""
 _PREAMBLE_LINES = 200
 _COMMENTS = ("#", "%", "//")
+_DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": ""}
 _SHOWN = 60  # characters of a broken line in a message
 
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """Names of columns: ``needed`` in every row, those that ``may_be_blank`` (NaN there), and ``labels`` (text)."""
+    """Names of columns: ``needed`` in every row, those that ``may_be_blank`` (NaN there), and ``labels`` (text).
+
+    With ``calendar`` the needed ones are dates with times (ISO 8601), which become seconds since 1970.
+    """
 
     needed: tuple[str, ...]
     may_be_blank: tuple[str, ...]
     labels: tuple[str, ...] = ()
+    calendar: bool = False
 
     @property
     def numeric(self) -> tuple[str, ...]:
@@ -58,6 +67,8 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
     Raises RecordingError, naming the file, if it is empty, lacks a column, or is broken in more than 10 % of its
     lines; then with the first of them.
     """
+    needed, blank, labels = (tuple(map(_bare, names)) for names in (wanted.needed, wanted.may_be_blank, wanted.labels))
+    wanted = Wanted(needed, blank, labels, wanted.calendar)
     lines = [(number, line) for number, line in enumerate(re.split(r"\r\n|\n|\r", text), 1) if line.strip("\0 \t")]
     if not lines:
         raise RecordingError(f"{name} is empty")
@@ -79,38 +90,62 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
         raise RecordingError(
             f"{name}: {found.skipped} of {rows} lines are no rows of {len(header)} fields with delimiter "
             f"{file_format.delimiter or 'space'!r} and decimal mark {file_format.decimal!r}, the first is "
-            f"{found.first_skipped}: check these two in [file] of the mapping, or repair the file"
+            f"{found.first_skipped}: {_rows_hint(body[:_PREAMBLE_LINES], header, where, file_format, wanted)}"
         )
     return TextRows(found.values, found.labels, found.position, found.skipped, found.first_skipped, units)
 
 
-def _heading(name: str, lines: list[tuple[int, str]], file_format: FileFormat, wanted: Wanted) -> tuple[int, list[str]]:
+def _rows_hint(body: Lines, header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted) -> str:
+    mark = "," if file_format.decimal == "." else "."
+    for other, rows, hint in (
+        (replace(file_format, decimal=mark), wanted, f'write decimal = "{mark}" in [file]'),
+        (file_format, replace(wanted, calendar=True), 'write unit = "iso" in [time]'),
+    ):
+        found = _careful(body, header, where, other, rows)
+        if len(found.values) > found.skipped:
+            return hint
+    return f"check delimiter and decimal in [file]{', unit in [time]' * wanted.calendar}, or repair the file"
+
+
+def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -> tuple[int, list[str]]:
     """Return at which of the lines the rows begin, and the names of the columns."""
     if file_format.columns:
         missing = [key for key in wanted.all if key not in file_format.columns]
         if missing:
             raise RecordingError(f"columns in [file] does not name {', '.join(missing)}, which the mapping uses")
         return 0, list(file_format.columns)
-    best, best_at, best_count = [""], 0, -1
-    for at, (_, line) in enumerate(lines[:_PREAMBLE_LINES]):
-        header = _fields(re.sub(r"^\s*(#|%|//)\s*", "", line), file_format)
-        count = sum(key in header for key in wanted.all)
-        if count == len(wanted.all):
-            return at + 1, header
-        if count > best_count:
-            best, best_at, best_count = header, at, count
+    headers = [_fields(_bare(line), file_format) for _, line in lines[:_PREAMBLE_LINES]]
+    best_at = max(range(len(headers)), key=lambda at: sum(key in headers[at] for key in wanted.all))
+    best = headers[best_at]
     missing = [key for key in wanted.all if key not in best]
+    if not missing:
+        return best_at + 1, best
     which = "its first line" if best_at == 0 else f"its line {lines[best_at][0]}"
-    hint = "; if it has no heading, name its columns by columns = [...] in [file]" if best_count == 0 else ""
+    hint = _heading_hint(lines, file_format, wanted, missing)
     raise RecordingError(
         f"{name} has no column {', '.join(missing)}: {which} has {', '.join(best)[:400]}; correct the mapping "
         f"(names, delimiter) or give the file it is for{hint}"
     )
 
 
+def _heading_hint(lines: Lines, file_format: FileFormat, wanted: Wanted, missing: list[str]) -> str:
+    for written, mark in _DELIMITERS.items():
+        other = replace(file_format, delimiter=mark)
+        if any(set(wanted.all) <= set(_fields(_bare(line), other)) for _, line in lines[:_PREAMBLE_LINES]):
+            return f'; it has them with delimiter = "{written}" in [file]'
+    if len(missing) == len(wanted.all):
+        return "; if it has no heading, name its columns by columns = [...] in [file]"
+    return "; if it has no time, state rate_hz in [time]" if set(missing) <= set(wanted.needed) else ""
+
+
 def _fields(line: str, file_format: FileFormat) -> list[str]:
     fields = line.split(file_format.delimiter) if file_format.delimiter else line.split()
     return [field.strip().strip("\"'").strip() for field in fields]
+
+
+def _bare(text: str) -> str:
+    """Return a heading, or a name in one, without the comment sign before it."""
+    return re.sub(r"^\s*(#+|%+|//)\s*", "", text) or text
 
 
 def _is_number(field: str) -> bool:
@@ -121,11 +156,9 @@ def _is_number(field: str) -> bool:
     return True
 
 
-def _fast(
-    body: list[tuple[int, str]], header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted
-) -> TextRows | None:
+def _fast(body: Lines, header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted) -> TextRows | None:
     """Return all rows at once if nothing about them is special, else None."""
-    if wanted.labels or file_format.decimal != "." or not file_format.delimiter:
+    if wanted.labels or wanted.calendar or file_format.decimal != "." or not file_format.delimiter:
         return None
     separators = len(header) - 1
     if any(line.count(file_format.delimiter) != separators for _, line in body):
@@ -139,12 +172,11 @@ def _fast(
     return TextRows(values, [], np.arange(len(values)), 0, "", ())
 
 
-def _careful(
-    body: list[tuple[int, str]], header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted
-) -> TextRows:
+def _careful(body: Lines, header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted) -> TextRows:
     label_at = [header.index(key) for key in wanted.labels]
-    blank_ok = [False] * len(wanted.needed) + [True] * len(wanted.may_be_blank)
     comma = file_format.decimal == ","
+    needed = [_calendar_s if wanted.calendar else float] * len(wanted.needed)
+    convert: list[Callable[[str], float]] = [*needed, *[_or_blank] * len(wanted.may_be_blank)]
     rows: list[list[float]] = []
     texts: list[list[str]] = []
     position: list[int] = []
@@ -154,7 +186,8 @@ def _careful(
         row = None
         if len(fields) == len(header) or (len(fields) == len(header) + 1 and not fields[-1]):
             numbers = [fields[i].replace(",", ".") if comma else fields[i] for i in where]
-            row = _numbers(numbers, blank_ok)
+            with suppress(ValueError):
+                row = [to_number(field) for to_number, field in zip(convert, numbers, strict=True)]
         if row is None:
             skipped += 1
             first_skipped = first_skipped or f"line {number} ({line.strip()[:_SHOWN]!r})"
@@ -168,9 +201,11 @@ def _careful(
     return TextRows(values, texts, np.array(position, dtype=np.int64), skipped, first_skipped, ())
 
 
-def _numbers(fields: list[str], blank_ok: list[bool]) -> list[float] | None:
-    """Return the numbers of a line, NaN where a field is blank that may be; None for a broken line."""
-    try:
-        return [float(f) if f or not blank else float("nan") for f, blank in zip(fields, blank_ok, strict=True)]
-    except ValueError:
-        return None
+def _or_blank(field: str) -> float:
+    return float(field) if field else float("nan")
+
+
+def _calendar_s(field: str) -> float:
+    """Return seconds since 1970 of a date with its time (ISO 8601), UTC if it has no zone; ValueError."""
+    at = datetime.fromisoformat(field)
+    return (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()

@@ -182,7 +182,8 @@ def make_parser() -> argparse.ArgumentParser:
     bring = commands.add_parser(
         "import",
         help="bring in data measured elsewhere",
-        description="Turn CSV, TSV or MATLAB files into a recording, as a mapping file says.",
+        description="Turn CSV, TSV, MATLAB or binary files, or captures, into a recording, as a mapping file says. "
+        "Files that cannot be used are named at the end, with exit code 2; the others are taken.",
     )
     bring.add_argument("mapping", metavar="MAPPING", help="mapping file (.toml)")
     bring.add_argument("data", nargs="+", metavar="DATA", help="data files; several become one recording")

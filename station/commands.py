@@ -21,7 +21,7 @@ from estimator.errors import EstimatorError
 from estimator.recording import write_recording
 from station.bench import Bench, load_bench
 from station.early_end import check_early_end
-from station.errors import UsageError
+from station.errors import EXIT_USAGE, UsageError
 from station.hosting import Host, introduction
 from station.lasting_streams import lasting_streams
 from station.loops import ScaledLoop, VirtualLoop
@@ -146,10 +146,11 @@ def command_import(arguments: argparse.Namespace) -> int:
     """Turn foreign data into a recording."""
     from estimator.importing import import_recording
     from estimator.mapping import read_mapping
+    from station.captures import PROTOCOLS
 
     output = Path(arguments.output)
     try:
-        imported = import_recording(read_mapping(Path(arguments.mapping)), [Path(d) for d in arguments.data])
+        imported = import_recording(read_mapping(Path(arguments.mapping), PROTOCOLS), [Path(d) for d in arguments.data])
         write_recording(output, imported.recording)
     except EstimatorError as error:
         return refuse(str(error), arguments.json)
@@ -159,12 +160,12 @@ def command_import(arguments: argparse.Namespace) -> int:
         notes = list(imported.notes)
         print(json.dumps({"recording": str(output), "samples": samples, "refused": refused, "notes": notes}))
     else:
-        for entry in refused:
-            print(f"refused {entry['name']}: {entry['reason']}", file=sys.stderr)
         for note in imported.notes:
             print(f"note: {note}")
-        print(f"{output}: {', '.join(f'{n} samples of {name}' for name, n in samples.items())}")
-    return 0
+        print(f"{output}: {', '.join(f'{n} samples of {name}' for name, n in samples.items())}", flush=True)
+        for entry in refused:
+            print(f"refused {entry['name']}: {entry['reason']}", file=sys.stderr)
+    return EXIT_USAGE if imported.lost_files else 0
 
 
 def clock(bench: Bench, scale: float | None) -> asyncio.Runner:

@@ -28,6 +28,7 @@ from estimator.importing import SOURCE, Imported, import_recording
 from estimator.mapping import read_mapping
 from estimator.recording import ImuData, Recording, read_recording, write_recording
 from estimator.reference import RateReadings, TableReadings
+from station.captures import PROTOCOLS
 
 TRIAD = """\
 [device]
@@ -467,7 +468,7 @@ def test_a_degree_sign_in_an_old_encoding_is_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", sorted(SHAPES.glob("*.toml")), ids=lambda path: path.stem)
 def test_every_example_is_a_mapping(path: Path) -> None:
-    assert read_mapping(path).device
+    assert read_mapping(path, PROTOCOLS).device
 
 
 @pytest.mark.parametrize(

@@ -388,8 +388,8 @@ def test_files_without_usable_data_are_refused_with_the_reason(tmp_path: Path, r
         ),
         (
             'unit = "deg/s"\naxes',
-            'unit = "rpm"\naxes',
-            r"line 12: gyro.unit: 'rpm' is not one of rad/s, deg/s",
+            'unit = "turns"\naxes',
+            r"line 12: gyro.unit: 'turns' is not one of rad/s, deg/s",
         ),
         (
             'kind = "rate"',
