@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import AsyncIterator, Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.aceinna import (
     ACCS,
@@ -26,6 +25,7 @@ from drivers.aceinna import (
     is_from,
     request,
 )
+from drivers.arrays import Flags, Floats, Octets
 from drivers.can_samples import Companion, Piece, RegularSamples, block_of
 from drivers.errors import DeviceRefused, LinkLost
 from drivers.loop_scale import loop_scale
@@ -203,10 +203,10 @@ def _agree(group: int, asked: bytes, told: bytes) -> bool:
     return told == asked or (group == FILTERS and told == asked[::-1])
 
 
-def _measured(values: NDArray[np.float64], saturated: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _measured(values: Floats, saturated: Flags) -> Floats:
     """Return the values, NaN where the range ended: the true one is beyond."""
     return np.where(saturated, np.nan, values)
 
 
-def _table(rows: list[bytes]) -> NDArray[np.uint8]:
+def _table(rows: list[bytes]) -> Octets:
     return np.frombuffer(b"".join(rows), dtype=np.uint8).reshape(len(rows), _LENGTH)

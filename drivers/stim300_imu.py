@@ -9,8 +9,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Stamps
 from drivers.errors import DeviceRefused
 from drivers.sampling import Alignment, CounterClock
 from drivers.seams import ByteChunk, ByteLink, Identity, ImuBlock, SourceCounts
@@ -30,8 +30,6 @@ from drivers.stim300 import (
 )
 from drivers.stim300_special import RATES_HZ, Configuration, PartNumber, SerialNumber, Special
 from drivers.stim300_units import UNITS, accel_unit_mps2, gyro_unit_rps
-
-Stamps = NDArray[np.int64]
 
 _BLOCK_S = 0.01
 _TRIES = 2
@@ -245,7 +243,7 @@ class Stim300Imu:
         )
 
 
-def _vouched(raw: Stamps, status: Stamps) -> NDArray[np.float64]:
+def _vouched(raw: Stamps, status: Stamps) -> Floats:
     """Return raw numbers as floats, NaN where the device itself calls them invalid."""
     values = raw.astype(np.float64)
     if status.any():

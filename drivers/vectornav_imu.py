@@ -8,11 +8,11 @@ from collections.abc import AsyncIterator
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Stamps
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
 from drivers.sampling import Alignment, CounterClock, RegularClock
-from drivers.seams import ByteChunk, ByteLink, Floats, Identity, ImuBlock, SourceCounts, Stamps
+from drivers.seams import ByteChunk, ByteLink, Identity, ImuBlock, SourceCounts
 from drivers.vectornav import (
     COMMON,
     IMU,
@@ -171,7 +171,7 @@ class VectorNavImu:
             values["imu.uncomp_accel"].astype(np.float64),
         )
 
-    def _new(self, device_ns: Stamps) -> NDArray[np.bool_]:
+    def _new(self, device_ns: Stamps) -> Flags:
         """Return which samples come after all before them; the others are repeats, unless time starts again."""
         newest = np.maximum.accumulate(np.concatenate([[self._newest_ns], device_ns]))
         if (newest[:-1] - device_ns).max() > _LONGEST_STEP_BACK_NS:

@@ -6,8 +6,8 @@ from collections.abc import AsyncIterator
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Stamps
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
 from drivers.mtdata2 import (
     ACCELERATION,
@@ -30,7 +30,7 @@ from drivers.mtdata2 import (
     parse_mtdata2,
 )
 from drivers.sampling import Alignment, CounterClock
-from drivers.seams import ByteLink, Floats, Identity, ImuBlock, SourceCounts, Stamps
+from drivers.seams import ByteLink, Identity, ImuBlock, SourceCounts
 from drivers.xbus import Bytes, Messages, Mid, error_text, firmware_of, product_of, serial_of
 from drivers.xbus_link import XbusLink
 
@@ -297,7 +297,7 @@ class _Timing:
         damaged, self._damaged = self._damaged, 0
         return damaged
 
-    def stamp(self, count: Stamps, arrival_ns: Stamps) -> tuple[NDArray[np.bool_], Stamps]:
+    def stamp(self, count: Stamps, arrival_ns: Stamps) -> tuple[Flags, Stamps]:
         """Return which samples are new and sound (n,), and the times in ns of those."""
         sound = self._sound(count, arrival_ns)
         if not sound.any():
@@ -306,7 +306,7 @@ class _Timing:
         sound[np.flatnonzero(sound)[~new]] = False
         return sound, t_ns
 
-    def _sound(self, count: Stamps, arrival_ns: Stamps) -> NDArray[np.bool_]:
+    def _sound(self, count: Stamps, arrival_ns: Stamps) -> Flags:
         """Return which counts (n,) go on from those before and are not ahead of their time."""
         if self._newest is None:
             self._first = self._newest = int(count[0])

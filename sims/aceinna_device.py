@@ -36,8 +36,9 @@ from drivers.aceinna import (
     encode_slope,
     message,
 )
+from drivers.arrays import Floats
 from drivers.can_signals import parameter_group
-from sims.frames import Floats, FrameSink, NodeFaults, SpecificForce
+from sims.frames import FrameSink, NodeFaults, SpecificForce
 from sims.gyro import GyroArray
 
 

@@ -6,8 +6,8 @@ import asyncio
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Ints
 from drivers.stim300 import (
     ASK_BIAS_TRIM,
     ASK_CONFIGURATION,
@@ -35,9 +35,6 @@ from sims.burst import burst_of
 from sims.gyro import GyroArray
 from sims.stim300_output import GyroOutput
 from sims.stim300_settings import Refused, Settings, banner, service_lines, utility_reply
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _START_UP_TICKS = INTERNAL_RATE_HZ // 2
 _LONGEST_LINE = 200
@@ -190,7 +187,7 @@ class Stim300Device:
             self.doubled += int(doubled.sum())
         return copies
 
-    def _status(self, wanted: Ints, over: NDArray[np.bool_]) -> Ints:
+    def _status(self, wanted: Ints, over: Flags) -> Ints:
         """Return the status byte of the gyros at each tick."""
         if self.overload_gyro is not None:
             over[:, self.overload_gyro] = True

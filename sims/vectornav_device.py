@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Ints
 from drivers.vectornav import (
     ASCII_RATES_HZ,
     ATTITUDE,
@@ -25,8 +26,6 @@ from drivers.vectornav import (
 )
 from sims.burst import burst_of
 from sims.gyro import GyroArray
-
-Floats = NDArray[np.float64]
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 128000, 230400, 460800, 921600)
@@ -184,14 +183,14 @@ class VectorNavDevice:
             return 0
         return 2 if self.doubling and self._random.random() < self.doubling else 1
 
-    def _periodic(self) -> list[tuple[int, Callable[[Floats, NDArray[np.int64]], list[bytes]]]]:
+    def _periodic(self) -> list[tuple[int, Callable[[Floats, Ints], list[bytes]]]]:
         """Return what is set to be sent by itself: its period in ticks, and how measured rows become bytes."""
-        outputs: list[tuple[int, Callable[[Floats, NDArray[np.int64]], list[bytes]]]] = []
+        outputs: list[tuple[int, Callable[[Floats, Ints], list[bytes]]]] = []
         for register, layout in self._layouts.items():
             mode, divisor = map(int, self._registers[register][:2])
             if mode & 1 and divisor:  # at serial port 1
 
-                def frames(rows: Floats, time_ns: NDArray[np.int64], layout: Layout = layout) -> list[bytes]:
+                def frames(rows: Floats, time_ns: Ints, layout: Layout = layout) -> list[bytes]:
                     data = encode_frames(layout, _values(layout, rows, time_ns))
                     return [data[at : at + layout.size] for at in range(0, len(data), layout.size)]
 
@@ -200,7 +199,7 @@ class VectorNavDevice:
         if kind:
             header, register = _ASYNC[kind]
 
-            def sentences(rows: Floats, _: NDArray[np.int64]) -> list[bytes]:
+            def sentences(rows: Floats, _: Ints) -> list[bytes]:
                 return [encode_sentence(Sentence(header, _printed(row, register))) for row in rows]
 
             outputs.append((IMU_RATE_HZ // int(self._registers[7][0]), sentences))
@@ -312,7 +311,7 @@ def _layout(values: tuple[str, ...]) -> Layout:
     return layout
 
 
-def _values(layout: Layout, rows: Floats, time_ns: NDArray[np.int64]) -> NDArray[np.void]:
+def _values(layout: Layout, rows: Floats, time_ns: Ints) -> NDArray[np.void]:
     """Return frames (n,) of what is measured; what the twin does not simulate is 0."""
     values: NDArray[np.void] = np.zeros(len(rows), dtype=layout.dtype)
     for name in layout.dtype.names or ():

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Ints
 from drivers.mtdata2 import (
     ACCELERATION,
     EVERY,
@@ -32,9 +32,6 @@ from drivers.mtdata2 import (
 from drivers.xbus import Mid, XbusDecoder, encode
 from sims.burst import burst_of
 from sims.gyro import GyroArray
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _TICKS_PER_S = round(1 / SAMPLE_TIME_TICK_S)
 _GYRO_RANGE_RPS = math.radians(2000)
@@ -209,7 +206,7 @@ class XsensDevice:
                 parts.append(encode_mtdata2([(data_id, values(kind_of(data_id))) for data_id in present]))
         return b"".join(parts)
 
-    def _due(self, index: Ints) -> NDArray[np.bool_]:
+    def _due(self, index: Ints) -> Flags:
         """Return which outputs are in the messages of these samples (n, outputs); none at all where all is False."""
         steps = np.array([1 if o.rate_hz == EVERY else self._divider(o) for o in self.outputs])
         timed = [o.rate_hz != EVERY for o in self.outputs]

@@ -8,15 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Stamps
 from drivers.errors import BadReply, DeviceError, LinkLost
 from drivers.seams import Identity, ImuBlock, ImuSource, SourceCounts
 from station.bench_imu import ImuConfig
 from station.open_bench import OpenBench, OpenImu
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 LISTEN_S = 2.0
 _OPEN_S = 5.0

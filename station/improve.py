@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from drivers.arrays import Flags, Floats
 from estimator.budget import table_budget
 from estimator.kinematics import body_rate
 from estimator.model import STATES, regressor_maps
@@ -34,8 +34,6 @@ from station.quantities import QuantityError, parse
 from station.script import Move, Rest, Script, check
 from station.script_family import ways_of
 from station.script_search import LONGEST_S, Found, Needs, Search, sds_of
-
-Floats = NDArray[np.float64]
 
 NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)}
 """What --states may list: columns of the states."""
@@ -235,7 +233,7 @@ def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[st
     return f"cannot be reached: {_listed(missed, gyros)}; what limits it: {reason}"
 
 
-def _listed(missed: NDArray[np.bool_], gyros: tuple[tuple[str, str], ...]) -> str:
+def _listed(missed: Flags, gyros: tuple[tuple[str, str], ...]) -> str:
     names = [
         f"{name} {STATE_UNITS[state][0]}"
         for (_, name), row in zip(gyros, missed, strict=True)

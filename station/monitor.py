@@ -11,7 +11,6 @@ from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.seams import ImuBlock
 from station.live import LiveEstimate
@@ -20,8 +19,6 @@ from station.reopening import Reopening
 from station.sequencer import Sequencer
 from station.snapshot import AxisSnapshot, GyroSnapshot, Snapshot, SourceSnapshot
 from station.table_watch import TableRow
-
-Floats = NDArray[np.float64]
 
 _OVER_S = 2.0  # of the host's clock: for rates and latencies
 _SILENT_S = 0.5

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.seams import AxisLimits
 from estimator.array import SensorArray
 from estimator.effects.catalogue import catalogue
@@ -25,8 +26,6 @@ from estimator.tracing.runs import Run
 from station.loop_scripts import candidates
 from station.planned import planned_motion
 from station.script import Script, is_possible
-
-Floats = NDArray[np.float64]
 
 SETTLED = 0.95
 """Posterior probability at which one of two rivals counts as found, and the predicted chance that is good enough."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from estimator.budget import table_budget
 from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import Conditions
@@ -16,8 +16,6 @@ from estimator.planning import Forecast, PlannedDevice, forecast
 from station.bench import Bench
 from station.planned import PlannedMotion, planned_motion
 from station.script import Script, check
-
-Floats = NDArray[np.float64]
 
 TEMPERATURE_RISE_K = 8.0
 WARMING_TIME_S = 1200.0
@@ -48,7 +46,7 @@ class Plan:
         return np.asarray(np.hypot(np.array([gyro.sd for gyro in self.forecast.gyros]), self.table_sd))
 
     @property
-    def reached(self) -> NDArray[np.bool_]:
+    def reached(self) -> Flags:
         """Whether each sigma (gyros, 4) is within what the bench asks for."""
         return np.asarray(self.sd <= self.required)
 

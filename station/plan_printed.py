@@ -6,18 +6,16 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from drivers.arrays import Flags, Floats
 from estimator.effects.catalogue import TONE_HZ
 from estimator.effects.thermal import REFERENCE_C
 from estimator.planning import ALIKE, EffectForecast, Forecast
 from station.axis_profile import profile_lines
 from station.plan import WARMING_TIME_S, Plan
-
-Floats = NDArray[np.float64]
 
 _DEG = 180 / np.pi
 _AT_RPS = math.radians(100.0)
@@ -106,7 +104,7 @@ def _summary(plan: Plan) -> str:
     return "[bold green]OK[/]  every sigma that the bench requires is reached"
 
 
-def _reached(reached: NDArray[np.bool_]) -> str:
+def _reached(reached: Flags) -> str:
     missed = [name for (name, _, _), ok in zip(STATE_UNITS, reached, strict=True) if not ok]
     return f"[bold red]NOT REACHED[/] {', '.join(missed)}" if missed else "[green]OK[/]"
 

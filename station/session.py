@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import DeviceError, LinkLost
 from drivers.seams import Identity, ImuBlock
 from estimator.calibration import Calibration
@@ -40,8 +40,6 @@ from station.signals import heeded_signals
 from station.snapshot import Snapshot
 from station.sources import SourceReport
 from station.table_watch import TableRow, check_axes, watch_table
-
-Floats = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 

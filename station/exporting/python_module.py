@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drivers.arrays import Floats
 from estimator.compensation import MOST_ITERATIONS, SLOPE_S, TOLERANCE_RPS
 from estimator.effects.thermal import REFERENCE_C
 from station.exporting.exported import Exported
 from station.exporting.function_text import argument_names, arguments_said, cautions
 from station.exporting.terms import Terms, terms_of
 from station.exporting.written import Written, head, number
-
-Floats = NDArray[np.float64]
 
 
 def write_python(exported: Exported) -> Written:

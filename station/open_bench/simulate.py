@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.array import SensorArray
 from estimator.kinematics import Site
 from estimator.model import Prior
@@ -26,7 +26,6 @@ from station.script import Move, Rest, Script
 
 __all__ = ["DeviceTruth", "Hidden", "simulate", "simulate_bench"]
 
-Floats = NDArray[np.float64]
 
 GIMBALS = ("z", "y", "x")
 

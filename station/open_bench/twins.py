@@ -11,9 +11,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pymodbus.transport import NULLMODEM_HOST
 
+from drivers.arrays import Floats
 from drivers.can_link import CanLink
 from drivers.can_memory import MemoryBus
 from drivers.errors import DeviceError
@@ -42,8 +42,6 @@ from station.bench_imu import ON_CAN, ImuConfig
 from station.errors import BenchError
 from station.open_bench.faults import read_faults, turn_knobs, turn_node_knobs
 from station.tables import Table
-
-Floats = NDArray[np.float64]
 
 _wires = itertools.count(1)
 _STANDARD_GRAVITY_MPS2 = 9.80665

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.effects.effect import Effect
 from estimator.planning import EffectForecast
 from estimator.tracing.investigation import Value
@@ -116,7 +116,7 @@ def _visible(unseen: Unseen) -> Content:
     return paragraph(*parts, ". Whether they were looked for is said in the chapter on the residual.")
 
 
-def _shift(shifts: NDArray[np.float64]) -> Content:
+def _shift(shifts: Floats) -> Content:
     moved = [(symbol, float(s)) for (symbol, _), s in zip(STATES, shifts, strict=True) if s >= MARKED]
     parts: list[Content] = []
     for symbol, size in moved:

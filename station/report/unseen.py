@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.calibration import Calibration
 from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import Conditions
@@ -21,8 +21,6 @@ from station.planned import planned_motion
 from station.report.recorded import Recorded, Step
 from station.script import Rest, Rotate, Script
 from station.script import Step as ScriptStep
-
-Floats = NDArray[np.float64]
 
 _PERIOD_S = 0.1
 _MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser steps

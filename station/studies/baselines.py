@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.array import SensorArray, tetrahedron
 from estimator.baselines import (
     BaselineEstimate,
@@ -34,8 +34,6 @@ from station.errors import UsageError
 from station.script import Move, Rest, Rotate, Script, paper_script
 from station.studies.paper import MEMS_NOISE, our_recording, rows_of, source_of
 from station.studies.paper_text import RATE_DPS, SAMPLE_HZ, TABLE_1, from_si
-
-Floats = NDArray[np.float64]
 
 _DEG = math.pi / 180
 _TOTAL_S = 360.0

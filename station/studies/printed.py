@@ -7,18 +7,16 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from drivers.arrays import Floats
 from estimator.array import tetrahedron_as_printed
 from station.printing import stdout
 from station.studies.baselines import BaselineStudy
 from station.studies.detection import DetectionStudy
 from station.studies.paper import BARS_PERCENT, PaperStudy
 from station.studies.paper_text import NAMES, TABLE_1, TABLE_2, TABLE_3, UNITS, contradictions, errata, relative_percent
-
-Floats = NDArray[np.float64]
 
 _GYROS = len(TABLE_2)
 _FORMATS = (".4f", ".1f", ".4f", ".4f")
