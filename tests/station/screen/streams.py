@@ -28,7 +28,7 @@ from station.open_bench import open_bench
 from station.printing import result_object
 from station.script import load_script
 from station.session import Session
-from station.snapshot import snapshot_object
+from station.snapshot import json_object
 
 STREAMS = Path(__file__).parents[2] / "data" / "screen"
 RECORDING = "recordings/run-20261121-101502.h5"
@@ -72,7 +72,7 @@ async def listen(folder: Path, act: Callable[[Session, float], None], end: str =
 
     async def watch(session: Session) -> None:
         while True:
-            said.append({"at_s": loop.time(), "kind": "snapshot", **snapshot_object(session.snapshot())})
+            said.append({"at_s": loop.time(), "kind": "snapshot", **json_object(session.snapshot())})
             act(session, loop.time())
             await asyncio.sleep(1.0)
 
