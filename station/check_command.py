@@ -11,7 +11,6 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from drivers.errors import DeviceError
 from drivers.seams import Identity
@@ -22,6 +21,7 @@ from station.errors import UsageError
 from station.open_bench import open_bench
 from station.outcome import Outcome
 from station.printing import refuse, stdout
+from station.rich_table import rich_table
 
 
 def command_check(arguments: argparse.Namespace) -> int:
@@ -53,9 +53,7 @@ def command_check(arguments: argparse.Namespace) -> int:
 
 def print_check(bench: Bench, found: list[DeviceCheck], console: Console) -> None:
     """Print what answered and how well, then what is wrong and what to do."""
-    devices = Table(title=f"Bench {escape(bench.name)}", title_style="bold", title_justify="left")
-    for column in ("device", "link", "identity", "found", ""):
-        devices.add_column(column, overflow="fold")
+    devices = rich_table(f"Bench {escape(bench.name)}", ("device", "link", "identity", "found", ""), fold=True)
     for device in found:
         answered = [_axis(axis) for axis in device.axes] + [_source(source) for source in device.sources]
         devices.add_row(

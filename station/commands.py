@@ -10,7 +10,6 @@ import sys
 from collections.abc import Mapping
 from contextlib import AsyncExitStack, nullcontext, suppress
 from dataclasses import replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ from station.printing import Progress, print_calibration, print_verdict, refuse,
 from station.script import Script, check, load_script, paper_script
 from station.session import Result, Session
 from station.signals import ignore_hang_up
+from station.whole_file import new_recording
 
 
 def command_run(arguments: argparse.Namespace) -> int:
@@ -51,7 +51,7 @@ def _run(arguments: argparse.Namespace) -> int:
         if arguments.end_early:
             check_early_end(bench)
         model = _model_of(arguments, bench)
-        path = Path(arguments.output) if arguments.output else _new_recording_path()
+        path = Path(arguments.output) if arguments.output else new_recording(Path("recordings"))
         scale = arguments.scale or (1.0 if arguments.host else None)  # virtual time has no sockets
         with clock(bench, scale) as runner:
             work = drive(
@@ -232,13 +232,3 @@ def chosen_bench(arguments: argparse.Namespace) -> Bench:
 
 def _seeded(bench: Bench, seed: int | None) -> Bench:
     return bench if seed is None else replace(bench, twin=replace(bench.twin, seed=seed))
-
-
-def _new_recording_path() -> Path:
-    """Return a path that is free; a second run within a second gets a number."""
-    stem = f"run-{datetime.now():%Y%m%d-%H%M%S}"
-    path, number = Path("recordings") / f"{stem}.h5", 1
-    while path.exists():
-        number += 1
-        path = path.with_name(f"{stem}-{number}.h5")
-    return path

@@ -27,6 +27,7 @@ from station.loop_printed import loop_object, print_loop, runs_object
 from station.loop_scripts import exploration_script, verification_script
 from station.outcome import Outcome
 from station.script import Script, check, paper_script
+from station.whole_file import free_path
 
 _AROUND_S = 10.0  # connecting, homing and coming to rest, beside the script
 _LEAST_CHANCE = 0.05  # of settling it: below it table time is wasted
@@ -152,12 +153,7 @@ def _folder(name: str | None) -> Path:
         if Path(name).exists():
             raise UsageError(f"--output {name} is there already: give another name")
         return Path(name)
-    stem = f"loop-{datetime.now():%Y%m%d-%H%M%S}"
-    path, number = Path("recordings") / stem, 1
-    while path.exists():
-        number += 1
-        path = path.with_name(f"{stem}-{number}")
-    return path
+    return free_path(Path("recordings") / f"loop-{datetime.now():%Y%m%d-%H%M%S}")
 
 
 def _report(loop: Loop, as_json: bool) -> int:
