@@ -25,8 +25,9 @@ from drivers.acutrol import (
     absolute_limits,
     refusal,
 )
-from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused, LinkLost
-from drivers.exchange import Answer, Exchange, ExchangeCounts, Unanswered, UnexpectedReply
+from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
+from drivers.exchange import Answer, Unanswered, UnexpectedReply
+from drivers.line_table import LineTable, kept
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
 from drivers.unwrap import Unwrapper
 
@@ -41,7 +42,6 @@ _STUCK_S = 1.0  # an axis that has not begun to turn by then will not
 _LEAD_S = 0.06  # braking begins so much early, for the way of the command to the axis
 _MOST_LEGS = 8
 _HOMING_RATE_DPS = 30.0
-_HOMING_LIMIT_S = 60.0
 _STOP_MARGIN_S = 2.0
 _MODE_LIMIT_S = 1.0
 
@@ -74,7 +74,7 @@ class _Axis:
     acceleration_dps2: float = math.inf
 
 
-class AcutrolTable:
+class AcutrolTable(LineTable):
     """Turntable driver over a byte link, TCP or serial."""
 
     def __init__(
@@ -90,26 +90,15 @@ class AcutrolTable:
 
         A request is tried twice, each for ``timeout_s``. ValueError for a number that two axes have.
         """
-        self._device = device
         self._axes = {name: _Axis(axis) for name, axis in axes.items()}
         numbers = [axis.number for axis in axes.values()]
         if len(set(numbers)) != len(numbers):
             raise ValueError(f"two axes have the same number: {numbers}")
         first = next(iter(axes.values()))
         framing = AcutrolFraming(first.number, math.degrees(first.limits.rate_rps), prefix_length)
-        self._exchange = Exchange(device, link, framing, timeout_s)
+        super().__init__(device, link, framing, timeout_s, {name: axis.limits for name, axis in axes.items()})
         self._watchers: set[asyncio.Task[None]] = set()
         self._failure: DeviceError | None = None
-
-    @property
-    def limits(self) -> Mapping[str, AxisLimits]:
-        """Limits by axis."""
-        return {name: axis.own.limits for name, axis in self._axes.items()}
-
-    @property
-    def counts(self) -> ExchangeCounts:
-        """Counts of what went wrong on the link."""
-        return self._exchange.counts
 
     async def open(self) -> None:
         """Open the link, get in step, and compare limits; DeviceRefused if the bench allows more than the maker."""
@@ -160,21 +149,13 @@ class AcutrolTable:
             limits = axis.own.limits
             rate = min(math.radians(_HOMING_RATE_DPS), limits.rate_rps)
             await self.move(name, 0.0, rate, limits.acceleration_rps2)
-        deadline = asyncio.get_running_loop().time() + _HOMING_LIMIT_S
-        waiting = set(self._axes)
-        while waiting:
-            for name in sorted(waiting):
-                status = await self.status(name)
-                if status.fault:
-                    raise DeviceFault(self._device, status.fault)
-                if status.target_reached:
-                    waiting.discard(name)
-            if waiting and asyncio.get_running_loop().time() > deadline:
-                raise DeviceRefused(
-                    self._device, f"axis {', '.join(sorted(waiting))} found no home within {_HOMING_LIMIT_S:.0f} s"
-                )
-            if waiting:
-                await asyncio.sleep(_POLL_S)
+        await self._wait_for_home(self._at_home, _POLL_S)
+
+    async def _at_home(self, axis: str) -> bool:
+        status = await self.status(axis)
+        if status.fault:
+            raise DeviceFault(self._device, status.fault)
+        return status.target_reached
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate (rate mode) until told otherwise."""
@@ -216,29 +197,25 @@ class AcutrolTable:
 
         All are told before any is waited for; the first failure is raised at the end.
         """
-        failure: DeviceError | None = None
+        failures: list[DeviceError] = []
         self._failure = None
         for name, axis in self._axes.items():
             axis.task = None
-            try:
+            with kept(failures):
                 if (await self._mode(name)) != "off":
                     await self._turn(name, 0.0, math.degrees(axis.own.limits.acceleration_rps2))
-            except (LinkLost, BadReply, DeviceRefused) as error:
-                failure = failure or error
-        await self._wait_for_all(failure)
+        await self._wait_for_all(failures)
 
     async def abort(self) -> None:
         """Open every interlock at once, so that the drives lose their power, and wait for rest."""
-        failure: DeviceError | None = None
+        failures: list[DeviceError] = []
         self._failure = None
         for axis in self._axes.values():
             axis.task = None
             axis.acceleration_dps2 = math.degrees(axis.own.limits.acceleration_rps2)
-            try:
+            with kept(failures):
                 await self._tell(f":interlock:open {axis.own.number}")
-            except (LinkLost, BadReply, DeviceRefused) as error:
-                failure = failure or error
-        await self._wait_for_all(failure)
+        await self._wait_for_all(failures)
 
     async def reset_fault(self) -> None:
         """Reset the interlock of every axis that is in fault; DeviceFault if one stays."""
@@ -262,7 +239,7 @@ class AcutrolTable:
         """Drop the link and what watches over axes."""
         for watcher in self._watchers:
             watcher.cancel()
-        self._exchange.close()
+        super().close()
 
     def _watch(self, axis: str, task: _Task, leg: str = "") -> None:
         watcher = asyncio.get_running_loop().create_task(self._guard(axis, task, leg), name=f"{self._device} {axis}")
@@ -401,15 +378,13 @@ class AcutrolTable:
                 raise DeviceRefused(self._device, f"axis {axis} stays in mode {now} and does not enter mode {mode}")
             await asyncio.sleep(_POLL_S)
 
-    async def _wait_for_all(self, failure: DeviceError | None) -> None:
+    async def _wait_for_all(self, failures: list[DeviceError]) -> None:
         """Wait for rest of every axis, then raise the first failure."""
         for name in self._axes:
-            try:
+            with kept(failures):
                 await self._wait_for_rest(name)
-            except (LinkLost, BadReply, DeviceRefused) as error:
-                failure = failure or error
-        if failure is not None:
-            raise failure
+        if failures:
+            raise failures[0]
 
     async def _wait_for_rest(self, axis: str) -> None:
         loop, own = asyncio.get_running_loop(), self._axes[axis]

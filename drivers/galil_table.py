@@ -8,8 +8,8 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused, LinkLost
-from drivers.exchange import Answer, Exchange, ExchangeCounts
+from drivers.errors import DeviceError, DeviceFault, DeviceRefused
+from drivers.exchange import Answer
 from drivers.galil import (
     AT_TARGET,
     FATAL_STOPS,
@@ -27,6 +27,7 @@ from drivers.galil import (
     revision,
     stop_text,
 )
+from drivers.line_table import LineTable, kept
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
 
 TURN = 2 * math.pi
@@ -35,7 +36,6 @@ VELOCITY_WINDOW_S = 0.25  # TV is the mean of the last 0.25 s at the default sam
 _LETTERS = "ABCDEFGH"
 _POLL_S = 0.02
 _HOMING_RATE_RPS = math.radians(30.0)
-_HOMING_LIMIT_S = 60.0
 _STOP_MARGIN_S = 2.0
 _AT_REST_RPS = math.radians(0.02)
 _LARGEST_COUNT = 2**31 - 1
@@ -63,7 +63,7 @@ class _RefusedError(DeviceRefused):
         self.code = code
 
 
-class GalilTable:
+class GalilTable(LineTable):
     """Turntable driver over a byte link, serial or TCP."""
 
     def __init__(
@@ -87,22 +87,12 @@ class GalilTable:
             raise ValueError(f"axis letters must be different ones of {_LETTERS}, not {', '.join(letters)}")
         if homing not in ("HM", "FI"):
             raise ValueError(f"homing must be HM or FI, not {homing}")
-        self._device, self._axes, self._homing = device, dict(axes), homing
-        self._exchange = Exchange(device, link, GalilFraming(), timeout_s)
+        super().__init__(device, link, GalilFraming(), timeout_s, {name: axis.limits for name, axis in axes.items()})
+        self._axes, self._homing = dict(axes), homing
         self._velocity_delay_s = velocity_window_s / 2
         self._powered: set[str] = set()
         self._jogs: dict[str, int] = {}  # rate in counts/s of axes that were told to jog
         self._known_stops: dict[str, int] = {}  # stop codes that an operator has seen and reset
-
-    @property
-    def limits(self) -> Mapping[str, AxisLimits]:
-        """Limits by axis."""
-        return {name: axis.limits for name, axis in self._axes.items()}
-
-    @property
-    def counts(self) -> ExchangeCounts:
-        """Counts of what went wrong on the link."""
-        return self._exchange.counts
 
     async def open(self) -> None:
         """Open the link, get in step and ask every axis; LinkLost if the controller does not answer."""
@@ -143,34 +133,24 @@ class GalilTable:
             await self._tell(f"JG{own.letter}={rate}" if self._homing == "FI" else f"SP{own.letter}={rate}")
             await self._tell(f"{self._homing}{own.letter}")
         await self._begin(self._axes)
-        loop = asyncio.get_running_loop()
-        deadline = loop.time() + _HOMING_LIMIT_S
-        waiting = set(self._axes)
-        while waiting:
-            for axis in sorted(waiting):
-                switches, stop, fault = await self._condition(axis)
-                if fault:
-                    raise DeviceFault(self._device, fault)
-                if switches.moving:
-                    continue
-                if stop != HOMED:
-                    raise DeviceRefused(
-                        self._device, f"axis {axis} ended homing without home: SC {stop}, {stop_text(stop)}"
-                    )
-                waiting.discard(axis)
-            if waiting and loop.time() > deadline:
-                await self.stop()
-                raise DeviceRefused(
-                    self._device, f"axis {', '.join(sorted(waiting))} found no home within {_HOMING_LIMIT_S:.0f} s"
-                )
-            if waiting:
-                await asyncio.sleep(_POLL_S)
+        await self._wait_for_home(self._at_home, _POLL_S)
         for axis, own in self._axes.items():
             await self._tell(f"DP{own.letter}=0")
             if own.limits.travel_rad is not None:
                 low, high = (self._counts(axis, angle) for angle in own.limits.travel_rad)
                 await self._tell(f"BL{own.letter}={low}")
                 await self._tell(f"FL{own.letter}={high}")
+
+    async def _give_up_homing(self) -> None:
+        await self.stop()
+
+    async def _at_home(self, axis: str) -> bool:
+        switches, stop, fault = await self._condition(axis)
+        if fault:
+            raise DeviceFault(self._device, fault)
+        if not switches.moving and stop != HOMED:
+            raise DeviceRefused(self._device, f"axis {axis} ended homing without home: SC {stop}, {stop_text(stop)}")
+        return not switches.moving
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate, in whole counts a second; a rate changes while it turns without a halt."""
@@ -233,19 +213,15 @@ class GalilTable:
 
         What goes wrong with one request does not keep the next from being sent; the first failure is raised.
         """
-        failure: DeviceError | None = None
+        failures: list[DeviceError] = []
         for line in (self._hardest_deceleration(), f"ST{self._all_letters()}"):
-            try:
+            with kept(failures):
                 await self._tell(line)
-            except (LinkLost, BadReply, DeviceRefused) as error:
-                failure = failure or error
         for axis in self._axes:
-            try:
+            with kept(failures):
                 await self._wait_for_rest(axis)
-            except (LinkLost, BadReply, DeviceRefused) as error:
-                failure = failure or error
-        if failure is not None:
-            raise failure
+        if failures:
+            raise failures[0]
 
     async def abort(self) -> None:
         """Stop at once, without a ramp, and wait for rest; the motors go off, as off-on-error is set."""
@@ -274,10 +250,6 @@ class GalilTable:
         """Switch every motor off; DeviceRefused while an axis moves."""
         await self._tell(f"MO{self._all_letters()}")
         self._powered.clear()
-
-    def close(self) -> None:
-        """Drop the link."""
-        self._exchange.close()
 
     async def _condition(self, axis: str) -> tuple[Switches, int, str]:
         """Return TS word, stop code and fault, which is empty if there is none."""

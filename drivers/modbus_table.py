@@ -18,7 +18,8 @@ from drivers.cia402 import (
     DriveState,
     state_of,
 )
-from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
+from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused, LinkLost
+from drivers.line_table import kept
 from drivers.modbus_line import Address, ModbusLine, Reply
 from drivers.modbus_order import LineCounts, Request
 from drivers.registers import DriveProfile
@@ -196,7 +197,7 @@ class ModbusTable:
         All are told before any is waited for, also those whose state cannot be read. What one drive answers does
         not keep the others from being told; the first failure is raised at the end.
         """
-        failures: list[Exception] = []
+        failures: list[DeviceError] = []
         told = []
         for axis in self._axes:
             try:
@@ -212,14 +213,12 @@ class ModbusTable:
     async def abort(self) -> None:
         """Stop every axis at once by the profile's abort command, asking nothing first, and wait for rest."""
         unsure = [axis for axis in self._axes if not await self._tell(axis, "abort")]
-        failures: list[Exception] = []
+        failures: list[DeviceError] = []
         told = [axis for axis in self._axes if axis not in unsure]
         for axis in unsure:
-            try:
+            with kept(failures):
                 await self._command(axis, "abort")
                 told.append(axis)
-            except _FAILURES as error:
-                failures.append(error)
         await self._wait_for_rest(told, failures)
 
     async def reset_fault(self) -> None:
@@ -263,17 +262,15 @@ class ModbusTable:
             return False
         return True
 
-    async def _wait_for_rest(self, axes: list[str], failures: list[Exception]) -> None:
+    async def _wait_for_rest(self, axes: list[str], failures: list[DeviceError]) -> None:
         """Wait until these are at rest; raise the first failure, those given included."""
         deadline = asyncio.get_running_loop().time() + _STOP_LIMIT_S
         for axis in axes:
-            try:
+            with kept(failures):
                 while abs(await self._read(axis, "rate")) * TURN > _AT_REST_RPS:
                     if asyncio.get_running_loop().time() > deadline:
                         raise DeviceRefused(self._device, f"axis {axis} keeps turning after quick stop: cut its power")
                     await asyncio.sleep(_POLL_S)
-            except _FAILURES as error:
-                failures.append(error)
         if failures:
             raise failures[0]
 
