@@ -13,18 +13,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from drivers.acutrol import (
-    INTERLOCK_SUMMARY,
-    NUMBER,
-    NUMBERS,
-    OK,
-    PREFIX_LENGTH,
-    TEXT,
-    WORD,
-    AcutrolFraming,
-    absolute_limits,
-    refusal,
-)
+from drivers import acutrol
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
 from drivers.exchange import Answer, Unanswered, UnexpectedReply
 from drivers.line_table import LineTable, kept
@@ -84,7 +73,7 @@ class AcutrolTable(LineTable):
         axes: Mapping[str, AcutrolAxis],
         timeout_s: float,
         *,
-        prefix_length: int = PREFIX_LENGTH,
+        prefix_length: int = acutrol.PREFIX_LENGTH,
     ) -> None:
         """Name the axes; ``prefix_length`` bytes before each answer are left out.
 
@@ -95,7 +84,7 @@ class AcutrolTable(LineTable):
         if len(set(numbers)) != len(numbers):
             raise ValueError(f"two axes have the same number: {numbers}")
         first = next(iter(axes.values()))
-        framing = AcutrolFraming(first.number, math.degrees(first.limits.rate_rps), prefix_length)
+        framing = acutrol.AcutrolFraming(first.number, math.degrees(first.limits.rate_rps), prefix_length)
         super().__init__(device, link, framing, timeout_s, {name: axis.limits for name, axis in axes.items()})
         self._watchers: set[asyncio.Task[None]] = set()
         self._failure: DeviceError | None = None
@@ -105,8 +94,8 @@ class AcutrolTable(LineTable):
         await self._exchange.open()
         for name, axis in self._axes.items():
             axis.unwrapper.restart()
-            text = (await self._ask(f":limit:absolute? {axis.own.number}", NUMBERS)).text
-            absolute, limits = absolute_limits(text), axis.own.limits
+            text = (await self._ask(f":limit:absolute? {axis.own.number}", acutrol.NUMBERS)).text
+            absolute, limits = acutrol.absolute_limits(text), axis.own.limits
             if absolute is None:
                 continue
             asked = math.degrees(limits.rate_rps), math.degrees(limits.acceleration_rps2)
@@ -119,7 +108,7 @@ class AcutrolTable(LineTable):
 
     async def identify(self) -> Identity:
         """Ask ``*idn?``: maker, model, serial number, firmware, as IEEE 488.2 has it."""
-        parts = [part.strip() for part in (await self._ask("*idn?", TEXT)).text.split(",")]
+        parts = [part.strip() for part in (await self._ask("*idn?", acutrol.TEXT)).text.split(",")]
         if len(parts) < 4:
             return Identity(model=", ".join(parts))
         return Identity(f"{parts[0]} {parts[1]}", parts[2], parts[3])
@@ -180,12 +169,12 @@ class AcutrolTable(LineTable):
         """Get mode, interlock and status byte, and the fault in words with both."""
         self._raise_failure()
         own = self._axes[axis]
-        interlock = (await self._ask(f":interlock? {own.own.number}", WORD)).text
-        mode = (await self._ask(f":mode? {own.own.number}", WORD)).text
+        interlock = (await self._ask(f":interlock? {own.own.number}", acutrol.WORD)).text
+        mode = (await self._ask(f":mode? {own.own.number}", acutrol.WORD)).text
         fault = ""
         if interlock.lower() == "fault":
-            byte = round(float((await self._ask("*stb?", NUMBER)).text))
-            summary = ", interlock summary set" if byte & INTERLOCK_SUMMARY else ""
+            byte = round(float((await self._ask("*stb?", acutrol.NUMBER)).text))
+            summary = ", interlock summary set" if byte & acutrol.INTERLOCK_SUMMARY else ""
             fault = f"axis {axis}: its interlock says {interlock} (status byte {byte}{summary})"
         enabled = interlock.lower() not in ("fault", "open") and mode.lower() != "off"
         return AxisStatus(
@@ -352,7 +341,7 @@ class AcutrolTable(LineTable):
         await self._tell(f":lim:acc pos,{number},{task.acceleration_dps2:.6f}")
         await self._enter(axis, "position")
         try:
-            await self._ask(f":dem:delta {number},{way_deg:.6f}", OK, repeat=False)
+            await self._ask(f":dem:delta {number},{way_deg:.6f}", acutrol.OK, repeat=False)
         except (Unanswered, BadReply):
             return
 
@@ -405,8 +394,8 @@ class AcutrolTable(LineTable):
 
     async def _read(self, axis: str) -> AxisState:
         own = self._axes[axis]
-        position = await self._ask(f":read:position {own.own.number}", NUMBER)
-        rate = await self._ask(f":read:rate {own.own.number}", NUMBER)
+        position = await self._ask(f":read:position {own.own.number}", acutrol.NUMBER)
+        rate = await self._ask(f":read:rate {own.own.number}", acutrol.NUMBER)
         angle_s = (position.sent_s + position.received_s) / 2
         rate_s = (rate.sent_s + rate.received_s) / 2
         angle_deg = own.unwrapper.place(angle_s, float(position.text), float(rate.text))
@@ -420,19 +409,19 @@ class AcutrolTable(LineTable):
         )
 
     async def _mode(self, axis: str) -> str:
-        return (await self._ask(f":mode? {self._axes[axis].own.number}", WORD)).text.lower()
+        return (await self._ask(f":mode? {self._axes[axis].own.number}", acutrol.WORD)).text.lower()
 
     async def _interlock(self, axis: str) -> str:
-        return (await self._ask(f":interlock? {self._axes[axis].own.number}", WORD)).text.lower()
+        return (await self._ask(f":interlock? {self._axes[axis].own.number}", acutrol.WORD)).text.lower()
 
     async def _tell(self, line: str) -> None:
         """Send a command that is answered OK."""
-        await self._ask(line, OK)
+        await self._ask(line, acutrol.OK)
 
     async def _ask(self, line: str, pattern: re.Pattern[str], *, repeat: bool = True) -> Answer:
         try:
             return await self._exchange.ask(line, pattern, repeat=repeat)
         except UnexpectedReply as error:
-            if refusal(error.text):
+            if acutrol.refusal(error.text):
                 raise DeviceRefused(self._device, f"refuses {line!r}: {error.text}") from None
             raise

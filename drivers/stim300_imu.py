@@ -10,31 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers import stim300
 from drivers.arrays import Floats, Stamps
 from drivers.errors import DeviceRefused
 from drivers.sampling import Alignment, CounterClock
 from drivers.seams import ByteChunk, ByteLink, Identity, ImuBlock, SourceCounts
-from drivers.stim300 import (
-    ASK_CONFIGURATION,
-    ASK_PART_NUMBER,
-    ASK_SERIAL_NUMBER,
-    COUNTER_MODULUS,
-    INTERNAL_RATE_HZ,
-    LAYOUTS,
-    STATUS_INTEGRITY,
-    STATUS_START_UP,
-    TEMPERATURE_LSB_C,
-    Datagrams,
-    Stim300Decoder,
-    invalid_channels,
-)
 from drivers.stim300_special import RATES_HZ, Configuration, PartNumber, SerialNumber, Special
 from drivers.stim300_units import UNITS, accel_unit_mps2, gyro_unit_rps
 
 _BLOCK_S = 0.01
 _TRIES = 2
 _MOST_REPLACED = 8
-_NO_TEMPERATURE = STATUS_INTEGRITY | STATUS_START_UP
+_NO_TEMPERATURE = stim300.STATUS_INTEGRITY | stim300.STATUS_START_UP
 _CODES = {name: code for code, name in UNITS.items()}
 
 
@@ -42,7 +29,7 @@ _CODES = {name: code for code, name in UNITS.items()}
 class _Arrived:
     """Normal datagrams and when the last byte of each was here."""
 
-    data: Datagrams
+    data: stim300.Datagrams
     arrival_ns: Stamps
 
 
@@ -66,12 +53,12 @@ class Stim300Imu:
         """
         self._device, self._link = device, link
         self._rate_hz, self._timeout_s = rate_hz, timeout_s
-        self._ticks = INTERNAL_RATE_HZ // rate_hz
+        self._ticks = stim300.INTERNAL_RATE_HZ // rate_hz
         self._wanted_unit, self._wanted_range_g = gyro_unit, accel_range_g
         self._gyro = gyro_unit_rps(_CODES[gyro_unit or UNITS[0]], rate_hz)
         self._accel = accel_unit_mps2(0, accel_range_g or 10, rate_hz)
-        self._decoder = Stim300Decoder()
-        self._clock = CounterClock(1 / INTERNAL_RATE_HZ, COUNTER_MODULUS, self._ticks)
+        self._decoder = stim300.Stim300Decoder()
+        self._clock = CounterClock(1 / stim300.INTERNAL_RATE_HZ, stim300.COUNTER_MODULUS, self._ticks)
         self._chunks: list[ByteChunk] = []  # not yet decoded
         self._chunk_bytes, self._block_bytes = 0, 1
         self._fed = 0
@@ -106,9 +93,9 @@ class Stim300Imu:
         DeviceRefused if it is set otherwise than the bench file says. Samples that come meanwhile are kept.
         """
         for question, kind in (
-            (ASK_CONFIGURATION, Configuration),
-            (ASK_SERIAL_NUMBER, SerialNumber),
-            (ASK_PART_NUMBER, PartNumber),
+            (stim300.ASK_CONFIGURATION, Configuration),
+            (stim300.ASK_SERIAL_NUMBER, SerialNumber),
+            (stim300.ASK_PART_NUMBER, PartNumber),
         ):
             await self._ask(question, kind)
             if not self._said:
@@ -164,10 +151,10 @@ class Stim300Imu:
         self._fed = int(ends[-1])
         t_ns = np.array([chunk.t_ns for chunk in chunks], dtype=np.int64)
         for found in self._decoder.feed(b"".join(chunk.data for chunk in chunks)):
-            if isinstance(found, Datagrams):
+            if isinstance(found, stim300.Datagrams):
                 assert found.ends is not None  # those of a decoder have them
                 self._arrived.append(_Arrived(found, t_ns[np.searchsorted(ends, found.ends)]))
-                self._block_bytes = max(round(self._rate_hz * _BLOCK_S), 1) * LAYOUTS[found.identifier].size
+                self._block_bytes = max(round(self._rate_hz * _BLOCK_S), 1) * stim300.LAYOUTS[found.identifier].size
             else:
                 self._said[type(found)] = found
                 self._arrived.append(found)
@@ -186,7 +173,7 @@ class Stim300Imu:
                     self._accept(item)
         return blocks
 
-    def _block(self, data: Datagrams, arrival_ns: Stamps) -> ImuBlock | None:
+    def _block(self, data: stim300.Datagrams, arrival_ns: Stamps) -> ImuBlock | None:
         # The device states how long it held each sample before it began to send.
         new, t_ns = self._clock.stamp(data.counter, arrival_ns - data.latency_us * 1000)
         self._forgive_replaced(data.counter)
@@ -196,7 +183,7 @@ class Stim300Imu:
         rate = self._gyro.rates(_vouched(data.gyro[new], data.gyro_status[new]), counter, t_ns, self._ticks)
         temperature = np.full(len(t_ns), np.nan)
         if data.temperatures is not None and data.temperature_status is not None:
-            temperature = data.temperatures[new, 0].mean(axis=1) * TEMPERATURE_LSB_C
+            temperature = data.temperatures[new, 0].mean(axis=1) * stim300.TEMPERATURE_LSB_C
             temperature[(data.temperature_status[new, 0] & _NO_TEMPERATURE) != 0] = np.nan
         accel = None
         if data.accelerometer is not None and data.accelerometer_status is not None:
@@ -208,7 +195,7 @@ class Stim300Imu:
     def _forgive_replaced(self, counter: Stamps) -> None:
         """Take samples off the count of lost ones in whose place the device sent an answer."""
         if self._answered and self._last_counter >= 0:
-            missing = int(counter[0] - self._last_counter) % COUNTER_MODULUS // self._ticks - 1
+            missing = int(counter[0] - self._last_counter) % stim300.COUNTER_MODULUS // self._ticks - 1
             if 0 < missing <= _MOST_REPLACED:
                 self._clock.counts.lost -= missing
         self._answered = False
@@ -247,5 +234,5 @@ def _vouched(raw: Stamps, status: Stamps) -> Floats:
     """Return raw numbers as floats, NaN where the device itself calls them invalid."""
     values = raw.astype(np.float64)
     if status.any():
-        values[invalid_channels(status)] = np.nan
+        values[stim300.invalid_channels(status)] = np.nan
     return values

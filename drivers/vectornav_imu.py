@@ -9,28 +9,16 @@ from typing import Literal
 
 import numpy as np
 
+from drivers import vectornav
 from drivers.arrays import Flags, Floats, Stamps
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
 from drivers.sampling import Alignment, CounterClock, RegularClock
 from drivers.seams import ByteChunk, ByteLink, Identity, ImuBlock, SourceCounts
-from drivers.vectornav import (
-    COMMON,
-    IMU,
-    IMU_RATE_HZ,
-    RATES_HZ,
-    Frames,
-    Sentence,
-    VectorNavDecoder,
-    encode_sentence,
-    error_code,
-    error_text,
-    layout_of,
-)
 
 Output = Literal["binary", "ascii"]
 
 # The rates before the filter takes off the bias that it estimates: that bias moves, and would hide what is calibrated.
-LAYOUT = layout_of({COMMON: 1 << 0, IMU: 1 << 2 | 1 << 3 | 1 << 4})
+LAYOUT = vectornav.layout_of({vectornav.COMMON: 1 << 0, vectornav.IMU: 1 << 2 | 1 << 3 | 1 << 4})
 """TimeStartup, UncompAccel, UncompGyro, Temp."""
 
 _ASYNC_OFF, _ASYNC_IMU = 0, 19
@@ -70,7 +58,7 @@ class VectorNavImu:
         self._device, self._link = device, link
         self._rate_hz = _legal_rate(device, rate_hz, output)
         self._output, self._serial_port, self._timeout_s = output, serial_port, timeout_s
-        self._decoder = VectorNavDecoder()
+        self._decoder = vectornav.VectorNavDecoder()
         self._counts = SourceCounts()
         self._unreadable = 0
         self._start_clocks()
@@ -112,12 +100,12 @@ class VectorNavImu:
         for register in _REGISTERS_BINARY:
             await self._write(register, "0", "1", *LAYOUT.register_fields)
         if self._output == "binary":
-            divisor = str(IMU_RATE_HZ // self._rate_hz)
+            divisor = str(vectornav.IMU_RATE_HZ // self._rate_hz)
             await self._write(_REGISTERS_BINARY[0], str(self._serial_port), divisor, *LAYOUT.register_fields)
         else:
             await self._write(_REGISTER_RATE, str(self._rate_hz))
             await self._write(_REGISTER_TYPE, str(_ASYNC_IMU))
-        await self._ask(Sentence("VNASY", ("1",)))
+        await self._ask(vectornav.Sentence("VNASY", ("1",)))
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
         """Configure the device and yield blocks as the bytes come; LinkLost when the link ends, and as ``configure``.
@@ -129,7 +117,11 @@ class VectorNavImu:
         while True:
             chunk = await self._link.receive()
             for item in self._decoder.feed(chunk.data):
-                block = self._of_frames(chunk, item) if isinstance(item, Frames) else self._of_sentence(chunk, item)
+                block = (
+                    self._of_frames(chunk, item)
+                    if isinstance(item, vectornav.Frames)
+                    else self._of_sentence(chunk, item)
+                )
                 if block is not None:
                     yield self._device, block
 
@@ -151,7 +143,7 @@ class VectorNavImu:
         self._waiting: deque[tuple[int, Floats]] = deque()  # what the regular clock holds, by its number
         self._number = 0
 
-    def _of_frames(self, chunk: ByteChunk, frames: Frames) -> ImuBlock | None:
+    def _of_frames(self, chunk: ByteChunk, frames: vectornav.Frames) -> ImuBlock | None:
         if frames.layout != LAYOUT:
             return None  # left from what it was set to before
         values = frames.values
@@ -181,7 +173,7 @@ class VectorNavImu:
         self._counts.repeated += int(np.sum(~new))
         return new
 
-    def _of_sentence(self, chunk: ByteChunk, sentence: Sentence) -> ImuBlock | None:
+    def _of_sentence(self, chunk: ByteChunk, sentence: vectornav.Sentence) -> ImuBlock | None:
         self._complain(sentence)
         if sentence.header != "VNIMU" or self._output != "ascii":
             return None
@@ -209,26 +201,26 @@ class VectorNavImu:
             rows[i] = self._waiting.popleft()[1]
         return ImuBlock(t_ns, arrival_ns, rows[:, _GYRO], rows[:, _TEMPERATURE], accel_mps2=rows[:, _ACCEL])
 
-    def _complain(self, sentence: Sentence) -> None:
+    def _complain(self, sentence: vectornav.Sentence) -> None:
         """Raise DeviceFault if the device reports a fault of its own."""
         if sentence.header == "VNERR" and (code := _code(sentence)) in _FAULTS:
-            raise DeviceFault(self._device, f"it reports {error_text(code)}; switch it off and on again")
+            raise DeviceFault(self._device, f"it reports {vectornav.error_text(code)}; switch it off and on again")
 
     async def _pause(self) -> None:
-        await self._ask(Sentence("VNASY", ("0",)))
+        await self._ask(vectornav.Sentence("VNASY", ("0",)))
 
     async def _read(self, register: str) -> str:
-        reply = await self._ask(Sentence("VNRRG", (register,)))
+        reply = await self._ask(vectornav.Sentence("VNRRG", (register,)))
         return ",".join(reply.fields[1:])
 
     async def _write(self, register: str, *values: str) -> None:
-        await self._ask(Sentence("VNWRG", (register, *values)))
+        await self._ask(vectornav.Sentence("VNWRG", (register, *values)))
 
-    async def _ask(self, command: Sentence) -> Sentence:
+    async def _ask(self, command: vectornav.Sentence) -> vectornav.Sentence:
         """Send a command and return its reply."""
-        other: Sentence | None = None
+        other: vectornav.Sentence | None = None
         for attempt in range(_TRIES):
-            self._link.write(encode_sentence(command))
+            self._link.write(vectornav.encode_sentence(command))
             reply, other = await self._reply_to(command, self._timeout_s)
             if reply is None:
                 continue
@@ -238,7 +230,7 @@ class VectorNavImu:
             if reply.header == "VNERR":
                 code = _code(reply)
                 raise DeviceRefused(
-                    self._device, f"it refused {command.text} with {error_text(code)}{_HINTS.get(code, '')}"
+                    self._device, f"it refused {command.text} with {vectornav.error_text(code)}{_HINTS.get(code, '')}"
                 )
             return reply
         if other is not None:
@@ -249,14 +241,16 @@ class VectorNavImu:
             "that of the link?",
         )
 
-    async def _reply_to(self, command: Sentence, limit_s: float) -> tuple[Sentence | None, Sentence | None]:
+    async def _reply_to(
+        self, command: vectornav.Sentence, limit_s: float
+    ) -> tuple[vectornav.Sentence | None, vectornav.Sentence | None]:
         """Return the reply if it comes in time; beside it the last that would have been one, had it been right."""
-        other: Sentence | None = None
+        other: vectornav.Sentence | None = None
         try:
             async with asyncio.timeout(limit_s):
                 while True:
                     items = self._decoder.feed((await self._link.receive()).data)
-                    for sentence in (item for item in items if isinstance(item, Sentence)):
+                    for sentence in (item for item in items if isinstance(item, vectornav.Sentence)):
                         self._complain(sentence)
                         if _answers(sentence, command):
                             return sentence, other
@@ -264,20 +258,20 @@ class VectorNavImu:
                             other = sentence
         except TimeoutError:
             # What looked like the beginning of a frame may have hidden the reply.
-            for sentence in (item for item in self._decoder.flush() if isinstance(item, Sentence)):
+            for sentence in (item for item in self._decoder.flush() if isinstance(item, vectornav.Sentence)):
                 if _answers(sentence, command):
                     return sentence, other
         return None, other
 
 
 def _legal_rate(device: str, rate_hz: float, output: Output) -> int:
-    if rate_hz not in RATES_HZ[output]:
-        rates = ", ".join(map(str, RATES_HZ[output]))
+    if rate_hz not in vectornav.RATES_HZ[output]:
+        rates = ", ".join(map(str, vectornav.RATES_HZ[output]))
         raise ValueError(f"{device}: a VectorNav has no {output} output at {rate_hz:g} Hz, only at {rates} Hz")
     return round(rate_hz)
 
 
-def _answers(sentence: Sentence, command: Sentence) -> bool:
+def _answers(sentence: vectornav.Sentence, command: vectornav.Sentence) -> bool:
     """Return whether this is the reply to that command: late ones name another register, or give other values."""
     if sentence.header == "VNERR":
         return _code(sentence) not in (*_UNASKED, _DAMAGED)
@@ -287,7 +281,7 @@ def _answers(sentence: Sentence, command: Sentence) -> bool:
     return len(sentence.fields) > len(given) if command.header == "VNRRG" else _same(sentence.fields, given)
 
 
-def _is_about(sentence: Sentence, command: Sentence) -> bool:
+def _is_about(sentence: vectornav.Sentence, command: vectornav.Sentence) -> bool:
     if sentence.header == "VNERR":
         return _code(sentence) == _DAMAGED
     return sentence.header == command.header and _same(sentence.fields[:1], command.fields[:1])
@@ -298,5 +292,5 @@ def _same(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
     return [text.lstrip("0").upper() for text in one] == [text.lstrip("0").upper() for text in other]
 
 
-def _code(sentence: Sentence) -> int:
-    return error_code(sentence.fields[0]) if sentence.fields else -1
+def _code(sentence: vectornav.Sentence) -> int:
+    return vectornav.error_code(sentence.fields[0]) if sentence.fields else -1

@@ -7,28 +7,9 @@ from itertools import groupby
 
 import numpy as np
 
+from drivers import mtdata2
 from drivers.arrays import Flags, Floats, Stamps
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
-from drivers.mtdata2 import (
-    ACCELERATION,
-    EVERY,
-    FLOAT32,
-    PACKET_COUNTER,
-    PACKET_COUNTER_MODULUS,
-    RATE_OF_TURN,
-    RATE_OF_TURN_HR,
-    SAMPLE_TIME_FINE,
-    SAMPLE_TIME_MODULUS,
-    SAMPLE_TIME_TICK_S,
-    TEMPERATURE,
-    Output,
-    Samples,
-    decode_outputs,
-    encode_outputs,
-    kind_of,
-    name_of,
-    parse_mtdata2,
-)
 from drivers.sampling import Alignment, CounterClock
 from drivers.seams import ByteLink, Identity, ImuBlock, SourceCounts
 from drivers.xbus import Bytes, Messages, Mid, error_text, firmware_of, product_of, serial_of
@@ -56,7 +37,7 @@ class XsensImu:
         link: ByteLink,
         rate_hz: float,
         *,
-        number_format: int = FLOAT32,
+        number_format: int = mtdata2.FLOAT32,
         configure: bool = True,
         timeout_s: float = 0.5,
     ) -> None:
@@ -113,19 +94,22 @@ class XsensImu:
         LinkLost if it does not answer; DeviceRefused, also if it grants another rate than the one asked for.
         """
         await self._xbus.request(Mid.GO_TO_CONFIG)
-        wanted = encode_outputs(
+        wanted = mtdata2.encode_outputs(
             (
-                Output(PACKET_COUNTER, EVERY),
-                Output(SAMPLE_TIME_FINE, EVERY),
-                *(Output(kind | self._format, self._rate_hz) for kind in (RATE_OF_TURN, ACCELERATION, TEMPERATURE)),
+                mtdata2.Output(mtdata2.PACKET_COUNTER, mtdata2.EVERY),
+                mtdata2.Output(mtdata2.SAMPLE_TIME_FINE, mtdata2.EVERY),
+                *(
+                    mtdata2.Output(kind | self._format, self._rate_hz)
+                    for kind in (mtdata2.RATE_OF_TURN, mtdata2.ACCELERATION, mtdata2.TEMPERATURE)
+                ),
             )
         )
         answer = await self._xbus.request(Mid.OUTPUT_CONFIGURATION, wanted, lambda answer: answer == wanted)
-        granted = decode_outputs(answer)
+        granted = mtdata2.decode_outputs(answer)
         if granted is None:
             raise BadReply(self._device, "its answer to OutputConfiguration is no output configuration")
         self._check_granted(granted)
-        self._has_accel = any(kind_of(output.data_id) == ACCELERATION for output in granted)
+        self._has_accel = any(mtdata2.kind_of(output.data_id) == mtdata2.ACCELERATION for output in granted)
         await self._xbus.request(Mid.GO_TO_MEASUREMENT)
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
@@ -182,7 +166,7 @@ class XsensImu:
         for _, group in groupby(held, key=lambda part: part[1].shape[1]):
             parts = list(group)
             arrival_ns = np.repeat([t_ns for t_ns, _ in parts], [len(data) for _, data in parts]).astype(np.int64)
-            found, malformed = parse_mtdata2(np.concatenate([data for _, data in parts]))
+            found, malformed = mtdata2.parse_mtdata2(np.concatenate([data for _, data in parts]))
             self._unusable += malformed
             for samples in found:
                 batch = self._batch(samples, arrival_ns[samples.start : samples.start + len(samples.data)])
@@ -200,10 +184,10 @@ class XsensImu:
         shown = accel[new] if self._has_accel else None
         return ImuBlock(t_ns, arrival_ns[new], rate[new], temperature[new], count[new], shown)
 
-    def _batch(self, samples: Samples, arrival_ns: Stamps) -> _Batch | None:
-        rate = samples.numbers(RATE_OF_TURN)
+    def _batch(self, samples: mtdata2.Samples, arrival_ns: Stamps) -> _Batch | None:
+        rate = samples.numbers(mtdata2.RATE_OF_TURN)
         if rate is None:
-            rate = samples.numbers(RATE_OF_TURN_HR)
+            rate = samples.numbers(mtdata2.RATE_OF_TURN_HR)
         if rate is None:
             self._look_for_rate(samples)
             return None
@@ -213,10 +197,10 @@ class XsensImu:
         if count is None:
             self._unusable += len(rate)
             return None
-        accel = samples.numbers(ACCELERATION)
+        accel = samples.numbers(mtdata2.ACCELERATION)
         if self._has_accel is None:
             self._has_accel = accel is not None
-        temperature = samples.numbers(TEMPERATURE)
+        temperature = samples.numbers(mtdata2.TEMPERATURE)
         temperature_c = np.full(len(rate), self._temperature_c) if temperature is None else temperature[:, 0]
         self._temperature_c = float(temperature_c[-1])
         return (
@@ -227,29 +211,29 @@ class XsensImu:
             np.full((len(rate), 3), np.nan) if accel is None else accel,
         )
 
-    def _look_for_rate(self, samples: Samples) -> None:
+    def _look_for_rate(self, samples: mtdata2.Samples) -> None:
         if self._timing is not None:
             return  # messages of GNSS and the like between those with rates
         self._without_rate += len(samples.data)
         if self._without_rate > _LOOK_FOR_RATE:
-            sent = ", ".join(name_of(packet.data_id) for packet in samples.packets)
+            sent = ", ".join(mtdata2.name_of(packet.data_id) for packet in samples.packets)
             raise BadReply(self._device, f"it sends no RateOfTurn, only {sent}; {_LET_CONFIGURE}")
 
-    def _timing_by(self, samples: Samples) -> _Timing:
-        if samples.has(SAMPLE_TIME_FINE):
-            ticks = max(round(1 / (SAMPLE_TIME_TICK_S * self._rate_hz)), 1)
-            clock = CounterClock(SAMPLE_TIME_TICK_S, SAMPLE_TIME_MODULUS, ticks, counts=self._counts)
-            return _Timing(SAMPLE_TIME_FINE, clock)
-        if samples.has(PACKET_COUNTER):
-            clock = CounterClock(1 / self._rate_hz, PACKET_COUNTER_MODULUS, 1, counts=self._counts)
-            return _Timing(PACKET_COUNTER, clock)
+    def _timing_by(self, samples: mtdata2.Samples) -> _Timing:
+        if samples.has(mtdata2.SAMPLE_TIME_FINE):
+            ticks = max(round(1 / (mtdata2.SAMPLE_TIME_TICK_S * self._rate_hz)), 1)
+            clock = CounterClock(mtdata2.SAMPLE_TIME_TICK_S, mtdata2.SAMPLE_TIME_MODULUS, ticks, counts=self._counts)
+            return _Timing(mtdata2.SAMPLE_TIME_FINE, clock)
+        if samples.has(mtdata2.PACKET_COUNTER):
+            clock = CounterClock(1 / self._rate_hz, mtdata2.PACKET_COUNTER_MODULUS, 1, counts=self._counts)
+            return _Timing(mtdata2.PACKET_COUNTER, clock)
         raise BadReply(self._device, f"it sends neither SampleTimeFine nor PacketCounter; {_LET_CONFIGURE}")
 
-    def _check_granted(self, granted: tuple[Output, ...]) -> None:
+    def _check_granted(self, granted: tuple[mtdata2.Output, ...]) -> None:
         """See that rates and their times come as asked for; acceleration and temperature may be rarer or missing."""
-        by_kind = {kind_of(output.data_id): output for output in granted}
-        wanted = Output(RATE_OF_TURN | self._format, self._rate_hz)
-        rate = by_kind.get(RATE_OF_TURN)
+        by_kind = {mtdata2.kind_of(output.data_id): output for output in granted}
+        wanted = mtdata2.Output(mtdata2.RATE_OF_TURN | self._format, self._rate_hz)
+        rate = by_kind.get(mtdata2.RATE_OF_TURN)
         if rate is None:
             raise DeviceRefused(self._device, f"it does not grant {wanted}; is it an MTi that gives rates?")
         if rate.rate_hz != self._rate_hz:
@@ -258,7 +242,7 @@ class XsensImu:
                 f"it grants {rate} where {self._rate_hz} Hz were asked for; set the rate in the bench file to one that "
                 "the device has",
             )
-        if SAMPLE_TIME_FINE not in by_kind and PACKET_COUNTER not in by_kind:
+        if mtdata2.SAMPLE_TIME_FINE not in by_kind and mtdata2.PACKET_COUNTER not in by_kind:
             raise DeviceRefused(
                 self._device, "it grants neither SampleTimeFine nor PacketCounter: no sample has a time"
             )

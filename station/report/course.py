@@ -8,20 +8,7 @@ from typing import Any
 import numpy as np
 
 from estimator.calibration import Calibration
-from station.report.figures import (
-    ARW,
-    DEG_PER_H,
-    DEG_PER_S,
-    MILLISECONDS,
-    ONE,
-    PERCENT,
-    SECONDS,
-    WALK,
-    Unit,
-    figure,
-    fixed,
-    plain,
-)
+from station.report import figures
 from station.report.html import Content, Markup, joined, paragraph, table
 from station.report.pictures import allan_picture, convergence_picture, nis_picture
 from station.report.recorded import Recorded
@@ -54,7 +41,7 @@ def innovations(recorded: Recorded) -> Markup:
         parts.append(
             paragraph(
                 "Mean NIS per degree of freedom: ",
-                plain(found.nis_mean, ONE, 4, "calibration@nis_mean"),
+                figures.plain(found.nis_mean, figures.ONE, 4, "calibration@nis_mean"),
                 ". It is 1 if model and noise are what was assumed.",
             )
         )
@@ -74,12 +61,14 @@ def noise(recorded: Recorded, found: Calibration) -> Markup:
     for i, gyro in enumerate(found.gyros):
         row: list[Content] = [
             recorded.label(gyro.source, gyro.name),
-            plain(gyro.noise_rps, DEG_PER_S, 3, f"calibration/noise_rps[{i}]"),
+            figures.plain(gyro.noise_rps, figures.DEG_PER_S, 3, f"calibration/noise_rps[{i}]"),
         ]
         if gyro.noise is not None and coloured:
-            row.append(plain(gyro.noise.mean.arw, ARW, 3, f"calibration/noise[{i},0]"))
-            row.append(plain(gyro.noise.instability_below, DEG_PER_H, 2, f"calibration/noise_below[{i},0]"))
-            row.append(plain(gyro.noise.walk_below, WALK, 2, f"calibration/noise_below[{i},1]"))
+            row.append(figures.plain(gyro.noise.mean.arw, figures.ARW, 3, f"calibration/noise[{i},0]"))
+            row.append(
+                figures.plain(gyro.noise.instability_below, figures.DEG_PER_H, 2, f"calibration/noise_below[{i},0]")
+            )
+            row.append(figures.plain(gyro.noise.walk_below, figures.WALK, 2, f"calibration/noise_below[{i},1]"))
         rows.append(row)
     notes = "“Below”: with a probability of 95 %; one run tells little of bias instability." if coloured else None
     parts: list[Content] = [
@@ -92,9 +81,9 @@ def noise(recorded: Recorded, found: Calibration) -> Markup:
 
 _NOTE = "note: "  # what a session writes before a note
 _CLOCK = (
-    ("clock_drift_ppm", Unit("ppm", 1.0)),
-    ("arrival_jitter_rms_s", MILLISECONDS),
-    ("time_offset_s", MILLISECONDS),
+    ("clock_drift_ppm", figures.Unit("ppm", 1.0)),
+    ("arrival_jitter_rms_s", figures.MILLISECONDS),
+    ("time_offset_s", figures.MILLISECONDS),
 )
 
 
@@ -110,26 +99,30 @@ def clocks(recorded: Recorded) -> Markup:
         where = f"imu/{name}@"
         row: list[Content] = [
             name,
-            figure(count, ONE, f"{count}"),
-            figure(lost, ONE, f"{lost}", f"{where}lost" if "lost" in told else None),
+            figures.figure(count, figures.ONE, f"{count}"),
+            figures.figure(lost, figures.ONE, f"{lost}", f"{where}lost" if "lost" in told else None),
         ]
-        row.append(fixed(lost / max(count + lost, 1), PERCENT, 3))
+        row.append(figures.fixed(lost / max(count + lost, 1), figures.PERCENT, 3))
         for key in ("repeated", "late", "corrupt"):
-            row.append(figure(int(told[key]), ONE, str(int(told[key])), f"{where}{key}") if key in told else "–")
+            row.append(
+                figures.figure(int(told[key]), figures.ONE, str(int(told[key])), f"{where}{key}")
+                if key in told
+                else "–"
+            )
         row += [_with_doubt(told, key, unit, where) for key, unit in _CLOCK]
         rows.append(row)
     notes = "Of the clock and the offset: ± one standard deviation. –: not known."
     return table("Clocks and losses of each source", heads, rows, align="l" + "r" * 9, notes=notes)
 
 
-def _with_doubt(told: Mapping[str, Any], key: str, unit: Unit, where: str) -> Content:
+def _with_doubt(told: Mapping[str, Any], key: str, unit: figures.Unit, where: str) -> Content:
     if key not in told:
         return "–"
-    value = fixed(float(told[key]), unit, 2, f"{where}{key}")
+    value = figures.fixed(float(told[key]), unit, 2, f"{where}{key}")
     stem, _, ending = key.rpartition("_")
     doubt = f"{stem}_sd_{ending}"
     return (
-        joined([value, Markup(" ± "), fixed(float(told[doubt]), unit, 2, f"{where}{doubt}")])
+        joined([value, Markup(" ± "), figures.fixed(float(told[doubt]), unit, 2, f"{where}{doubt}")])
         if doubt in told
         else value
     )
@@ -141,7 +134,7 @@ def events(recorded: Recorded) -> Markup:
         return paragraph("None were recorded.")
     rows: list[Sequence[Content]] = []
     for event in recorded.events:
-        at = fixed((event.t_ns - recorded.start_ns) * 1e-9, SECONDS, 1)
+        at = figures.fixed((event.t_ns - recorded.start_ns) * 1e-9, figures.SECONDS, 1)
         is_note = event.text.startswith(_NOTE)
         rows.append([at, "note of the operator" if is_note else "event", event.text.removeprefix(_NOTE)])
     return table("Events and notes of the operator", ("time, s", "kind", "text"), rows, align="lll")

@@ -12,21 +12,7 @@ from estimator.calibration import Calibration
 from estimator.reference import TableReadings, TableUncertainty
 from estimator.tracing.investigation import Value
 from station.investigation_printed import human, words
-from station.report.figures import (
-    ARCSEC,
-    COVERAGE,
-    MICROSECONDS,
-    ONE,
-    PPM,
-    STATES,
-    Unit,
-    figure,
-    plain,
-    rounded,
-    stated,
-    typographic,
-    with_uncertainty,
-)
+from station.report import figures
 from station.report.front import badge
 from station.report.html import BLANK, Content, Markup, bullets, element, grouped, joined, paragraph, table
 from station.report.recorded import Recorded
@@ -61,22 +47,24 @@ def states(recorded: Recorded, found: Calibration, unseen: Unseen | None, traced
         "quantity",
         "value",
         "standard uncertainty u",
-        f"expanded uncertainty U = {COVERAGE:g} u",
+        f"expanded uncertainty U = {figures.COVERAGE:g} u",
         "unit",
     ]
     groups = []
     for i, gyro in enumerate(found.gyros):
         rows: list[Sequence[Content]] = []
-        for s, (symbol, unit) in enumerate(STATES):
+        for s, (symbol, unit) in enumerate(figures.STATES):
             value, sd = float(gyro.states[s]), float(gyro.sd[s])
             where = f"calibration/sd[{i},{s}]"
-            shown, expanded = with_uncertainty(value, COVERAGE * sd, unit, (f"calibration/states[{i},{s}]", where))
-            standard = figure(sd, unit, rounded(sd * unit.factor, sd * unit.factor), where)
+            shown, expanded = figures.with_uncertainty(
+                value, figures.COVERAGE * sd, unit, (f"calibration/states[{i},{s}]", where)
+            )
+            standard = figures.figure(sd, unit, figures.rounded(sd * unit.factor, sd * unit.factor), where)
             rows.append([symbol, shown, standard, expanded, unit.name])
         groups.append((recorded.label(gyro.source, gyro.name), rows))
     notes = (
-        f"U is the standard uncertainty u times a coverage factor of {COVERAGE:g}, which for a normal distribution is "
-        "a coverage probability of about 95 %. "
+        f"U is the standard uncertainty u times a coverage factor of {figures.COVERAGE:g}, which for a normal "
+        "distribution is a coverage probability of about 95 %. "
         f"{_COMBINED if any(gyro.budget for gyro in found.gyros) else _SCATTER} U is that of the time of measurement "
         "and allows for no drift since, no transport and no other temperature. The four states of a gyro are "
         "correlated: their covariances are in the recording (calibration/covariance)."
@@ -84,21 +72,21 @@ def states(recorded: Recorded, found: Calibration, unseen: Unseen | None, traced
     parts: list[Content] = [
         paragraph(
             "Of each gyro: scale factor error ",
-            STATES[0][0],
+            figures.STATES[0][0],
             ", bias ",
-            STATES[1][0],
+            figures.STATES[1][0],
             ", and the misalignments ",
-            STATES[2][0],
+            figures.STATES[2][0],
             " and ",
-            STATES[3][0],
+            figures.STATES[3][0],
             " of its sense axis, as the correction below defines them. A positive ",
-            STATES[0][0],
+            figures.STATES[0][0],
             " makes the output too small. A positive ",
-            STATES[1][0],
+            figures.STATES[1][0],
             " lowers it: without rotation the output is −",
-            STATES[1][0],
+            figures.STATES[1][0],
             ", so ",
-            STATES[1][0],
+            figures.STATES[1][0],
             " is to be added.",
         ),
         grouped("Results of the calibration", heads, groups, align="llrrrl", notes=notes),
@@ -134,7 +122,7 @@ def _cautions(recorded: Recorded, found: Calibration, unseen: Unseen | None, tra
             paragraph(
                 f"An investigation added {', '.join(map(words, added))} to the model. With it the states are other by "
                 "up to ",
-                plain(float(np.max(moved, initial=0.0)), ONE, 2),
+                figures.plain(float(np.max(moved, initial=0.0)), figures.ONE, 2),
                 " u: see the correction with the traced effects.",
                 class_="caution",
             )
@@ -148,10 +136,12 @@ def _effects(recorded: Recorded, found: Calibration) -> Markup:
     for column, effect in enumerate(found.gyros[0].effects):
         for i, gyro in enumerate(found.gyros[:1] if effect.shared else found.gyros):
             value = gyro.effects[column]
-            expanded = COVERAGE * value.sd
-            text = typographic(human(Value(value.value, expanded, value.unit)))
+            expanded = figures.COVERAGE * value.sd
+            text = figures.typographic(human(Value(value.value, expanded, value.unit)))
             who = "all gyros" if effect.shared else recorded.label(gyro.source, gyro.name)
-            shown = figure(value.value, Unit(value.unit, 1.0), text, f"calibration/effects[{i},{column}]")
+            shown = figures.figure(
+                value.value, figures.Unit(value.unit, 1.0), text, f"calibration/effects[{i},{column}]"
+            )
             rows.append([f"{words(effect.effect)}, {effect.parameter}", who, shown])
     heads = ("effect", "gyro", "value ± U")
     return table("Effects estimated beside the states", heads, rows, align="llr")
@@ -193,13 +183,13 @@ def _line(line: Line | None) -> tuple[Content, Content, Content]:
     verdict = badge("PASS" if line.within else "FAIL")
     if line.note:
         return f"not estimated: {line.note}", "estimated", verdict
-    found = plain(line.value, line.unit, 4, line.source)
-    high = stated(line.high, line.unit) if math.isfinite(line.high) else Markup("any")
+    found = figures.plain(line.value, line.unit, 4, line.source)
+    high = figures.stated(line.high, line.unit) if math.isfinite(line.high) else Markup("any")
     if line.low == -line.high:
         return found, joined([Markup("± "), high]), verdict
     if line.low == 0.0:
         return found, joined([Markup("≤ "), high]), verdict
-    return found, joined([stated(line.low, line.unit), Markup(" to "), high]), verdict
+    return found, joined([figures.stated(line.low, line.unit), Markup(" to "), high]), verdict
 
 
 def budget(recorded: Recorded, found: Calibration) -> Markup:
@@ -216,17 +206,17 @@ def budget(recorded: Recorded, found: Calibration) -> Markup:
             kind = "A" if line.name in TYPE_A else "B"
             cells = [
                 _share(float(u), unit, f"calibration/budget[{i},{n},{s}]")
-                for s, (u, (_, unit)) in enumerate(zip(line.u, STATES, strict=True))
+                for s, (u, (_, unit)) in enumerate(zip(line.u, figures.STATES, strict=True))
             ]
             rows.append([_SOURCES.get(line.name, line.name), kind, *cells])
         total = [
-            plain(float(sd), unit, 2, f"calibration/sd[{i},{s}]")
-            for s, (sd, (_, unit)) in enumerate(zip(gyro.sd, STATES, strict=True))
+            figures.plain(float(sd), unit, 2, f"calibration/sd[{i},{s}]")
+            for s, (sd, (_, unit)) in enumerate(zip(gyro.sd, figures.STATES, strict=True))
         ]
         rows.append([element("strong", "combined standard uncertainty"), None, *total])
         groups.append((recorded.label(gyro.source, gyro.name), rows))
     heads: list[Content] = ["gyro", "source", "type"]
-    heads += [joined([Markup("<var>u</var>("), symbol, Markup(f"), {unit.name}")]) for symbol, unit in STATES]
+    heads += [joined([Markup("<var>u</var>("), symbol, Markup(f"), {unit.name}")]) for symbol, unit in figures.STATES]
     notes = (
         "Standard uncertainties, normal distributions; they add in squares. Type A: evaluated from the scatter of the "
         "data, bias instability and random walk included as found in them. "
@@ -235,9 +225,13 @@ def budget(recorded: Recorded, found: Calibration) -> Markup:
     return grouped("Uncertainty budget", heads, groups, align="lllrrrr", notes=notes)
 
 
-def _share(u: float, unit: Unit, source: str) -> Markup:
+def _share(u: float, unit: figures.Unit, source: str) -> Markup:
     """Return a line of the budget; what is next to nothing is said to be so."""
-    return figure(u, unit, "< 0.01", source) if u * unit.factor < _NEXT_TO_NOTHING else plain(u, unit, 2, source)
+    return (
+        figures.figure(u, unit, "< 0.01", source)
+        if u * unit.factor < _NEXT_TO_NOTHING
+        else figures.plain(u, unit, 2, source)
+    )
 
 
 def traceability(recorded: Recorded) -> Markup:
@@ -275,10 +269,15 @@ def traceability(recorded: Recorded) -> Markup:
 
 def _stated(uncertainty: TableUncertainty) -> Markup:
     lines = (
-        ("its rate (time base), relative", uncertainty.rate, PPM, "u_rate"),
-        ("wobble of an axis", uncertainty.wobble_rad, ARCSEC, "u_wobble_rad"),
-        ("orthogonality of each axis to the others", uncertainty.orthogonality_rad, ARCSEC, "u_orthogonality_rad"),
-        ("timing of its readings", uncertainty.timing_s, MICROSECONDS, "u_timing_s"),
+        ("its rate (time base), relative", uncertainty.rate, figures.PPM, "u_rate"),
+        ("wobble of an axis", uncertainty.wobble_rad, figures.ARCSEC, "u_wobble_rad"),
+        (
+            "orthogonality of each axis to the others",
+            uncertainty.orthogonality_rad,
+            figures.ARCSEC,
+            "u_orthogonality_rad",
+        ),
+        ("timing of its readings", uncertainty.timing_s, figures.MICROSECONDS, "u_timing_s"),
     )
-    rows = [[name, plain(value, unit, 3, f"table@{key}"), unit.name] for name, value, unit, key in lines]
+    rows = [[name, figures.plain(value, unit, 3, f"table@{key}"), unit.name] for name, value, unit, key in lines]
     return table("Standard uncertainties of the table, as stated", ("quantity", "u", "unit"), rows, align="lrl")

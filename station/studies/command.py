@@ -11,16 +11,8 @@ from typing import Any
 from estimator.errors import EstimatorError
 from station.campaigns import Failure
 from station.errors import EXIT_USAGE, UsageError
-from station.studies import baselines, detection, paper
+from station.studies import baselines, detection, paper, printed
 from station.studies.pictures import check_picture, draw_convergence
-from station.studies.printed import (
-    baselines_object,
-    detection_object,
-    paper_object,
-    print_baselines,
-    print_detection,
-    print_paper,
-)
 
 EXIT_INCOMPLETE = 1
 
@@ -53,9 +45,9 @@ def _paper(arguments: argparse.Namespace) -> tuple[Failure, ...]:
         if output is not None:
             paper.write_curves(output, recording, ours, study.letter)
     if arguments.json:
-        _print_object({**paper_object(study), "plot": arguments.plot, "output": arguments.output})
+        _print_object({**printed.paper_object(study), "plot": arguments.plot, "output": arguments.output})
     else:
-        print_paper(study)
+        printed.print_paper(study)
         for name, path in (("picture", picture), ("curves", output)):
             if path is not None:
                 print(f"{name}: {path}")
@@ -72,9 +64,9 @@ def _check_output(path: Path) -> None:
 def _baselines(arguments: argparse.Namespace) -> tuple[Failure, ...]:
     study = baselines.run_study(arguments.seeds, **_where(arguments))
     if arguments.json:
-        _print_object(baselines_object(study))
+        _print_object(printed.baselines_object(study))
     else:
-        print_baselines(study)
+        printed.print_baselines(study)
     return study.failures
 
 
@@ -90,9 +82,9 @@ def _detection(arguments: argparse.Namespace) -> tuple[Failure, ...]:
         raise UsageError(f"--sizes takes numbers, for instance 1,0.3,0.1, not {arguments.sizes}") from None
     study = detection.run_study(groups, sizes, arguments.seeds, **_where(arguments))
     if arguments.json:
-        _print_object(detection_object(study))
+        _print_object(printed.detection_object(study))
     else:
-        print_detection(study)
+        printed.print_detection(study)
     return study.failures
 
 
