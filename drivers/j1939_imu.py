@@ -12,6 +12,7 @@ from drivers.arrays import Flags, Floats, Octets
 from drivers.can_samples import Companion, Piece, RegularSamples, block_of
 from drivers.errors import DeviceRefused, LinkLost
 from drivers.loop_scale import loop_scale
+from drivers.one_source import OneSource
 from drivers.sampling import Alignment
 from drivers.seams import Frame, FrameLink, Identity, ImuBlock, SourceCounts
 
@@ -21,7 +22,7 @@ _TRIES = 3
 _LENGTH = 8
 
 
-class AceinnaImu:
+class AceinnaImu(OneSource[FrameLink]):
     """One source of three gyros and accelerometers. There is no counter on this wire: samples are timed by rhythm."""
 
     def __init__(
@@ -41,7 +42,7 @@ class AceinnaImu:
         ``model`` is one of ``AXIS_ORDERS`` and decides the order of axes unless ``axis_order`` says it;
         ``settings`` are sent when the link is opened.
         """
-        self._device, self._link = device, link
+        super().__init__(device, link)
         self._order: aceinna.AxisOrder = axis_order or aceinna.AXIS_ORDERS[model]
         self._address, self._own_address, self._settings = address, own_address, settings
         self._styles: tuple[bool, ...] = (False, True)  # ways of writing a request: Aceinna's, the standard's
@@ -53,11 +54,6 @@ class AceinnaImu:
         self._samples = RegularSamples(1 / rate_hz, self._counts)
         self.saturated = 0
         """Samples with a rate at the end of the range, +-250 deg/s; their rates are NaN."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of the one source."""
-        return (self._device,)
 
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are rate and acceleration messages of a wrong length."""
@@ -72,7 +68,7 @@ class AceinnaImu:
 
         LinkLost if it does not answer when asked for what it has taken.
         """
-        await self._link.open()
+        await super().open()
         for group, values in self._settings.commands() if self._settings is not None else ():
             await self._set(group, values)
 
@@ -102,10 +98,6 @@ class AceinnaImu:
         """Return the samples still held back for their timing."""
         block = self._block(everything=True)
         return [] if block is None else [(self._device, block)]
-
-    def close(self) -> None:
-        """Leave the bus."""
-        self._link.close()
 
     async def _set(self, group: int, values: bytes) -> None:
         """Send a set request and ask until the device says that it has it: an answer may be from before."""

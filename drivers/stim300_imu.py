@@ -13,6 +13,7 @@ import numpy as np
 from drivers import stim300
 from drivers.arrays import Floats, Stamps
 from drivers.errors import DeviceRefused
+from drivers.one_source import OneSource
 from drivers.sampling import Alignment, CounterClock
 from drivers.seams import ByteChunk, ByteLink, Identity, ImuBlock, SourceCounts
 from drivers.stim300_special import RATES_HZ, Configuration, PartNumber, SerialNumber, Special
@@ -33,7 +34,7 @@ class _Arrived:
     arrival_ns: Stamps
 
 
-class Stim300Imu:
+class Stim300Imu(OneSource[ByteLink]):
     """One source of three gyros, with accelerometer and temperatures where the datagram carries them."""
 
     def __init__(
@@ -51,7 +52,7 @@ class Stim300Imu:
         ``gyro_unit`` (a name of ``UNITS``) and ``accel_range_g`` are what the device must be set to; None takes
         what it says, and of a device that does not say: rate, 10 g. A question waits ``timeout_s`` twice.
         """
-        self._device, self._link = device, link
+        super().__init__(device, link)
         self._rate_hz, self._timeout_s = rate_hz, timeout_s
         self._ticks = stim300.INTERNAL_RATE_HZ // rate_hz
         self._wanted_unit, self._wanted_range_g = gyro_unit, accel_range_g
@@ -67,11 +68,6 @@ class Stim300Imu:
         self._last_counter = -1
         self._answered = False  # since the last normal datagram
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of the one source."""
-        return (self._device,)
-
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are places that began like a datagram and had a wrong CRC."""
         counts = self._clock.counts
@@ -85,7 +81,7 @@ class Stim300Imu:
     async def open(self) -> None:
         """Open the link."""
         self._said.clear()  # it may be another device now
-        await self._link.open()
+        await super().open()
 
     async def identify(self) -> Identity:
         """Ask for configuration, serial and part number; empty if the device answers nothing.
@@ -120,10 +116,6 @@ class Stim300Imu:
         """Return the last samples, which were too few for a block."""
         self._decode()
         return [(self._device, block) for block in self._blocks()]
-
-    def close(self) -> None:
-        """Close the link."""
-        self._link.close()
 
     async def _ask(self, question: bytes, kind: type) -> None:
         for _ in range(_TRIES):

@@ -12,6 +12,7 @@ import numpy as np
 from drivers import vectornav
 from drivers.arrays import Flags, Floats, Stamps
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
+from drivers.one_source import OneSource
 from drivers.sampling import Alignment, CounterClock, RegularClock
 from drivers.seams import ByteChunk, ByteLink, Identity, ImuBlock, SourceCounts
 
@@ -37,7 +38,7 @@ _LONGEST_STEP_BACK_NS = 1_000_000_000
 _STAMP_MODULUS = 1 << 62  # ns: it never wraps
 
 
-class VectorNavImu:
+class VectorNavImu(OneSource[ByteLink]):
     """One source of three gyros and three accelerometers, uncompensated, with temperature."""
 
     def __init__(
@@ -55,18 +56,13 @@ class VectorNavImu:
         ``serial_port`` (1, 2) is the device's own, at which the link ends. ``timeout_s`` is for one try, of which
         each command has two.
         """
-        self._device, self._link = device, link
+        super().__init__(device, link)
         self._rate_hz = _legal_rate(device, rate_hz, output)
         self._output, self._serial_port, self._timeout_s = output, serial_port, timeout_s
         self._decoder = vectornav.VectorNavDecoder()
         self._counts = SourceCounts()
         self._unreadable = 0
         self._start_clocks()
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of the one source."""
-        return (self._device,)
 
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are frames and sentences that began well and were damaged."""
@@ -76,10 +72,6 @@ class VectorNavImu:
     def alignment(self, name: str) -> Alignment | None:
         """Get how the device's clock lies to the loop's; None while that is not known."""
         return (self._stamped if self._output == "binary" else self._regular).alignment
-
-    async def open(self) -> None:
-        """Open the link."""
-        await self._link.open()
 
     async def identify(self) -> Identity:
         """Read model, hardware revision, serial number and firmware; its output is paused from then on.
@@ -129,10 +121,6 @@ class VectorNavImu:
         """Return what is still held back for its timing: ASCII output has no time stamp."""
         block = self._regular_block(everything=True)
         return [] if block is None else [(self._device, block)]
-
-    def close(self) -> None:
-        """Close the link."""
-        self._link.close()
 
     def _start_clocks(self) -> None:
         """Begin the times anew: the device may have been off since."""

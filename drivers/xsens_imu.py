@@ -10,6 +10,7 @@ import numpy as np
 from drivers import mtdata2
 from drivers.arrays import Flags, Floats, Stamps
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
+from drivers.one_source import OneSource
 from drivers.sampling import Alignment, CounterClock
 from drivers.seams import ByteLink, Identity, ImuBlock, SourceCounts
 from drivers.xbus import Bytes, Messages, Mid, error_text, firmware_of, product_of, serial_of
@@ -28,7 +29,7 @@ _Batch = tuple[Stamps, Stamps, Floats, Floats, Floats]
 """Count, arrival in ns, rate, temperature, acceleration."""
 
 
-class XsensImu:
+class XsensImu(OneSource[XbusLink]):
     """One source of three gyros, with accelerometer and temperature where the device sends them."""
 
     def __init__(
@@ -50,31 +51,22 @@ class XsensImu:
             raise ValueError(
                 f"{device}: an MTi sends at a whole number of Hz from 1 to {HIGHEST_RATE_HZ}, not at {rate_hz:g} Hz"
             )
-        self._device, self._rate_hz = device, round(rate_hz)
+        super().__init__(device, XbusLink(device, link, timeout_s))
+        self._rate_hz = round(rate_hz)
         self._format, self._configures = number_format, configure
-        self._xbus = XbusLink(device, link, timeout_s)
         self._counts = SourceCounts()
         self._unusable = 0
         self._has_accel: bool | None = None
         self._start_clock()
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of the one source."""
-        return (self._device,)
-
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are damaged messages, those with impossible contents included."""
-        self._counts.corrupt = self._xbus.bad_messages + self._unusable
+        self._counts.corrupt = self._link.bad_messages + self._unusable
         return self._counts
 
     def alignment(self, name: str) -> Alignment | None:
         """Get how the device's clock lies to the loop's; None while that is not known."""
         return None if self._timing is None else self._timing.alignment
-
-    async def open(self) -> None:
-        """Open the link."""
-        await self._xbus.open()
 
     async def identify(self) -> Identity:
         """Ask for product code, serial number and firmware; the device stops sending. Empty if it may not be asked.
@@ -83,8 +75,8 @@ class XsensImu:
         """
         if not self._configures:
             return Identity()
-        await self._xbus.request(Mid.GO_TO_CONFIG)
-        serial = serial_of(await self._xbus.request(Mid.REQ_DEVICE_ID))
+        await self._link.request(Mid.GO_TO_CONFIG)
+        serial = serial_of(await self._link.request(Mid.REQ_DEVICE_ID))
         product = product_of(await self._told(Mid.REQ_PRODUCT_CODE))
         return Identity(product, serial, firmware_of(await self._told(Mid.REQ_FIRMWARE)))
 
@@ -93,7 +85,7 @@ class XsensImu:
 
         LinkLost if it does not answer; DeviceRefused, also if it grants another rate than the one asked for.
         """
-        await self._xbus.request(Mid.GO_TO_CONFIG)
+        await self._link.request(Mid.GO_TO_CONFIG)
         wanted = mtdata2.encode_outputs(
             (
                 mtdata2.Output(mtdata2.PACKET_COUNTER, mtdata2.EVERY),
@@ -104,13 +96,13 @@ class XsensImu:
                 ),
             )
         )
-        answer = await self._xbus.request(Mid.OUTPUT_CONFIGURATION, wanted, lambda answer: answer == wanted)
+        answer = await self._link.request(Mid.OUTPUT_CONFIGURATION, wanted, lambda answer: answer == wanted)
         granted = mtdata2.decode_outputs(answer)
         if granted is None:
             raise BadReply(self._device, "its answer to OutputConfiguration is no output configuration")
         self._check_granted(granted)
         self._has_accel = any(mtdata2.kind_of(output.data_id) == mtdata2.ACCELERATION for output in granted)
-        await self._xbus.request(Mid.GO_TO_MEASUREMENT)
+        await self._link.request(Mid.GO_TO_MEASUREMENT)
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
         """Configure the device and yield blocks of about 10 ms; LinkLost when the link ends, and as ``configure``.
@@ -121,7 +113,7 @@ class XsensImu:
         if self._configures:
             await self.configure()
         while True:
-            t_ns, messages = await self._xbus.receive()
+            t_ns, messages = await self._link.receive()
             if messages.mid != Mid.MTDATA2:
                 self._complain(messages)
                 continue
@@ -139,10 +131,6 @@ class XsensImu:
         except DeviceError:
             return []  # what cannot be used matters no more
         return [] if block is None else [(self._device, block)]
-
-    def close(self) -> None:
-        """Close the link."""
-        self._xbus.close()
 
     def _start_clock(self) -> None:
         """Begin the times anew: the device may have been off since."""
@@ -250,7 +238,7 @@ class XsensImu:
     async def _told(self, mid: Mid) -> bytes:
         """Return the answer to what not every device can be asked, empty from those."""
         try:
-            return await self._xbus.request(mid)
+            return await self._link.request(mid)
         except DeviceRefused:
             return b""
 

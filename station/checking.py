@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -200,14 +200,10 @@ def _source(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale
     return SourceCheck(
         name,
         _sent_hz(t_ns, arrival_ns, counts, _counted(blocks)),
-        len(t_ns),
-        counts.lost,
-        counts.repeated,
-        counts.late,
-        counts.corrupt,
-        float(np.std((arrival_ns - t_ns).astype(np.float64))) * 1e-9 / time_scale,
-        float(known[-1]) if len(known) else math.nan,
-        mean,
+        **asdict(replace(counts, samples=len(t_ns))),
+        jitter_s=float(np.std((arrival_ns - t_ns).astype(np.float64))) * 1e-9 / time_scale,
+        temperature_c=float(known[-1]) if len(known) else math.nan,
+        mean_rps=mean,
     )
 
 

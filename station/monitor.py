@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -136,15 +136,13 @@ class Monitor:
                         name,
                         imu.config.name,
                         self._rate_hz(name, link, now_s),
-                        counts.samples,
-                        counts.lost,
-                        counts.repeated,
-                        counts.late,
-                        counts.corrupt,
-                        sum(m.latency_s for m in marks) / len(marks) if marks else math.nan,
-                        alignment.jitter_rms_s if alignment else math.nan,
-                        float(last.temperature_c[-1]) if last is not None and len(last.temperature_c) else math.nan,
-                        link,
+                        **asdict(counts),
+                        latency_s=sum(m.latency_s for m in marks) / len(marks) if marks else math.nan,
+                        jitter_s=alignment.jitter_rms_s if alignment else math.nan,
+                        temperature_c=float(last.temperature_c[-1])
+                        if last is not None and len(last.temperature_c)
+                        else math.nan,
+                        link=link,
                     )
                 )
         return tuple(found)
