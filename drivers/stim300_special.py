@@ -176,11 +176,6 @@ class Configuration:
         x, y, z = (_ACCEL_RANGES_G.get(code) for code in _nibbles(self.data[16:18])[:3])
         return x, y, z
 
-    @property
-    def bias_trim_at_start(self) -> bool:
-        """Whether the bias trim is sent at power-on."""
-        return bool(self.data[20] & 0x02)
-
 
 @dataclass(frozen=True, slots=True)
 class BiasTrim:
@@ -204,12 +199,6 @@ class BiasTrim:
         v = [int.from_bytes(payload[i : i + 3], "big", signed=True) for i in range(0, 27, 3)]
         reference, saves = int.from_bytes(payload[27:31], "big"), int.from_bytes(payload[31:33], "big")
         return cls((v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8]), reference, saves)
-
-    @property
-    def gyro_dps(self) -> tuple[float, float, float]:
-        """Offsets of the gyros in deg/s, whatever their output unit."""
-        x, y, z = (value * 2.0**-14 for value in self.gyro)
-        return x, y, z
 
 
 @dataclass(frozen=True, slots=True)
