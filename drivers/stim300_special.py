@@ -62,6 +62,11 @@ class SerialNumber:
         return cls("N" + "".join(_DIGITS[d] for d in _nibbles(payload[1:8])))
 
 
+def _flag(mask: int, what: str) -> property:
+    """Return a property of a configuration: whether bits of its byte of flags are set."""
+    return property(lambda configuration: bool(configuration.data[2] & mask), doc=what)
+
+
 @dataclass(frozen=True, slots=True)
 class Configuration:
     """How the device is set (table 5-16), read from its 21 bytes; None stands for what no table names."""
@@ -124,30 +129,11 @@ class Configuration:
         code = self.data[2] >> 5
         return RATES_HZ[code] if code < _EXTERNAL_TRIGGER else None
 
-    @property
-    def pps(self) -> bool:
-        """Whether normal datagrams carry the PPS (or AUX) group."""
-        return bool(self.data[2] & 0x10)
-
-    @property
-    def temperature(self) -> bool:
-        """Whether normal datagrams carry temperatures."""
-        return bool(self.data[2] & 0x08)
-
-    @property
-    def inclinometer(self) -> bool:
-        """Whether normal datagrams carry the inclinometers."""
-        return bool(self.data[2] & 0x04)
-
-    @property
-    def accelerometer(self) -> bool:
-        """Whether normal datagrams carry the accelerometers."""
-        return bool(self.data[2] & 0x02)
-
-    @property
-    def line_termination(self) -> bool:
-        """Whether normal datagrams end with CR LF."""
-        return bool(self.data[2] & 0x01)
+    pps = _flag(0x10, "Whether normal datagrams carry the PPS (or AUX) group.")
+    temperature = _flag(0x08, "Whether normal datagrams carry temperatures.")
+    inclinometer = _flag(0x04, "Whether normal datagrams carry the inclinometers.")
+    accelerometer = _flag(0x02, "Whether normal datagrams carry the accelerometers.")
+    line_termination = _flag(0x01, "Whether normal datagrams end with CR LF.")
 
     @property
     def bit_rate(self) -> int | None:

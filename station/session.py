@@ -213,7 +213,7 @@ class Session:
 
     def _add_sources(self, imu: OpenImu) -> None:
         config = imu.config
-        noise_rps = config.arw_rps_rthz * np.sqrt(config.rate_hz)
+        noise_rps = config.noise.arw * np.sqrt(config.rate_hz)
         for name, gyros in config.gyros_of(imu.source.names).items():
             array = config.array.select(gyros)
             noise = [config.noise.arw, config.noise.instability, config.noise.walk]
@@ -304,15 +304,11 @@ class Session:
     def _take_block(self, name: str, block: ImuBlock) -> None:
         self._last_seen_s[name] = asyncio.get_running_loop().time()
         self._monitor.take_block(name, block)
-        where = f"imu/{name}"
-        self._writer.append(f"{where}/t_ns", block.t_ns)
-        self._writer.append(f"{where}/arrival_ns", block.arrival_ns)
-        self._writer.append(f"{where}/rate_rps", block.rate_rps)
-        self._writer.append(f"{where}/temperature_c", block.temperature_c)
-        if block.counter is not None:
-            self._writer.append(f"{where}/counter", block.counter)
+        for key in ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter"):
+            if (values := getattr(block, key)) is not None:
+                self._writer.append(f"imu/{name}/{key}", values)
         if block.accel_mps2 is not None:
-            self._writer.append(f"{where}/accel_mps2", self._in_body_axes(name, block.accel_mps2))
+            self._writer.append(f"imu/{name}/accel_mps2", self._in_body_axes(name, block.accel_mps2))
         self._live.sources[name].add(block)
 
     def _in_body_axes(self, name: str, accel_mps2: Floats) -> Floats:

@@ -96,13 +96,15 @@ class Snapshot:
 
 
 def json_object(value: Any) -> Any:
-    """Return dataclasses, dicts, sequences and numbers as what JSON can hold: null for what is not finite."""
+    """Return dataclasses, dicts, sequences, arrays and numbers as what JSON can hold: null for what is not finite."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
         return {key: json_object(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [json_object(item) for item in value]
+    if hasattr(value, "tolist"):
+        return json_object(value.tolist())
     if is_dataclass(value):  # dataclasses.asdict copies all that it meets, and costs four times as much
         return {name: json_object(getattr(value, name)) for name in value.__dataclass_fields__}
     return value

@@ -92,7 +92,7 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
         imu.name: DeviceTruth(
             imu.array,
             np.zeros((len(imu.array), 4)),
-            imu.arw_rps_rthz,
+            imu.noise.arw,
             rate_hz=imu.rate_hz,
             prior=imu.prior,
             stated=imu.noise,

@@ -282,7 +282,7 @@ def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
         b_rps=np.array(table.quantities("b", "rate", n, 0.0)),
         sigma_j_rad=np.array(table.quantities("sigma_j", "angle", n, 0.0)),
         sigma_k_rad=np.array(table.quantities("sigma_k", "angle", n, 0.0)),
-        arw_rps_rthz=table.quantity("arw", "angle random walk", imu.arw_rps_rthz),
+        arw_rps_rthz=table.quantity("arw", "angle random walk", imu.noise.arw),
         bias_instability_rps=table.quantity("bias_instability", "rate", 0.0),
         rate_random_walk_rps_rts=table.quantity("rate_random_walk", "rate random walk", 0.0),
         temperature_c=table.quantity("temperature", "temperature", 25.0),
