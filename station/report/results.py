@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from estimator.tracing.investigation import Value
 from station.investigation_printed import human, words
 from station.report import figures
 from station.report.front import badge
-from station.report.html import BLANK, Content, Markup, bullets, element, grouped, joined, paragraph, table
+from station.report.html import BLANK, Content, Markup, bullets, composed, element, grouped, joined, paragraph, table
 from station.report.recorded import Recorded
 from station.report.standing import Line, Standing
 from station.report.traced import Traced
@@ -40,7 +40,8 @@ _TYPE_B = (
 _NO_TYPE_B = "Type B: none, since no uncertainty of the reference is stated."
 
 
-def states(recorded: Recorded, found: Calibration, unseen: Unseen | None, traced: Traced | None) -> Markup:
+@composed
+def states(recorded: Recorded, found: Calibration, unseen: Unseen | None, traced: Traced | None) -> Iterator[Content]:
     """Return the states of every gyro with standard and expanded uncertainty, and what these do not cover."""
     heads: list[Content] = [
         "gyro",
@@ -69,46 +70,31 @@ def states(recorded: Recorded, found: Calibration, unseen: Unseen | None, traced
         "and allows for no drift since, no transport and no other temperature. The four states of a gyro are "
         "correlated: their covariances are in the recording (calibration/covariance)."
     )
-    parts: list[Content] = [
-        paragraph(
-            "Of each gyro: scale factor error ",
-            figures.STATES[0][0],
-            ", bias ",
-            figures.STATES[1][0],
-            ", and the misalignments ",
-            figures.STATES[2][0],
-            " and ",
-            figures.STATES[3][0],
-            " of its sense axis, as the correction below defines them. A positive ",
-            figures.STATES[0][0],
-            " makes the output too small. A positive ",
-            figures.STATES[1][0],
-            " lowers it: without rotation the output is −",
-            figures.STATES[1][0],
-            ", so ",
-            figures.STATES[1][0],
-            " is to be added.",
-        ),
-        grouped("Results of the calibration", heads, groups, align="llrrrl", notes=notes),
-    ]
+    k, bias, sigma_j, sigma_k = (symbol for symbol, _ in figures.STATES)
+    yield paragraph(
+        Markup(
+            f"Of each gyro: scale factor error {k}, bias {bias}, and the misalignments {sigma_j} and {sigma_k} of its "
+            f"sense axis, as the correction below defines them. A positive {k} makes the output too small. A positive "
+            f"{bias} lowers it: without rotation the output is −{bias}, so {bias} is to be added."
+        )
+    )
+    yield grouped("Results of the calibration", heads, groups, align="llrrrl", notes=notes)
     if any(gyro.effects for gyro in found.gyros):
-        parts.append(_effects(recorded, found))
-    parts += _cautions(recorded, found, unseen, traced)
-    parts.append(bullets(found.notes))
-    return joined(parts)
+        yield _effects(recorded, found)
+    yield from _cautions(recorded, found, unseen, traced)
+    yield bullets(found.notes)
 
 
-def _cautions(recorded: Recorded, found: Calibration, unseen: Unseen | None, traced: Traced | None) -> list[Content]:
+def _cautions(
+    recorded: Recorded, found: Calibration, unseen: Unseen | None, traced: Traced | None
+) -> Iterator[Content]:
     """Return what the uncertainties do not cover: effects that the run does not show, and those that were traced."""
-    said: list[Content] = []
     hidden = unseen.unnoticed if unseen is not None else []
     if unseen is not None and hidden:
-        said.append(
-            paragraph(
-                "The uncertainties hold for the error model of this calibration. They do not cover effects that the "
-                f"run could not show: {', '.join(map(unseen.words, hidden))} (see “What this run could not see”).",
-                class_="caution",
-            )
+        yield paragraph(
+            "The uncertainties hold for the error model of this calibration. They do not cover effects that the "
+            f"run could not show: {', '.join(map(unseen.words, hidden))} (see “What this run could not see”).",
+            class_="caution",
         )
     if traced is not None and traced.added and not found.model:
         labelled = [(gyro, recorded.label(gyro.source, gyro.name)) for gyro in found.gyros]
@@ -118,16 +104,13 @@ def _cautions(recorded: Recorded, found: Calibration, unseen: Unseen | None, tra
             if label in traced.names
         ]
         added = dict.fromkeys(str(effect["effect"]) for effect in traced.what["added"])
-        said.append(
-            paragraph(
-                f"An investigation added {', '.join(map(words, added))} to the model. With it the states are other by "
-                "up to ",
-                figures.plain(float(np.max(moved, initial=0.0)), figures.ONE, 2),
-                " u: see the correction with the traced effects.",
-                class_="caution",
-            )
+        yield paragraph(
+            f"An investigation added {', '.join(map(words, added))} to the model. With it the states are other by "
+            "up to ",
+            figures.plain(float(np.max(moved, initial=0.0)), figures.ONE, 2),
+            " u: see the correction with the traced effects.",
+            class_="caution",
         )
-    return said
 
 
 def _effects(recorded: Recorded, found: Calibration) -> Markup:
@@ -147,10 +130,12 @@ def _effects(recorded: Recorded, found: Calibration) -> Markup:
     return table("Effects estimated beside the states", heads, rows, align="llr")
 
 
-def compliance(standing: Standing) -> Markup:
+@composed
+def compliance(standing: Standing) -> Iterator[Content]:
     """Return each limit beside what was found, and the decision."""
     if not standing.lines:
-        return paragraph("The recording states no limits: nothing was judged.")
+        yield paragraph("The recording states no limits: nothing was judged.")
+        return
     quantities: dict[tuple[str, str, str], dict[bool, Line]] = {}
     for line in standing.lines:
         quantities.setdefault((line.gyro, line.what, line.note), {})[line.of_u] = line
@@ -168,12 +153,8 @@ def compliance(standing: Standing) -> Markup:
     )
     heads: list[Content] = ["gyro", "quantity", "unit", "found", "limit", "verdict"]
     heads += [Markup("<var>u</var> found"), Markup("limit of <var>u</var>"), "verdict"]
-    return joined(
-        [
-            paragraph(said),
-            grouped("Limits", heads, list(groups.items()), align="lllrrlrrl", notes=rule),
-        ]
-    )
+    yield paragraph(said)
+    yield grouped("Limits", heads, list(groups.items()), align="lllrrlrrl", notes=rule)
 
 
 def _line(line: Line | None) -> tuple[Content, Content, Content]:
@@ -186,10 +167,10 @@ def _line(line: Line | None) -> tuple[Content, Content, Content]:
     found = figures.plain(line.value, line.unit, 4, line.source)
     high = figures.stated(line.high, line.unit) if math.isfinite(line.high) else Markup("any")
     if line.low == -line.high:
-        return found, joined([Markup("± "), high]), verdict
+        return found, joined(["± ", high]), verdict
     if line.low == 0.0:
-        return found, joined([Markup("≤ "), high]), verdict
-    return found, joined([figures.stated(line.low, line.unit), Markup(" to "), high]), verdict
+        return found, joined(["≤ ", high]), verdict
+    return found, joined([figures.stated(line.low, line.unit), " to ", high]), verdict
 
 
 def budget(recorded: Recorded, found: Calibration) -> Markup:
@@ -234,37 +215,28 @@ def _share(u: float, unit: figures.Unit, source: str) -> Markup:
     )
 
 
-def traceability(recorded: Recorded) -> Markup:
+@composed
+def traceability(recorded: Recorded) -> Iterator[Content]:
     """Return what is stated of the reference, and nothing beyond it."""
     reference = recorded.recording.reference
     if not isinstance(reference, TableReadings):
-        return paragraph(
+        yield paragraph(
             "The reference was measured elsewhere. The recording states no uncertainty of it, and nothing on which "
             "traceability to a standard could be based."
         )
-    own: list[Content] = []
+        return
     if reference.uncertainty is None:
-        own.append(
-            paragraph(
-                "The bench file states no uncertainty of the table. The uncertainties of this document hold nothing of "
-                "it, and nothing here is a basis for traceability to a standard."
-            )
+        yield paragraph(
+            "The bench file states no uncertainty of the table. The uncertainties of this document hold nothing of "
+            "it, and nothing here is a basis for traceability to a standard."
         )
     else:
-        own += [
-            paragraph(
-                "The bench file that the recording carries states these standard uncertainties of the table; the "
-                "uncertainty budget rests on them. The recording holds no evidence of the table's own calibration."
-            ),
-            _stated(reference.uncertainty),
-        ]
-    own.append(
-        paragraph(
-            "Table, certificate of its calibration, and date, to be entered by the laboratory: ",
-            BLANK,
+        yield paragraph(
+            "The bench file that the recording carries states these standard uncertainties of the table; the "
+            "uncertainty budget rests on them. The recording holds no evidence of the table's own calibration."
         )
-    )
-    return joined(own)
+        yield _stated(reference.uncertainty)
+    yield paragraph("Table, certificate of its calibration, and date, to be entered by the laboratory: ", BLANK)
 
 
 def _stated(uncertainty: TableUncertainty) -> Markup:
