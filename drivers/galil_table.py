@@ -283,7 +283,7 @@ class GalilTable(LineTable):
                 return False
             raise
         self._jogs[axis] = rate
-        return (await self._switches(axis)).moving
+        return bool((await self._switches(axis)).moving)
 
     async def _halt(self, axis: str) -> None:
         await self._tell(f"ST{self._axes[axis].letter}")

@@ -6,6 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from drivers.flags import flag
+
 RATES_HZ = (125, 250, 500, 1000, 2000)
 """Datagram rates, by their code."""
 
@@ -62,9 +64,8 @@ class SerialNumber:
         return cls("N" + "".join(_DIGITS[d] for d in _nibbles(payload[1:8])))
 
 
-def _flag(mask: int, what: str) -> property:
-    """Return a property of a configuration: whether bits of its byte of flags are set."""
-    return property(lambda configuration: bool(configuration.data[2] & mask), doc=what)
+def _contents(configuration: Configuration) -> int:
+    return configuration.data[2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,11 +130,11 @@ class Configuration:
         code = self.data[2] >> 5
         return RATES_HZ[code] if code < _EXTERNAL_TRIGGER else None
 
-    pps = _flag(0x10, "Whether normal datagrams carry the PPS (or AUX) group.")
-    temperature = _flag(0x08, "Whether normal datagrams carry temperatures.")
-    inclinometer = _flag(0x04, "Whether normal datagrams carry the inclinometers.")
-    accelerometer = _flag(0x02, "Whether normal datagrams carry the accelerometers.")
-    line_termination = _flag(0x01, "Whether normal datagrams end with CR LF.")
+    pps = flag(_contents, 0x10, "Whether normal datagrams carry the PPS (or AUX) group.")
+    temperature = flag(_contents, 0x08, "Whether normal datagrams carry temperatures.")
+    inclinometer = flag(_contents, 0x04, "Whether normal datagrams carry the inclinometers.")
+    accelerometer = flag(_contents, 0x02, "Whether normal datagrams carry the accelerometers.")
+    line_termination = flag(_contents, 0x01, "Whether normal datagrams end with CR LF.")
 
     @property
     def bit_rate(self) -> int | None:

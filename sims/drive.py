@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 
 from drivers import cia402
 from drivers.registers import DriveProfile
 from sims.table import TableModel
+from sims.watchdog import Watchdog
 
 TURN = 2 * math.pi
 _READ_ONLY = ("statusword", "position", "rate", "error_code", "serial_number", "firmware")
@@ -28,8 +28,7 @@ class Drive:
         self._state = cia402.DriveState.SWITCH_ON_DISABLED
         self._controlword = 0
         self._watchdog_s = watchdog_s
-        self._last_heard_s = table.clock()
-        self._watching = False
+        self._watchdog = Watchdog(table.clock, self._silence_s, self._master_is_silent)
         self._acknowledged = False
         self._homed = False
         self._homing = False
@@ -38,11 +37,7 @@ class Drive:
 
     def heard(self) -> None:
         """Note that the master has said something."""
-        self._last_heard_s = self._table.clock()
-        silence_s = self._silence_s()
-        if silence_s and not self._watching and self._state is cia402.DriveState.OPERATION_ENABLED:
-            self._watching = True
-            asyncio.get_running_loop().call_later(silence_s, self._check_silence)
+        self._watchdog.heard(self._state is cia402.DriveState.OPERATION_ENABLED)
 
     def read(self, register: str) -> float:
         """Return what a register says now."""
@@ -199,16 +194,10 @@ class Drive:
         limits = [limit for limit in (self.values.get("node_guard", 0.0) / 1000, self._watchdog_s) if limit]
         return min(limits, default=0.0)
 
-    def _check_silence(self) -> None:
-        self._watching = False
-        silence_s = self._silence_s()
-        if self._state is not cia402.DriveState.OPERATION_ENABLED or not silence_s:
+    def _master_is_silent(self) -> None:
+        if self._state is not cia402.DriveState.OPERATION_ENABLED:
             return
-        remaining = self._last_heard_s + silence_s - self._table.clock()
-        if remaining > 1e-9:
-            self._watching = True
-            asyncio.get_running_loop().call_later(remaining, self._check_silence)
-        elif silence_s == self._watchdog_s:
+        if self._silence_s() == self._watchdog_s:
             self._release(cia402.DriveState.SWITCH_ON_DISABLED)
         else:
             self._table.trip(self._axis, "node guarding")

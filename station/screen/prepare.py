@@ -76,14 +76,9 @@ class PrepareScreen(StationScreen):
     def on_mount(self) -> None:
         """Fill in what is known; ask bench and script once the first picture is out."""
         choices = self.station.choices
-        for name, text in (
-            ("bench", choices.bench),
-            ("script", choices.script),
-            ("operator", choices.operator),
-            ("serial", choices.serial),
-        ):
+        for name, *_ in _FIELDS:
             with self.prevent(Input.Changed):
-                self.query_one(f"#{name}", Input).value = text
+                self.query_one(f"#{name}", Input).value = getattr(choices, name)
         self._show()
         self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
 
@@ -198,10 +193,8 @@ class PrepareScreen(StationScreen):
 
     def _take_over(self) -> None:
         """Take over what stands in the fields."""
-        bench, script, operator, serial = (self.query_one(f"#{name}", Input).value.strip() for name, *_ in _FIELDS)
-        self.station.choices = replace(
-            self.station.choices, bench=bench, script=script, operator=operator, serial=serial
-        )
+        entered: dict[str, Any] = {name: self.query_one(f"#{name}", Input).value.strip() for name, *_ in _FIELDS}
+        self.station.choices = replace(self.station.choices, **entered)
 
     def _obstacles(self) -> list[tuple[str, str]]:
         """Return what stands against a start: WRONG or WAIT, and what to do."""
