@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import AsyncIterator
 from typing import Literal
 
 import numpy as np
 
 from drivers import vectornav
-from drivers.arrays import Flags, Floats, Stamps
+from drivers.arrays import Flags, Stamps
+from drivers.can_samples import RegularSamples, block_of
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
 from drivers.one_source import OneSource
-from drivers.sampling import Alignment, CounterClock, RegularClock
+from drivers.sampling import Alignment, CounterClock
 from drivers.seams import ByteChunk, ByteLink, Identity, ImuBlock, SourceCounts
 
 Output = Literal["binary", "ascii"]
@@ -25,7 +25,7 @@ LAYOUT = vectornav.layout_of({vectornav.COMMON: 1 << 0, vectornav.IMU: 1 << 2 | 
 _ASYNC_OFF, _ASYNC_IMU = 0, 19
 _REGISTER_TYPE, _REGISTER_RATE = "06", "07"
 _REGISTERS_BINARY = ("75", "76", "77")
-_ACCEL, _GYRO, _TEMPERATURE = slice(3, 6), slice(6, 9), 9  # of VNIMU, after three of magnetic field
+_SHOWN = [6, 7, 8, 9, 3, 4, 5]  # of VNIMU, after three of magnetic field: rates, temperature, accelerations
 _IMU_FIELDS = 11
 
 _TRIES = 2
@@ -127,9 +127,7 @@ class VectorNavImu(OneSource[ByteLink]):
         period_ns = round(1e9 / self._rate_hz)
         self._stamped = CounterClock(1e-9, _STAMP_MODULUS, period_ns, counts=self._counts)
         self._newest_ns = -1
-        self._regular = RegularClock(1 / self._rate_hz, self._counts)
-        self._waiting: deque[tuple[int, Floats]] = deque()  # what the regular clock holds, by its number
-        self._number = 0
+        self._regular = RegularSamples(1 / self._rate_hz, self._counts)
 
     def _of_frames(self, chunk: ByteChunk, frames: vectornav.Frames) -> ImuBlock | None:
         if frames.layout != LAYOUT:
@@ -172,22 +170,13 @@ class VectorNavImu(OneSource[ByteLink]):
         if len(row) != _IMU_FIELDS:
             self._unreadable += 1
             return None
-        self._waiting.append((self._number, row))
-        self._regular.add(chunk.t_ns, float(self._number), sentence.text.encode("ascii"))
-        self._number += 1
-        return self._regular_block() if self._regular.due else None
+        arrival_ns = np.array([chunk.t_ns], dtype=np.int64)
+        self._regular.add(arrival_ns, row[None, _SHOWN], [sentence.text.encode("ascii")])
+        return self._regular_block()
 
     def _regular_block(self, *, everything: bool = False) -> ImuBlock | None:
         ready = self._regular.ready(everything=everything)
-        if ready is None:
-            return None
-        t_ns, arrival_ns, number = ready
-        rows = np.empty((len(number), _IMU_FIELDS))
-        for i, wanted in enumerate(number):
-            while self._waiting[0][0] < wanted:  # the clock has found this one to be a repeat
-                self._waiting.popleft()
-            rows[i] = self._waiting.popleft()[1]
-        return ImuBlock(t_ns, arrival_ns, rows[:, _GYRO], rows[:, _TEMPERATURE], accel_mps2=rows[:, _ACCEL])
+        return None if ready is None else block_of(*ready, gyros=3)
 
     def _complain(self, sentence: vectornav.Sentence) -> None:
         """Raise DeviceFault if the device reports a fault of its own."""
