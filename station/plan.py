@@ -9,7 +9,6 @@ import numpy as np
 from drivers.arrays import Flags, Floats
 from estimator.budget import table_budget
 from estimator.effects.catalogue import catalogue
-from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.effects.thermal import REFERENCE_C
 from estimator.planning import Forecast, PlannedDevice, forecast
@@ -64,15 +63,8 @@ def make_plan(
     """
     check(script, bench.table.limits)
     motion = planned_motion(script, bench.table.gimbals, max(_PERIOD_S, script.duration_s / _MOST_ROWS))
-    conditions = Conditions.on_table(
-        motion.t_s,
-        motion.angle_rad,
-        motion.rate_rps,
-        motion.acceleration_rps2,
-        motion.gimbals,
-        temperature_c=REFERENCE_C - temperature_rise_k * np.expm1(-motion.t_s / WARMING_TIME_S),
-        site=bench.site,
-    )
+    temperature_c = REFERENCE_C - temperature_rise_k * np.expm1(-motion.t_s / WARMING_TIME_S)
+    conditions = motion.conditions(temperature_c, bench.site)
     devices = [PlannedDevice(imu.name, imu.array, imu.noise, imu.prior) for imu in bench.imus if imu.used]
     if effects is None:
         effects = catalogue(motion.gimbals, script.duration_s)

@@ -11,6 +11,7 @@ from typing import Any
 from estimator.errors import EstimatorError
 from station.campaigns import Failure
 from station.errors import EXIT_USAGE, UsageError
+from station.investigation_file import check_new_file
 from station.studies import baselines, detection, paper, printed
 from station.studies.pictures import check_picture, draw_convergence
 
@@ -35,7 +36,7 @@ def _paper(arguments: argparse.Namespace) -> tuple[Failure, ...]:
     if picture is not None:
         check_picture(picture)
     if output is not None:
-        _check_output(output)
+        check_new_file(output, "--output")
     study = paper.run_study(arguments.seeds, **_where(arguments))
     if picture is not None or output is not None:
         recording = paper.our_recording(paper.MEMS_NOISE, 0)
@@ -52,13 +53,6 @@ def _paper(arguments: argparse.Namespace) -> tuple[Failure, ...]:
             if path is not None:
                 print(f"{name}: {path}")
     return study.failures
-
-
-def _check_output(path: Path) -> None:
-    if path.exists():
-        raise UsageError(f"--output {path} is there already: give another name")
-    if not path.resolve().parent.is_dir():
-        raise UsageError(f"--output {path}: there is no directory {path.parent}")
 
 
 def _baselines(arguments: argparse.Namespace) -> tuple[Failure, ...]:
