@@ -12,13 +12,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Octets
 from drivers.can_signals import parameter_group
 from drivers.seams import Frame
-
-Floats = NDArray[np.float64]
-Octets = NDArray[np.uint8]
 
 SSI2, ARI, ACCS = 0xF029, 0xF02A, 0xF02D
 """Slope, angular rate and acceleration messages, as parameter group numbers."""
@@ -160,12 +157,12 @@ def decode_version(data: bytes) -> str:
     return f"{major}.{minor}.{patch} stage {stage} build {build}"
 
 
-def decode_rates(data: Octets, order: AxisOrder) -> tuple[Floats, NDArray[np.bool_]]:
+def decode_rates(data: Octets, order: AxisOrder) -> tuple[Floats, Flags]:
     """Return rates x, y, z (n, 3) in deg/s of ARI messages (n, 8), and which are saturated; NaN for no measurement."""
     return _decode(data, order, _DPS_PER_BIT, _DPS_OFFSET)
 
 
-def decode_accelerations(data: Octets, order: AxisOrder) -> tuple[Floats, NDArray[np.bool_]]:
+def decode_accelerations(data: Octets, order: AxisOrder) -> tuple[Floats, Flags]:
     """Return accelerations x, y, z (n, 3) in m/s2 of ACCS messages (n, 8), and which are saturated; NaN as above."""
     return _decode(data, order, _MPS2_PER_BIT, _MPS2_OFFSET)
 
@@ -194,7 +191,7 @@ def encode_slope(pitch_deg: float, roll_deg: float, tail: bytes = bytes(2)) -> b
     return b"".join(min(max(number, 0), _NO_MEASUREMENT << 8).to_bytes(3, "little") for number in raw) + tail
 
 
-def _decode(data: Octets, order: AxisOrder, per_bit: float, offset: float) -> tuple[Floats, NDArray[np.bool_]]:
+def _decode(data: Octets, order: AxisOrder, per_bit: float, offset: float) -> tuple[Floats, Flags]:
     raw = np.ascontiguousarray(data[:, :6]).view("<u2")[:, _COLUMNS[order]]
     values = raw * per_bit + offset
     none = raw >= _NO_MEASUREMENT

@@ -13,20 +13,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from drivers.acutrol import (
-    INTERLOCK_SUMMARY,
-    NUMBER,
-    NUMBERS,
-    OK,
-    PREFIX_LENGTH,
-    TEXT,
-    WORD,
-    AcutrolFraming,
-    absolute_limits,
-    refusal,
-)
-from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused, LinkLost
-from drivers.exchange import Answer, Exchange, ExchangeCounts, Unanswered, UnexpectedReply
+from drivers import acutrol
+from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
+from drivers.exchange import Answer, Unanswered, UnexpectedReply
+from drivers.line_table import LineTable, kept
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
 from drivers.unwrap import Unwrapper
 
@@ -41,7 +31,6 @@ _STUCK_S = 1.0  # an axis that has not begun to turn by then will not
 _LEAD_S = 0.06  # braking begins so much early, for the way of the command to the axis
 _MOST_LEGS = 8
 _HOMING_RATE_DPS = 30.0
-_HOMING_LIMIT_S = 60.0
 _STOP_MARGIN_S = 2.0
 _MODE_LIMIT_S = 1.0
 
@@ -74,7 +63,7 @@ class _Axis:
     acceleration_dps2: float = math.inf
 
 
-class AcutrolTable:
+class AcutrolTable(LineTable):
     """Turntable driver over a byte link, TCP or serial."""
 
     def __init__(
@@ -84,40 +73,29 @@ class AcutrolTable:
         axes: Mapping[str, AcutrolAxis],
         timeout_s: float,
         *,
-        prefix_length: int = PREFIX_LENGTH,
+        prefix_length: int = acutrol.PREFIX_LENGTH,
     ) -> None:
         """Name the axes; ``prefix_length`` bytes before each answer are left out.
 
         A request is tried twice, each for ``timeout_s``. ValueError for a number that two axes have.
         """
-        self._device = device
         self._axes = {name: _Axis(axis) for name, axis in axes.items()}
         numbers = [axis.number for axis in axes.values()]
         if len(set(numbers)) != len(numbers):
             raise ValueError(f"two axes have the same number: {numbers}")
         first = next(iter(axes.values()))
-        framing = AcutrolFraming(first.number, math.degrees(first.limits.rate_rps), prefix_length)
-        self._exchange = Exchange(device, link, framing, timeout_s)
+        framing = acutrol.AcutrolFraming(first.number, math.degrees(first.limits.rate_rps), prefix_length)
+        super().__init__(device, link, framing, timeout_s, {name: axis.limits for name, axis in axes.items()})
         self._watchers: set[asyncio.Task[None]] = set()
         self._failure: DeviceError | None = None
-
-    @property
-    def limits(self) -> Mapping[str, AxisLimits]:
-        """Limits by axis."""
-        return {name: axis.own.limits for name, axis in self._axes.items()}
-
-    @property
-    def counts(self) -> ExchangeCounts:
-        """Counts of what went wrong on the link."""
-        return self._exchange.counts
 
     async def open(self) -> None:
         """Open the link, get in step, and compare limits; DeviceRefused if the bench allows more than the maker."""
         await self._exchange.open()
         for name, axis in self._axes.items():
             axis.unwrapper.restart()
-            text = (await self._ask(f":limit:absolute? {axis.own.number}", NUMBERS)).text
-            absolute, limits = absolute_limits(text), axis.own.limits
+            text = (await self._ask(f":limit:absolute? {axis.own.number}", acutrol.NUMBERS)).text
+            absolute, limits = acutrol.absolute_limits(text), axis.own.limits
             if absolute is None:
                 continue
             asked = math.degrees(limits.rate_rps), math.degrees(limits.acceleration_rps2)
@@ -130,7 +108,7 @@ class AcutrolTable:
 
     async def identify(self) -> Identity:
         """Ask ``*idn?``: maker, model, serial number, firmware, as IEEE 488.2 has it."""
-        parts = [part.strip() for part in (await self._ask("*idn?", TEXT)).text.split(",")]
+        parts = [part.strip() for part in (await self._ask("*idn?", acutrol.TEXT)).text.split(",")]
         if len(parts) < 4:
             return Identity(model=", ".join(parts))
         return Identity(f"{parts[0]} {parts[1]}", parts[2], parts[3])
@@ -160,21 +138,13 @@ class AcutrolTable:
             limits = axis.own.limits
             rate = min(math.radians(_HOMING_RATE_DPS), limits.rate_rps)
             await self.move(name, 0.0, rate, limits.acceleration_rps2)
-        deadline = asyncio.get_running_loop().time() + _HOMING_LIMIT_S
-        waiting = set(self._axes)
-        while waiting:
-            for name in sorted(waiting):
-                status = await self.status(name)
-                if status.fault:
-                    raise DeviceFault(self._device, status.fault)
-                if status.target_reached:
-                    waiting.discard(name)
-            if waiting and asyncio.get_running_loop().time() > deadline:
-                raise DeviceRefused(
-                    self._device, f"axis {', '.join(sorted(waiting))} found no home within {_HOMING_LIMIT_S:.0f} s"
-                )
-            if waiting:
-                await asyncio.sleep(_POLL_S)
+        await self._wait_for_home(self._at_home, _POLL_S)
+
+    async def _at_home(self, axis: str) -> bool:
+        status = await self.status(axis)
+        if status.fault:
+            raise DeviceFault(self._device, status.fault)
+        return status.target_reached
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate (rate mode) until told otherwise."""
@@ -199,12 +169,12 @@ class AcutrolTable:
         """Get mode, interlock and status byte, and the fault in words with both."""
         self._raise_failure()
         own = self._axes[axis]
-        interlock = (await self._ask(f":interlock? {own.own.number}", WORD)).text
-        mode = (await self._ask(f":mode? {own.own.number}", WORD)).text
+        interlock = (await self._ask(f":interlock? {own.own.number}", acutrol.WORD)).text
+        mode = (await self._ask(f":mode? {own.own.number}", acutrol.WORD)).text
         fault = ""
         if interlock.lower() == "fault":
-            byte = round(float((await self._ask("*stb?", NUMBER)).text))
-            summary = ", interlock summary set" if byte & INTERLOCK_SUMMARY else ""
+            byte = round(float((await self._ask("*stb?", acutrol.NUMBER)).text))
+            summary = ", interlock summary set" if byte & acutrol.INTERLOCK_SUMMARY else ""
             fault = f"axis {axis}: its interlock says {interlock} (status byte {byte}{summary})"
         enabled = interlock.lower() not in ("fault", "open") and mode.lower() != "off"
         return AxisStatus(
@@ -216,29 +186,25 @@ class AcutrolTable:
 
         All are told before any is waited for; the first failure is raised at the end.
         """
-        failure: DeviceError | None = None
+        failures: list[DeviceError] = []
         self._failure = None
         for name, axis in self._axes.items():
             axis.task = None
-            try:
+            with kept(failures):
                 if (await self._mode(name)) != "off":
                     await self._turn(name, 0.0, math.degrees(axis.own.limits.acceleration_rps2))
-            except (LinkLost, BadReply, DeviceRefused) as error:
-                failure = failure or error
-        await self._wait_for_all(failure)
+        await self._wait_for_all(failures)
 
     async def abort(self) -> None:
         """Open every interlock at once, so that the drives lose their power, and wait for rest."""
-        failure: DeviceError | None = None
+        failures: list[DeviceError] = []
         self._failure = None
         for axis in self._axes.values():
             axis.task = None
             axis.acceleration_dps2 = math.degrees(axis.own.limits.acceleration_rps2)
-            try:
+            with kept(failures):
                 await self._tell(f":interlock:open {axis.own.number}")
-            except (LinkLost, BadReply, DeviceRefused) as error:
-                failure = failure or error
-        await self._wait_for_all(failure)
+        await self._wait_for_all(failures)
 
     async def reset_fault(self) -> None:
         """Reset the interlock of every axis that is in fault; DeviceFault if one stays."""
@@ -262,7 +228,7 @@ class AcutrolTable:
         """Drop the link and what watches over axes."""
         for watcher in self._watchers:
             watcher.cancel()
-        self._exchange.close()
+        super().close()
 
     def _watch(self, axis: str, task: _Task, leg: str = "") -> None:
         watcher = asyncio.get_running_loop().create_task(self._guard(axis, task, leg), name=f"{self._device} {axis}")
@@ -375,7 +341,7 @@ class AcutrolTable:
         await self._tell(f":lim:acc pos,{number},{task.acceleration_dps2:.6f}")
         await self._enter(axis, "position")
         try:
-            await self._ask(f":dem:delta {number},{way_deg:.6f}", OK, repeat=False)
+            await self._ask(f":dem:delta {number},{way_deg:.6f}", acutrol.OK, repeat=False)
         except (Unanswered, BadReply):
             return
 
@@ -401,15 +367,13 @@ class AcutrolTable:
                 raise DeviceRefused(self._device, f"axis {axis} stays in mode {now} and does not enter mode {mode}")
             await asyncio.sleep(_POLL_S)
 
-    async def _wait_for_all(self, failure: DeviceError | None) -> None:
+    async def _wait_for_all(self, failures: list[DeviceError]) -> None:
         """Wait for rest of every axis, then raise the first failure."""
         for name in self._axes:
-            try:
+            with kept(failures):
                 await self._wait_for_rest(name)
-            except (LinkLost, BadReply, DeviceRefused) as error:
-                failure = failure or error
-        if failure is not None:
-            raise failure
+        if failures:
+            raise failures[0]
 
     async def _wait_for_rest(self, axis: str) -> None:
         loop, own = asyncio.get_running_loop(), self._axes[axis]
@@ -430,8 +394,8 @@ class AcutrolTable:
 
     async def _read(self, axis: str) -> AxisState:
         own = self._axes[axis]
-        position = await self._ask(f":read:position {own.own.number}", NUMBER)
-        rate = await self._ask(f":read:rate {own.own.number}", NUMBER)
+        position = await self._ask(f":read:position {own.own.number}", acutrol.NUMBER)
+        rate = await self._ask(f":read:rate {own.own.number}", acutrol.NUMBER)
         angle_s = (position.sent_s + position.received_s) / 2
         rate_s = (rate.sent_s + rate.received_s) / 2
         angle_deg = own.unwrapper.place(angle_s, float(position.text), float(rate.text))
@@ -445,19 +409,19 @@ class AcutrolTable:
         )
 
     async def _mode(self, axis: str) -> str:
-        return (await self._ask(f":mode? {self._axes[axis].own.number}", WORD)).text.lower()
+        return (await self._ask(f":mode? {self._axes[axis].own.number}", acutrol.WORD)).text.lower()
 
     async def _interlock(self, axis: str) -> str:
-        return (await self._ask(f":interlock? {self._axes[axis].own.number}", WORD)).text.lower()
+        return (await self._ask(f":interlock? {self._axes[axis].own.number}", acutrol.WORD)).text.lower()
 
     async def _tell(self, line: str) -> None:
         """Send a command that is answered OK."""
-        await self._ask(line, OK)
+        await self._ask(line, acutrol.OK)
 
     async def _ask(self, line: str, pattern: re.Pattern[str], *, repeat: bool = True) -> Answer:
         try:
             return await self._exchange.ask(line, pattern, repeat=repeat)
         except UnexpectedReply as error:
-            if refusal(error.text):
+            if acutrol.refusal(error.text):
                 raise DeviceRefused(self._device, f"refuses {line!r}: {error.text}") from None
             raise

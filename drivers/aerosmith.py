@@ -13,10 +13,10 @@ from __future__ import annotations
 import asyncio
 import math
 import re
-from collections.abc import Mapping
 
 from drivers.errors import BadReply, DeviceFault, DeviceRefused
-from drivers.exchange import Answer, Exchange, ExchangeCounts, Framed, Token
+from drivers.exchange import Answer, Framed, Token
+from drivers.line_table import LineTable
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
 from drivers.unwrap import Unwrapper
 
@@ -31,7 +31,6 @@ _AT_REST_DPS = 0.02
 _ON_TARGET_DEG = 0.02
 _JOG_REACHED_DPS = 0.1
 _BEGUN_S = 0.3  # a motion that is to come has begun by then
-_HOMING_LIMIT_S = 60.0
 _STOP_LIMIT_S = 10.0
 _SETTLE_SHARE = 0.15  # of a time-out, in which nothing may follow the answer to a token
 
@@ -72,30 +71,20 @@ class AerosmithFraming:
         return Token(b"STA\r", find)
 
 
-class AerosmithTable:
+class AerosmithTable(LineTable):
     """Turntable driver over a byte link; one axis. Experimental, as its status says."""
 
     def __init__(
         self, device: str, link: ByteLink, axis: str, limits: AxisLimits, timeout_s: float, *, fault_mask: int = 0
     ) -> None:
         """``fault_mask``: the bits of STA that mean a fault, by the table's own manual; 0: faults are not seen."""
-        self._device, self._axis, self._limits, self._fault_mask = device, axis, limits, fault_mask
-        self._exchange = Exchange(device, link, AerosmithFraming(_SETTLE_SHARE * timeout_s), timeout_s)
+        super().__init__(device, link, AerosmithFraming(_SETTLE_SHARE * timeout_s), timeout_s, {axis: limits})
+        self._axis, self._fault_mask = axis, fault_mask
         self._unwrapper = Unwrapper(360.0)
         self._target_deg: float | None = None
         self._jog_dps: float | None = None
         self._servo_on = False
         self._started_s = -math.inf
-
-    @property
-    def limits(self) -> Mapping[str, AxisLimits]:
-        """Limits of the one axis."""
-        return {self._axis: self._limits}
-
-    @property
-    def counts(self) -> ExchangeCounts:
-        """Counts of what went wrong on the link."""
-        return self._exchange.counts
 
     async def open(self) -> None:
         """Open the link and ask for the status; LinkLost if the table does not answer."""
@@ -116,20 +105,17 @@ class AerosmithTable:
 
     async def home(self) -> None:
         """Turn to the table's home position and wait for it; angles count from there."""
-        await self._set_acceleration(self._limits.acceleration_rps2)
+        await self._set_acceleration(self.limits[self._axis].acceleration_rps2)
         await self._start("HOM")
         self._target_deg, self._jog_dps = 0.0, None
-        deadline = asyncio.get_running_loop().time() + _HOMING_LIMIT_S
-        while True:
-            self._unwrapper.restart()
-            status = await self.status(self._axis)
-            if status.fault:
-                raise DeviceFault(self._device, status.fault)
-            if status.target_reached:
-                return
-            if asyncio.get_running_loop().time() > deadline:
-                raise DeviceRefused(self._device, f"axis {self._axis} found no home within {_HOMING_LIMIT_S:.0f} s")
-            await asyncio.sleep(_POLL_S)
+        await self._wait_for_home(self._at_home, _POLL_S)
+
+    async def _at_home(self, axis: str) -> bool:
+        self._unwrapper.restart()
+        status = await self.status(axis)
+        if status.fault:
+            raise DeviceFault(self._device, status.fault)
+        return status.target_reached
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn at a whole number of deg/s until told otherwise; DeviceRefused for any other rate."""
@@ -209,10 +195,6 @@ class AerosmithTable:
         """Switch the servo off."""
         await self._tell("SRV0")
         self._servo_on = False
-
-    def close(self) -> None:
-        """Drop the link."""
-        self._exchange.close()
 
     async def _wait_for_rest(self) -> None:
         deadline = asyncio.get_running_loop().time() + _STOP_LIMIT_S

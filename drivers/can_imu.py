@@ -11,18 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Octets, Stamps
 from drivers.can_samples import Companion, CountedSamples, Piece, RegularSamples, block_of
 from drivers.can_signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.errors import DeviceError
 from drivers.sampling import Alignment, CounterClock
-from drivers.seams import Frame, FrameLink, Identity, ImuBlock, SourceCounts, Stamps
+from drivers.seams import Frame, FrameLink, Identity, ImuBlock, SourceCounts
 
 BUILT_IN_DBC = Path(__file__).with_name("gyro_nodes.dbc")
 
-Floats = NDArray[np.float64]
-Octets = NDArray[np.uint8]
 
 _GATHERED, _LEAST_GATHER_S, _MOST_GATHER_S = 32, 0.05, 0.33  # samples taken in together, and how long that may take
 _COUNT_BITS = 32  # of longer counters the lower bits will do: they wrap, as all do
@@ -307,15 +305,13 @@ class _Source:
         pieces, self._lead.waiting = waiting[: len(waiting) - hold], waiting[len(waiting) - hold :]
         return pieces
 
-    def _rows(self, pieces: list[Piece]) -> tuple[Floats, NDArray[np.bool_], Stamps]:
+    def _rows(self, pieces: list[Piece]) -> tuple[Floats, Flags, Stamps]:
         """Return rates, temperature, accelerations of each leading frame, (n, k); which have a count, and it."""
         n = len(pieces)
         places = [piece.order for piece in pieces]
         after = self._lead.waiting[0].order if self._lead.waiting else np.iinfo(np.int64).max
         lead = self._lead.table([piece.data for piece in pieces])
-        found: dict[MessageKey, tuple[NDArray[np.bool_], Octets]] = {
-            self._signals.rates[0].key: (np.ones(n, dtype=np.bool_), lead)
-        }
+        found: dict[MessageKey, tuple[Flags, Octets]] = {self._signals.rates[0].key: (np.ones(n, dtype=np.bool_), lead)}
         for key, companion in self._companions.items():
             which, rows = companion.matched(self._before, places, after)
             found[key] = which, self._others[key].table(rows)

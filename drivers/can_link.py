@@ -14,7 +14,7 @@ import can
 from drivers.can_buses import SlcanBus, SocketcandBus, open_bus
 from drivers.can_memory import MemoryBus
 from drivers.errors import LinkLost
-from drivers.loop_scale import loop_scale
+from drivers.loop_scale import call_from_thread, loop_scale, settle
 from drivers.seams import Frame
 
 # Interfaces whose stamps are the host's time of day, taken by the kernel before any program gets to see the frame.
@@ -143,13 +143,13 @@ class CanLink:
         try:
             bus = open_bus(self._interface, self._channel, self._options)
         except Exception as error:
-            _tell(loop, _settle, opened, error)
+            call_from_thread(loop, settle, opened, error)
             return
-        _tell(loop, _settle, opened, bus)
+        call_from_thread(loop, settle, opened, bus)
         try:
             self._read(loop, bus, closing)
         except Exception as error:  # as above
-            _tell(loop, self._end_if_read, closing, f"{self._named} failed ({_plain(error)})")
+            call_from_thread(loop, self._end_if_read, closing, f"{self._named} failed ({_plain(error)})")
         finally:
             _leave(bus)
 
@@ -177,7 +177,7 @@ class CanLink:
     def _wake_reader(self, loop: asyncio.AbstractEventLoop) -> None:
         if self._waiting and self._frames:
             self._waiting = False
-            _tell(loop, self._wake.set)
+            call_from_thread(loop, self._wake.set)
 
 
 def _frame(message: can.Message, t_ns: int) -> Frame | None:
@@ -194,21 +194,6 @@ def _plain(error: BaseException) -> str:
     return lines[0] if lines else type(cause).__name__
 
 
-def _settle(opened: asyncio.Future[can.BusABC], result: can.BusABC | Exception) -> None:
-    if opened.done():
-        return
-    if isinstance(result, Exception):
-        opened.set_exception(result)
-    else:
-        opened.set_result(result)
-
-
 def _leave(bus: can.BusABC) -> None:
     with suppress(Exception):  # an adapter that is gone cannot be told to close
         bus.shutdown()
-
-
-def _tell(loop: asyncio.AbstractEventLoop, function: Any, *arguments: Any) -> None:
-    """Call from the thread; a loop that has closed needs no more news."""
-    with suppress(RuntimeError):
-        loop.call_soon_threadsafe(function, *arguments)

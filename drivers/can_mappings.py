@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,11 +75,7 @@ def channels_of(mapping: CanMapping, device: str, gyros: Sequence[str]) -> tuple
         elif len(source.rates) == 1:
             name = gyros[first]
         first += len(source.rates)
-        named.append(
-            CanChannel(
-                name, source.rate, source.temperature, source.counter, source.time, source.acceleration, source.units
-            )
-        )
+        named.append(replace(source, name=name))
     return tuple(named)
 
 

@@ -10,13 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Stamps
 from drivers.sampling import Alignment, CounterClock, RegularClock
-from drivers.seams import ImuBlock, SourceCounts, Stamps
-
-Floats = NDArray[np.float64]
-Octets = NDArray[np.uint8]
+from drivers.seams import ImuBlock, SourceCounts
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +41,7 @@ class Companion:
         """Return whether one has come after this place."""
         return bool(self._pieces) and self._pieces[-1].order > order
 
-    def matched(self, before: int, lead: list[int], after: int) -> tuple[NDArray[np.bool_], list[bytes]]:
+    def matched(self, before: int, lead: list[int], after: int) -> tuple[Flags, list[bytes]]:
         """Return which leading frames (n,) have one, and the data of these.
 
         ``before`` and ``after`` are the places of the leading frames before the first and after the last.

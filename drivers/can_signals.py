@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Ints, Octets
 from drivers.errors import DeviceError
 
-Floats = NDArray[np.float64]
-Octets = NDArray[np.uint8]
 MessageKey = tuple[int, bool]
 """What tells a message on the bus: its identifier, or the number of its parameter group; whether 29 bits are meant."""
 
@@ -125,7 +124,7 @@ class SignalReader:
         """Whether it is only in some frames of its message."""
         return self._selector is not None
 
-    def raw(self, data: Octets) -> NDArray[np.int64]:
+    def raw(self, data: Octets) -> Ints:
         """Return the raw numbers (n,) of frames (n, length); of 64 unsigned bits the highest becomes a sign."""
         word = self._word(data)
         if self._signed and self.bits < 64:
@@ -149,7 +148,7 @@ class SignalReader:
         out[~self.present(data)] = np.nan
         return np.asarray(out)
 
-    def present(self, data: Octets) -> NDArray[np.bool_]:
+    def present(self, data: Octets) -> Flags:
         """Return in which frames (n, length) the signal is: in all, unless the message is multiplexed."""
         if self._selector is None:
             return np.ones(len(data), dtype=np.bool_)

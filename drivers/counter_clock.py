@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.host_fit import Alignment, Floats, HostFit, Stamps
+from drivers.arrays import Flags, Floats, Stamps
+from drivers.host_fit import Alignment, HostFit
 from drivers.seams import SourceCounts
 
 LATE_PERIODS = 2.0
@@ -39,7 +39,7 @@ class CounterClock:
         """The device's clock against the loop's; None in the first seconds."""
         return self.fit.alignment
 
-    def stamp(self, counter: Stamps, arrival_ns: Stamps) -> tuple[NDArray[np.bool_], Stamps]:
+    def stamp(self, counter: Stamps, arrival_ns: Stamps) -> tuple[Flags, Stamps]:
         """Return which samples are new (n,), and the times in ns of those.
 
         Gaps longer than the counter's wrap are resolved by the arrival of the last sample: what was queued

@@ -12,6 +12,7 @@ import secrets
 from dataclasses import dataclass
 
 from drivers.exchange import Framed, Token
+from drivers.flags import flag
 
 LONGEST_LINE = 80
 
@@ -90,41 +91,22 @@ _REVISION = re.compile(r"(\S+)\s+Rev\S*\s+(\S+)")
 _PROMPT = re.compile(rb"(?:\A|[\r\n])([:?])")
 
 
+def _word(switches: Switches) -> int:
+    return switches.word
+
+
 @dataclass(frozen=True, slots=True)
 class Switches:
     """The TS word of an axis. Bits: 7 moving, 6 error beyond ER, 5 motor off, 3 and 2 limits *inactive*."""
 
     word: int
 
-    @property
-    def moving(self) -> bool:
-        """Whether a motion is under way."""
-        return bool(self.word & 0x80)
-
-    @property
-    def error_exceeded(self) -> bool:
-        """Whether the following error is beyond ER."""
-        return bool(self.word & 0x40)
-
-    @property
-    def motor_off(self) -> bool:
-        """Whether the motor is off."""
-        return bool(self.word & 0x20)
-
-    @property
-    def forward_limit(self) -> bool:
-        """Whether the forward limit switch is pressed."""
-        return not self.word & 0x08
-
-    @property
-    def reverse_limit(self) -> bool:
-        """Whether the reverse limit switch is pressed."""
-        return not self.word & 0x04
-
-    @property
-    def latched(self) -> bool:
-        """Whether the position latch has caught."""
-        return not self.word & 0x01
+    moving = flag(_word, 0x80, "Whether a motion is under way.")
+    error_exceeded = flag(_word, 0x40, "Whether the following error is beyond ER.")
+    motor_off = flag(_word, 0x20, "Whether the motor is off.")
+    forward_limit = flag(_word, 0x08, "Whether the forward limit switch is pressed.", when_low=True)
+    reverse_limit = flag(_word, 0x04, "Whether the reverse limit switch is pressed.", when_low=True)
+    latched = flag(_word, 0x01, "Whether the position latch has caught.", when_low=True)
 
     @property
     def text(self) -> str:

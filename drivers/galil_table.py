@@ -8,25 +8,10 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused, LinkLost
-from drivers.exchange import Answer, Exchange, ExchangeCounts
-from drivers.galil import (
-    AT_TARGET,
-    FATAL_STOPS,
-    HOMED,
-    LIMIT_STOPS,
-    NOT_JOGGING,
-    NOTHING,
-    NUMBER,
-    RUNNING,
-    TEXT,
-    GalilFraming,
-    Switches,
-    error_of,
-    floor_acceleration,
-    revision,
-    stop_text,
-)
+from drivers import galil
+from drivers.errors import DeviceError, DeviceFault, DeviceRefused
+from drivers.exchange import Answer
+from drivers.line_table import LineTable, kept
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
 
 TURN = 2 * math.pi
@@ -35,7 +20,6 @@ VELOCITY_WINDOW_S = 0.25  # TV is the mean of the last 0.25 s at the default sam
 _LETTERS = "ABCDEFGH"
 _POLL_S = 0.02
 _HOMING_RATE_RPS = math.radians(30.0)
-_HOMING_LIMIT_S = 60.0
 _STOP_MARGIN_S = 2.0
 _AT_REST_RPS = math.radians(0.02)
 _LARGEST_COUNT = 2**31 - 1
@@ -63,7 +47,7 @@ class _RefusedError(DeviceRefused):
         self.code = code
 
 
-class GalilTable:
+class GalilTable(LineTable):
     """Turntable driver over a byte link, serial or TCP."""
 
     def __init__(
@@ -87,22 +71,14 @@ class GalilTable:
             raise ValueError(f"axis letters must be different ones of {_LETTERS}, not {', '.join(letters)}")
         if homing not in ("HM", "FI"):
             raise ValueError(f"homing must be HM or FI, not {homing}")
-        self._device, self._axes, self._homing = device, dict(axes), homing
-        self._exchange = Exchange(device, link, GalilFraming(), timeout_s)
+        super().__init__(
+            device, link, galil.GalilFraming(), timeout_s, {name: axis.limits for name, axis in axes.items()}
+        )
+        self._axes, self._homing = dict(axes), homing
         self._velocity_delay_s = velocity_window_s / 2
         self._powered: set[str] = set()
         self._jogs: dict[str, int] = {}  # rate in counts/s of axes that were told to jog
         self._known_stops: dict[str, int] = {}  # stop codes that an operator has seen and reset
-
-    @property
-    def limits(self) -> Mapping[str, AxisLimits]:
-        """Limits by axis."""
-        return {name: axis.limits for name, axis in self._axes.items()}
-
-    @property
-    def counts(self) -> ExchangeCounts:
-        """Counts of what went wrong on the link."""
-        return self._exchange.counts
 
     async def open(self) -> None:
         """Open the link, get in step and ask every axis; LinkLost if the controller does not answer."""
@@ -112,8 +88,8 @@ class GalilTable:
 
     async def identify(self) -> Identity:
         """Ask for model and firmware (^R^V) and for the serial number (_BN) where the controller has it."""
-        model, firmware = revision((await self._ask("\x12\x16", TEXT)).text)
-        number = await self._exchange.ask("MG _BN", NUMBER)
+        model, firmware = galil.revision((await self._ask("\x12\x16", galil.TEXT)).text)
+        number = await self._exchange.ask("MG _BN", galil.NUMBER)
         serial = "" if number.refused else f"{float(number.text):.0f}"
         return Identity(model, serial, firmware)
 
@@ -143,34 +119,26 @@ class GalilTable:
             await self._tell(f"JG{own.letter}={rate}" if self._homing == "FI" else f"SP{own.letter}={rate}")
             await self._tell(f"{self._homing}{own.letter}")
         await self._begin(self._axes)
-        loop = asyncio.get_running_loop()
-        deadline = loop.time() + _HOMING_LIMIT_S
-        waiting = set(self._axes)
-        while waiting:
-            for axis in sorted(waiting):
-                switches, stop, fault = await self._condition(axis)
-                if fault:
-                    raise DeviceFault(self._device, fault)
-                if switches.moving:
-                    continue
-                if stop != HOMED:
-                    raise DeviceRefused(
-                        self._device, f"axis {axis} ended homing without home: SC {stop}, {stop_text(stop)}"
-                    )
-                waiting.discard(axis)
-            if waiting and loop.time() > deadline:
-                await self.stop()
-                raise DeviceRefused(
-                    self._device, f"axis {', '.join(sorted(waiting))} found no home within {_HOMING_LIMIT_S:.0f} s"
-                )
-            if waiting:
-                await asyncio.sleep(_POLL_S)
+        await self._wait_for_home(self._at_home, _POLL_S)
         for axis, own in self._axes.items():
             await self._tell(f"DP{own.letter}=0")
             if own.limits.travel_rad is not None:
                 low, high = (self._counts(axis, angle) for angle in own.limits.travel_rad)
                 await self._tell(f"BL{own.letter}={low}")
                 await self._tell(f"FL{own.letter}={high}")
+
+    async def _give_up_homing(self) -> None:
+        await self.stop()
+
+    async def _at_home(self, axis: str) -> bool:
+        switches, stop, fault = await self._condition(axis)
+        if fault:
+            raise DeviceFault(self._device, fault)
+        if not switches.moving and stop != galil.HOMED:
+            raise DeviceRefused(
+                self._device, f"axis {axis} ended homing without home: SC {stop}, {galil.stop_text(stop)}"
+            )
+        return not switches.moving
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate, in whole counts a second; a rate changes while it turns without a halt."""
@@ -202,8 +170,8 @@ class GalilTable:
     async def read(self, axis: str) -> AxisState:
         """Measure angle (TP) and rate (TV). The rate is a mean, so its instant is the middle of that time."""
         letter, counts = self._axes[axis].letter, self._axes[axis].counts_per_turn
-        position = await self._ask(f"TP{letter}", NUMBER)
-        velocity = await self._ask(f"TV{letter}", NUMBER)
+        position = await self._ask(f"TP{letter}", galil.NUMBER)
+        velocity = await self._ask(f"TV{letter}", galil.NUMBER)
         half_width_s = max(one.received_s - one.sent_s for one in (position, velocity)) / 2
         return AxisState(
             round((position.sent_s + position.received_s) / 2 * 1e9),
@@ -217,15 +185,15 @@ class GalilTable:
     async def status(self, axis: str) -> AxisStatus:
         """Get condition: TS word, stop code, and the fault in words with both."""
         switches, stop, fault = await self._condition(axis)
-        reached = not switches.moving and stop in (AT_TARGET, HOMED)
+        reached = not switches.moving and stop in (galil.AT_TARGET, galil.HOMED)
         if switches.moving and axis in self._jogs:
-            velocity = float((await self._ask(f"TV{self._axes[axis].letter}", NUMBER)).text)
+            velocity = float((await self._ask(f"TV{self._axes[axis].letter}", galil.NUMBER)).text)
             reached = abs(velocity - self._jogs[axis]) <= 1.0 + 1e-3 * abs(self._jogs[axis])
         return AxisStatus(
             enabled=not switches.motor_off,
             target_reached=reached and not switches.motor_off,
             fault=fault,
-            text=f"{switches.text} (TS {switches.word}); SC {stop}, {stop_text(stop)}",
+            text=f"{switches.text} (TS {switches.word}); SC {stop}, {galil.stop_text(stop)}",
         )
 
     async def stop(self) -> None:
@@ -233,19 +201,15 @@ class GalilTable:
 
         What goes wrong with one request does not keep the next from being sent; the first failure is raised.
         """
-        failure: DeviceError | None = None
+        failures: list[DeviceError] = []
         for line in (self._hardest_deceleration(), f"ST{self._all_letters()}"):
-            try:
+            with kept(failures):
                 await self._tell(line)
-            except (LinkLost, BadReply, DeviceRefused) as error:
-                failure = failure or error
         for axis in self._axes:
-            try:
+            with kept(failures):
                 await self._wait_for_rest(axis)
-            except (LinkLost, BadReply, DeviceRefused) as error:
-                failure = failure or error
-        if failure is not None:
-            raise failure
+        if failures:
+            raise failures[0]
 
     async def abort(self) -> None:
         """Stop at once, without a ramp, and wait for rest; the motors go off, as off-on-error is set."""
@@ -275,29 +239,25 @@ class GalilTable:
         await self._tell(f"MO{self._all_letters()}")
         self._powered.clear()
 
-    def close(self) -> None:
-        """Drop the link."""
-        self._exchange.close()
-
-    async def _condition(self, axis: str) -> tuple[Switches, int, str]:
+    async def _condition(self, axis: str) -> tuple[galil.Switches, int, str]:
         """Return TS word, stop code and fault, which is empty if there is none."""
         switches = await self._switches(axis)
-        stop = round(float((await self._ask(f"SC{self._axes[axis].letter}", NUMBER)).text))
+        stop = round(float((await self._ask(f"SC{self._axes[axis].letter}", galil.NUMBER)).text))
         known = self._known_stops.get(axis) == stop
         what = ""
         if switches.motor_off and axis in self._powered:
             what = "its motor has gone off"
-        elif switches.motor_off and stop in FATAL_STOPS and not known:
+        elif switches.motor_off and stop in galil.FATAL_STOPS and not known:
             what = "its motor was switched off by a fault"
         elif not switches.motor_off and switches.error_exceeded:
             what = "its following error is too large"
-        elif not switches.motor_off and stop in LIMIT_STOPS and not known:
+        elif not switches.motor_off and stop in galil.LIMIT_STOPS and not known:
             what = "it ran into a limit"
-        fault = f"axis {axis}: {what} (SC {stop}, {stop_text(stop)}; TS {switches.word})" if what else ""
+        fault = f"axis {axis}: {what} (SC {stop}, {galil.stop_text(stop)}; TS {switches.word})" if what else ""
         return switches, stop, fault
 
-    async def _switches(self, axis: str) -> Switches:
-        return Switches(round(float((await self._ask(f"TS{self._axes[axis].letter}", NUMBER)).text)) & 0xFF)
+    async def _switches(self, axis: str) -> galil.Switches:
+        return galil.Switches(round(float((await self._ask(f"TS{self._axes[axis].letter}", galil.NUMBER)).text)) & 0xFF)
 
     async def _begin(self, axes: Iterable[str]) -> None:
         """Start what has been set up; begun already is as good, if the answer to the first BG was lost."""
@@ -305,10 +265,10 @@ class GalilTable:
         for axis in names:
             self._known_stops.pop(axis, None)
         line = "BG" + "".join(sorted(self._axes[axis].letter for axis in names))
-        answer = await self._exchange.ask(line, NOTHING)
+        answer = await self._exchange.ask(line, galil.NOTHING)
         if answer.refused:
             error = await self._refusal(line)
-            if not (answer.repeated and error.code == RUNNING):
+            if not (answer.repeated and error.code == galil.RUNNING):
                 for axis in names:
                     self._jogs.pop(axis, None)
                 raise error
@@ -319,11 +279,11 @@ class GalilTable:
         try:
             await self._tell(f"JG{self._axes[axis].letter}={rate}")
         except _RefusedError as error:
-            if error.code == NOT_JOGGING:
+            if error.code == galil.NOT_JOGGING:
                 return False
             raise
         self._jogs[axis] = rate
-        return (await self._switches(axis)).moving
+        return bool((await self._switches(axis)).moving)
 
     async def _halt(self, axis: str) -> None:
         await self._tell(f"ST{self._axes[axis].letter}")
@@ -336,7 +296,7 @@ class GalilTable:
         deadline: float | None = None
         while True:
             moving = (await self._switches(axis)).moving
-            rate = abs(float((await self._ask(f"TV{own.letter}", NUMBER)).text)) / own.counts_per_turn * TURN
+            rate = abs(float((await self._ask(f"TV{own.letter}", galil.NUMBER)).text)) / own.counts_per_turn * TURN
             if not moving and rate <= _AT_REST_RPS:
                 return
             if deadline is None:
@@ -347,7 +307,7 @@ class GalilTable:
 
     async def _braking_s(self, axis: str, rate_rps: float) -> float:
         own = self._axes[axis]
-        deceleration = float((await self._ask(f"MG _DC{own.letter}", NUMBER)).text) / own.counts_per_turn * TURN
+        deceleration = float((await self._ask(f"MG _DC{own.letter}", galil.NUMBER)).text) / own.counts_per_turn * TURN
         return rate_rps / max(deceleration, 1e-9)
 
     def _all_letters(self) -> str:
@@ -355,14 +315,14 @@ class GalilTable:
 
     def _hardest_deceleration(self) -> str:
         by_letter = {
-            own.letter: str(floor_acceleration(own.limits.acceleration_rps2 / TURN * own.counts_per_turn))
+            own.letter: str(galil.floor_acceleration(own.limits.acceleration_rps2 / TURN * own.counts_per_turn))
             for own in self._axes.values()
         }
         return "DC " + ",".join(by_letter.get(letter, "") for letter in _LETTERS[: ord(max(by_letter)) - 64])
 
     async def _set_ramps(self, axis: str, acceleration_rps2: float) -> None:
         own = self._axes[axis]
-        acceleration = floor_acceleration(acceleration_rps2 / TURN * own.counts_per_turn)
+        acceleration = galil.floor_acceleration(acceleration_rps2 / TURN * own.counts_per_turn)
         allowed = own.limits.acceleration_rps2 / TURN * own.counts_per_turn
         if acceleration > allowed:
             least_dps2 = math.degrees(acceleration / own.counts_per_turn * TURN)
@@ -395,7 +355,7 @@ class GalilTable:
 
     async def _tell(self, line: str) -> None:
         """Send a command that answers nothing but that it is done."""
-        await self._ask(line, NOTHING)
+        await self._ask(line, galil.NOTHING)
 
     async def _ask(self, line: str, pattern: re.Pattern[str]) -> Answer:
         answer = await self._exchange.ask(line, pattern)
@@ -405,6 +365,6 @@ class GalilTable:
 
     async def _refusal(self, line: str) -> _RefusedError:
         """Return why a line was refused. TC1 tells of the last refused line and forgets it."""
-        reason = await self._exchange.ask("TC1", TEXT)
-        code, words = error_of("" if reason.refused else reason.text)
+        reason = await self._exchange.ask("TC1", galil.TEXT)
+        code, words = galil.error_of("" if reason.refused else reason.text)
         return _RefusedError(self._device, f"refuses {line!r}: TC {code}, {words}", code)

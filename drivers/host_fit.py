@@ -14,10 +14,8 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
+from drivers.arrays import Flags, Floats, Stamps
 
 _BUCKET_S = 1.0
 _BUCKETS = 120  # two minutes: short against the drift of a quartz that warms up
@@ -157,7 +155,7 @@ class HostFit:
         variance = median(np.array([b.variance for b in self._buckets])) - (self._slope * _BUCKET_S) ** 2 / 12
         return math.sqrt(max(variance, 0.0))
 
-    def add(self, device_s: Floats, arrival_ns: Stamps, trusted: NDArray[np.bool_] | None = None) -> None:
+    def add(self, device_s: Floats, arrival_ns: Stamps, trusted: Flags | None = None) -> None:
         """Take in arrivals of samples taken at these device times; times asked for thereafter are of these samples.
 
         The earliest count of those ``trusted`` (n,) to have their place, where there are such.

@@ -6,29 +6,13 @@ import asyncio
 from collections.abc import AsyncIterator, Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.aceinna import (
-    ACCS,
-    ADDRESS_CLAIM,
-    ARI,
-    AXIS_ORDERS,
-    DEFAULT_ADDRESS,
-    FILTERS,
-    SOFTWARE_VERSION,
-    AxisOrder,
-    Name,
-    Settings,
-    command,
-    decode_accelerations,
-    decode_rates,
-    decode_version,
-    is_from,
-    request,
-)
+from drivers import aceinna
+from drivers.arrays import Flags, Floats, Octets
 from drivers.can_samples import Companion, Piece, RegularSamples, block_of
 from drivers.errors import DeviceRefused, LinkLost
 from drivers.loop_scale import loop_scale
+from drivers.one_source import OneSource
 from drivers.sampling import Alignment
 from drivers.seams import Frame, FrameLink, Identity, ImuBlock, SourceCounts
 
@@ -38,7 +22,7 @@ _TRIES = 3
 _LENGTH = 8
 
 
-class AceinnaImu:
+class AceinnaImu(OneSource[FrameLink]):
     """One source of three gyros and accelerometers. There is no counter on this wire: samples are timed by rhythm."""
 
     def __init__(
@@ -48,18 +32,18 @@ class AceinnaImu:
         rate_hz: float,
         *,
         model: str = "openimu300ri",
-        axis_order: AxisOrder | None = None,
-        address: int = DEFAULT_ADDRESS,
+        axis_order: aceinna.AxisOrder | None = None,
+        address: int = aceinna.DEFAULT_ADDRESS,
         own_address: int = 0,
-        settings: Settings | None = None,
+        settings: aceinna.Settings | None = None,
     ) -> None:
         """Expect messages at ``rate_hz`` from J1939 address ``address``.
 
         ``model`` is one of ``AXIS_ORDERS`` and decides the order of axes unless ``axis_order`` says it;
         ``settings`` are sent when the link is opened.
         """
-        self._device, self._link = device, link
-        self._order: AxisOrder = axis_order or AXIS_ORDERS[model]
+        super().__init__(device, link)
+        self._order: aceinna.AxisOrder = axis_order or aceinna.AXIS_ORDERS[model]
         self._address, self._own_address, self._settings = address, own_address, settings
         self._styles: tuple[bool, ...] = (False, True)  # ways of writing a request: Aceinna's, the standard's
         self._place = 0
@@ -70,11 +54,6 @@ class AceinnaImu:
         self._samples = RegularSamples(1 / rate_hz, self._counts)
         self.saturated = 0
         """Samples with a rate at the end of the range, +-250 deg/s; their rates are NaN."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of the one source."""
-        return (self._device,)
 
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are rate and acceleration messages of a wrong length."""
@@ -89,19 +68,19 @@ class AceinnaImu:
 
         LinkLost if it does not answer when asked for what it has taken.
         """
-        await self._link.open()
+        await super().open()
         for group, values in self._settings.commands() if self._settings is not None else ():
             await self._set(group, values)
 
     async def identify(self) -> Identity:
         """Ask for software version and NAME; what is not answered within 0.4 s stays empty."""
-        version = await self._ask(SOFTWARE_VERSION)
-        claim = await self._ask(ADDRESS_CLAIM)
-        name = Name.decode(claim or b"")
+        version = await self._ask(aceinna.SOFTWARE_VERSION)
+        claim = await self._ask(aceinna.ADDRESS_CLAIM)
+        name = aceinna.Name.decode(claim or b"")
         return Identity(
             model="" if name is None else f"J1939 manufacturer {name.manufacturer}, function {name.function}",
             serial="" if name is None else str(name.identity),
-            firmware=decode_version(version or b""),
+            firmware=aceinna.decode_version(version or b""),
         )
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
@@ -120,13 +99,9 @@ class AceinnaImu:
         block = self._block(everything=True)
         return [] if block is None else [(self._device, block)]
 
-    def close(self) -> None:
-        """Leave the bus."""
-        self._link.close()
-
     async def _set(self, group: int, values: bytes) -> None:
         """Send a set request and ask until the device says that it has it: an answer may be from before."""
-        self._link.send(command(group, self._address, values, self._own_address))
+        self._link.send(aceinna.command(group, self._address, values, self._own_address))
         answer: bytes | None = None
         for _ in range(_TRIES):
             answer = await self._ask(group)
@@ -146,7 +121,7 @@ class AceinnaImu:
     async def _ask(self, group: int) -> bytes | None:
         """Return the device's answer to a request, or None if there is none in time, in either way of asking."""
         for standard in self._styles:
-            self._link.send(request(group, self._address, self._own_address, standard=standard))
+            self._link.send(aceinna.request(group, self._address, self._own_address, standard=standard))
             if (answer := await self._answer(group)) is not None:
                 self._styles = (standard,)
                 return answer
@@ -158,15 +133,15 @@ class AceinnaImu:
             async with asyncio.timeout(_ANSWER_S * scale):
                 while True:
                     for frame in await self._link.receive():
-                        if is_from(frame, group, self._address):
+                        if aceinna.is_from(frame, group, self._address):
                             return frame.data
         except TimeoutError:
             return None
 
     def _take(self, frames: Iterable[Frame]) -> None:
         for frame in frames:
-            rate = is_from(frame, ARI, self._address)
-            if not (rate or is_from(frame, ACCS, self._address)):
+            rate = aceinna.is_from(frame, aceinna.ARI, self._address)
+            if not (rate or aceinna.is_from(frame, aceinna.ACCS, self._address)):
                 continue
             self._place += 1
             piece = Piece(self._place, frame.t_ns, frame.data)
@@ -185,8 +160,8 @@ class AceinnaImu:
             self._before = places[-1]
             self._accelerations.forget(self._before)
             accel = np.full((len(pieces), 3), np.nan)
-            accel[found] = _measured(*decode_accelerations(_table(rows), self._order))
-            rates, saturated = decode_rates(_table([piece.data for piece in pieces]), self._order)
+            accel[found] = _measured(*aceinna.decode_accelerations(_table(rows), self._order))
+            rates, saturated = aceinna.decode_rates(_table([piece.data for piece in pieces]), self._order)
             self.saturated += int(saturated.any(axis=1).sum())
             temperature = np.full(len(pieces), np.nan)  # not on this wire
             values = np.column_stack([np.radians(_measured(rates, saturated)), temperature, accel])
@@ -200,13 +175,13 @@ class AceinnaImu:
 
 def _agree(group: int, asked: bytes, told: bytes) -> bool:
     """Return whether the device has what was asked for; it tells its two filters in the other order."""
-    return told == asked or (group == FILTERS and told == asked[::-1])
+    return told == asked or (group == aceinna.FILTERS and told == asked[::-1])
 
 
-def _measured(values: NDArray[np.float64], saturated: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _measured(values: Floats, saturated: Flags) -> Floats:
     """Return the values, NaN where the range ended: the true one is beyond."""
     return np.where(saturated, np.nan, values)
 
 
-def _table(rows: list[bytes]) -> NDArray[np.uint8]:
+def _table(rows: list[bytes]) -> Octets:
     return np.frombuffer(b"".join(rows), dtype=np.uint8).reshape(len(rows), _LENGTH)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.host_fit import Floats, median
-
-Flags = NDArray[np.bool_]
+from drivers.arrays import Flags, Floats
+from drivers.host_fit import median
 
 _KEPT = 4096
 _OVER_S = 60.0  # what was learned longer ago is forgotten

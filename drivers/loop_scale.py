@@ -1,10 +1,32 @@
-"""How fast the loop's clock runs: what waits for a host, and not for physics, is stretched by it."""
+"""How fast the loop's clock runs, and how threads reach the loop."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
 
 
 def loop_scale(loop: asyncio.AbstractEventLoop) -> float:
-    """Return how many seconds of the loop's clock pass in one of the wall's; 1 for a loop that does not say."""
+    """Return how many seconds of the loop's clock pass in one of the wall's; 1 for a loop that does not say.
+
+    What waits for a host, and not for physics, is stretched by it.
+    """
     return float(getattr(loop, "scale", 1.0))
+
+
+def call_from_thread(loop: asyncio.AbstractEventLoop, function: Callable[..., None], *arguments: Any) -> None:
+    """Call on the loop; one that has closed needs no more news."""
+    with suppress(RuntimeError):
+        loop.call_soon_threadsafe(function, *arguments)
+
+
+def settle(future: asyncio.Future[Any], result: Any) -> None:
+    """Give a future that still waits its result, or its exception if that is one."""
+    if future.done():
+        return
+    if isinstance(result, Exception):
+        future.set_exception(result)
+    else:
+        future.set_result(result)

@@ -7,18 +7,9 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from drivers.cia402 import (
-    BIT_12,
-    BIT_13,
-    INTERNAL_LIMIT,
-    MODE_HOMING,
-    MODE_PROFILE_POSITION,
-    MODE_PROFILE_VELOCITY,
-    TARGET_REACHED,
-    DriveState,
-    state_of,
-)
-from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
+from drivers import cia402
+from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused, LinkLost
+from drivers.line_table import kept
 from drivers.modbus_line import Address, ModbusLine, Reply
 from drivers.modbus_order import LineCounts, Request
 from drivers.registers import DriveProfile
@@ -32,7 +23,7 @@ _HOMING_LIMIT_S = 60.0
 _STOP_LIMIT_S = 10.0
 _AT_REST_RPS = math.radians(0.02)
 _FAILURES = (LinkLost, BadReply, DeviceRefused)
-_FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION)
+_FAULTS = (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +91,12 @@ class ModbusTable:
             if status.fault:
                 raise DeviceFault(self._device, f"{status.fault}; clear its cause, then start with --reset-fault")
             steps = (
-                ("shutdown", DriveState.READY_TO_SWITCH_ON),
-                ("switch_on", DriveState.SWITCHED_ON),
-                ("enable", DriveState.OPERATION_ENABLED),
+                ("shutdown", cia402.DriveState.READY_TO_SWITCH_ON),
+                ("switch_on", cia402.DriveState.SWITCHED_ON),
+                ("enable", cia402.DriveState.OPERATION_ENABLED),
             )
             for command, state in steps:
-                if await self._state(axis) is DriveState.OPERATION_ENABLED:
+                if await self._state(axis) is cia402.DriveState.OPERATION_ENABLED:
                     break
                 await self._command(axis, command)
                 await self._wait_for_state(axis, state)
@@ -114,7 +105,7 @@ class ModbusTable:
     async def home(self) -> None:
         """Run the drives' own homing on all axes at once; DeviceRefused if one does not end."""
         for axis in self._axes:
-            await self._write(axis, "mode", MODE_HOMING)
+            await self._write(axis, "mode", cia402.MODE_HOMING)
             await self._write(axis, "homing_method", self._profile.homing_method)
             await self._write_motion(axis, "homing_rate_1", _HOMING_RATE_RPS)
             await self._write_motion(axis, "homing_rate_2", _HOMING_RATE_RPS / 4)
@@ -126,13 +117,13 @@ class ModbusTable:
         while waiting:
             for axis in self._axes:  # also those at home: each drive watches for its master's silence by itself
                 word = int(await self._read(axis, "statusword"))
-                if state_of(word) in _FAULTS:
+                if cia402.state_of(word) in _FAULTS:
                     raise DeviceFault(self._device, await self._fault_text(axis, word))
                 if axis not in waiting:
                     continue
-                if word & BIT_13:
+                if word & cia402.BIT_13:
                     raise DeviceRefused(self._device, f"axis {axis} reports a homing error")
-                if word & BIT_12 and word & TARGET_REACHED:
+                if word & cia402.BIT_12 and word & cia402.TARGET_REACHED:
                     waiting.discard(axis)
                     await self._command(axis, "enable")  # takes the start bit back
             if waiting and asyncio.get_running_loop().time() > deadline:
@@ -148,7 +139,7 @@ class ModbusTable:
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate (profile-velocity mode) until told otherwise."""
-        await self._write(axis, "mode", MODE_PROFILE_VELOCITY)
+        await self._write(axis, "mode", cia402.MODE_PROFILE_VELOCITY)
         await self._write_motion(axis, "acceleration", acceleration_rps2)
         await self._write_motion(axis, "deceleration", acceleration_rps2)
         await self._write_motion(axis, "target_rate", rate_rps)
@@ -156,7 +147,7 @@ class ModbusTable:
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Start a move to an angle from home (profile-position mode)."""
-        await self._write(axis, "mode", MODE_PROFILE_POSITION)
+        await self._write(axis, "mode", cia402.MODE_PROFILE_POSITION)
         await self._write_motion(axis, "profile_rate", abs(rate_rps))
         await self._write_motion(axis, "acceleration", acceleration_rps2)
         await self._write_motion(axis, "deceleration", acceleration_rps2)
@@ -180,14 +171,14 @@ class ModbusTable:
     async def status(self, axis: str) -> AxisStatus:
         """Get state, target reached, and the fault in words."""
         word = int(await self._read(axis, "statusword"))
-        state = state_of(word)
+        state = cia402.state_of(word)
         if state is None:
             raise BadReply(self._device, f"axis {axis} has statusword 0x{word:04X}, which is no CiA 402 state")
         return AxisStatus(
-            enabled=state is DriveState.OPERATION_ENABLED,
-            target_reached=bool(word & TARGET_REACHED),
+            enabled=state is cia402.DriveState.OPERATION_ENABLED,
+            target_reached=bool(word & cia402.TARGET_REACHED),
             fault=await self._fault_text(axis, word) if state in _FAULTS else "",
-            text=f"{state.text}, internal limit active" if word & INTERNAL_LIMIT else state.text,
+            text=f"{state.text}, internal limit active" if word & cia402.INTERNAL_LIMIT else state.text,
         )
 
     async def stop(self) -> None:
@@ -196,11 +187,11 @@ class ModbusTable:
         All are told before any is waited for, also those whose state cannot be read. What one drive answers does
         not keep the others from being told; the first failure is raised at the end.
         """
-        failures: list[Exception] = []
+        failures: list[DeviceError] = []
         told = []
         for axis in self._axes:
             try:
-                if await self._state(axis) is DriveState.OPERATION_ENABLED:
+                if await self._state(axis) is cia402.DriveState.OPERATION_ENABLED:
                     await self._command(axis, "quick_stop")
             except _FAILURES as error:
                 failures.append(error)
@@ -212,14 +203,12 @@ class ModbusTable:
     async def abort(self) -> None:
         """Stop every axis at once by the profile's abort command, asking nothing first, and wait for rest."""
         unsure = [axis for axis in self._axes if not await self._tell(axis, "abort")]
-        failures: list[Exception] = []
+        failures: list[DeviceError] = []
         told = [axis for axis in self._axes if axis not in unsure]
         for axis in unsure:
-            try:
+            with kept(failures):
                 await self._command(axis, "abort")
                 told.append(axis)
-            except _FAILURES as error:
-                failures.append(error)
         await self._wait_for_rest(told, failures)
 
     async def reset_fault(self) -> None:
@@ -230,7 +219,7 @@ class ModbusTable:
             await self._write(axis, "controlword", 0)  # the reset acts on a rising edge
             await self._command(axis, "fault_reset")
             try:
-                await self._wait_for_state(axis, DriveState.SWITCH_ON_DISABLED)
+                await self._wait_for_state(axis, cia402.DriveState.SWITCH_ON_DISABLED)
             except DeviceRefused:
                 raise DeviceFault(self._device, f"axis {axis} stays in fault: its cause is still there") from None
 
@@ -244,10 +233,10 @@ class ModbusTable:
         for line in self._lines.values():
             line.close()
 
-    async def _state(self, axis: str) -> DriveState | None:
-        return state_of(int(await self._read(axis, "statusword")))
+    async def _state(self, axis: str) -> cia402.DriveState | None:
+        return cia402.state_of(int(await self._read(axis, "statusword")))
 
-    async def _wait_for_state(self, axis: str, wanted: DriveState) -> None:
+    async def _wait_for_state(self, axis: str, wanted: cia402.DriveState) -> None:
         deadline = asyncio.get_running_loop().time() + _STATE_LIMIT_S
         while (state := await self._state(axis)) is not wanted:
             if asyncio.get_running_loop().time() > deadline:
@@ -263,24 +252,22 @@ class ModbusTable:
             return False
         return True
 
-    async def _wait_for_rest(self, axes: list[str], failures: list[Exception]) -> None:
+    async def _wait_for_rest(self, axes: list[str], failures: list[DeviceError]) -> None:
         """Wait until these are at rest; raise the first failure, those given included."""
         deadline = asyncio.get_running_loop().time() + _STOP_LIMIT_S
         for axis in axes:
-            try:
+            with kept(failures):
                 while abs(await self._read(axis, "rate")) * TURN > _AT_REST_RPS:
                     if asyncio.get_running_loop().time() > deadline:
                         raise DeviceRefused(self._device, f"axis {axis} keeps turning after quick stop: cut its power")
                     await asyncio.sleep(_POLL_S)
-            except _FAILURES as error:
-                failures.append(error)
         if failures:
             raise failures[0]
 
     async def _fault_text(self, axis: str, statusword: int) -> str:
-        state = state_of(statusword)
+        state = cia402.state_of(statusword)
         text = f"axis {axis} is in {state.text if state else 'no known state'} (statusword 0x{statusword:04X}"
-        text += ", internal limit active)" if statusword & INTERNAL_LIMIT else ")"
+        text += ", internal limit active)" if statusword & cia402.INTERNAL_LIMIT else ")"
         if "error_code" not in self._profile.registers:
             return text
         try:

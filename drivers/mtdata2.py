@@ -11,10 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Ints
 from drivers.xbus import Bytes, Mid, frame
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FLOAT32, FP12_20, FP16_32, FLOAT64 = range(4)
 FORMATS = ("Float32", "FP1220", "FP1632", "Float64")

@@ -8,9 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from drivers.arrays import Flags, Floats, Stamps
 from drivers.counter_clock import LATE_PERIODS, LATE_S
-from drivers.host_fit import Alignment, Floats, HostFit, Stamps
-from drivers.lateness import Flags, Lateness
+from drivers.host_fit import Alignment, HostFit
+from drivers.lateness import Lateness
 from drivers.seams import SourceCounts
 
 _MOST_STATES = 400

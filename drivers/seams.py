@@ -6,13 +6,8 @@ from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drivers.arrays import Floats, Stamps
 from drivers.host_fit import Alignment
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from typing import Any
 
 from drivers.errors import LinkLost
 from drivers.inbox import Inbox
-from drivers.loop_scale import loop_scale
+from drivers.loop_scale import call_from_thread, loop_scale, settle
 from drivers.seams import ByteChunk
 
 _MOST_AT_ONCE = 65536
@@ -144,14 +144,14 @@ class _Reader:
         try:
             port = self._open()
         except Exception as error:  # handed over to whoever opens
-            self._call(_fail, self.opened, error)
+            call_from_thread(self._loop, settle, self.opened, error)
         else:
             self._port = port
-            self._call(_succeed, self.opened)
+            call_from_thread(self._loop, settle, self.opened, None)
             try:
                 self._read(port)
             except Exception:  # pyserial raises many kinds for a port that has gone
-                self._call(self._end_inbox)
+                call_from_thread(self._loop, self._end_inbox)
             _close(port)
         self._woken.close()
         self._wakes.close()
@@ -184,7 +184,7 @@ class _Reader:
                     data += more
             finally:  # what came before the end still counts
                 handed_over = time.monotonic()
-                self._call(self._put, ByteChunk(round(self._loop.time() * 1e9), data))
+                call_from_thread(self._loop, self._put, ByteChunk(round(self._loop.time() * 1e9), data))
 
     @property
     def _waits_on_descriptor(self) -> bool:
@@ -216,11 +216,6 @@ class _Reader:
             what = "closed the connection" if _is_url(self._url) else "is gone: unplugged, or without power"
             self._inbox.end(f"serial port {self._url} {what}")
 
-    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Call from the thread; a loop that has closed needs no more news."""
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(function, *arguments)
-
 
 def _drop_backlog(port: Any) -> None:
     """Drop what came before anybody listened: it has no time. A buffer behind the port's own may fill it again."""
@@ -232,16 +227,6 @@ def _drop_backlog(port: Any) -> None:
         if waiting:
             port.reset_input_buffer()
         time.sleep(_BACKLOG_LOOK_S)
-
-
-def _succeed(opened: asyncio.Future[None]) -> None:
-    if not opened.done():
-        opened.set_result(None)
-
-
-def _fail(opened: asyncio.Future[None], error: Exception) -> None:
-    if not opened.done():
-        opened.set_exception(error)
 
 
 def _close(port: Any) -> None:

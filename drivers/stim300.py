@@ -8,11 +8,9 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Ints, Octets
 from drivers.stim300_special import SPECIAL_IDS, SPECIAL_LAYOUTS, Special
-
-Ints = NDArray[np.int64]
 
 INTERNAL_RATE_HZ = 2000
 """The counter counts samples at this rate, whatever the datagram rate."""
@@ -226,7 +224,7 @@ def encode_special(value: Special, *, line_termination: bool = False) -> bytes:
     return body + crc.to_bytes(4, "big") + (_LINE_END if line_termination else b"")
 
 
-def invalid_channels(status: Ints) -> NDArray[np.bool_]:
+def invalid_channels(status: Ints) -> Flags:
     """Return which of x, y, z (n, 3) the device does not vouch for, by the status (n,) of their cluster.
 
     Integrity error and start-up are about all; channel error and overload about the axes they name.
@@ -238,7 +236,7 @@ def invalid_channels(status: Ints) -> NDArray[np.bool_]:
     return np.asarray(everything[:, None] | (some[:, None] & named))
 
 
-def vouched(raw: Ints, status: Ints) -> NDArray[np.float64]:
+def vouched(raw: Ints, status: Ints) -> Floats:
     """Return raw numbers (n, 3) as floats, NaN where the device itself calls them invalid by their status (n,)."""
     values = raw.astype(np.float64)
     if status.any():
@@ -258,7 +256,7 @@ def _intact(reversed_view: bytes, start: int, size: int, padding: bytes) -> bool
     return bool(crc == _STATED_CRC.unpack_from(reversed_view, end)[0])
 
 
-def _parse(rows: NDArray[np.uint8], layout: Layout, ends: Ints) -> Datagrams:
+def _parse(rows: Octets, layout: Layout, ends: Ints) -> Datagrams:
     column = 1
     values: list[Ints | None] = [None, None, None]
     status: list[Ints | None] = [None, None, None]
@@ -301,7 +299,7 @@ def _present(values: Ints | None, status: Ints | None) -> tuple[Ints, Ints]:
     return values, status
 
 
-def _signed(raw: NDArray[np.uint8], width: int) -> Ints:
+def _signed(raw: Octets, width: int) -> Ints:
     """Return big-endian two's complement numbers of ``width`` bytes: (n, k * width) to (n, k)."""
     numbers = raw.reshape(len(raw), -1, width).astype(np.int64)
     value = numbers[..., 0]
@@ -311,6 +309,6 @@ def _signed(raw: NDArray[np.uint8], width: int) -> Ints:
     return (value ^ top) - top
 
 
-def _big_endian(values: Ints, width: int) -> NDArray[np.uint8]:
+def _big_endian(values: Ints, width: int) -> Octets:
     shifts = 8 * np.arange(width - 1, -1, -1)
     return ((values[..., None] >> shifts) & 0xFF).astype(np.uint8).reshape(len(values), -1)

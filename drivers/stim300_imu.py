@@ -9,34 +9,20 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers import stim300
+from drivers.arrays import Stamps
 from drivers.errors import DeviceRefused
+from drivers.one_source import OneSource
 from drivers.sampling import Alignment, CounterClock
 from drivers.seams import ByteChunk, ByteLink, Identity, ImuBlock, SourceCounts
-from drivers.stim300 import (
-    ASK_CONFIGURATION,
-    ASK_PART_NUMBER,
-    ASK_SERIAL_NUMBER,
-    COUNTER_MODULUS,
-    INTERNAL_RATE_HZ,
-    LAYOUTS,
-    STATUS_INTEGRITY,
-    STATUS_START_UP,
-    TEMPERATURE_LSB_C,
-    Datagrams,
-    Stim300Decoder,
-    vouched,
-)
 from drivers.stim300_special import RATES_HZ, Configuration, PartNumber, SerialNumber, Special
 from drivers.stim300_units import UNITS, accel_unit_mps2, gyro_unit_rps
-
-Stamps = NDArray[np.int64]
 
 _BLOCK_S = 0.01
 _TRIES = 2
 _MOST_REPLACED = 8
-_NO_TEMPERATURE = STATUS_INTEGRITY | STATUS_START_UP
+_NO_TEMPERATURE = stim300.STATUS_INTEGRITY | stim300.STATUS_START_UP
 _CODES = {name: code for code, name in UNITS.items()}
 
 
@@ -44,11 +30,11 @@ _CODES = {name: code for code, name in UNITS.items()}
 class _Arrived:
     """Normal datagrams and when the last byte of each was here."""
 
-    data: Datagrams
+    data: stim300.Datagrams
     arrival_ns: Stamps
 
 
-class Stim300Imu:
+class Stim300Imu(OneSource[ByteLink]):
     """One source of three gyros, with accelerometer and temperatures where the datagram carries them."""
 
     def __init__(
@@ -66,14 +52,14 @@ class Stim300Imu:
         ``gyro_unit`` (a name of ``UNITS``) and ``accel_range_g`` are what the device must be set to; None takes
         what it says, and of a device that does not say: rate, 10 g. A question waits ``timeout_s`` twice.
         """
-        self._device, self._link = device, link
+        super().__init__(device, link)
         self._rate_hz, self._timeout_s = rate_hz, timeout_s
-        self._ticks = INTERNAL_RATE_HZ // rate_hz
+        self._ticks = stim300.INTERNAL_RATE_HZ // rate_hz
         self._wanted_unit, self._wanted_range_g = gyro_unit, accel_range_g
         self._gyro = gyro_unit_rps(_CODES[gyro_unit or UNITS[0]], rate_hz)
         self._accel = accel_unit_mps2(0, accel_range_g or 10, rate_hz)
-        self._decoder = Stim300Decoder()
-        self._clock = CounterClock(1 / INTERNAL_RATE_HZ, COUNTER_MODULUS, self._ticks)
+        self._decoder = stim300.Stim300Decoder()
+        self._clock = CounterClock(1 / stim300.INTERNAL_RATE_HZ, stim300.COUNTER_MODULUS, self._ticks)
         self._chunks: list[ByteChunk] = []  # not yet decoded
         self._chunk_bytes, self._block_bytes = 0, 1
         self._fed = 0
@@ -81,11 +67,6 @@ class Stim300Imu:
         self._said: dict[type, Special] = {}
         self._last_counter = -1
         self._answered = False  # since the last normal datagram
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of the one source."""
-        return (self._device,)
 
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are places that began like a datagram and had a wrong CRC."""
@@ -100,7 +81,7 @@ class Stim300Imu:
     async def open(self) -> None:
         """Open the link."""
         self._said.clear()  # it may be another device now
-        await self._link.open()
+        await super().open()
 
     async def identify(self) -> Identity:
         """Ask for configuration, serial and part number; empty if the device answers nothing.
@@ -108,9 +89,9 @@ class Stim300Imu:
         DeviceRefused if it is set otherwise than the bench file says. Samples that come meanwhile are kept.
         """
         for question, kind in (
-            (ASK_CONFIGURATION, Configuration),
-            (ASK_SERIAL_NUMBER, SerialNumber),
-            (ASK_PART_NUMBER, PartNumber),
+            (stim300.ASK_CONFIGURATION, Configuration),
+            (stim300.ASK_SERIAL_NUMBER, SerialNumber),
+            (stim300.ASK_PART_NUMBER, PartNumber),
         ):
             await self._ask(question, kind)
             if not self._said:
@@ -135,10 +116,6 @@ class Stim300Imu:
         """Return the last samples, which were too few for a block."""
         self._decode()
         return [(self._device, block) for block in self._blocks()]
-
-    def close(self) -> None:
-        """Close the link."""
-        self._link.close()
 
     async def _ask(self, question: bytes, kind: type) -> None:
         for _ in range(_TRIES):
@@ -166,10 +143,10 @@ class Stim300Imu:
         self._fed = int(ends[-1])
         t_ns = np.array([chunk.t_ns for chunk in chunks], dtype=np.int64)
         for found in self._decoder.feed(b"".join(chunk.data for chunk in chunks)):
-            if isinstance(found, Datagrams):
+            if isinstance(found, stim300.Datagrams):
                 assert found.ends is not None  # those of a decoder have them
                 self._arrived.append(_Arrived(found, t_ns[np.searchsorted(ends, found.ends)]))
-                self._block_bytes = max(round(self._rate_hz * _BLOCK_S), 1) * LAYOUTS[found.identifier].size
+                self._block_bytes = max(round(self._rate_hz * _BLOCK_S), 1) * stim300.LAYOUTS[found.identifier].size
             else:
                 self._said[type(found)] = found
                 self._arrived.append(found)
@@ -188,21 +165,21 @@ class Stim300Imu:
                     self._accept(item)
         return blocks
 
-    def _block(self, data: Datagrams, arrival_ns: Stamps) -> ImuBlock | None:
+    def _block(self, data: stim300.Datagrams, arrival_ns: Stamps) -> ImuBlock | None:
         # The device states how long it held each sample before it began to send.
         new, t_ns = self._clock.stamp(data.counter, arrival_ns - data.latency_us * 1000)
         self._forgive_replaced(data.counter)
         if not len(t_ns):
             return None
         counter = data.counter[new]
-        rate = self._gyro.rates(vouched(data.gyro[new], data.gyro_status[new]), counter, t_ns, self._ticks)
+        rate = self._gyro.rates(stim300.vouched(data.gyro[new], data.gyro_status[new]), counter, t_ns, self._ticks)
         temperature = np.full(len(t_ns), np.nan)
         if data.temperatures is not None and data.temperature_status is not None:
-            temperature = data.temperatures[new, 0].mean(axis=1) * TEMPERATURE_LSB_C
+            temperature = data.temperatures[new, 0].mean(axis=1) * stim300.TEMPERATURE_LSB_C
             temperature[(data.temperature_status[new, 0] & _NO_TEMPERATURE) != 0] = np.nan
         accel = None
         if data.accelerometer is not None and data.accelerometer_status is not None:
-            raw = vouched(data.accelerometer[new], data.accelerometer_status[new])
+            raw = stim300.vouched(data.accelerometer[new], data.accelerometer_status[new])
             accel = self._accel.rates(raw, counter, t_ns, self._ticks)
         centre_ns = round(self._gyro.centre_s * 1e9)
         return ImuBlock(t_ns - centre_ns, arrival_ns[new], rate, temperature, counter, accel)
@@ -210,7 +187,7 @@ class Stim300Imu:
     def _forgive_replaced(self, counter: Stamps) -> None:
         """Take samples off the count of lost ones in whose place the device sent an answer."""
         if self._answered and self._last_counter >= 0:
-            missing = int(counter[0] - self._last_counter) % COUNTER_MODULUS // self._ticks - 1
+            missing = int(counter[0] - self._last_counter) % stim300.COUNTER_MODULUS // self._ticks - 1
             if 0 < missing <= _MOST_REPLACED:
                 self._clock.counts.lost -= missing
         self._answered = False

@@ -6,6 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from drivers.flags import flag
+
 RATES_HZ = (125, 250, 500, 1000, 2000)
 """Datagram rates, by their code."""
 
@@ -60,6 +62,10 @@ class SerialNumber:
     def parse(cls, payload: bytes) -> SerialNumber:
         """Read the 15 bytes."""
         return cls("N" + "".join(_DIGITS[d] for d in _nibbles(payload[1:8])))
+
+
+def _contents(configuration: Configuration) -> int:
+    return configuration.data[2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,30 +130,11 @@ class Configuration:
         code = self.data[2] >> 5
         return RATES_HZ[code] if code < _EXTERNAL_TRIGGER else None
 
-    @property
-    def pps(self) -> bool:
-        """Whether normal datagrams carry the PPS (or AUX) group."""
-        return bool(self.data[2] & 0x10)
-
-    @property
-    def temperature(self) -> bool:
-        """Whether normal datagrams carry temperatures."""
-        return bool(self.data[2] & 0x08)
-
-    @property
-    def inclinometer(self) -> bool:
-        """Whether normal datagrams carry the inclinometers."""
-        return bool(self.data[2] & 0x04)
-
-    @property
-    def accelerometer(self) -> bool:
-        """Whether normal datagrams carry the accelerometers."""
-        return bool(self.data[2] & 0x02)
-
-    @property
-    def line_termination(self) -> bool:
-        """Whether normal datagrams end with CR LF."""
-        return bool(self.data[2] & 0x01)
+    pps = flag(_contents, 0x10, "Whether normal datagrams carry the PPS (or AUX) group.")
+    temperature = flag(_contents, 0x08, "Whether normal datagrams carry temperatures.")
+    inclinometer = flag(_contents, 0x04, "Whether normal datagrams carry the inclinometers.")
+    accelerometer = flag(_contents, 0x02, "Whether normal datagrams carry the accelerometers.")
+    line_termination = flag(_contents, 0x01, "Whether normal datagrams end with CR LF.")
 
     @property
     def bit_rate(self) -> int | None:
@@ -176,11 +163,6 @@ class Configuration:
         x, y, z = (_ACCEL_RANGES_G.get(code) for code in _nibbles(self.data[16:18])[:3])
         return x, y, z
 
-    @property
-    def bias_trim_at_start(self) -> bool:
-        """Whether the bias trim is sent at power-on."""
-        return bool(self.data[20] & 0x02)
-
 
 @dataclass(frozen=True, slots=True)
 class BiasTrim:
@@ -204,12 +186,6 @@ class BiasTrim:
         v = [int.from_bytes(payload[i : i + 3], "big", signed=True) for i in range(0, 27, 3)]
         reference, saves = int.from_bytes(payload[27:31], "big"), int.from_bytes(payload[31:33], "big")
         return cls((v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8]), reference, saves)
-
-    @property
-    def gyro_dps(self) -> tuple[float, float, float]:
-        """Offsets of the gyros in deg/s, whatever their output unit."""
-        x, y, z = (value * 2.0**-14 for value in self.gyro)
-        return x, y, z
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,40 +3,29 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import AsyncIterator
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers import vectornav
+from drivers.arrays import Flags, Stamps
+from drivers.can_samples import RegularSamples, block_of
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
-from drivers.sampling import Alignment, CounterClock, RegularClock
-from drivers.seams import ByteChunk, ByteLink, Floats, Identity, ImuBlock, SourceCounts, Stamps
-from drivers.vectornav import (
-    COMMON,
-    IMU,
-    IMU_RATE_HZ,
-    RATES_HZ,
-    Frames,
-    Sentence,
-    VectorNavDecoder,
-    encode_sentence,
-    error_code,
-    error_text,
-    layout_of,
-)
+from drivers.one_source import OneSource
+from drivers.sampling import Alignment, CounterClock
+from drivers.seams import ByteChunk, ByteLink, Identity, ImuBlock, SourceCounts
 
 Output = Literal["binary", "ascii"]
 
 # The rates before the filter takes off the bias that it estimates: that bias moves, and would hide what is calibrated.
-LAYOUT = layout_of({COMMON: 1 << 0, IMU: 1 << 2 | 1 << 3 | 1 << 4})
+LAYOUT = vectornav.layout_of({vectornav.COMMON: 1 << 0, vectornav.IMU: 1 << 2 | 1 << 3 | 1 << 4})
 """TimeStartup, UncompAccel, UncompGyro, Temp."""
 
 _ASYNC_OFF, _ASYNC_IMU = 0, 19
 _REGISTER_TYPE, _REGISTER_RATE = "06", "07"
 _REGISTERS_BINARY = ("75", "76", "77")
-_ACCEL, _GYRO, _TEMPERATURE = slice(3, 6), slice(6, 9), 9  # of VNIMU, after three of magnetic field
+_SHOWN = [6, 7, 8, 9, 3, 4, 5]  # of VNIMU, after three of magnetic field: rates, temperature, accelerations
 _IMU_FIELDS = 11
 
 _TRIES = 2
@@ -49,7 +38,7 @@ _LONGEST_STEP_BACK_NS = 1_000_000_000
 _STAMP_MODULUS = 1 << 62  # ns: it never wraps
 
 
-class VectorNavImu:
+class VectorNavImu(OneSource[ByteLink]):
     """One source of three gyros and three accelerometers, uncompensated, with temperature."""
 
     def __init__(
@@ -67,18 +56,13 @@ class VectorNavImu:
         ``serial_port`` (1, 2) is the device's own, at which the link ends. ``timeout_s`` is for one try, of which
         each command has two.
         """
-        self._device, self._link = device, link
+        super().__init__(device, link)
         self._rate_hz = _legal_rate(device, rate_hz, output)
         self._output, self._serial_port, self._timeout_s = output, serial_port, timeout_s
-        self._decoder = VectorNavDecoder()
+        self._decoder = vectornav.VectorNavDecoder()
         self._counts = SourceCounts()
         self._unreadable = 0
         self._start_clocks()
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of the one source."""
-        return (self._device,)
 
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are frames and sentences that began well and were damaged."""
@@ -88,10 +72,6 @@ class VectorNavImu:
     def alignment(self, name: str) -> Alignment | None:
         """Get how the device's clock lies to the loop's; None while that is not known."""
         return (self._stamped if self._output == "binary" else self._regular).alignment
-
-    async def open(self) -> None:
-        """Open the link."""
-        await self._link.open()
 
     async def identify(self) -> Identity:
         """Read model, hardware revision, serial number and firmware; its output is paused from then on.
@@ -112,12 +92,12 @@ class VectorNavImu:
         for register in _REGISTERS_BINARY:
             await self._write(register, "0", "1", *LAYOUT.register_fields)
         if self._output == "binary":
-            divisor = str(IMU_RATE_HZ // self._rate_hz)
+            divisor = str(vectornav.IMU_RATE_HZ // self._rate_hz)
             await self._write(_REGISTERS_BINARY[0], str(self._serial_port), divisor, *LAYOUT.register_fields)
         else:
             await self._write(_REGISTER_RATE, str(self._rate_hz))
             await self._write(_REGISTER_TYPE, str(_ASYNC_IMU))
-        await self._ask(Sentence("VNASY", ("1",)))
+        await self._ask(vectornav.Sentence("VNASY", ("1",)))
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
         """Configure the device and yield blocks as the bytes come; LinkLost when the link ends, and as ``configure``.
@@ -129,7 +109,11 @@ class VectorNavImu:
         while True:
             chunk = await self._link.receive()
             for item in self._decoder.feed(chunk.data):
-                block = self._of_frames(chunk, item) if isinstance(item, Frames) else self._of_sentence(chunk, item)
+                block = (
+                    self._of_frames(chunk, item)
+                    if isinstance(item, vectornav.Frames)
+                    else self._of_sentence(chunk, item)
+                )
                 if block is not None:
                     yield self._device, block
 
@@ -138,20 +122,14 @@ class VectorNavImu:
         block = self._regular_block(everything=True)
         return [] if block is None else [(self._device, block)]
 
-    def close(self) -> None:
-        """Close the link."""
-        self._link.close()
-
     def _start_clocks(self) -> None:
         """Begin the times anew: the device may have been off since."""
         period_ns = round(1e9 / self._rate_hz)
         self._stamped = CounterClock(1e-9, _STAMP_MODULUS, period_ns, counts=self._counts)
         self._newest_ns = -1
-        self._regular = RegularClock(1 / self._rate_hz, self._counts)
-        self._waiting: deque[tuple[int, Floats]] = deque()  # what the regular clock holds, by its number
-        self._number = 0
+        self._regular = RegularSamples(1 / self._rate_hz, self._counts)
 
-    def _of_frames(self, chunk: ByteChunk, frames: Frames) -> ImuBlock | None:
+    def _of_frames(self, chunk: ByteChunk, frames: vectornav.Frames) -> ImuBlock | None:
         if frames.layout != LAYOUT:
             return None  # left from what it was set to before
         values = frames.values
@@ -171,7 +149,7 @@ class VectorNavImu:
             values["imu.uncomp_accel"].astype(np.float64),
         )
 
-    def _new(self, device_ns: Stamps) -> NDArray[np.bool_]:
+    def _new(self, device_ns: Stamps) -> Flags:
         """Return which samples come after all before them; the others are repeats, unless time starts again."""
         newest = np.maximum.accumulate(np.concatenate([[self._newest_ns], device_ns]))
         if (newest[:-1] - device_ns).max() > _LONGEST_STEP_BACK_NS:
@@ -181,7 +159,7 @@ class VectorNavImu:
         self._counts.repeated += int(np.sum(~new))
         return new
 
-    def _of_sentence(self, chunk: ByteChunk, sentence: Sentence) -> ImuBlock | None:
+    def _of_sentence(self, chunk: ByteChunk, sentence: vectornav.Sentence) -> ImuBlock | None:
         self._complain(sentence)
         if sentence.header != "VNIMU" or self._output != "ascii":
             return None
@@ -192,43 +170,34 @@ class VectorNavImu:
         if len(row) != _IMU_FIELDS:
             self._unreadable += 1
             return None
-        self._waiting.append((self._number, row))
-        self._regular.add(chunk.t_ns, float(self._number), sentence.text.encode("ascii"))
-        self._number += 1
-        return self._regular_block() if self._regular.due else None
+        arrival_ns = np.array([chunk.t_ns], dtype=np.int64)
+        self._regular.add(arrival_ns, row[None, _SHOWN], [sentence.text.encode("ascii")])
+        return self._regular_block()
 
     def _regular_block(self, *, everything: bool = False) -> ImuBlock | None:
         ready = self._regular.ready(everything=everything)
-        if ready is None:
-            return None
-        t_ns, arrival_ns, number = ready
-        rows = np.empty((len(number), _IMU_FIELDS))
-        for i, wanted in enumerate(number):
-            while self._waiting[0][0] < wanted:  # the clock has found this one to be a repeat
-                self._waiting.popleft()
-            rows[i] = self._waiting.popleft()[1]
-        return ImuBlock(t_ns, arrival_ns, rows[:, _GYRO], rows[:, _TEMPERATURE], accel_mps2=rows[:, _ACCEL])
+        return None if ready is None else block_of(*ready, gyros=3)
 
-    def _complain(self, sentence: Sentence) -> None:
+    def _complain(self, sentence: vectornav.Sentence) -> None:
         """Raise DeviceFault if the device reports a fault of its own."""
         if sentence.header == "VNERR" and (code := _code(sentence)) in _FAULTS:
-            raise DeviceFault(self._device, f"it reports {error_text(code)}; switch it off and on again")
+            raise DeviceFault(self._device, f"it reports {vectornav.error_text(code)}; switch it off and on again")
 
     async def _pause(self) -> None:
-        await self._ask(Sentence("VNASY", ("0",)))
+        await self._ask(vectornav.Sentence("VNASY", ("0",)))
 
     async def _read(self, register: str) -> str:
-        reply = await self._ask(Sentence("VNRRG", (register,)))
+        reply = await self._ask(vectornav.Sentence("VNRRG", (register,)))
         return ",".join(reply.fields[1:])
 
     async def _write(self, register: str, *values: str) -> None:
-        await self._ask(Sentence("VNWRG", (register, *values)))
+        await self._ask(vectornav.Sentence("VNWRG", (register, *values)))
 
-    async def _ask(self, command: Sentence) -> Sentence:
+    async def _ask(self, command: vectornav.Sentence) -> vectornav.Sentence:
         """Send a command and return its reply."""
-        other: Sentence | None = None
+        other: vectornav.Sentence | None = None
         for attempt in range(_TRIES):
-            self._link.write(encode_sentence(command))
+            self._link.write(vectornav.encode_sentence(command))
             reply, other = await self._reply_to(command, self._timeout_s)
             if reply is None:
                 continue
@@ -238,7 +207,7 @@ class VectorNavImu:
             if reply.header == "VNERR":
                 code = _code(reply)
                 raise DeviceRefused(
-                    self._device, f"it refused {command.text} with {error_text(code)}{_HINTS.get(code, '')}"
+                    self._device, f"it refused {command.text} with {vectornav.error_text(code)}{_HINTS.get(code, '')}"
                 )
             return reply
         if other is not None:
@@ -249,14 +218,16 @@ class VectorNavImu:
             "that of the link?",
         )
 
-    async def _reply_to(self, command: Sentence, limit_s: float) -> tuple[Sentence | None, Sentence | None]:
+    async def _reply_to(
+        self, command: vectornav.Sentence, limit_s: float
+    ) -> tuple[vectornav.Sentence | None, vectornav.Sentence | None]:
         """Return the reply if it comes in time; beside it the last that would have been one, had it been right."""
-        other: Sentence | None = None
+        other: vectornav.Sentence | None = None
         try:
             async with asyncio.timeout(limit_s):
                 while True:
                     items = self._decoder.feed((await self._link.receive()).data)
-                    for sentence in (item for item in items if isinstance(item, Sentence)):
+                    for sentence in (item for item in items if isinstance(item, vectornav.Sentence)):
                         self._complain(sentence)
                         if _answers(sentence, command):
                             return sentence, other
@@ -264,20 +235,20 @@ class VectorNavImu:
                             other = sentence
         except TimeoutError:
             # What looked like the beginning of a frame may have hidden the reply.
-            for sentence in (item for item in self._decoder.flush() if isinstance(item, Sentence)):
+            for sentence in (item for item in self._decoder.flush() if isinstance(item, vectornav.Sentence)):
                 if _answers(sentence, command):
                     return sentence, other
         return None, other
 
 
 def _legal_rate(device: str, rate_hz: float, output: Output) -> int:
-    if rate_hz not in RATES_HZ[output]:
-        rates = ", ".join(map(str, RATES_HZ[output]))
+    if rate_hz not in vectornav.RATES_HZ[output]:
+        rates = ", ".join(map(str, vectornav.RATES_HZ[output]))
         raise ValueError(f"{device}: a VectorNav has no {output} output at {rate_hz:g} Hz, only at {rates} Hz")
     return round(rate_hz)
 
 
-def _answers(sentence: Sentence, command: Sentence) -> bool:
+def _answers(sentence: vectornav.Sentence, command: vectornav.Sentence) -> bool:
     """Return whether this is the reply to that command: late ones name another register, or give other values."""
     if sentence.header == "VNERR":
         return _code(sentence) not in (*_UNASKED, _DAMAGED)
@@ -287,7 +258,7 @@ def _answers(sentence: Sentence, command: Sentence) -> bool:
     return len(sentence.fields) > len(given) if command.header == "VNRRG" else _same(sentence.fields, given)
 
 
-def _is_about(sentence: Sentence, command: Sentence) -> bool:
+def _is_about(sentence: vectornav.Sentence, command: vectornav.Sentence) -> bool:
     if sentence.header == "VNERR":
         return _code(sentence) == _DAMAGED
     return sentence.header == command.header and _same(sentence.fields[:1], command.fields[:1])
@@ -298,5 +269,5 @@ def _same(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
     return [text.lstrip("0").upper() for text in one] == [text.lstrip("0").upper() for text in other]
 
 
-def _code(sentence: Sentence) -> int:
-    return error_code(sentence.fields[0]) if sentence.fields else -1
+def _code(sentence: vectornav.Sentence) -> int:
+    return vectornav.error_code(sentence.fields[0]) if sentence.fields else -1

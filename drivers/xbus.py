@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
-Bytes = NDArray[np.uint8]
+from drivers.arrays import Octets
+
+Bytes = Octets
 
 _START = b"\xfa\xff"  # preamble, and the address of a device that is alone on its wire
 _EXTENDED = 0xFF  # in place of a length: the length follows in two bytes

@@ -6,31 +6,13 @@ from collections.abc import AsyncIterator
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers import mtdata2
+from drivers.arrays import Flags, Floats, Stamps
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
-from drivers.mtdata2 import (
-    ACCELERATION,
-    EVERY,
-    FLOAT32,
-    PACKET_COUNTER,
-    PACKET_COUNTER_MODULUS,
-    RATE_OF_TURN,
-    RATE_OF_TURN_HR,
-    SAMPLE_TIME_FINE,
-    SAMPLE_TIME_MODULUS,
-    SAMPLE_TIME_TICK_S,
-    TEMPERATURE,
-    Output,
-    Samples,
-    decode_outputs,
-    encode_outputs,
-    kind_of,
-    name_of,
-    parse_mtdata2,
-)
+from drivers.one_source import OneSource
 from drivers.sampling import Alignment, CounterClock
-from drivers.seams import ByteLink, Floats, Identity, ImuBlock, SourceCounts, Stamps
+from drivers.seams import ByteLink, Identity, ImuBlock, SourceCounts
 from drivers.xbus import Bytes, Messages, Mid, error_text, firmware_of, product_of, serial_of
 from drivers.xbus_link import XbusLink
 
@@ -47,7 +29,7 @@ _Batch = tuple[Stamps, Stamps, Floats, Floats, Floats]
 """Count, arrival in ns, rate, temperature, acceleration."""
 
 
-class XsensImu:
+class XsensImu(OneSource[XbusLink]):
     """One source of three gyros, with accelerometer and temperature where the device sends them."""
 
     def __init__(
@@ -56,7 +38,7 @@ class XsensImu:
         link: ByteLink,
         rate_hz: float,
         *,
-        number_format: int = FLOAT32,
+        number_format: int = mtdata2.FLOAT32,
         configure: bool = True,
         timeout_s: float = 0.5,
     ) -> None:
@@ -69,31 +51,22 @@ class XsensImu:
             raise ValueError(
                 f"{device}: an MTi sends at a whole number of Hz from 1 to {HIGHEST_RATE_HZ}, not at {rate_hz:g} Hz"
             )
-        self._device, self._rate_hz = device, round(rate_hz)
+        super().__init__(device, XbusLink(device, link, timeout_s))
+        self._rate_hz = round(rate_hz)
         self._format, self._configures = number_format, configure
-        self._xbus = XbusLink(device, link, timeout_s)
         self._counts = SourceCounts()
         self._unusable = 0
         self._has_accel: bool | None = None
         self._start_clock()
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of the one source."""
-        return (self._device,)
-
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are damaged messages, those with impossible contents included."""
-        self._counts.corrupt = self._xbus.bad_messages + self._unusable
+        self._counts.corrupt = self._link.bad_messages + self._unusable
         return self._counts
 
     def alignment(self, name: str) -> Alignment | None:
         """Get how the device's clock lies to the loop's; None while that is not known."""
         return None if self._timing is None else self._timing.alignment
-
-    async def open(self) -> None:
-        """Open the link."""
-        await self._xbus.open()
 
     async def identify(self) -> Identity:
         """Ask for product code, serial number and firmware; the device stops sending. Empty if it may not be asked.
@@ -102,8 +75,8 @@ class XsensImu:
         """
         if not self._configures:
             return Identity()
-        await self._xbus.request(Mid.GO_TO_CONFIG)
-        serial = serial_of(await self._xbus.request(Mid.REQ_DEVICE_ID))
+        await self._link.request(Mid.GO_TO_CONFIG)
+        serial = serial_of(await self._link.request(Mid.REQ_DEVICE_ID))
         product = product_of(await self._told(Mid.REQ_PRODUCT_CODE))
         return Identity(product, serial, firmware_of(await self._told(Mid.REQ_FIRMWARE)))
 
@@ -112,21 +85,24 @@ class XsensImu:
 
         LinkLost if it does not answer; DeviceRefused, also if it grants another rate than the one asked for.
         """
-        await self._xbus.request(Mid.GO_TO_CONFIG)
-        wanted = encode_outputs(
+        await self._link.request(Mid.GO_TO_CONFIG)
+        wanted = mtdata2.encode_outputs(
             (
-                Output(PACKET_COUNTER, EVERY),
-                Output(SAMPLE_TIME_FINE, EVERY),
-                *(Output(kind | self._format, self._rate_hz) for kind in (RATE_OF_TURN, ACCELERATION, TEMPERATURE)),
+                mtdata2.Output(mtdata2.PACKET_COUNTER, mtdata2.EVERY),
+                mtdata2.Output(mtdata2.SAMPLE_TIME_FINE, mtdata2.EVERY),
+                *(
+                    mtdata2.Output(kind | self._format, self._rate_hz)
+                    for kind in (mtdata2.RATE_OF_TURN, mtdata2.ACCELERATION, mtdata2.TEMPERATURE)
+                ),
             )
         )
-        answer = await self._xbus.request(Mid.OUTPUT_CONFIGURATION, wanted, lambda answer: answer == wanted)
-        granted = decode_outputs(answer)
+        answer = await self._link.request(Mid.OUTPUT_CONFIGURATION, wanted, lambda answer: answer == wanted)
+        granted = mtdata2.decode_outputs(answer)
         if granted is None:
             raise BadReply(self._device, "its answer to OutputConfiguration is no output configuration")
         self._check_granted(granted)
-        self._has_accel = any(kind_of(output.data_id) == ACCELERATION for output in granted)
-        await self._xbus.request(Mid.GO_TO_MEASUREMENT)
+        self._has_accel = any(mtdata2.kind_of(output.data_id) == mtdata2.ACCELERATION for output in granted)
+        await self._link.request(Mid.GO_TO_MEASUREMENT)
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
         """Configure the device and yield blocks of about 10 ms; LinkLost when the link ends, and as ``configure``.
@@ -137,7 +113,7 @@ class XsensImu:
         if self._configures:
             await self.configure()
         while True:
-            t_ns, messages = await self._xbus.receive()
+            t_ns, messages = await self._link.receive()
             if messages.mid != Mid.MTDATA2:
                 self._complain(messages)
                 continue
@@ -155,10 +131,6 @@ class XsensImu:
         except DeviceError:
             return []  # what cannot be used matters no more
         return [] if block is None else [(self._device, block)]
-
-    def close(self) -> None:
-        """Close the link."""
-        self._xbus.close()
 
     def _start_clock(self) -> None:
         """Begin the times anew: the device may have been off since."""
@@ -182,7 +154,7 @@ class XsensImu:
         for _, group in groupby(held, key=lambda part: part[1].shape[1]):
             parts = list(group)
             arrival_ns = np.repeat([t_ns for t_ns, _ in parts], [len(data) for _, data in parts]).astype(np.int64)
-            found, malformed = parse_mtdata2(np.concatenate([data for _, data in parts]))
+            found, malformed = mtdata2.parse_mtdata2(np.concatenate([data for _, data in parts]))
             self._unusable += malformed
             for samples in found:
                 batch = self._batch(samples, arrival_ns[samples.start : samples.start + len(samples.data)])
@@ -200,10 +172,10 @@ class XsensImu:
         shown = accel[new] if self._has_accel else None
         return ImuBlock(t_ns, arrival_ns[new], rate[new], temperature[new], count[new], shown)
 
-    def _batch(self, samples: Samples, arrival_ns: Stamps) -> _Batch | None:
-        rate = samples.numbers(RATE_OF_TURN)
+    def _batch(self, samples: mtdata2.Samples, arrival_ns: Stamps) -> _Batch | None:
+        rate = samples.numbers(mtdata2.RATE_OF_TURN)
         if rate is None:
-            rate = samples.numbers(RATE_OF_TURN_HR)
+            rate = samples.numbers(mtdata2.RATE_OF_TURN_HR)
         if rate is None:
             self._look_for_rate(samples)
             return None
@@ -213,10 +185,10 @@ class XsensImu:
         if count is None:
             self._unusable += len(rate)
             return None
-        accel = samples.numbers(ACCELERATION)
+        accel = samples.numbers(mtdata2.ACCELERATION)
         if self._has_accel is None:
             self._has_accel = accel is not None
-        temperature = samples.numbers(TEMPERATURE)
+        temperature = samples.numbers(mtdata2.TEMPERATURE)
         temperature_c = np.full(len(rate), self._temperature_c) if temperature is None else temperature[:, 0]
         self._temperature_c = float(temperature_c[-1])
         return (
@@ -227,29 +199,29 @@ class XsensImu:
             np.full((len(rate), 3), np.nan) if accel is None else accel,
         )
 
-    def _look_for_rate(self, samples: Samples) -> None:
+    def _look_for_rate(self, samples: mtdata2.Samples) -> None:
         if self._timing is not None:
             return  # messages of GNSS and the like between those with rates
         self._without_rate += len(samples.data)
         if self._without_rate > _LOOK_FOR_RATE:
-            sent = ", ".join(name_of(packet.data_id) for packet in samples.packets)
+            sent = ", ".join(mtdata2.name_of(packet.data_id) for packet in samples.packets)
             raise BadReply(self._device, f"it sends no RateOfTurn, only {sent}; {_LET_CONFIGURE}")
 
-    def _timing_by(self, samples: Samples) -> _Timing:
-        if samples.has(SAMPLE_TIME_FINE):
-            ticks = max(round(1 / (SAMPLE_TIME_TICK_S * self._rate_hz)), 1)
-            clock = CounterClock(SAMPLE_TIME_TICK_S, SAMPLE_TIME_MODULUS, ticks, counts=self._counts)
-            return _Timing(SAMPLE_TIME_FINE, clock)
-        if samples.has(PACKET_COUNTER):
-            clock = CounterClock(1 / self._rate_hz, PACKET_COUNTER_MODULUS, 1, counts=self._counts)
-            return _Timing(PACKET_COUNTER, clock)
+    def _timing_by(self, samples: mtdata2.Samples) -> _Timing:
+        if samples.has(mtdata2.SAMPLE_TIME_FINE):
+            ticks = max(round(1 / (mtdata2.SAMPLE_TIME_TICK_S * self._rate_hz)), 1)
+            clock = CounterClock(mtdata2.SAMPLE_TIME_TICK_S, mtdata2.SAMPLE_TIME_MODULUS, ticks, counts=self._counts)
+            return _Timing(mtdata2.SAMPLE_TIME_FINE, clock)
+        if samples.has(mtdata2.PACKET_COUNTER):
+            clock = CounterClock(1 / self._rate_hz, mtdata2.PACKET_COUNTER_MODULUS, 1, counts=self._counts)
+            return _Timing(mtdata2.PACKET_COUNTER, clock)
         raise BadReply(self._device, f"it sends neither SampleTimeFine nor PacketCounter; {_LET_CONFIGURE}")
 
-    def _check_granted(self, granted: tuple[Output, ...]) -> None:
+    def _check_granted(self, granted: tuple[mtdata2.Output, ...]) -> None:
         """See that rates and their times come as asked for; acceleration and temperature may be rarer or missing."""
-        by_kind = {kind_of(output.data_id): output for output in granted}
-        wanted = Output(RATE_OF_TURN | self._format, self._rate_hz)
-        rate = by_kind.get(RATE_OF_TURN)
+        by_kind = {mtdata2.kind_of(output.data_id): output for output in granted}
+        wanted = mtdata2.Output(mtdata2.RATE_OF_TURN | self._format, self._rate_hz)
+        rate = by_kind.get(mtdata2.RATE_OF_TURN)
         if rate is None:
             raise DeviceRefused(self._device, f"it does not grant {wanted}; is it an MTi that gives rates?")
         if rate.rate_hz != self._rate_hz:
@@ -258,7 +230,7 @@ class XsensImu:
                 f"it grants {rate} where {self._rate_hz} Hz were asked for; set the rate in the bench file to one that "
                 "the device has",
             )
-        if SAMPLE_TIME_FINE not in by_kind and PACKET_COUNTER not in by_kind:
+        if mtdata2.SAMPLE_TIME_FINE not in by_kind and mtdata2.PACKET_COUNTER not in by_kind:
             raise DeviceRefused(
                 self._device, "it grants neither SampleTimeFine nor PacketCounter: no sample has a time"
             )
@@ -266,7 +238,7 @@ class XsensImu:
     async def _told(self, mid: Mid) -> bytes:
         """Return the answer to what not every device can be asked, empty from those."""
         try:
-            return await self._xbus.request(mid)
+            return await self._link.request(mid)
         except DeviceRefused:
             return b""
 
@@ -297,7 +269,7 @@ class _Timing:
         damaged, self._damaged = self._damaged, 0
         return damaged
 
-    def stamp(self, count: Stamps, arrival_ns: Stamps) -> tuple[NDArray[np.bool_], Stamps]:
+    def stamp(self, count: Stamps, arrival_ns: Stamps) -> tuple[Flags, Stamps]:
         """Return which samples are new and sound (n,), and the times in ns of those."""
         sound = self._sound(count, arrival_ns)
         if not sound.any():
@@ -306,7 +278,7 @@ class _Timing:
         sound[np.flatnonzero(sound)[~new]] = False
         return sound, t_ns
 
-    def _sound(self, count: Stamps, arrival_ns: Stamps) -> NDArray[np.bool_]:
+    def _sound(self, count: Stamps, arrival_ns: Stamps) -> Flags:
         """Return which counts (n,) go on from those before and are not ahead of their time."""
         if self._newest is None:
             self._first = self._newest = int(count[0])

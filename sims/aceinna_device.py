@@ -7,37 +7,10 @@ import asyncio
 import can
 import numpy as np
 
-from drivers.aceinna import (
-    ACCS,
-    ADDRESS_CLAIM,
-    ARI,
-    AXIS_ORDERS,
-    DEFAULT_ADDRESS,
-    DIVIDERS,
-    EVERYBODY,
-    FILTERS,
-    FILTERS_HZ,
-    INTERNAL_RATE_HZ,
-    ORIENTATION,
-    ORIENTATIONS,
-    PACKET_TYPES,
-    PACKETS,
-    RATE_DIVIDER,
-    REQUEST,
-    RESET_ALGORITHM,
-    SAVE,
-    SOFTWARE_VERSION,
-    SSI2,
-    AxisOrder,
-    ByteOrder,
-    Name,
-    encode_accelerations,
-    encode_rates,
-    encode_slope,
-    message,
-)
+from drivers import aceinna
+from drivers.arrays import Floats
 from drivers.can_signals import parameter_group
-from sims.frames import Floats, FrameSink, NodeFaults, SpecificForce
+from sims.frames import FrameSink, NodeFaults, SpecificForce
 from sims.gyro import GyroArray
 
 
@@ -51,14 +24,14 @@ class AceinnaDevice:
         self,
         gyros: GyroArray,
         bus: FrameSink,
-        rate_hz: float = INTERNAL_RATE_HZ,
+        rate_hz: float = aceinna.INTERNAL_RATE_HZ,
         *,
         model: str = "openimu300ri",
-        axis_order: AxisOrder | None = None,
-        address: int = DEFAULT_ADDRESS,
-        orientation_bytes: ByteOrder = "little",
+        axis_order: aceinna.AxisOrder | None = None,
+        address: int = aceinna.DEFAULT_ADDRESS,
+        orientation_bytes: aceinna.ByteOrder = "little",
         version: bytes = bytes([19, 1, 51, 2, 1]),
-        name: Name | None = None,
+        name: aceinna.Name | None = None,
         faults: NodeFaults | None = None,
         specific_force: SpecificForce | None = None,
     ) -> None:
@@ -67,19 +40,19 @@ class AceinnaDevice:
         Without ``specific_force`` the accelerometers say 0.
         """
         self._gyros, self._bus = gyros, bus
-        self._order: AxisOrder = axis_order or AXIS_ORDERS[model]
+        self._order: aceinna.AxisOrder = axis_order or aceinna.AXIS_ORDERS[model]
         self._address, self._orientation_bytes = address, orientation_bytes
         self._specific_force = specific_force
         self.faults = faults or NodeFaults()
         self.saved = 0
         """How often it was told to save its configuration."""
         self._held = {
-            SOFTWARE_VERSION: version,
-            ADDRESS_CLAIM: (name or Name(identity=305_001, manufacturer=823, function=131)).encode(),
-            RATE_DIVIDER: bytes([address, round(INTERNAL_RATE_HZ / rate_hz)]),
-            PACKET_TYPES: bytes([address, sum(PACKETS.values()), 0]),
-            FILTERS: bytes([address, 25, 5]),
-            ORIENTATION: bytes([address, 0, 0]),
+            aceinna.SOFTWARE_VERSION: version,
+            aceinna.ADDRESS_CLAIM: (name or aceinna.Name(identity=305_001, manufacturer=823, function=131)).encode(),
+            aceinna.RATE_DIVIDER: bytes([address, round(aceinna.INTERNAL_RATE_HZ / rate_hz)]),
+            aceinna.PACKET_TYPES: bytes([address, sum(aceinna.PACKETS.values()), 0]),
+            aceinna.FILTERS: bytes([address, 25, 5]),
+            aceinna.ORIENTATION: bytes([address, 0, 0]),
         }
 
     def received(self, msg: can.Message) -> None:
@@ -88,10 +61,10 @@ class AceinnaDevice:
             return
         group, data = parameter_group(msg.arbitration_id), bytes(msg.data)
         destination = msg.arbitration_id >> 8 & 0xFF
-        if group == REQUEST and destination in (self._address, EVERYBODY) and len(data) == 3:
+        if group == aceinna.REQUEST and destination in (self._address, aceinna.EVERYBODY) and len(data) == 3:
             self._answer(data[1] << 8 | data[2])
-        elif group in (RESET_ALGORITHM, SAVE) and data[:2] == bytes([0, self._address]):
-            self.saved += group == SAVE
+        elif group in (aceinna.RESET_ALGORITHM, aceinna.SAVE) and data[:2] == bytes([0, self._address]):
+            self.saved += group == aceinna.SAVE
             self._send(group, bytes([1, self._address, 1]))
         elif data[:1] == bytes([self._address]):
             self._set(group, data[1:])
@@ -101,8 +74,8 @@ class AceinnaDevice:
         loop = asyncio.get_running_loop()
         at = loop.time()
         while True:
-            divider = self._held[RATE_DIVIDER][1]
-            at += (divider or 1) / (INTERNAL_RATE_HZ * (1 + 1e-6 * self.faults.clock_ppm))
+            divider = self._held[aceinna.RATE_DIVIDER][1]
+            at += (divider or 1) / (aceinna.INTERNAL_RATE_HZ * (1 + 1e-6 * self.faults.clock_ppm))
             await asyncio.sleep(max(at - loop.time(), 0.0))
             if not divider:
                 continue  # told to be quiet
@@ -113,15 +86,15 @@ class AceinnaDevice:
 
     def _send_sample(self, rates_dps: Floats, force_mps2: Floats) -> None:
         """Send what is switched on, in the order of a real device's trace."""
-        packets = self._held[PACKET_TYPES][1]
-        if packets & PACKETS["ssi2"]:
+        packets = self._held[aceinna.PACKET_TYPES][1]
+        if packets & aceinna.PACKETS["ssi2"]:
             x, y, z = force_mps2
             pitch, roll = np.degrees([np.arctan2(-x, np.hypot(y, z)), np.arctan2(y, z)])
-            self._send(SSI2, encode_slope(float(pitch), float(roll)))
-        if packets & PACKETS["accs"]:
-            self._send(ACCS, encode_accelerations(force_mps2, self._order))
-        if packets & PACKETS["ari"]:
-            self._send(ARI, encode_rates(np.clip(rates_dps, -1e9, 1e9), self._order))
+            self._send(aceinna.SSI2, aceinna.encode_slope(float(pitch), float(roll)))
+        if packets & aceinna.PACKETS["accs"]:
+            self._send(aceinna.ACCS, aceinna.encode_accelerations(force_mps2, self._order))
+        if packets & aceinna.PACKETS["ari"]:
+            self._send(aceinna.ARI, aceinna.encode_rates(np.clip(rates_dps, -1e9, 1e9), self._order))
 
     def _answer(self, group: int) -> None:
         """Answer a request in Aceinna's way of writing it; what it does not know it ignores."""
@@ -130,20 +103,20 @@ class AceinnaDevice:
 
     def _set(self, group: int, values: bytes) -> None:
         """Take a setting if it is one that the device has."""
-        if group == RATE_DIVIDER:
-            good = len(values) == 1 and values[0] in DIVIDERS
-        elif group == PACKET_TYPES:
-            good = len(values) == 2 and values[0] <= sum(PACKETS.values())
-        elif group == FILTERS:
-            good = len(values) == 2 and set(values) <= set(FILTERS_HZ)
+        if group == aceinna.RATE_DIVIDER:
+            good = len(values) == 1 and values[0] in aceinna.DIVIDERS
+        elif group == aceinna.PACKET_TYPES:
+            good = len(values) == 2 and values[0] <= sum(aceinna.PACKETS.values())
+        elif group == aceinna.FILTERS:
+            good = len(values) == 2 and set(values) <= set(aceinna.FILTERS_HZ)
             values = values[::-1]  # asked, it tells the accelerometer's first
-        elif group == ORIENTATION:
-            good = len(values) == 2 and int.from_bytes(values, self._orientation_bytes) in ORIENTATIONS
+        elif group == aceinna.ORIENTATION:
+            good = len(values) == 2 and int.from_bytes(values, self._orientation_bytes) in aceinna.ORIENTATIONS
         else:
             return
         if good:
             self._held[group] = bytes([self._address]) + values
 
     def _send(self, group: int, data: bytes) -> None:
-        frame = message(group, data, self._address)
+        frame = aceinna.message(group, data, self._address)
         self._bus.send(can.Message(arbitration_id=frame.identifier, is_extended_id=True, data=data))

@@ -6,9 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 SIDEREAL_DAY_S = 86164.0905
 _HALF_STEP_S = 1e-4

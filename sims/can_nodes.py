@@ -10,14 +10,12 @@ from typing import Any
 
 import can
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.can_imu import CanChannel, ChannelSignals, load_dbc
 from drivers.can_signals import SignalReader
 from sims.frames import FrameSink, NodeFaults, SpecificForce
 from sims.gyro import GyroArray
-
-Floats = NDArray[np.float64]
 
 _BUILT = "can twin"
 

@@ -7,17 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Stamps
 from sims.body import Body
 from sims.geometry import Mounting
 from sims.gyro import GyroArray, GyroTruth
 from sims.hidden.effects import Hidden
 from sims.hidden.table import TableFaults
 from sims.motion import AxisMotion
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 _NO_LIMIT = 1e3
 _READ_EVERY_S, _TEMPERATURE_COUNT_C, _TEMPERATURE_NOISE_C = 1.0, 0.01, 0.005

@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 
-from drivers.cia402 import (
-    BIT_12,
-    BIT_13,
-    INTERNAL_LIMIT,
-    MODE_HOMING,
-    MODE_PROFILE_POSITION,
-    MODE_PROFILE_VELOCITY,
-    TARGET_REACHED,
-    VOLTAGE_ENABLED,
-    DriveState,
-)
+from drivers import cia402
 from drivers.registers import DriveProfile
 from sims.table import TableModel
+from sims.watchdog import Watchdog
 
 TURN = 2 * math.pi
 _READ_ONLY = ("statusword", "position", "rate", "error_code", "serial_number", "firmware")
@@ -35,24 +25,19 @@ class Drive:
         """Start in Switch-on disabled; ``watchdog_s`` of silence stops the axis (0: never)."""
         self._table, self._axis = table, axis
         self._errors = profile.errors
-        self._state = DriveState.SWITCH_ON_DISABLED
+        self._state = cia402.DriveState.SWITCH_ON_DISABLED
         self._controlword = 0
         self._watchdog_s = watchdog_s
-        self._last_heard_s = table.clock()
-        self._watching = False
+        self._watchdog = Watchdog(table.clock, self._silence_s, self._master_is_silent)
         self._acknowledged = False
         self._homed = False
         self._homing = False
         self.values: dict[str, float] = dict.fromkeys(profile.registers, 0.0)
-        self.values |= {"mode": MODE_PROFILE_VELOCITY, "serial_number": 1.0, "firmware": 1.0}
+        self.values |= {"mode": cia402.MODE_PROFILE_VELOCITY, "serial_number": 1.0, "firmware": 1.0}
 
     def heard(self) -> None:
         """Note that the master has said something."""
-        self._last_heard_s = self._table.clock()
-        silence_s = self._silence_s()
-        if silence_s and not self._watching and self._state is DriveState.OPERATION_ENABLED:
-            self._watching = True
-            asyncio.get_running_loop().call_later(silence_s, self._check_silence)
+        self._watchdog.heard(self._state is cia402.DriveState.OPERATION_ENABLED)
 
     def read(self, register: str) -> float:
         """Return what a register says now."""
@@ -76,7 +61,7 @@ class Drive:
             self._control(int(value))
         elif register in self.values:
             self.values[register] = value
-            if register == "target_rate" and self.values["mode"] == MODE_PROFILE_VELOCITY:
+            if register == "target_rate" and self.values["mode"] == cia402.MODE_PROFILE_VELOCITY:
                 self._follow_rate()
 
     def commanded_by_us(self, register: str) -> bool:
@@ -86,7 +71,7 @@ class Drive:
     def accepts(self, register: str, value: float) -> bool:
         """Return whether a value is within what the drive takes."""
         if register == "mode":
-            return value in (MODE_PROFILE_POSITION, MODE_PROFILE_VELOCITY, MODE_HOMING)
+            return value in (cia402.MODE_PROFILE_POSITION, cia402.MODE_PROFILE_VELOCITY, cia402.MODE_HOMING)
         if register in ("target_rate", "profile_rate"):
             return abs(value) * TURN <= self._table.data[self._axis].max_rate_rps * 1.001
         return register not in _READ_ONLY
@@ -94,52 +79,56 @@ class Drive:
     def _control(self, word: int) -> None:
         before, self._controlword = self._controlword, word
         rising = word & ~before
-        if rising & 0x80 and self._state is DriveState.FAULT:
+        if rising & 0x80 and self._state is cia402.DriveState.FAULT:
             self._table.tripped.pop(self._axis, None)
-            self._state = DriveState.SWITCH_ON_DISABLED
+            self._state = cia402.DriveState.SWITCH_ON_DISABLED
             return
-        if self._state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+        if self._state in (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION):
             return
         self._walk(word)
-        if self._state is DriveState.OPERATION_ENABLED:
+        if self._state is cia402.DriveState.OPERATION_ENABLED:
             self._operate(word, rising)
 
     def _walk(self, word: int) -> None:
         """Carry out the device-control bits 0 to 3 (CiA 402 transitions 2 to 12 and 16)."""
         state = self._state
         if not word & 0x02:  # disable voltage
-            self._release(DriveState.SWITCH_ON_DISABLED)
+            self._release(cia402.DriveState.SWITCH_ON_DISABLED)
         elif not word & 0x04:  # quick stop
-            if state is DriveState.OPERATION_ENABLED:
+            if state is cia402.DriveState.OPERATION_ENABLED:
                 self._table.stop(self._axis)
-                self._state = DriveState.QUICK_STOP_ACTIVE
-            elif state is not DriveState.QUICK_STOP_ACTIVE:
-                self._release(DriveState.SWITCH_ON_DISABLED)
+                self._state = cia402.DriveState.QUICK_STOP_ACTIVE
+            elif state is not cia402.DriveState.QUICK_STOP_ACTIVE:
+                self._release(cia402.DriveState.SWITCH_ON_DISABLED)
         elif word & 0x0F == 0x0F:
-            if state in (DriveState.SWITCHED_ON, DriveState.READY_TO_SWITCH_ON, DriveState.QUICK_STOP_ACTIVE):
+            if state in (
+                cia402.DriveState.SWITCHED_ON,
+                cia402.DriveState.READY_TO_SWITCH_ON,
+                cia402.DriveState.QUICK_STOP_ACTIVE,
+            ):
                 self._enter_operation()
         elif word & 0x07 == 0x07:
-            if state is DriveState.READY_TO_SWITCH_ON:
-                self._state = DriveState.SWITCHED_ON
-            elif state is DriveState.OPERATION_ENABLED:
-                self._release(DriveState.SWITCHED_ON)
-        elif state is not DriveState.QUICK_STOP_ACTIVE or self._table.rate_rps(self._axis) == 0.0:
-            self._release(DriveState.READY_TO_SWITCH_ON)
+            if state is cia402.DriveState.READY_TO_SWITCH_ON:
+                self._state = cia402.DriveState.SWITCHED_ON
+            elif state is cia402.DriveState.OPERATION_ENABLED:
+                self._release(cia402.DriveState.SWITCHED_ON)
+        elif state is not cia402.DriveState.QUICK_STOP_ACTIVE or self._table.rate_rps(self._axis) == 0.0:
+            self._release(cia402.DriveState.READY_TO_SWITCH_ON)
 
     def _enter_operation(self) -> None:
-        self._state = DriveState.OPERATION_ENABLED
+        self._state = cia402.DriveState.OPERATION_ENABLED
         self.values["target_rate"] = 0.0
         self._acknowledged = False
         self.heard()
 
     def _operate(self, word: int, rising: int) -> None:
         mode = self.values["mode"]
-        if mode == MODE_PROFILE_VELOCITY:
+        if mode == cia402.MODE_PROFILE_VELOCITY:
             self._follow_rate()
-        elif mode == MODE_HOMING and rising & 0x10:
+        elif mode == cia402.MODE_HOMING and rising & 0x10:
             self._homed, self._homing = False, True
             self._table.seek_home(self._axis, self.values["homing_rate_1"] * TURN)
-        elif mode == MODE_PROFILE_POSITION:
+        elif mode == cia402.MODE_PROFILE_POSITION:
             if rising & 0x10:
                 self._acknowledged = True
                 self._table.move_encoder(
@@ -152,11 +141,11 @@ class Drive:
                 self._acknowledged = False
 
     def _follow_rate(self) -> None:
-        if self._state is DriveState.OPERATION_ENABLED:
+        if self._state is cia402.DriveState.OPERATION_ENABLED:
             motion = self._table.motion[self._axis]
             motion.jog(self._table.clock(), self.values["target_rate"] * TURN, self.values["acceleration"] * TURN)
 
-    def _release(self, state: DriveState) -> None:
+    def _release(self, state: cia402.DriveState) -> None:
         """Leave operation: an axis that turns brakes along its ramp."""
         if self._table.rate_rps(self._axis):
             self._table.stop(self._axis)
@@ -168,28 +157,28 @@ class Drive:
         motion = self._table.motion[self._axis]
         settled = motion.settled(self._table.clock())
         if self._axis in self._table.tripped:
-            self._state = DriveState.FAULT if settled else DriveState.FAULT_REACTION
+            self._state = cia402.DriveState.FAULT if settled else cia402.DriveState.FAULT_REACTION
             self._homing = False
         if self._homing and settled:
             self._homing, self._homed = False, True
             self._table.zero_encoder(self._axis)
 
     def _statusword(self) -> int:
-        word = self._state.value[1] | VOLTAGE_ENABLED
+        word = self._state.value[1] | cia402.VOLTAGE_ENABLED
         mode = self.values["mode"]
         tripped = self._table.tripped.get(self._axis, "")
         settled = self._table.motion[self._axis].settled(self._table.clock())
         if tripped.startswith("limit switch"):
-            word |= INTERNAL_LIMIT
+            word |= cia402.INTERNAL_LIMIT
         if settled and not self._homing:
-            word |= TARGET_REACHED
-        if mode == MODE_HOMING:
-            word |= BIT_12 if self._homed else 0
-        elif mode == MODE_PROFILE_POSITION:
-            word |= BIT_12 if self._acknowledged else 0
-            word |= BIT_13 if tripped == "following error" else 0
+            word |= cia402.TARGET_REACHED
+        if mode == cia402.MODE_HOMING:
+            word |= cia402.BIT_12 if self._homed else 0
+        elif mode == cia402.MODE_PROFILE_POSITION:
+            word |= cia402.BIT_12 if self._acknowledged else 0
+            word |= cia402.BIT_13 if tripped == "following error" else 0
         elif self._table.rate_rps(self._axis) == 0.0:
-            word |= BIT_12
+            word |= cia402.BIT_12
         return word
 
     def _error_code(self) -> int:
@@ -205,17 +194,11 @@ class Drive:
         limits = [limit for limit in (self.values.get("node_guard", 0.0) / 1000, self._watchdog_s) if limit]
         return min(limits, default=0.0)
 
-    def _check_silence(self) -> None:
-        self._watching = False
-        silence_s = self._silence_s()
-        if self._state is not DriveState.OPERATION_ENABLED or not silence_s:
+    def _master_is_silent(self) -> None:
+        if self._state is not cia402.DriveState.OPERATION_ENABLED:
             return
-        remaining = self._last_heard_s + silence_s - self._table.clock()
-        if remaining > 1e-9:
-            self._watching = True
-            asyncio.get_running_loop().call_later(remaining, self._check_silence)
-        elif silence_s == self._watchdog_s:
-            self._release(DriveState.SWITCH_ON_DISABLED)
+        if self._silence_s() == self._watchdog_s:
+            self._release(cia402.DriveState.SWITCH_ON_DISABLED)
         else:
             self._table.trip(self._axis, "node guarding")
             self._update()

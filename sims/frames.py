@@ -8,9 +8,8 @@ from typing import Protocol
 
 import can
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 SpecificForce = Callable[[Floats], Floats]
 """Specific force (n, 3) in m/s2 in the axes of the device at instants (n,)."""

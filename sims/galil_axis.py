@@ -4,25 +4,7 @@ from __future__ import annotations
 
 import math
 
-from drivers.galil import (
-    ABORTED,
-    AMPLIFIER_FAULT,
-    AT_TARGET,
-    FORWARD_LIMIT,
-    HOMED,
-    LIMIT_STOPS,
-    MOTOR_OFF,
-    NOT_JOGGING,
-    NOT_WHILE_RUNNING,
-    OFF_ON_ERROR,
-    ON_LIMIT,
-    OUT_OF_RANGE,
-    REVERSE_LIMIT,
-    RUNNING,
-    STOPPED,
-    UNRECOGNIZED,
-    floor_acceleration,
-)
+from drivers import galil
 from sims.table import FOLLOWING_ERROR, TableModel
 
 TURN = 2 * math.pi
@@ -50,8 +32,8 @@ class GalilAxisTwin:
         self._offset = 0
         self._mode = "PA"
         self._way = 0  # direction of the motion under way
-        self._end = AT_TARGET  # stop code when the motion under way has ended
-        self._stop_code = AT_TARGET
+        self._end = galil.AT_TARGET  # stop code when the motion under way has ended
+        self._stop_code = galil.AT_TARGET
         self._moving = False
         self.motor_off = True
         self._settings: dict[str, float] = {
@@ -67,14 +49,14 @@ class GalilAxisTwin:
         if reason is not None and reason.startswith("limit switch"):
             # A switch that was hit for a moment: a Galil stops, keeps the motor on, and forgets nothing.
             del self._table.tripped[self._axis]
-            self._moving, self._stop_code = False, REVERSE_LIMIT if self._way < 0 else FORWARD_LIMIT
+            self._moving, self._stop_code = False, galil.REVERSE_LIMIT if self._way < 0 else galil.FORWARD_LIMIT
         elif reason is not None and not self.motor_off:
             self.motor_off, self._moving = True, False
-            self._stop_code = OFF_ON_ERROR if reason == FOLLOWING_ERROR else AMPLIFIER_FAULT
-        if self._moving and pressed and pressed == self._way and self._end not in LIMIT_STOPS:
-            self._end = FORWARD_LIMIT if pressed > 0 else REVERSE_LIMIT
+            self._stop_code = galil.OFF_ON_ERROR if reason == FOLLOWING_ERROR else galil.AMPLIFIER_FAULT
+        if self._moving and pressed and pressed == self._way and self._end not in galil.LIMIT_STOPS:
+            self._end = galil.FORWARD_LIMIT if pressed > 0 else galil.REVERSE_LIMIT
             self._brake(self._table.data[self._axis].max_acceleration_rps2)
-        if self._moving and motion.settled(now) and (self._mode != "JG" or self._end != AT_TARGET):
+        if self._moving and motion.settled(now) and (self._mode != "JG" or self._end != galil.AT_TARGET):
             self._moving, self._stop_code = False, self._end
 
     def get(self, word: str) -> float:
@@ -92,18 +74,18 @@ class GalilAxisTwin:
         if word in state:
             return state[word]
         if word not in self._settings:
-            raise Refusal(UNRECOGNIZED)
+            raise Refusal(galil.UNRECOGNIZED)
         return self._settings[word]
 
     def set(self, word: str, value: float) -> None:
         """Take a value; a jog under way follows at once."""
         if word in ("PA", "PR", "DP") and self._moving:
-            raise Refusal(NOT_WHILE_RUNNING)
+            raise Refusal(galil.NOT_WHILE_RUNNING)
         if word == "JG" and self._moving and self._mode != "JG":
-            raise Refusal(NOT_JOGGING)
+            raise Refusal(galil.NOT_JOGGING)
         self._check_range(word, value)
         if word in ("AC", "DC"):
-            value = floor_acceleration(value)
+            value = galil.floor_acceleration(value)
         elif word == "SP":
             value = int(value) // 2 * 2 or 2  # in steps of two
         elif word == "JG":
@@ -122,11 +104,11 @@ class GalilAxisTwin:
         """Carry out SH, MO, ST, HM or FI."""
         if word == "ST":
             if self._moving:
-                self._end = STOPPED
+                self._end = galil.STOPPED
                 self._brake(self._to_rad(self._settings["DC"]))
             return
         if self._moving:
-            raise Refusal(NOT_WHILE_RUNNING)
+            raise Refusal(galil.NOT_WHILE_RUNNING)
         if word == "MO":
             self.motor_off = True
         elif word == "SH":
@@ -139,25 +121,25 @@ class GalilAxisTwin:
     def check_begin(self) -> None:
         """Refuse to begin what cannot be begun."""
         if self.motor_off:
-            raise Refusal(MOTOR_OFF)
+            raise Refusal(galil.MOTOR_OFF)
         if self._moving:
-            raise Refusal(RUNNING)
+            raise Refusal(galil.RUNNING)
         pressed = self._table.pressed.get(self._axis, 0)
         if pressed and pressed == self._direction():
-            raise Refusal(ON_LIMIT)
+            raise Refusal(galil.ON_LIMIT)
 
     def begin(self) -> None:
         """Start the motion that was set up."""
-        self._way, self._moving, self._stop_code, self._end = self._direction(), True, 0, AT_TARGET
+        self._way, self._moving, self._stop_code, self._end = self._direction(), True, 0, galil.AT_TARGET
         acceleration = self._to_rad(self._settings["AC"])
         motion, now = self._table.motion[self._axis], self._table.clock()
         if self._mode == "JG":
             self._jog()
         elif self._mode == "HM":
-            self._end = HOMED
+            self._end = galil.HOMED
             self._table.seek_home(self._axis, self._to_rad(self._settings["SP"]))
         elif self._mode == "FI":
-            self._end = HOMED
+            self._end = galil.HOMED
             turns = motion.at(now)[0] / TURN
             pulse = math.ceil(turns) if self._way > 0 else math.floor(turns)
             motion.move(now, pulse * TURN, self._to_rad(abs(self._settings["JG"])), acceleration)
@@ -168,7 +150,7 @@ class GalilAxisTwin:
     def abort(self) -> None:
         """Stop without a ramp; the motor goes off where off-on-error is set."""
         if self._moving:
-            self._moving, self._stop_code = False, ABORTED
+            self._moving, self._stop_code = False, galil.ABORTED
         self._table.stop(self._axis)
         self.motor_off |= bool(self._settings["OE"])
 
@@ -176,7 +158,7 @@ class GalilAxisTwin:
         """Brake along the ramp and switch the motor off."""
         if self._moving:
             self._brake(self._to_rad(self._settings["DC"]))
-            self._moving, self._stop_code = False, STOPPED
+            self._moving, self._stop_code = False, galil.STOPPED
         self.motor_off = True
 
     def _jog(self) -> None:
@@ -185,7 +167,7 @@ class GalilAxisTwin:
         self._way = int(math.copysign(1, rate)) if rate else 0
         limit = self._settings["FL"] if rate > 0 else self._settings["BL"]
         if abs(limit) < _LARGEST_COUNT and rate:
-            self._end = FORWARD_LIMIT if rate > 0 else REVERSE_LIMIT
+            self._end = galil.FORWARD_LIMIT if rate > 0 else galil.REVERSE_LIMIT
             self._go(limit, abs(rate))
         else:
             motion = self._table.motion[self._axis]
@@ -193,10 +175,10 @@ class GalilAxisTwin:
 
     def _within_soft_limits(self, target: float) -> float:
         if target > self._settings["FL"]:
-            self._end = FORWARD_LIMIT
+            self._end = galil.FORWARD_LIMIT
             return self._settings["FL"]
         if target < self._settings["BL"]:
-            self._end = REVERSE_LIMIT
+            self._end = galil.REVERSE_LIMIT
             return self._settings["BL"]
         return target
 
@@ -243,4 +225,4 @@ class GalilAxisTwin:
             "OE": (0, 3),
         }.get(word, (-_LARGEST_COUNT - 1, _LARGEST_COUNT))
         if not low <= value <= high:
-            raise Refusal(OUT_OF_RANGE)
+            raise Refusal(galil.OUT_OF_RANGE)

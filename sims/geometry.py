@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 _POLAR = math.degrees(math.acos(1 / 3))
 _FACE = math.degrees(math.atan(2.0))

@@ -6,16 +6,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from sims.body import Body
 from sims.geometry import Mounting
 from sims.hidden.chain import GyroChain
 from sims.hidden.effects import Hidden
 from sims.hidden.scene import World
 from sims.hidden.temperature import Temperature
-
-Floats = NDArray[np.float64]
 
 _AHEAD_S = 0.1  # bias instability moves in steps of this, a tenth of its shortest time
 _ROWS_AT_ONCE = 1 << 16

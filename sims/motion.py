@@ -7,9 +7,8 @@ import sys
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from drivers.arrays import Floats
 
 _KEEP_SEGMENTS = 64  # seconds of the past, which sensors with a delay look at
 

@@ -6,28 +6,9 @@ import asyncio
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.stim300 import (
-    ASK_BIAS_TRIM,
-    ASK_CONFIGURATION,
-    ASK_EXTENDED_ERROR,
-    ASK_PART_NUMBER,
-    ASK_SERIAL_NUMBER,
-    INCLINOMETER_LSB_G,
-    INTERNAL_RATE_HZ,
-    LAYOUTS,
-    RESET,
-    SERVICE_MODE,
-    STATUS_AXES,
-    STATUS_OVERLOAD,
-    STATUS_START_UP,
-    TEMPERATURE_LSB_C,
-    UTILITY_MODE,
-    Datagrams,
-    encode,
-    encode_special,
-)
+from drivers import stim300
+from drivers.arrays import Flags, Floats, Ints
 from drivers.stim300_special import BiasTrim, ExtendedError, PartNumber, SerialNumber, Special
 from drivers.stim300_units import ACCEL_LSB_G, UNITS
 from drivers.stim300_utility import DATAGRAM_CODES, UtilityMessage, encode_message
@@ -36,10 +17,7 @@ from sims.gyro import GyroArray
 from sims.stim300_output import GyroOutput
 from sims.stim300_settings import Refused, Settings, banner, service_lines, utility_reply
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-_START_UP_TICKS = INTERNAL_RATE_HZ // 2
+_START_UP_TICKS = stim300.INTERNAL_RATE_HZ // 2
 _LONGEST_LINE = 200
 _GYRO_OVERLOAD_BIT = 101  # of x in the extended error register
 
@@ -144,7 +122,7 @@ class Stim300Device:
         loop = asyncio.get_running_loop()
         start, sent = loop.time(), 0
         burst = burst_of(self._base_hz)
-        tick = INTERNAL_RATE_HZ // self._base_hz
+        tick = stim300.INTERNAL_RATE_HZ // self._base_hz
         while True:
             at = np.asarray(start + np.arange(sent + 1, sent + 1 + burst) * self._period_s, dtype=np.float64)
             await asyncio.sleep(max(float(at[-1]) - loop.time(), 0.0))
@@ -158,8 +136,8 @@ class Stim300Device:
     def _burst(self, at: Floats, ticks: Ints) -> bytes:
         """Return what is sent for these instants: answers first, then the samples they did not take the place of."""
         own = self.settings
-        step = INTERNAL_RATE_HZ // own.rate_hz
-        first = int(ticks[0]) - INTERNAL_RATE_HZ // self._base_hz
+        step = stim300.INTERNAL_RATE_HZ // own.rate_hz
+        first = int(ticks[0]) - stim300.INTERNAL_RATE_HZ // self._base_hz
         wanted = np.arange(first // step + 1, int(ticks[-1]) // step + 1, dtype=np.int64) * step
         raw, over = self._output.at(at, ticks, wanted, own.gyro_unit, own.rate_hz)
         if self.stuck_gyro is not None:
@@ -190,28 +168,28 @@ class Stim300Device:
             self.doubled += int(doubled.sum())
         return copies
 
-    def _status(self, wanted: Ints, over: NDArray[np.bool_]) -> Ints:
+    def _status(self, wanted: Ints, over: Flags) -> Ints:
         """Return the status byte of the gyros at each tick."""
         if self.overload_gyro is not None:
             over[:, self.overload_gyro] = True
-        status = np.where(wanted <= self._start_up_until, STATUS_START_UP, 0)
+        status = np.where(wanted <= self._start_up_until, stim300.STATUS_START_UP, 0)
         if over.any():
-            status |= over @ np.array(STATUS_AXES) + STATUS_OVERLOAD * over.any(axis=1)
+            status |= over @ np.array(stim300.STATUS_AXES) + stim300.STATUS_OVERLOAD * over.any(axis=1)
             self._errors |= sum(1 << (_GYRO_OVERLOAD_BIT + axis) for axis in np.flatnonzero(over.any(axis=0)).tolist())
         return status
 
     def _datagrams(self, raw: Ints, status: Ints, ticks: Ints, force_g: Floats, t_s: float) -> bytes:
         own = self.settings
-        layout = LAYOUTS[own.identifier]
+        layout = stim300.LAYOUTS[own.identifier]
         n, zeros = len(raw), np.zeros(len(raw), dtype=np.int64)
-        temperature = round(self._temperature_c(t_s) / TEMPERATURE_LSB_C)
-        start_up = status & STATUS_START_UP
+        temperature = round(self._temperature_c(t_s) / stim300.TEMPERATURE_LSB_C)
+        start_up = status & stim300.STATUS_START_UP
         accel = np.round(force_g / ACCEL_LSB_G[own.accel_range_g]).astype(np.int64)
-        incl = np.round(force_g / INCLINOMETER_LSB_G).astype(np.int64)
+        incl = np.round(force_g / stim300.INCLINOMETER_LSB_G).astype(np.int64)
         temperatures = np.full((n, layout.clusters, 3), temperature)
-        since_pps = (ticks % INTERNAL_RATE_HZ) * (1_000_000 // INTERNAL_RATE_HZ)
-        return encode(
-            Datagrams(
+        since_pps = (ticks % stim300.INTERNAL_RATE_HZ) * (1_000_000 // stim300.INTERNAL_RATE_HZ)
+        return stim300.encode(
+            stim300.Datagrams(
                 identifier=own.identifier,
                 gyro=raw,
                 gyro_status=status,
@@ -230,29 +208,29 @@ class Stim300Device:
         )
 
     def _special(self, value: Special) -> bytes:
-        return encode_special(value, line_termination=self.settings.line_termination)
+        return stim300.encode_special(value, line_termination=self.settings.line_termination)
 
     def _command(self, line: bytes) -> None:
         """Obey a command of normal mode; what is none is passed over without a word."""
         own = self.settings
         values: dict[bytes, Special] = {
-            ASK_PART_NUMBER: PartNumber(own.part_number, own.revision),
-            ASK_SERIAL_NUMBER: SerialNumber(own.serial),
-            ASK_CONFIGURATION: own.configuration(),
-            ASK_BIAS_TRIM: BiasTrim(saves_left=own.saves_left),
-            ASK_EXTENDED_ERROR: ExtendedError(self._errors),
+            stim300.ASK_PART_NUMBER: PartNumber(own.part_number, own.revision),
+            stim300.ASK_SERIAL_NUMBER: SerialNumber(own.serial),
+            stim300.ASK_CONFIGURATION: own.configuration(),
+            stim300.ASK_BIAS_TRIM: BiasTrim(saves_left=own.saves_left),
+            stim300.ASK_EXTENDED_ERROR: ExtendedError(self._errors),
         }
         if line in values:
             self._answers.append(self._special(values[line]))
             self._replaced += 1
-        if line == ASK_EXTENDED_ERROR:
+        if line == stim300.ASK_EXTENDED_ERROR:
             self._errors = 0
-        elif line == RESET:
+        elif line == stim300.RESET:
             self.reset()
-        elif line == SERVICE_MODE:
+        elif line == stim300.SERVICE_MODE:
             self._mode = "service"
             self._print(banner(own))
-        elif line == UTILITY_MODE:
+        elif line == stim300.UTILITY_MODE:
             self._mode = "utility"
             self._write(encode_message(UtilityMessage(True, ("UTILITYMODE",))))
 

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats, Ints
 from drivers.stim300 import INTERNAL_RATE_HZ
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 RANGE_DPS = 400.0
 """Beyond this the device reports an overload."""
@@ -31,7 +28,7 @@ class GyroOutput:
         self.saturated: int | None = None
         """Gyro (0 to 2) whose output is pegged at its range, without a word in the status."""
 
-    def at(self, t_s: Floats, ticks: Ints, wanted: Ints, unit: int, wanted_hz: int) -> tuple[Ints, NDArray[np.bool_]]:
+    def at(self, t_s: Floats, ticks: Ints, wanted: Ints, unit: int, wanted_hz: int) -> tuple[Ints, Flags]:
         """Return raw outputs (k, 3) at the wanted ticks (k,), and which gyros (k, 3) are beyond their range.
 
         ``t_s`` (n,) are the gyros' instants, ``ticks`` (n,) the device's count of 2000 Hz at them.

@@ -7,12 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from sims.hidden.table import TableFaults
 from sims.motion import AxisMotion
-
-Floats = NDArray[np.float64]
 
 FOLLOWING_ERROR = "following error"  # reason of a trip by which the servo itself gives up
 

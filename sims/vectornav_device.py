@@ -9,29 +9,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.vectornav import (
-    ASCII_RATES_HZ,
-    ATTITUDE,
-    COMMON,
-    IMU,
-    IMU_RATE_HZ,
-    TIME,
-    Layout,
-    Sentence,
-    VectorNavDecoder,
-    encode_frames,
-    encode_sentence,
-    layout_of_header,
-)
+from drivers import vectornav
+from drivers.arrays import Floats, Ints
 from sims.burst import burst_of
 from sims.gyro import GyroArray
-
-Floats = NDArray[np.float64]
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 128000, 230400, 460800, 921600)
 
-_TICK_NS = 1_000_000_000 // IMU_RATE_HZ
+_TICK_NS = 1_000_000_000 // vectornav.IMU_RATE_HZ
 _ON_SINCE_NS = 30_000_000_000
 _GYRO_RANGE_RPS = np.radians(2000.0)
 _BITS_PER_BYTE = 10
@@ -64,7 +50,7 @@ _ASYNC = {
 }
 
 _BINARY = (75, 76, 77)
-_GROUPS = {COMMON, TIME, IMU, ATTITUDE}  # a VN-100 has no others
+_GROUPS = {vectornav.COMMON, vectornav.TIME, vectornav.IMU, vectornav.ATTITUDE}  # a VN-100 has no others
 _CHECKSUM, _COMMAND, _TOO_FEW, _TOO_MANY, _PARAMETER, _REGISTER, _NOT_ALLOWED, _BAUD = 3, 4, 5, 6, 7, 8, 9, 12
 
 
@@ -91,7 +77,7 @@ class VectorNavDevice:
         gyros: GyroArray,
         write: Callable[[bytes], None],
         *,
-        rate_hz: float = IMU_RATE_HZ,
+        rate_hz: float = vectornav.IMU_RATE_HZ,
         serial: str = "0100012345",
         clock_ppm: float = 0.0,
         baud: int = 921600,
@@ -102,16 +88,18 @@ class VectorNavDevice:
         Its clock is fast by ``clock_ppm``. ``baud`` is its rate as delivered, which limits what can be asked for.
         ``up`` gives the unit vector up in body axes (n, 3) at instants (n,); left out, the device stands upright.
         """
-        if IMU_RATE_HZ % rate_hz:
-            raise ValueError(f"a VectorNav samples at {IMU_RATE_HZ} Hz over a whole number, not at {rate_hz:g} Hz")
+        if vectornav.IMU_RATE_HZ % rate_hz:
+            raise ValueError(
+                f"a VectorNav samples at {vectornav.IMU_RATE_HZ} Hz over a whole number, not at {rate_hz:g} Hz"
+            )
         self.stuck_gyros: set[int] = set()
         self.range_rps = float(_GYRO_RANGE_RPS)
         self.loss, self.doubling = 0.0, 0.0
         self._gyros, self._write, self._up = gyros, write, up or _upright
-        self._decoder = VectorNavDecoder(binary=False)
+        self._decoder = vectornav.VectorNavDecoder(binary=False)
         self._random = random.Random(serial)
-        self._ticks_per_sample = IMU_RATE_HZ // round(rate_hz)
-        self._tick_s = 1 / (IMU_RATE_HZ * (1 + clock_ppm * 1e-6))
+        self._ticks_per_sample = vectornav.IMU_RATE_HZ // round(rate_hz)
+        self._tick_s = 1 / (vectornav.IMU_RATE_HZ * (1 + clock_ppm * 1e-6))
         self._identity = {1: ("VN-100S-CR",), 2: ("7",), 3: (serial,), 4: ("2.1.0.0",)}
         off = ("0", "1", "01", "0001")
         self._factory = {5: (str(baud),), 6: ("14",), 7: ("40",), **dict.fromkeys(_BINARY, off)}
@@ -124,7 +112,7 @@ class VectorNavDevice:
         """Send until cancelled, in bursts of about 10 ms, as an operating system hands them over."""
         loop = asyncio.get_running_loop()
         start = loop.time()
-        burst = burst_of(IMU_RATE_HZ / self._ticks_per_sample)
+        burst = burst_of(vectornav.IMU_RATE_HZ / self._ticks_per_sample)
         while True:
             ticks = self._tick + self._ticks_per_sample * np.arange(1, burst + 1)
             at = np.asarray(start + ticks * self._tick_s, dtype=np.float64)
@@ -138,10 +126,10 @@ class VectorNavDevice:
         """Take bytes from the host and reply to the commands that they complete."""
         damaged = self._decoder.bad_sentences
         for command in self._decoder.feed(data):
-            if isinstance(command, Sentence):
-                self._write(encode_sentence(self._reply(command)))
+            if isinstance(command, vectornav.Sentence):
+                self._write(vectornav.encode_sentence(self._reply(command)))
         for _ in range(self._decoder.bad_sentences - damaged):
-            self._write(encode_sentence(_error(_CHECKSUM)))
+            self._write(vectornav.encode_sentence(_error(_CHECKSUM)))
 
     def _wake_up(self) -> None:
         """Begin with what is in flash."""
@@ -184,15 +172,15 @@ class VectorNavDevice:
             return 0
         return 2 if self.doubling and self._random.random() < self.doubling else 1
 
-    def _periodic(self) -> list[tuple[int, Callable[[Floats, NDArray[np.int64]], list[bytes]]]]:
+    def _periodic(self) -> list[tuple[int, Callable[[Floats, Ints], list[bytes]]]]:
         """Return what is set to be sent by itself: its period in ticks, and how measured rows become bytes."""
-        outputs: list[tuple[int, Callable[[Floats, NDArray[np.int64]], list[bytes]]]] = []
+        outputs: list[tuple[int, Callable[[Floats, Ints], list[bytes]]]] = []
         for register, layout in self._layouts.items():
             mode, divisor = map(int, self._registers[register][:2])
             if mode & 1 and divisor:  # at serial port 1
 
-                def frames(rows: Floats, time_ns: NDArray[np.int64], layout: Layout = layout) -> list[bytes]:
-                    data = encode_frames(layout, _values(layout, rows, time_ns))
+                def frames(rows: Floats, time_ns: Ints, layout: vectornav.Layout = layout) -> list[bytes]:
+                    data = vectornav.encode_frames(layout, _values(layout, rows, time_ns))
                     return [data[at : at + layout.size] for at in range(0, len(data), layout.size)]
 
                 outputs.append((divisor, frames))
@@ -200,13 +188,13 @@ class VectorNavDevice:
         if kind:
             header, register = _ASYNC[kind]
 
-            def sentences(rows: Floats, _: NDArray[np.int64]) -> list[bytes]:
-                return [encode_sentence(Sentence(header, _printed(row, register))) for row in rows]
+            def sentences(rows: Floats, _: Ints) -> list[bytes]:
+                return [vectornav.encode_sentence(vectornav.Sentence(header, _printed(row, register))) for row in rows]
 
-            outputs.append((IMU_RATE_HZ // int(self._registers[7][0]), sentences))
+            outputs.append((vectornav.IMU_RATE_HZ // int(self._registers[7][0]), sentences))
         return outputs
 
-    def _reply(self, command: Sentence) -> Sentence:
+    def _reply(self, command: vectornav.Sentence) -> vectornav.Sentence:
         try:
             if command.header == "VNRRG":
                 return self._read(command)
@@ -230,7 +218,7 @@ class VectorNavDevice:
             return _error(refusal.code)
         return command
 
-    def _read(self, command: Sentence) -> Sentence:
+    def _read(self, command: vectornav.Sentence) -> vectornav.Sentence:
         register = _number(_parameters(command, 1)[0])
         if register in _COLUMNS:
             values = _printed(self._last, register)
@@ -238,9 +226,9 @@ class VectorNavDevice:
             values = {**self._identity, **self._registers}.get(register, ())
         if not values:
             raise _Refused(_REGISTER)
-        return Sentence("VNRRG", (f"{register:02d}", *values))
+        return vectornav.Sentence("VNRRG", (f"{register:02d}", *values))
 
-    def _store(self, command: Sentence) -> Sentence:
+    def _store(self, command: vectornav.Sentence) -> vectornav.Sentence:
         if not command.fields:
             raise _Refused(_TOO_FEW)
         register, values = _number(command.fields[0]), command.fields[1:]
@@ -253,7 +241,7 @@ class VectorNavDevice:
             self._set_binary(register, values)
         elif len(values) > 1:
             raise _Refused(_TOO_MANY)
-        elif _number(values[0]) not in {5: BAUD_RATES, 6: (0, *_ASYNC), 7: ASCII_RATES_HZ}[register]:
+        elif _number(values[0]) not in {5: BAUD_RATES, 6: (0, *_ASYNC), 7: vectornav.ASCII_RATES_HZ}[register]:
             raise _Refused(_PARAMETER)
         before, self._registers[register] = self._registers[register], values
         if self._busy_bps() > int(self._registers[5][0]):
@@ -261,7 +249,7 @@ class VectorNavDevice:
             if register in _BINARY:
                 self._layouts[register] = _layout(before)
             raise _Refused(_BAUD)
-        return Sentence("VNWRG", (f"{register:02d}", *values))
+        return vectornav.Sentence("VNWRG", (f"{register:02d}", *values))
 
     def _set_binary(self, register: int, values: tuple[str, ...]) -> None:
         if len(values) < 3:
@@ -274,14 +262,14 @@ class VectorNavDevice:
         """Return how many bits a second all that is set to be sent takes."""
         row, time_ns = np.zeros((1, len(_FORMATS))), np.zeros(1, dtype=np.int64)
         sizes = [(period, len(encode(row, time_ns)[0])) for period, encode in self._periodic()]
-        return sum(size * _BITS_PER_BYTE * IMU_RATE_HZ / period for period, size in sizes)
+        return sum(size * _BITS_PER_BYTE * vectornav.IMU_RATE_HZ / period for period, size in sizes)
 
 
-def _error(code: int) -> Sentence:
-    return Sentence("VNERR", (f"{code:02X}",))
+def _error(code: int) -> vectornav.Sentence:
+    return vectornav.Sentence("VNERR", (f"{code:02X}",))
 
 
-def _parameters(command: Sentence, count: int) -> tuple[str, ...]:
+def _parameters(command: vectornav.Sentence, count: int) -> tuple[str, ...]:
     if len(command.fields) != count:
         raise _Refused(_TOO_FEW if len(command.fields) < count else _TOO_MANY)
     return command.fields
@@ -293,7 +281,7 @@ def _number(text: str) -> int:
     return int(text)
 
 
-def _layout(values: tuple[str, ...]) -> Layout:
+def _layout(values: tuple[str, ...]) -> vectornav.Layout:
     """Return the frame that registers 75 to 77 set: after mode and divisor groups and fields, in hex."""
     try:
         words = [int(text, 16) for text in values[2:]]
@@ -304,7 +292,7 @@ def _layout(values: tuple[str, ...]) -> Layout:
     if len(fields) != groups.bit_count():
         raise _Refused(_TOO_FEW if len(fields) < groups.bit_count() else _TOO_MANY)
     try:
-        layout = layout_of_header(header)
+        layout = vectornav.layout_of_header(header)
     except ValueError:
         raise _Refused(_PARAMETER) from None
     if not {group for group, _ in layout.masks} <= _GROUPS:
@@ -312,7 +300,7 @@ def _layout(values: tuple[str, ...]) -> Layout:
     return layout
 
 
-def _values(layout: Layout, rows: Floats, time_ns: NDArray[np.int64]) -> NDArray[np.void]:
+def _values(layout: vectornav.Layout, rows: Floats, time_ns: Ints) -> NDArray[np.void]:
     """Return frames (n,) of what is measured; what the twin does not simulate is 0."""
     values: NDArray[np.void] = np.zeros(len(rows), dtype=layout.dtype)
     for name in layout.dtype.names or ():

@@ -8,41 +8,26 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.mtdata2 import (
-    ACCELERATION,
-    EVERY,
-    PACKET_COUNTER,
-    PACKET_COUNTER_MODULUS,
-    RATE_OF_TURN,
-    SAMPLE_TIME_COARSE,
-    SAMPLE_TIME_FINE,
-    SAMPLE_TIME_MODULUS,
-    SAMPLE_TIME_TICK_S,
-    STATUS_BYTE,
-    STATUS_WORD,
-    TEMPERATURE,
-    Output,
-    decode_outputs,
-    encode_mtdata2,
-    encode_outputs,
-    kind_of,
-)
+from drivers import mtdata2
+from drivers.arrays import Flags, Floats, Ints
 from drivers.xbus import Mid, XbusDecoder, encode
 from sims.burst import burst_of
 from sims.gyro import GyroArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-_TICKS_PER_S = round(1 / SAMPLE_TIME_TICK_S)
+_TICKS_PER_S = round(1 / mtdata2.SAMPLE_TIME_TICK_S)
 _GYRO_RANGE_RPS = math.radians(2000)
 _STANDARD_GRAVITY_MPS2 = 9.80665
 _INVALID_MESSAGE, _INVALID_PARAMETER = 4, 33
 _SELF_TEST_PASSED = 1
-_COUNTS_AND_STATUS = (PACKET_COUNTER, SAMPLE_TIME_FINE, SAMPLE_TIME_COARSE, STATUS_BYTE, STATUS_WORD)
-_VALUES = (RATE_OF_TURN, ACCELERATION, TEMPERATURE)
+_COUNTS_AND_STATUS = (
+    mtdata2.PACKET_COUNTER,
+    mtdata2.SAMPLE_TIME_FINE,
+    mtdata2.SAMPLE_TIME_COARSE,
+    mtdata2.STATUS_BYTE,
+    mtdata2.STATUS_WORD,
+)
+_VALUES = (mtdata2.RATE_OF_TURN, mtdata2.ACCELERATION, mtdata2.TEMPERATURE)
 _FIRMWARE = bytes([1, 8, 2]) + (37).to_bytes(4, "big") + (70964).to_bytes(4, "big")
 _HARDWARE = bytes([2, 0])
 
@@ -77,11 +62,15 @@ class XsensDevice:
         self._period_s = 1 / (rate_hz * (1 + clock_ppm * 1e-6))
         self._random = np.random.default_rng(seed)
         self._decoder = XbusDecoder()
-        kinds = (RATE_OF_TURN, TEMPERATURE) if specific_force_g is None else (RATE_OF_TURN, ACCELERATION, TEMPERATURE)
+        kinds = (
+            (mtdata2.RATE_OF_TURN, mtdata2.TEMPERATURE)
+            if specific_force_g is None
+            else (mtdata2.RATE_OF_TURN, mtdata2.ACCELERATION, mtdata2.TEMPERATURE)
+        )
         self.outputs = (
-            Output(PACKET_COUNTER, EVERY),
-            Output(SAMPLE_TIME_FINE, EVERY),
-            *(Output(kind, rate_hz) for kind in kinds),
+            mtdata2.Output(mtdata2.PACKET_COUNTER, mtdata2.EVERY),
+            mtdata2.Output(mtdata2.SAMPLE_TIME_FINE, mtdata2.EVERY),
+            *(mtdata2.Output(kind, rate_hz) for kind in kinds),
         )
         """Output configuration, which it keeps when it is switched off."""
         self.measuring = True
@@ -159,25 +148,25 @@ class XsensDevice:
 
     def _configure(self, data: bytes) -> None:
         """Take over an output configuration as far as it can be granted; without data, only say what it is."""
-        wanted = decode_outputs(data)
-        if wanted is None or any(kind_of(o.data_id) not in _COUNTS_AND_STATUS + _VALUES for o in wanted):
+        wanted = mtdata2.decode_outputs(data)
+        if wanted is None or any(mtdata2.kind_of(o.data_id) not in _COUNTS_AND_STATUS + _VALUES for o in wanted):
             self.report(_INVALID_PARAMETER)
             return
         if wanted:
             self.outputs = tuple(self._granted(o) for o in wanted if self._has(o))
-        self._write(encode(Mid.OUTPUT_CONFIGURATION + 1, encode_outputs(self.outputs)))
+        self._write(encode(Mid.OUTPUT_CONFIGURATION + 1, mtdata2.encode_outputs(self.outputs)))
 
-    def _has(self, output: Output) -> bool:
-        return kind_of(output.data_id) != ACCELERATION or self._force_g is not None
+    def _has(self, output: mtdata2.Output) -> bool:
+        return mtdata2.kind_of(output.data_id) != mtdata2.ACCELERATION or self._force_g is not None
 
-    def _granted(self, wanted: Output) -> Output:
-        if kind_of(wanted.data_id) in _COUNTS_AND_STATUS:
-            return Output(wanted.data_id, EVERY)
-        return Output(wanted.data_id, self._rate_hz // self._divider(wanted))
+    def _granted(self, wanted: mtdata2.Output) -> mtdata2.Output:
+        if mtdata2.kind_of(wanted.data_id) in _COUNTS_AND_STATUS:
+            return mtdata2.Output(wanted.data_id, mtdata2.EVERY)
+        return mtdata2.Output(wanted.data_id, self._rate_hz // self._divider(wanted))
 
-    def _divider(self, output: Output) -> int:
+    def _divider(self, output: mtdata2.Output) -> int:
         """Return of how many samples one is sent; neither 0 nor EVERY is a rate."""
-        rate_hz = self._rate_hz if output.rate_hz in (0, EVERY) else output.rate_hz
+        rate_hz = self._rate_hz if output.rate_hz in (0, mtdata2.EVERY) else output.rate_hz
         return max(round(self._rate_hz / rate_hz), 1)
 
     def _sensed(self, at: Floats) -> Floats:
@@ -206,13 +195,15 @@ class XsensDevice:
                 some = rows[start:stop]
                 present = [o.data_id for o, now in zip(self.outputs, due[some[0]], strict=True) if now]
                 values = self._values(at[some], index[some], rate[some], numbers[start:stop])
-                parts.append(encode_mtdata2([(data_id, values(kind_of(data_id))) for data_id in present]))
+                parts.append(
+                    mtdata2.encode_mtdata2([(data_id, values(mtdata2.kind_of(data_id))) for data_id in present])
+                )
         return b"".join(parts)
 
-    def _due(self, index: Ints) -> NDArray[np.bool_]:
+    def _due(self, index: Ints) -> Flags:
         """Return which outputs are in the messages of these samples (n, outputs); none at all where all is False."""
-        steps = np.array([1 if o.rate_hz == EVERY else self._divider(o) for o in self.outputs])
-        timed = [o.rate_hz != EVERY for o in self.outputs]
+        steps = np.array([1 if o.rate_hz == mtdata2.EVERY else self._divider(o) for o in self.outputs])
+        timed = [o.rate_hz != mtdata2.EVERY for o in self.outputs]
         due = index[:, None] % steps == 0
         if any(timed):
             due &= due[:, timed].any(axis=1, keepdims=True)
@@ -223,17 +214,17 @@ class XsensDevice:
         ticks = self._uptime_ticks + index * _TICKS_PER_S // self._rate_hz
 
         def values(kind: int) -> Floats | Ints:
-            if kind == RATE_OF_TURN:
+            if kind == mtdata2.RATE_OF_TURN:
                 return rate
-            if kind == ACCELERATION and self._force_g is not None:
+            if kind == mtdata2.ACCELERATION and self._force_g is not None:
                 return self._force_g(at) * _STANDARD_GRAVITY_MPS2
-            if kind == TEMPERATURE:
+            if kind == mtdata2.TEMPERATURE:
                 return np.full((len(at), 1), self._gyros.temperature_c(float(at[-1])))
-            if kind == PACKET_COUNTER:
-                return (numbers % PACKET_COUNTER_MODULUS)[:, None]
-            if kind == SAMPLE_TIME_FINE:
-                return (ticks % SAMPLE_TIME_MODULUS)[:, None]
-            if kind == SAMPLE_TIME_COARSE:
+            if kind == mtdata2.PACKET_COUNTER:
+                return (numbers % mtdata2.PACKET_COUNTER_MODULUS)[:, None]
+            if kind == mtdata2.SAMPLE_TIME_FINE:
+                return (ticks % mtdata2.SAMPLE_TIME_MODULUS)[:, None]
+            if kind == mtdata2.SAMPLE_TIME_COARSE:
                 return (ticks // _TICKS_PER_S)[:, None]
             return np.full((len(at), 1), _SELF_TEST_PASSED)  # status byte and word
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from station.planned import PlannedMotion
-
-Floats = NDArray[np.float64]
 
 _UP = " ▁▂▃▄▅▆▇█"
 _DOWN = " ▔▀█"

@@ -56,11 +56,6 @@ class ImuConfig:
     options: Mapping[str, str | int | bool] = field(default_factory=dict)
 
     @property
-    def arw_rps_rthz(self) -> float:
-        """Angle random walk that the data sheet states."""
-        return self.noise.arw
-
-    @property
     def knows_temperature(self) -> bool:
         """Whether every source of the device tells its temperature."""
         if self.can is not None:

@@ -6,12 +6,9 @@ import argparse
 import json
 import math
 import sys
-from dataclasses import asdict
-from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from drivers.errors import DeviceError
 from drivers.seams import Identity
@@ -22,6 +19,8 @@ from station.errors import UsageError
 from station.open_bench import open_bench
 from station.outcome import Outcome
 from station.printing import refuse, stdout
+from station.rich_table import rich_table
+from station.snapshot import json_object
 
 
 def command_check(arguments: argparse.Namespace) -> int:
@@ -45,7 +44,7 @@ def command_check(arguments: argparse.Namespace) -> int:
         return refuse(str(error), arguments.json, Outcome.FAULT)
     well = not any(device.wrong for device in found)
     if arguments.json:
-        print(json.dumps({"ok": well, "devices": [_object(device) for device in found]}))
+        print(json.dumps({"ok": well, "devices": json_object(found)}))
     else:
         print_check(bench, found, stdout())
     return (Outcome.PASS if well else Outcome.FAULT).exit_code
@@ -53,9 +52,7 @@ def command_check(arguments: argparse.Namespace) -> int:
 
 def print_check(bench: Bench, found: list[DeviceCheck], console: Console) -> None:
     """Print what answered and how well, then what is wrong and what to do."""
-    devices = Table(title=f"Bench {escape(bench.name)}", title_style="bold", title_justify="left")
-    for column in ("device", "link", "identity", "found", ""):
-        devices.add_column(column, overflow="fold")
+    devices = rich_table(f"Bench {escape(bench.name)}", ("device", "link", "identity", "found", ""), fold=True)
     for device in found:
         answered = [_axis(axis) for axis in device.axes] + [_source(source) for source in device.sources]
         devices.add_row(
@@ -97,12 +94,3 @@ def _source(source: SourceCheck) -> str:
         f"{source.name}: {source.rate_hz:.1f} Hz, {source.lost} lost, {source.repeated} repeated, {source.late} late, "
         f"{source.corrupt} corrupt, jitter {source.jitter_s * 1e3:.2f} ms{temperature}"
     )
-
-
-def _object(device: DeviceCheck) -> dict[str, Any]:
-    """Return what --json prints, in SI; null for what is not known."""
-    found = asdict(device)
-    for source in found["sources"]:
-        source["mean_rps"] = [None if math.isnan(mean) else float(mean) for mean in source["mean_rps"]]
-        source["temperature_c"] = None if math.isnan(source["temperature_c"]) else source["temperature_c"]
-    return found

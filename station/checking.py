@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Stamps
 from drivers.errors import BadReply, DeviceError, LinkLost
 from drivers.seams import Identity, ImuBlock, ImuSource, SourceCounts
 from station.bench_imu import ImuConfig
 from station.open_bench import OpenBench, OpenImu
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 LISTEN_S = 2.0
 _OPEN_S = 5.0
@@ -98,11 +96,24 @@ async def check_bench(
     return found
 
 
+@contextmanager
+def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
+    """Keep what a device does not answer, and what to look at."""
+    try:
+        yield
+    except TimeoutError:
+        check.wrong += [f"no answer within {_OPEN_S:g} s: is it powered?", look_at]
+    except (LinkLost, BadReply) as error:
+        check.wrong += [error.message, look_at]
+    except DeviceError as error:
+        check.wrong.append(error.message)
+
+
 async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
     bench, table = opened.bench, opened.table
     check = DeviceCheck("table", bench.table.protocol, ", ".join(bench.table.links))
     loop = asyncio.get_running_loop()
-    try:
+    with _heard(check, _LOOK_AT_TABLE):
         async with asyncio.timeout(_OPEN_S * time_scale):
             await table.open()
             check.identity = await table.identify()
@@ -137,31 +148,19 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
                 f"a reading of all axes takes {slow * 1e3:.0f} ms, too slow for poll_rate = "
                 f"{bench.table.poll_rate_hz:g} Hz: lower it, or use a faster link"
             )
-    except TimeoutError:
-        check.wrong += [f"no answer within {_OPEN_S:g} s: is it powered?", _LOOK_AT_TABLE]
-    except (LinkLost, BadReply) as error:
-        check.wrong += [error.message, _LOOK_AT_TABLE]
-    except DeviceError as error:
-        check.wrong.append(error.message)
     return check
 
 
 async def _check_imu(imu: OpenImu, time_scale: float) -> DeviceCheck:
     config, source = imu.config, imu.source
     check = DeviceCheck(config.name, config.protocol, config.link)
-    try:
+    blocks: dict[str, list[ImuBlock]] = {}
+    with _heard(check, _LOOK_AT_IMU):
         async with asyncio.timeout(_OPEN_S * time_scale):
             await source.open()
             check.identity = await source.identify()
         blocks = await _listen(source, LISTEN_S * time_scale)
-    except TimeoutError:
-        check.wrong += [f"no answer within {_OPEN_S:g} s: is it powered?", _LOOK_AT_IMU]
-        return check
-    except (LinkLost, BadReply) as error:
-        check.wrong += [error.message, _LOOK_AT_IMU]
-        return check
-    except DeviceError as error:
-        check.wrong.append(error.message)
+    if check.wrong:
         return check
     silent = [name for name in source.names if not sum(len(block.t_ns) for block in blocks.get(name, []))]
     if silent:
@@ -203,14 +202,10 @@ def _source(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale
     return SourceCheck(
         name,
         _sent_hz(t_ns, arrival_ns, counts, _counted(blocks)),
-        len(t_ns),
-        counts.lost,
-        counts.repeated,
-        counts.late,
-        counts.corrupt,
-        float(np.std((arrival_ns - t_ns).astype(np.float64))) * 1e-9 / time_scale,
-        float(known[-1]) if len(known) else math.nan,
-        mean,
+        **asdict(replace(counts, samples=len(t_ns))),
+        jitter_s=float(np.std((arrival_ns - t_ns).astype(np.float64))) * 1e-9 / time_scale,
+        temperature_c=float(known[-1]) if len(known) else math.nan,
+        mean_rps=mean,
     )
 
 
@@ -237,9 +232,8 @@ def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bo
     return (1 + unseen / n) / max(period_s, _LEAST_PERIOD_S)
 
 
-def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> list[str]:
-    """Return what is wrong with a source that does send."""
-    wrong = []
+def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> Iterator[str]:
+    """Yield what is wrong with a source that does send."""
     who, prefix = ("it", "") if check.name == config.name else (check.name, f"{check.name}: ")
     whole = check.samples + check.lost
     lost = f"{check.lost} of {whole} samples"
@@ -249,15 +243,12 @@ def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> list[st
         whole_hz = check.rate_hz * whole / check.samples
         if not counted and abs(whole_hz / config.rate_hz - 1) < 2 * _RATE_OFF:
             said += f"; or {lost} were lost: {cables}"
-        wrong.append(said)
+        yield said
     elif check.lost or check.corrupt:
-        wrong.append(f"{prefix}{lost} lost, {check.corrupt} corrupt: {cables}")
+        yield f"{prefix}{lost} lost, {check.corrupt} corrupt: {cables}"
     for i, mean in enumerate(check.mean_rps):
         if math.isnan(mean):
-            wrong.append(f"{prefix}gyro {i + 1} gives no valid rate: is the device starting up, or broken?")
+            yield f"{prefix}gyro {i + 1} gives no valid rate: is the device starting up, or broken?"
         elif abs(mean) > math.radians(20.0):
-            wrong.append(
-                f"{prefix}gyro {i + 1} says {math.degrees(mean):.1f} deg/s at rest: is its unit or scale as in the "
-                "bench file?"
-            )
-    return wrong
+            said = f"{prefix}gyro {i + 1} says {math.degrees(mean):.1f} deg/s at rest"
+            yield f"{said}: is its unit or scale as in the bench file?"

@@ -10,7 +10,6 @@ import sys
 from collections.abc import Mapping
 from contextlib import AsyncExitStack, nullcontext, suppress
 from dataclasses import replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,8 +28,9 @@ from station.open_bench import needs_only_memory, open_bench, serve_twins, with_
 from station.outcome import Outcome
 from station.printing import Progress, print_calibration, print_verdict, refuse, result_object
 from station.script import Script, check, load_script, paper_script
-from station.session import Result, Session
+from station.session import Result, RunOptions, Session
 from station.signals import ignore_hang_up
+from station.whole_file import new_recording
 
 
 def command_run(arguments: argparse.Namespace) -> int:
@@ -51,24 +51,14 @@ def _run(arguments: argparse.Namespace) -> int:
         if arguments.end_early:
             check_early_end(bench)
         model = _model_of(arguments, bench)
-        path = Path(arguments.output) if arguments.output else _new_recording_path()
+        path = Path(arguments.output) if arguments.output else new_recording(Path("recordings"))
         scale = arguments.scale or (1.0 if arguments.host else None)  # virtual time has no sockets
+        host = Host(scale or 1.0) if arguments.host else None
+        options = RunOptions(
+            arguments.reset_fault, arguments.end_early, model, operator, serial, host is not None, scale or 1.0
+        )
         with clock(bench, scale) as runner:
-            work = drive(
-                bench,
-                script,
-                path,
-                scale or 1.0,
-                reset_fault=arguments.reset_fault,
-                end_early=arguments.end_early,
-                quiet=arguments.json,
-                model=model,
-                operator=operator,
-                device_serial=serial,
-                host=Host(scale or 1.0) if arguments.host else None,
-                bench_file=arguments.bench,
-            )
-            result = runner.run(work)
+            result = runner.run(drive(bench, script, path, options, arguments.json, host, arguments.bench))
     except (UsageError, EstimatorError) as error:
         return refuse(str(error), arguments.json)
     except DeviceError as error:
@@ -178,14 +168,8 @@ async def drive(
     bench: Bench,
     script: Script,
     path: Path,
-    scale: float,
-    *,
-    reset_fault: bool,
-    end_early: bool,
+    options: RunOptions,
     quiet: bool,
-    model: ErrorModel | None = None,
-    operator: str = "",
-    device_serial: str = "",
     host: Host | None = None,
     bench_file: str | None = None,
 ) -> Result:
@@ -193,26 +177,13 @@ async def drive(
     async with AsyncExitStack() as stack:
         if host is not None:
             await stack.enter_async_context(host)
-        opened = await stack.enter_async_context(open_bench(bench, time_scale=scale))
+        opened = await stack.enter_async_context(open_bench(bench, time_scale=options.time_scale))
         progress = stack.enter_context(Progress(quiet))
-        session = Session(
-            opened,
-            script,
-            path,
-            seed=bench.twin.seed,
-            reset_fault=reset_fault,
-            end_early=end_early,
-            model=model,
-            operator=operator,
-            device_serial=device_serial,
-            outlives_terminal=host is not None,
-            time_scale=scale,
-            on_progress=progress.show,
-            on_event=host.tell if host is not None else None,
-        )
+        on_event = host.tell if host is not None else None
+        session = Session(opened, script, path, options, on_progress=progress.show, on_event=on_event)
         if host is None:
             return await session.run()
-        told = {"time_scale": scale, "operator": operator, "device_serial": device_serial}
+        told = {key: getattr(options, key) for key in ("time_scale", "operator", "device_serial")}
         await host.begin(session, {**introduction(bench, bench_file, script, path, session.gyros), **told})
         result = await session.run()
         await host.end(_run_object(result))
@@ -233,13 +204,3 @@ def chosen_bench(arguments: argparse.Namespace) -> Bench:
 
 def _seeded(bench: Bench, seed: int | None) -> Bench:
     return bench if seed is None else replace(bench, twin=replace(bench.twin, seed=seed))
-
-
-def _new_recording_path() -> Path:
-    """Return a path that is free; a second run within a second gets a number."""
-    stem = f"run-{datetime.now():%Y%m%d-%H%M%S}"
-    path, number = Path("recordings") / f"{stem}.h5", 1
-    while path.exists():
-        number += 1
-        path = path.with_name(f"{stem}-{number}.h5")
-    return path

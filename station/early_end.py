@@ -6,8 +6,8 @@ import asyncio
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.blocks import Blocks
 from estimator.budget import table_budget
 from estimator.coloured import FEWEST_BLOCKS, NoiseGrid, Part, coarse, combine, fit_grids, weights
@@ -17,8 +17,6 @@ from station.bench import Bench, Limits
 from station.bench_imu import ImuConfig
 from station.errors import UsageError
 from station.live import RECENT_S, LiveEstimate, LiveSource
-
-Floats = NDArray[np.float64]
 
 _LOOK_EVERY_S = 1.0
 _CONFIRM_EVERY_S = 5.0  # an estimate under coloured noise takes a host a third of a second

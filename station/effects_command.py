@@ -7,7 +7,6 @@ import json
 from dataclasses import asdict
 
 from rich.markup import escape
-from rich.table import Table
 
 from estimator.effects.effect import Parameter
 from estimator.effects.entries import Entry, entries
@@ -15,6 +14,7 @@ from estimator.tracing.investigation import Value
 from station.investigation_printed import human, words
 from station.outcome import Outcome
 from station.printing import stdout
+from station.rich_table import rich_table
 
 
 def command_effects(arguments: argparse.Namespace) -> int:
@@ -23,9 +23,8 @@ def command_effects(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps([_object(entry) for entry in listed]))
         return Outcome.PASS.exit_code
-    table = Table(title="Effects that an investigation looks for", title_style="bold", title_justify="left")
-    for column in ("effect", "parameters, up to", "shown by", "looks like"):
-        table.add_column(column, overflow="fold")
+    heads = ("effect", "parameters, up to", "shown by", "looks like")
+    table = rich_table("Effects that an investigation looks for", heads, fold=True)
     for entry in listed:
         name = escape(words(entry.name)) + ("" if entry.kind == "law" else f"\n[dim]{entry.kind}[/]")
         table.add_row(

@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 
 from rich.markup import escape
-from rich.table import Table
 
 from estimator.errors import EstimatorError
 from station.errors import EXIT_USAGE, UsageError
@@ -18,6 +17,7 @@ from station.exporting.held import HELD
 from station.exporting.written import Written
 from station.outcome import Outcome
 from station.printing import stdout
+from station.rich_table import rich_table
 from station.whole_file import write_whole
 
 _STDOUT = "-"
@@ -76,9 +76,7 @@ def _print_list(as_json: bool) -> None:
     if as_json:
         print(json.dumps({name: {"holds": holds, "lacks": lacks} for name, (holds, lacks) in HELD.items()}))
         return
-    table = Table(title="Formats of station export", title_style="bold", title_justify="left")
-    for column in ("--format", "holds", "not in it"):
-        table.add_column(column, overflow="fold")
+    table = rich_table("Formats of station export", ("--format", "holds", "not in it"), fold=True)
     for name, (holds, lacks) in HELD.items():
         table.add_row(name, escape(holds), escape(lacks))
     stdout().print(table)

@@ -30,6 +30,13 @@ STATE_FIGURES = (
     StateUnit("sigma_k", "deg", math.degrees(1), 5, 8),
 )
 """The four states in order, in the units of the printed calibration."""
+STATE_UNITS = (
+    ("k", "ppm", 1e6),
+    ("b", "deg/h", math.degrees(3600)),
+    ("sigma_j", "urad", 1e6),
+    ("sigma_k", "urad", 1e6),
+)
+"""Name, unit and factor from SI of each state, for their sigmas."""
 
 
 def number(value: float | None, digits: int, *, signed: bool = False) -> str:

@@ -28,7 +28,7 @@ from station.bench import Bench
 from station.errors import UsageError
 from station.script import Script
 from station.session_folder import socket_folder
-from station.snapshot import Snapshot, json_object, snapshot_object
+from station.snapshot import Snapshot, json_object
 
 _log = logging.getLogger(__name__)
 
@@ -145,7 +145,7 @@ class Host:
         client.send_events()
         snapshot = self._look()
         if snapshot is not None:
-            client.send(_line("snapshot", snapshot_object(snapshot)))
+            client.send(_line("snapshot", json_object(snapshot)))
 
     def forget(self, client: _Client) -> None:
         """Let a client go."""
@@ -194,7 +194,7 @@ class Host:
         if keep:
             self._keep(snapshot)
         if ready:
-            line = _line("snapshot", snapshot_object(snapshot))
+            line = _line("snapshot", json_object(snapshot))
             for client in ready:
                 client.send(line)
 

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from drivers.arrays import Flags, Floats
 from estimator.budget import table_budget
 from estimator.kinematics import body_rate
 from estimator.model import STATES, regressor_maps
@@ -25,17 +25,17 @@ from estimator.rows import BLOCK_S
 from station.bench import Bench
 from station.bench_imu import ImuConfig
 from station.errors import UsageError
+from station.figures import STATE_UNITS
 from station.outcome import Outcome
 from station.plan import make_plan
-from station.plan_printed import STATE_UNITS
 from station.planned import planned_motion
 from station.printing import stdout
 from station.quantities import QuantityError, parse
+from station.rich_table import rich_table
 from station.script import Move, Rest, Script, check
 from station.script_family import ways_of
 from station.script_search import LONGEST_S, Found, Needs, Search, sds_of
-
-Floats = NDArray[np.float64]
+from station.whole_file import free_path
 
 NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)}
 """What --states may list: columns of the states."""
@@ -75,7 +75,9 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
     """
     began_s = time.perf_counter()
     wanted = _wanted(arguments, bench, script)
-    path = _free_path(arguments.output)
+    path = Path(arguments.output) if arguments.output else free_path(Path(DEFAULT_FILE))
+    if path.exists():
+        raise UsageError(f"{path} is there already: give another name")
     say = Console(stderr=True, quiet=arguments.json)
     search = search_of(bench, wanted, lambda text: say.print(f"[dim]{text}[/]", highlight=False))
     found = search.least_time() if wanted.total_s is None else search.least_sigmas(wanted.total_s)
@@ -199,18 +201,6 @@ def _columns(text: str) -> list[int]:
     return sorted({column for name in names for column in NAMES[name]})
 
 
-def _free_path(output: str | None) -> Path:
-    """Return the file to write: never one that is there."""
-    path = Path(output or DEFAULT_FILE)
-    if output and path.exists():
-        raise UsageError(f"{path} is there already: give another name")
-    number = 1
-    while path.exists():
-        number += 1
-        path = Path(DEFAULT_FILE).with_stem(f"{Path(DEFAULT_FILE).stem}-{number}")
-    return path
-
-
 def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[str, str], ...]) -> str:
     """Return which sigmas cannot be reached, and what limits them."""
     if wanted.total_s is not None:
@@ -235,7 +225,7 @@ def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[st
     return f"cannot be reached: {_listed(missed, gyros)}; what limits it: {reason}"
 
 
-def _listed(missed: NDArray[np.bool_], gyros: tuple[tuple[str, str], ...]) -> str:
+def _listed(missed: Flags, gyros: tuple[tuple[str, str], ...]) -> str:
     names = [
         f"{name} {STATE_UNITS[state][0]}"
         for (_, name), row in zip(gyros, missed, strict=True)
@@ -339,11 +329,10 @@ def _print(improved: Improved, path: Path, console: Console) -> None:
 
 
 def _sigmas(improved: Improved) -> Table:
-    table = Table(title="Sigmas of the states, required and reached", title_style="bold", title_justify="left")
-    table.add_column("gyro")
-    for name, unit, _ in STATE_UNITS:
-        table.add_column(f"{name}\n{unit}", justify="right", style="dim")
-        table.add_column("\nreached", justify="right")
+    heads = ["gyro", *(head for name, unit, _ in STATE_UNITS for head in (f"{name}\n{unit}", "\nreached"))]
+    table = rich_table("Sigmas of the states, required and reached", heads, "lr")
+    for required in table.columns[1::2]:
+        required.style = "dim"
     several = len({device for device, _ in improved.gyros}) > 1
     for (device, name), needed, reached in zip(improved.gyros, improved.wanted.sd, improved.found.sd, strict=True):
         cells = [f"{device} {name}" if several else name]

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.tracing.investigation import Investigation, ResidualView
 from estimator.tracing.residual import Spectrum
 from station.errors import UsageError
@@ -17,7 +17,6 @@ from station.investigation_printed import words
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Floats = NDArray[np.float64]
 
 _DPH = np.degrees(1.0) * 3600
 _BEFORE, _AFTER = "tab:orange", "tab:blue"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Stamps
 from drivers.seams import ImuBlock
 from estimator.array import SensorArray
 from estimator.blocks import Blocks, BlockSums
@@ -17,9 +17,6 @@ from estimator.reference import BodyRates, TableReadings, TableUncertainty
 from estimator.rows import BLOCK_S
 from estimator.sample_columns import SampleColumns
 from station.table_watch import TableRow
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 RECENT_S = 30.0
 """What ``nis_recent`` and ``whiteness`` look back on, seconds."""

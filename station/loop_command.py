@@ -27,6 +27,8 @@ from station.loop_printed import loop_object, print_loop, runs_object
 from station.loop_scripts import exploration_script, verification_script
 from station.outcome import Outcome
 from station.script import Script, check, paper_script
+from station.session import RunOptions
+from station.whole_file import free_path
 
 _AROUND_S = 10.0  # connecting, homing and coming to rest, beside the script
 _LEAST_CHANCE = 0.05  # of settling it: below it table time is wasted
@@ -66,16 +68,9 @@ class _Driver:
         if not self.arguments.json:
             print(f"run {number}, {purpose}: {script.name}, {script.duration_s:.0f} s", file=sys.stderr)
         began_s = self._now_s()
-        work = drive(
-            self._seeded(number),
-            script,
-            loop.folder / f"{number}-{purpose}.h5",
-            self.arguments.scale or 1.0,
-            reset_fault=self.arguments.reset_fault,
-            end_early=False,
-            quiet=self.arguments.json,
-        )
-        result = self._runner.run(work)
+        options = RunOptions(self.arguments.reset_fault, time_scale=self.arguments.scale or 1.0)
+        path = loop.folder / f"{number}-{purpose}.h5"
+        result = self._runner.run(drive(self._seeded(number), script, path, options, self.arguments.json))
         loop.runs.append(Driven(purpose, script, result, self._now_s() - began_s))
         if result.verdict.outcome in (Outcome.ABORTED, Outcome.FAULT):
             loop.stopped = result.verdict
@@ -152,12 +147,7 @@ def _folder(name: str | None) -> Path:
         if Path(name).exists():
             raise UsageError(f"--output {name} is there already: give another name")
         return Path(name)
-    stem = f"loop-{datetime.now():%Y%m%d-%H%M%S}"
-    path, number = Path("recordings") / stem, 1
-    while path.exists():
-        number += 1
-        path = path.with_name(f"{stem}-{number}")
-    return path
+    return free_path(Path("recordings") / f"loop-{datetime.now():%Y%m%d-%H%M%S}")
 
 
 def _report(loop: Loop, as_json: bool) -> int:

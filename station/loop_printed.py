@@ -16,6 +16,7 @@ from station.investigation_printed import (
     verdict_lines,
 )
 from station.printing import stdout
+from station.rich_table import rich_table
 
 
 def print_loop(loop: Loop) -> None:
@@ -34,11 +35,7 @@ def print_loop(loop: Loop) -> None:
 
 
 def _runs(loop: Loop) -> Table:
-    table = Table(title="Runs", title_style="bold", title_justify="left")
-    for heading in ("run", "script", "recording"):
-        table.add_column(heading, overflow="fold")
-    table.add_column("table time", justify="right")
-    table.add_column("judged alone")
+    table = rich_table("Runs", ("run", "script", "recording", "table time", "judged alone"), "lllrl", fold=True)
     for number, run in enumerate(loop.runs, 1):
         table.add_row(
             f"{number} {run.purpose}",

@@ -8,10 +8,10 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.seams import ImuBlock
 from station.live import LiveEstimate
@@ -20,8 +20,6 @@ from station.reopening import Reopening
 from station.sequencer import Sequencer
 from station.snapshot import AxisSnapshot, GyroSnapshot, Snapshot, SourceSnapshot
 from station.table_watch import TableRow
-
-Floats = NDArray[np.float64]
 
 _OVER_S = 2.0  # of the host's clock: for rates and latencies
 _SILENT_S = 0.5
@@ -110,47 +108,39 @@ class Monitor:
             self.brief(phase, times_s, sequencer.paused if sequencer else ""),
             nis_recent=self._live.nis_recent,
             whiteness=self._live.whiteness,
-            axes=self._axis_snapshots(phase, now_s, sequencer),
-            sources=self._source_snapshots(now_s),
-            gyros=self._gyro_snapshots(),
+            axes=tuple(self._axis_snapshots(phase, now_s, sequencer)),
+            sources=tuple(self._source_snapshots(now_s)),
+            gyros=tuple(self._gyro_snapshots()),
         )
 
-    def _axis_snapshots(self, phase: str, now_s: float, sequencer: Sequencer | None) -> tuple[AxisSnapshot, ...]:
+    def _axis_snapshots(self, phase: str, now_s: float, sequencer: Sequencer | None) -> Iterator[AxisSnapshot]:
         nothing = np.full(len(self._axes), np.nan)
         angles, rates = (self._row.angle_rad, self._row.rate_rps) if self._row else (nothing, nothing)
-        found = []
         for axis, angle, rate in zip(self._axes, angles.tolist(), rates.tolist(), strict=True):
             state = "turning" if abs(rate) > _TURNING_RPS else "at rest"
             if sequencer is None:
                 state = phase
             setpoint = sequencer.setpoint_rps(axis, now_s) if sequencer else 0.0
-            found.append(AxisSnapshot(axis, angle, rate, setpoint, self.table_fault or state))
-        return tuple(found)
+            yield AxisSnapshot(axis, angle, rate, setpoint, self.table_fault or state)
 
-    def _source_snapshots(self, now_s: float) -> tuple[SourceSnapshot, ...]:
-        found = []
+    def _source_snapshots(self, now_s: float) -> Iterator[SourceSnapshot]:
         for imu in self._open.imus:
             for name in imu.source.names:
                 counts, alignment = imu.source.counts(name), imu.source.alignment(name)
                 last, marks = self._seen[name].last, self._marks[name]
                 link = self._link(imu.config.name, last, now_s)
-                found.append(
-                    SourceSnapshot(
-                        name,
-                        imu.config.name,
-                        self._rate_hz(name, link, now_s),
-                        counts.samples,
-                        counts.lost,
-                        counts.repeated,
-                        counts.late,
-                        counts.corrupt,
-                        sum(m.latency_s for m in marks) / len(marks) if marks else math.nan,
-                        alignment.jitter_rms_s if alignment else math.nan,
-                        float(last.temperature_c[-1]) if last is not None and len(last.temperature_c) else math.nan,
-                        link,
-                    )
+                yield SourceSnapshot(
+                    name,
+                    imu.config.name,
+                    self._rate_hz(name, link, now_s),
+                    **asdict(counts),
+                    latency_s=sum(m.latency_s for m in marks) / len(marks) if marks else math.nan,
+                    jitter_s=alignment.jitter_rms_s if alignment else math.nan,
+                    temperature_c=float(last.temperature_c[-1])
+                    if last is not None and len(last.temperature_c)
+                    else math.nan,
+                    link=link,
                 )
-        return tuple(found)
 
     def _link(self, device: str, last: ImuBlock | None, now_s: float) -> str:
         if device in self._reopening.under_way:
@@ -167,12 +157,11 @@ class Monitor:
         span_s = float(until_s) - marks[0].newest_ns * 1e-9
         return (seen.rows - marks[0].rows) / span_s if span_s > 0 else math.nan
 
-    def _gyro_snapshots(self) -> tuple[GyroSnapshot, ...]:
-        found = []
+    def _gyro_snapshots(self) -> Iterator[GyroSnapshot]:
         for name, source in self._live.sources.items():
             recent = source.recent()
             rows = zip(
                 source.array.names, recent.states.tolist(), recent.sd.tolist(), recent.by_gyro.tolist(), strict=True
             )
-            found += [GyroSnapshot(gyro, name, tuple(values), tuple(sds), nis) for gyro, values, sds, nis in rows]
-        return tuple(found)
+            for gyro, values, sds, nis in rows:
+                yield GyroSnapshot(gyro, name, tuple(values), tuple(sds), nis)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise, permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.seams import AxisLimits
 from estimator.array import SensorArray
 from estimator.effects.catalogue import catalogue
@@ -24,8 +24,6 @@ from estimator.tracing.runs import Run
 from station.loop_scripts import candidates
 from station.planned import planned_motion
 from station.script import Script, is_possible
-
-Floats = NDArray[np.float64]
 
 SETTLED = 0.95
 """Posterior probability at which one of two rivals counts as found, and the predicted chance that is good enough."""
@@ -256,21 +254,13 @@ def _origin_s(past: Sequence[Past]) -> float | None:
 
 def _foreseen(script: Script, past: Sequence[Past], gimbals: Sequence[str], site: Site | None) -> list[Past]:
     """Return what each source would go through; its temperature goes on as it went."""
-    motion = planned_motion(script, gimbals, _PERIOD_S)
+    planned = planned_motion(script, gimbals, _PERIOD_S)
     runs = []
     for source in dict.fromkeys(p.source for p in past):
         own = [p for p in past if p.source == source]  # a source that was cut in two has parts of other names
         last = max(own, key=lambda p: float(p.conditions.t_s[-1]))
-        t_s = motion.t_s + (float(last.conditions.t_s[-1]) + _PAUSE_S)
-        conditions = Conditions.on_table(
-            t_s,
-            motion.angle_rad,
-            motion.rate_rps,
-            motion.acceleration_rps2,
-            motion.gimbals,
-            temperature_c=_temperature(last.conditions, t_s),
-            site=site,
-        )
+        motion = replace(planned, t_s=planned.t_s + (float(last.conditions.t_s[-1]) + _PAUSE_S))
+        conditions = motion.conditions(_temperature(last.conditions, motion.t_s), site)
         runs.append(replace(last, conditions=conditions))
     return runs
 

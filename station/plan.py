@@ -5,19 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from estimator.budget import table_budget
 from estimator.effects.catalogue import catalogue
-from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.effects.thermal import REFERENCE_C
 from estimator.planning import Forecast, PlannedDevice, forecast
 from station.bench import Bench
 from station.planned import PlannedMotion, planned_motion
 from station.script import Script, check
-
-Floats = NDArray[np.float64]
 
 TEMPERATURE_RISE_K = 8.0
 WARMING_TIME_S = 1200.0
@@ -48,7 +45,7 @@ class Plan:
         return np.asarray(np.hypot(np.array([gyro.sd for gyro in self.forecast.gyros]), self.table_sd))
 
     @property
-    def reached(self) -> NDArray[np.bool_]:
+    def reached(self) -> Flags:
         """Whether each sigma (gyros, 4) is within what the bench asks for."""
         return np.asarray(self.sd <= self.required)
 
@@ -66,15 +63,8 @@ def make_plan(
     """
     check(script, bench.table.limits)
     motion = planned_motion(script, bench.table.gimbals, max(_PERIOD_S, script.duration_s / _MOST_ROWS))
-    conditions = Conditions.on_table(
-        motion.t_s,
-        motion.angle_rad,
-        motion.rate_rps,
-        motion.acceleration_rps2,
-        motion.gimbals,
-        temperature_c=REFERENCE_C - temperature_rise_k * np.expm1(-motion.t_s / WARMING_TIME_S),
-        site=bench.site,
-    )
+    temperature_c = REFERENCE_C - temperature_rise_k * np.expm1(-motion.t_s / WARMING_TIME_S)
+    conditions = motion.conditions(temperature_c, bench.site)
     devices = [PlannedDevice(imu.name, imu.array, imu.noise, imu.prior) for imu in bench.imus if imu.used]
     if effects is None:
         effects = catalogue(motion.gimbals, script.duration_s)

@@ -6,22 +6,20 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
+from drivers.arrays import Flags, Floats
 from estimator.effects.catalogue import TONE_HZ
 from estimator.effects.thermal import REFERENCE_C
 from estimator.planning import ALIKE, EffectForecast, Forecast
 from station.axis_profile import profile_lines
+from station.figures import STATE_UNITS
 from station.plan import WARMING_TIME_S, Plan
-
-Floats = NDArray[np.float64]
+from station.rich_table import rich_table
 
 _DEG = 180 / np.pi
 _AT_RPS = math.radians(100.0)
-STATE_UNITS = (("k", "ppm", 1e6), ("b", "deg/h", _DEG * 3600), ("sigma_j", "urad", 1e6), ("sigma_k", "urad", 1e6))
 _UNITS = {
     "1": ("ppm", 1e6),
     "1/K": ("ppm/K", 1e6),
@@ -76,15 +74,12 @@ def _headline(plan: Plan) -> str:
 
 def _print_states(plan: Plan, console: Console) -> None:
     asked = bool(np.isfinite(plan.required).any())
-    table = Table(title="Predicted sigmas of the states", title_style="bold", title_justify="left")
     several = len({gyro.source for gyro in plan.forecast.gyros}) > 1
-    if several:
-        table.add_column("device")
-    table.add_column("gyro")
-    for name, unit, _ in STATE_UNITS:
-        table.add_column(f"{name}\n{unit}", justify="right")
+    heads = [*(["device"] if several else []), "gyro", *(f"{name}\n{unit}" for name, unit, _ in STATE_UNITS)]
+    align = "l" * (1 + several) + "rrrr"
     if asked:
-        table.add_column("required")
+        heads, align = [*heads, "required"], f"{align}l"
+    table = rich_table("Predicted sigmas of the states", heads, align)
     for gyro, sd, reached in zip(plan.forecast.gyros, plan.sd, plan.reached, strict=True):
         cells = [gyro.source] if several else []
         cells += [gyro.name, *(_number(v * f) for v, (_, _, f) in zip(sd, STATE_UNITS, strict=True))]
@@ -106,7 +101,7 @@ def _summary(plan: Plan) -> str:
     return "[bold green]OK[/]  every sigma that the bench requires is reached"
 
 
-def _reached(reached: NDArray[np.bool_]) -> str:
+def _reached(reached: Flags) -> str:
     missed = [name for (name, _, _), ok in zip(STATE_UNITS, reached, strict=True) if not ok]
     return f"[bold red]NOT REACHED[/] {', '.join(missed)}" if missed else "[green]OK[/]"
 
@@ -143,11 +138,8 @@ def combination(direction: Floats) -> str:
 
 
 def _print_effects(found: Forecast, console: Console) -> None:
-    table = Table(title="Smallest size of each effect that would be found", title_style="bold", title_justify="left")
-    table.add_column("effect")
-    table.add_column("smallest", justify="right")
-    table.add_column("up to*", justify="right")
-    table.add_column("unit")
+    heads = ("effect", "smallest", "up to*", "unit")
+    table = rich_table("Smallest size of each effect that would be found", heads, "lrrl")
     for forecast in found.effects:
         for unit in dict.fromkeys(parameter.unit for parameter in forecast.effect.parameters):
             own = [i for i, parameter in enumerate(forecast.effect.parameters) if parameter.unit == unit]
@@ -217,10 +209,8 @@ def _print_pairs(found: Forecast, console: Console) -> None:
     if not found.pairs:
         _say(console, f"No two effects that can be seen look alike (correlation above {ALIKE:g}).")
         return
-    table = Table(title="Effects that this script cannot tell apart", title_style="bold", title_justify="left")
-    for heading in ("effect", "parameter", "is copied by"):
-        table.add_column(heading)
-    table.add_column("correlation", justify="right")
+    heads = ("effect", "parameter", "is copied by", "correlation")
+    table = rich_table("Effects that this script cannot tell apart", heads, "lllr")
     for pair in found.pairs:
         table.add_row(_words(pair.first), pair.parameter, _words(pair.second), f"{min(pair.correlation, 0.9999):.4f}")
     console.print(table)

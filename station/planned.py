@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
+from estimator.effects.conditions import Conditions
+from estimator.kinematics import Site
 from estimator.reference import TableReadings, TableUncertainty
 from station.script import Move, Rest, Rotate, Script
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,6 +24,18 @@ class PlannedMotion:
     rate_rps: Floats
     acceleration_rps2: Floats
     gimbals: tuple[str, ...]
+
+    def conditions(self, temperature_c: Floats | None, site: Site | None) -> Conditions:
+        """Return what gyros on the innermost axis go through, at this temperature (N,), None if it is not known."""
+        return Conditions.on_table(
+            self.t_s,
+            self.angle_rad,
+            self.rate_rps,
+            self.acceleration_rps2,
+            self.gimbals,
+            temperature_c=temperature_c,
+            site=site,
+        )
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
         """Return what a table of this uncertainty will have read."""

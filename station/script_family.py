@@ -17,13 +17,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.seams import AxisLimits
 from estimator.kinematics import body_rate
 from station.script import Move, Rest, Rotate, Script, Step
-
-Floats = NDArray[np.float64]
 
 _RAMP_SHARE = 0.4  # of a short turn, for each ramp: a part of every turn is at a steady rate
 _SHORTEST_TURN_S = 1.0

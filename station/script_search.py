@@ -14,13 +14,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Flags, Floats
 from drivers.seams import AxisLimits
 from station.script import Script
 from station.script_family import Shape, Way, one_way, ways_of
-
-Floats = NDArray[np.float64]
 
 LONGEST_S = 2 * 3600.0
 """No script longer than this is looked for."""
@@ -132,7 +130,7 @@ class Search:
     one_directional: bool = False
     on_progress: Callable[[str], None] = lambda text: None
 
-    def unreachable(self) -> NDArray[np.bool_]:
+    def unreachable(self) -> Flags:
         """Return which sigmas (n, 4) no script of the family reaches, however long, even under white noise."""
         shape = self._shape(ways_of(self.gimbals, (0.0, _QUARTER)))
         information = shape.information(np.full(len(shape.least), LONGEST_S))

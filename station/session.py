@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from drivers.errors import DeviceError, LinkLost
 from drivers.seams import Identity, ImuBlock
 from estimator.calibration import Calibration
@@ -40,8 +40,6 @@ from station.signals import heeded_signals
 from station.snapshot import Snapshot
 from station.sources import SourceReport
 from station.table_watch import TableRow, check_axes, watch_table
-
-Floats = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 
@@ -71,6 +69,24 @@ class Result:
     """What was had of each source."""
 
 
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How a run is made.
+
+    ``model``: effects to estimate beside the states; it must fit the table. ``operator`` and ``device_serial`` are
+    recorded; without the latter, what the device under test says if there is one. ``outlives_terminal``: SIGHUP does
+    not end the run. ``time_scale`` is how fast the loop's clock runs.
+    """
+
+    reset_fault: bool = False
+    end_early: bool = False
+    model: ErrorModel | None = None
+    operator: str = ""
+    device_serial: str = ""
+    outlives_terminal: bool = False
+    time_scale: float = 1.0
+
+
 class Session:
     """Runs one script on one open bench into one recording."""
 
@@ -79,31 +95,20 @@ class Session:
         bench: OpenBench,
         script: Script,
         path: Path,
+        options: RunOptions = RunOptions(),
         *,
-        seed: int = 0,
-        reset_fault: bool = False,
-        end_early: bool = False,
-        model: ErrorModel | None = None,
-        operator: str = "",
-        device_serial: str = "",
-        outlives_terminal: bool = False,
-        time_scale: float = 1.0,
         on_progress: Callable[[Callable[[], Snapshot]], None] = lambda look: None,
         on_event: Callable[[float, str], None] | None = None,
     ) -> None:
-        """Create the recording; nothing is opened yet.
+        """Create the recording; nothing is opened yet. RecordingError if the file cannot be created.
 
-        ``model``: effects to estimate beside the states; it must fit the table. ``operator`` and ``device_serial`` are
-        recorded; without the latter, what the device under test says if there is one. ``outlives_terminal``: SIGHUP
-        does not end the run. ``on_event(t_s, text)`` is told of every event. RecordingError if the file cannot be
-        created.
+        ``on_event(t_s, text)`` is told of every event.
         """
-        config = bench.bench
-        self._model = model if model is not None and model.effects else None
+        config, time_scale = bench.bench, options.time_scale
+        self._model = options.model if options.model is not None and options.model.effects else None
         self._open, self._bench, self._script = bench, config, script
-        self._reset_fault, self._time_scale = reset_fault, time_scale
+        self._options, self._time_scale = options, time_scale
         self._on_progress, self._on_event = on_progress, on_event
-        self._device_serial, self._outlives_terminal = device_serial, outlives_terminal
         self._phase = "connecting"
         self._reason = ""
         self._running: asyncio.Task[None] | None = None
@@ -118,8 +123,8 @@ class Session:
         self._sync: asyncio.Future[Any] | None = None
         stated = config.table.uncertainty
         self._live = LiveEstimate(config.table.gimbals, config.site, stated.timing_s if stated else 0.0)
-        told = {"operator": operator, "device_serial": device_serial}
-        self._writer = RecordingWriter(path, _attributes(bench, script, seed) | {k: v for k, v in told.items() if v})
+        told = {"operator": options.operator, "device_serial": options.device_serial}
+        self._writer = RecordingWriter(path, _attributes(bench, script) | {k: v for k, v in told.items() if v})
         loop = asyncio.get_running_loop()
         if not is_virtual(loop):  # a simulated clock has no place in the day
             zero_utc_s = time.time() - loop.time() / time_scale
@@ -132,7 +137,7 @@ class Session:
         self._ended_early = ""
         self._monitor = Monitor(bench, self._live, self._reopening, time_scale)
         self._early_end: EarlyEnd | None = None
-        if end_early:
+        if options.end_early:
             configs = {name: imu.config for imu in bench.imus for name in imu.source.names}
             self._early_end = EarlyEnd(config, configs, self._live, time_scale)
 
@@ -142,7 +147,7 @@ class Session:
         if self._reason:
             work.cancel()
         verdict: Verdict | None = None
-        with heeded_signals(self.stop, self._outlive if self._outlives_terminal else None):
+        with heeded_signals(self.stop, self._outlive if self._options.outlives_terminal else None):
             try:
                 await work
             except asyncio.CancelledError:
@@ -215,7 +220,7 @@ class Session:
 
     def _add_sources(self, imu: OpenImu) -> None:
         config = imu.config
-        noise_rps = config.arw_rps_rthz * np.sqrt(config.rate_hz)
+        noise_rps = config.noise.arw * np.sqrt(config.rate_hz)
         for name, gyros in config.gyros_of(imu.source.names).items():
             array = config.array.select(gyros)
             noise = [config.noise.arw, config.noise.instability, config.noise.walk]
@@ -239,12 +244,12 @@ class Session:
                 identity = await imu.source.identify()
                 for name in imu.source.names:
                     self._writer.set_source(name, _identity("", identity))
-                if identity.serial and not self._device_serial and len(self._open.imus) == 1:
+                if identity.serial and not self._options.device_serial and len(self._open.imus) == 1:
                     self._writer.set_attributes({"device_serial": identity.serial})
                 services.append(group.create_task(self._acquire(imu)))
             await self._first_samples()
             services.append(group.create_task(self._watch_silence()))
-            if self._reset_fault:
+            if self._options.reset_fault:
                 await table.reset_fault()
             self._phase = "enabling"
             await table.enable()
@@ -306,15 +311,11 @@ class Session:
     def _take_block(self, name: str, block: ImuBlock) -> None:
         self._last_seen_s[name] = asyncio.get_running_loop().time()
         self._monitor.take_block(name, block)
-        where = f"imu/{name}"
-        self._writer.append(f"{where}/t_ns", block.t_ns)
-        self._writer.append(f"{where}/arrival_ns", block.arrival_ns)
-        self._writer.append(f"{where}/rate_rps", block.rate_rps)
-        self._writer.append(f"{where}/temperature_c", block.temperature_c)
-        if block.counter is not None:
-            self._writer.append(f"{where}/counter", block.counter)
+        for key in ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter"):
+            if (values := getattr(block, key)) is not None:
+                self._writer.append(f"imu/{name}/{key}", values)
         if block.accel_mps2 is not None:
-            self._writer.append(f"{where}/accel_mps2", self._in_body_axes(name, block.accel_mps2))
+            self._writer.append(f"imu/{name}/accel_mps2", self._in_body_axes(name, block.accel_mps2))
         self._live.sources[name].add(block)
 
     def _in_body_axes(self, name: str, accel_mps2: Floats) -> Floats:
@@ -476,7 +477,7 @@ def _leaves(group: BaseExceptionGroup[BaseException]) -> Iterator[BaseException]
             yield error
 
 
-def _attributes(bench: OpenBench, script: Script, seed: int) -> dict[str, Any]:
+def _attributes(bench: OpenBench, script: Script) -> dict[str, Any]:
     config = bench.bench
     links = [axis.link or config.table.link for axis in config.table.axes.values()]
     attributes: dict[str, Any] = {
@@ -488,7 +489,7 @@ def _attributes(bench: OpenBench, script: Script, seed: int) -> dict[str, Any]:
         "script_steps": [step.label for step in script.steps],
         "devices": [f"{imu.config.name} ({imu.config.protocol}, {imu.config.link})" for imu in bench.imus],
         "table_link": f"{config.table.protocol}, {', '.join(dict.fromkeys(links))}",
-        "seed": seed,
+        "seed": config.twin.seed,
         "outcome": str(Outcome.ABORTED),
         "reason": _UNFINISHED,
     }

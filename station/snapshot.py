@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, is_dataclass
-from typing import Any
+from functools import cache
+from typing import Any, get_args, get_origin, get_type_hints
 
 AFTER_THIS_STEP, PAUSED = "after this step", "paused"
 """Words of ``Snapshot.paused``, beside ""."""
@@ -94,20 +95,16 @@ class Snapshot:
         return self.elapsed_s / max(self.elapsed_s + self.remaining_s, 1e-9)
 
 
-def snapshot_object(snapshot: Snapshot) -> dict[str, Any]:
-    """Return a snapshot as what JSON can hold."""
-    found: dict[str, Any] = json_object(snapshot)
-    return found
-
-
 def json_object(value: Any) -> Any:
-    """Return dataclasses, dicts, sequences and numbers as what JSON can hold: null for what is not finite."""
+    """Return dataclasses, dicts, sequences, arrays and numbers as what JSON can hold: null for what is not finite."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
         return {key: json_object(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [json_object(item) for item in value]
+    if hasattr(value, "tolist"):
+        return json_object(value.tolist())
     if is_dataclass(value):  # dataclasses.asdict copies all that it meets, and costs four times as much
         return {name: json_object(getattr(value, name)) for name in value.__dataclass_fields__}
     return value
@@ -118,55 +115,20 @@ def snapshot_of(found: Mapping[str, Any]) -> Snapshot:
 
     KeyError, TypeError or ValueError if it is none.
     """
-    return Snapshot(
-        phase=str(found["phase"]),
-        elapsed_s=_number(found["elapsed_s"]),
-        remaining_s=_number(found["remaining_s"]),
-        samples=int(found["samples"]),
-        lost=int(found["lost"]),
-        nis_mean=_number(found["nis_mean"]),
-        nis_recent=_number(found["nis_recent"]),
-        whiteness=_number(found["whiteness"]),
-        paused=str(found["paused"]),
-        axes=tuple(
-            AxisSnapshot(
-                str(axis["name"]),
-                _number(axis["angle_rad"]),
-                _number(axis["rate_rps"]),
-                _number(axis["setpoint_rps"]),
-                str(axis["state"]),
-            )
-            for axis in found["axes"]
-        ),
-        sources=tuple(
-            SourceSnapshot(
-                str(source["name"]),
-                str(source["device"]),
-                _number(source["rate_hz"]),
-                int(source["samples"]),
-                int(source["lost"]),
-                int(source["repeated"]),
-                int(source["late"]),
-                int(source["corrupt"]),
-                _number(source["latency_s"]),
-                _number(source["jitter_s"]),
-                _number(source["temperature_c"]),
-                str(source["link"]),
-            )
-            for source in found["sources"]
-        ),
-        gyros=tuple(
-            GyroSnapshot(
-                str(gyro["name"]),
-                str(gyro["source"]),
-                tuple(map(_number, gyro["values"])),
-                tuple(map(_number, gyro["sds"])),
-                _number(gyro["nis"]),
-            )
-            for gyro in found["gyros"]
-        ),
-    )
+    snapshot: Snapshot = _of_type(Snapshot, found)
+    return snapshot
 
 
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)
+def _of_type(kind: Any, value: Any) -> Any:
+    """Return a value of JSON as what the field of a snapshot holds; null is a number that is not known."""
+    if get_origin(kind) is tuple:
+        return tuple(_of_type(get_args(kind)[0], item) for item in value)
+    if types := _types_of(kind):
+        return kind(**{name: _of_type(types[name], value[name]) for name in types})
+    return math.nan if kind is float and value is None else kind(value)
+
+
+@cache
+def _types_of(kind: Any) -> dict[str, Any]:
+    """Return the types of the fields of a dataclass, nothing of another type."""
+    return get_type_hints(kind) if is_dataclass(kind) else {}

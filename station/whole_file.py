@@ -5,9 +5,24 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
 
 from station.errors import UsageError
+
+
+def free_path(path: Path) -> Path:
+    """Return the path, or one with a number that is free: nothing is ever overwritten."""
+    number, found = 1, path
+    while found.exists():
+        number += 1
+        found = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return found
+
+
+def new_recording(folder: Path) -> Path:
+    """Return a free path for the recording of a run that begins now."""
+    return free_path(folder / f"run-{datetime.now():%Y%m%d-%H%M%S}.h5")
 
 
 def write_whole(

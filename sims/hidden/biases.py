@@ -11,12 +11,10 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from sims.hidden.fields import Each, each, given, whole
 from sims.hidden.scene import Scene
-
-Floats = NDArray[np.float64]
 
 _KNOT_S = 0.1
 _KNOTS_AT_ONCE = 4096

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from sims.hidden.biases import Added, BiasWalk
 from sims.hidden.converter import Converter, DeadBand, SampleHold, Saturation, Stuck
 from sims.hidden.errors import HiddenError
@@ -16,7 +16,6 @@ from sims.hidden.scene import Scene, World
 from sims.hidden.sensed import Sensed
 from sims.hidden.timing import Bandwidth, Hysteresis, LastTurn, Latency, LowPass, RateDependentDelay
 
-Floats = NDArray[np.float64]
 T = TypeVar("T")
 
 

@@ -13,12 +13,11 @@ from dataclasses import MISSING, Field, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from sims.hidden.errors import HiddenError
 from sims.hidden.units import quantity
 
-Floats = NDArray[np.float64]
 Each = float | Sequence[float] | Floats
 """A number for all gyros, or one for each."""
 T = TypeVar("T")

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from sims.body import Body
 from sims.geometry import Mounting
 from sims.hidden.temperature import Temperature
-
-Floats = NDArray[np.float64]
 
 _STEP_S = 1e-3
 

@@ -10,12 +10,10 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from sims.hidden.fields import Each, choice, each, given, whole
 from sims.hidden.scene import Scene
-
-Floats = NDArray[np.float64]
 
 AXES = ("x", "y", "z")
 _STILL_RPS = 1e-6  # rates come from differences of angles

@@ -10,12 +10,10 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from sims.hidden.errors import HiddenError
 from sims.hidden.fields import choice, given, whole
-
-Floats = NDArray[np.float64]
 
 ALL = "all"
 _NEWTON_STEPS = 3

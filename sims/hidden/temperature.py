@@ -6,11 +6,9 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from sims.hidden.fields import choice, given
-
-Floats = NDArray[np.float64]
 
 EXPONENTIAL, LINEAR, CYCLE = "exponential", "linear", "cycle"
 

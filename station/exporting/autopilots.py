@@ -16,16 +16,14 @@ AP_InertialSensor_tempcal.cpp).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.array import TOLERANCE
 from estimator.compensation import OF_THE_RATE, Compensation
 from estimator.effects.thermal import REFERENCE_C
 from station.errors import UsageError
 from station.exporting.exported import Exported
 from station.exporting.written import Written, as_triad, delay_line, head, lines_of, number
-
-Floats = NDArray[np.float64]
 
 _KEPT = ("thermal_bias", "thermal_bias_quadratic")
 _PX4_MOST, _ARDUPILOT_MOST = 4, 3

@@ -4,48 +4,158 @@ from __future__ import annotations
 
 import re
 
-import numpy as np
-from numpy.typing import NDArray
-
-from estimator.compensation import MOST_ITERATIONS, SLOPE_S, TOLERANCE_RPS
-from estimator.effects.thermal import REFERENCE_C
+from drivers.arrays import Floats
 from station.exporting.exported import Exported
-from station.exporting.function_text import argument_names, arguments_said, cautions
-from station.exporting.terms import Term, Terms, terms_of
+from station.exporting.function_text import argument_names, arguments_said, cautions, function_text
+from station.exporting.terms import Terms, terms_of
 from station.exporting.written import Written, head, number
-
-Floats = NDArray[np.float64]
 
 
 def write_c(exported: Exported) -> Written:
     """Return the header; CompensationError for gyros that do not span space."""
-    solution = exported.compensation.solution
     terms = terms_of(exported.compensation)
     not_held = cautions(exported, terms)
     prefix = identifier(exported.name)
-    guard = f"{prefix.upper()}_CORRECTION_H"
     what = f"{prefix}_correct: outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s). C99."
-    lines = [
-        "/*",
-        *map(_said_line, head(exported, what, not_held, " *")),
-        " */",
-        f"#ifndef {guard}",
-        f"#define {guard}",
-        "",
-        "#include <math.h>",
-        "",
-        f"enum {{ {prefix}_gyros = {len(exported.gyros)} }};",
-        "",
-        "/* A sample stamped t shows the rate at t less this, in s. */",
-        f"#define {prefix.upper()}_DELAY_S {number(exported.compensation.delay_s)}",
-        "",
-        *_tables(exported, terms, solution, prefix),
-        *_state(terms, prefix),
-        *_inverse(terms, prefix),
-        *_correct(exported, terms, prefix),
-        f"#endif /* {guard} */",
-    ]
-    return Written("\n".join(lines) + "\n", tuple(not_held))
+    declared = {
+        "rate_rps": f"const double rate_rps[{prefix}_gyros]",
+        "temperature_c": "double temperature_c",
+        "accel": "const double accel[3]",
+        "dt_s": "double dt_s",
+    }
+    arguments = [f"{prefix}_state *state"] if terms.keeps_state else []
+    arguments += [*(declared[name] for name in argument_names(terms)), "double w_rps[3]"]
+    text = function_text(
+        _HEADER,
+        exported,
+        terms,
+        lambda term: f"{prefix}_{term.table}",
+        {
+            "head": map(_said_line, head(exported, what, not_held, " *")),
+            "tables": _tables(exported, terms, prefix),
+            "said": map(_said, arguments_said(exported, terms)),
+        },
+        p=prefix,
+        upper=prefix.upper(),
+        arguments=", ".join(arguments),
+        warmth_given=", double warmth" if terms.warms_the_rate else "",
+        simple=f"void {prefix}_solve" if terms.of_the_rate else f"int {prefix}_invert",
+    )
+    return Written(text, tuple(not_held))
+
+
+_HEADER = """
+          |/*
+head      |$it
+          | */
+          |#ifndef ${upper}_CORRECTION_H
+          |#define ${upper}_CORRECTION_H
+          |
+          |#include <math.h>
+          |
+          |enum { ${p}_gyros = $gyros };
+          |
+          |/* A sample stamped t shows the rate at t less this, in s. */
+          |#define ${upper}_DELAY_S $delay_s
+          |
+tables    |$it
+state     |/* What is kept from sample to sample; reset it at the start and after a gap. */
+state     |typedef struct {
+state     |    int started;
+time_s    |    double time_s; /* since the gyros were switched on; set it if they run already */
+lag       |    double rate_rps[${p}_gyros]; /* of the sample before, as all that follows */
+slope     |    double smooth_c;
+wdot      |    double w_rps[3];
+state     |} ${p}_state;
+state     |
+state     |static inline void ${p}_reset(${p}_state *state)
+state     |{
+state     |    static const ${p}_state empty = {0};
+state     |    *state = empty;
+state     |}
+state     |
+          |static inline $simple(const double left[${p}_gyros], double w_rps[3])
+          |{
+          |    int i, r;
+          |    for (r = 0; r < 3; r++) {
+          |        w_rps[r] = 0.0;
+          |        for (i = 0; i < ${p}_gyros; i++)
+          |            w_rps[r] += ${p}_solution[r][i] * left[i];
+          |    }
+no rate   |    return 0;
+          |}
+          |
+rate      |/* Undoes what depends on the rate itself, by iteration; returns 1 and leaves it in if that has no end. */
+rate      |static inline int ${p}_invert(const double left[${p}_gyros]$warmth_given, double w_rps[3])
+rate      |{
+rate      |    double less[${p}_gyros], next[3], change, u;
+rate      |    int i, r, step;
+rate      |    ${p}_solve(left, w_rps);
+rate      |    for (step = 0; step < $iterations; step++) {
+rate      |        for (i = 0; i < ${p}_gyros; i++) {
+rate      |            u = 0.0;
+rate      |            for (r = 0; r < 3; r++)
+rate      |                u += ${p}_axis[i][r] * w_rps[r];
+rate      |            less[i] = left[i];
+of rate   |            less[i] -= $it;
+rate      |        }
+rate      |        ${p}_solve(less, next);
+rate      |        change = 0.0;
+rate      |        for (r = 0; r < 3; r++) {
+rate      |            change += fabs(next[r] - w_rps[r]);
+rate      |            w_rps[r] = next[r];
+rate      |        }
+rate      |        if (change <= $tolerance)
+rate      |            return 0;
+rate      |    }
+rate      |    ${p}_solve(left, w_rps);
+rate      |    return 1;
+rate      |}
+rate      |
+          |/*
+said      | * $it
+          | * w_rps (out): rate of the body about its axes x, y, z, in rad/s
+rate      | * Returns 0; 1 if the rate is no number or far beyond the calibration: effects of the rate are then left in.
+no rate   | * Returns 0.
+          | */
+          |static inline int ${p}_correct($arguments)
+          |{
+          |    double left[${p}_gyros];
+          |    int i;
+warmth    |    const double warmth = temperature_c - $reference_c;
+time_s    |    const double time_s = state->started ? state->time_s + dt_s : state->time_s;
+slope     |    const double step = state->started && dt_s > 0.0 ? dt_s : 0.0;
+slope     |    double slope;
+wdot      |    double wdot[3] = {0.0, 0.0, 0.0}, w[3];
+wdot      |    int r;
+slope     |    if (!state->started || isnan(state->smooth_c))
+slope     |        state->smooth_c = temperature_c;
+slope     |    else if (!isnan(temperature_c))
+slope     |        state->smooth_c += (temperature_c - state->smooth_c) * step / ($slope_s + step);
+slope     |    slope = (temperature_c - state->smooth_c) / $slope_s;
+          |    for (i = 0; i < ${p}_gyros; i++) {
+          |        left[i] = rate_rps[i] + ${p}_bias[i];
+lag       |        if (state->started && dt_s > 0.0 && isfinite(rate_rps[i] - state->rate_rps[i]))
+lag       |            left[i] += $lag[i] * (rate_rps[i] - state->rate_rps[i]) / dt_s;
+lag       |        state->rate_rps[i] = rate_rps[i];
+added     |        left[i] -= $it;
+          |    }
+of wdot   |    if (${p}_invert(left$warmth, w))
+of wdot   |        w[0] = w[1] = w[2] = NAN;
+of wdot   |    for (r = 0; r < 3; r++) {
+of wdot   |        if (state->started && dt_s > 0.0 && isfinite(w[r] - state->w_rps[r]))
+of wdot   |            wdot[r] = (w[r] - state->w_rps[r]) / dt_s;
+of wdot   |        state->w_rps[r] = w[r];
+of wdot   |    }
+of wdot   |    for (i = 0; i < ${p}_gyros; i++)
+of wdot   |        left[i] -= $it;
+time_s    |    state->time_s = time_s;
+state     |    state->started = 1;
+          |    return ${p}_invert(left$warmth, w_rps);
+          |}
+          |
+          |#endif /* ${upper}_CORRECTION_H */
+"""
 
 
 def identifier(name: str) -> str:
@@ -63,10 +173,10 @@ def _said(text: str) -> str:
     return text.replace("*/", "* /").replace("/*", "/ *").replace("??/", "?? /")
 
 
-def _tables(exported: Exported, terms: Terms, solution: Floats, prefix: str) -> list[str]:
+def _tables(exported: Exported, terms: Terms, prefix: str) -> list[str]:
     lines = [
         "/* Body rate per output: the inverse of the sensitivity, rows x, y, z. */",
-        *_table(f"{prefix}_solution", solution),
+        *_table(f"{prefix}_solution", exported.compensation.solution),
         "/* Biases, to be added to the outputs, in rad/s. */",
         *_table(f"{prefix}_bias", exported.compensation.bias_rps),
     ]
@@ -83,156 +193,3 @@ def _table(name: str, values: Floats) -> list[str]:
     rows = [f"    {{{', '.join(map(number, row))}}}," for row in values]
     rows[-1] = rows[-1].rstrip(",")
     return [f"static const double {name}[{len(values)}][{values.shape[1]}] = {{", *rows, "};", ""]
-
-
-def _written(term: Term, prefix: str) -> str:
-    return term.written(f"{prefix}_{term.table}")
-
-
-def _state(terms: Terms, prefix: str) -> list[str]:
-    if not terms.keeps_state:
-        return []
-    fields = ["    int started;"]
-    if terms.uses("time_s"):
-        fields.append("    double time_s; /* since the gyros were switched on; set it if they run already */")
-    if terms.lag is not None:
-        fields.append(f"    double rate_rps[{prefix}_gyros]; /* of the sample before, as all that follows */")
-    if terms.uses("slope"):
-        fields.append("    double smooth_c;")
-    if terms.uses("wdot"):
-        fields.append("    double w_rps[3];")
-    return [
-        "/* What is kept from sample to sample; reset it at the start and after a gap. */",
-        "typedef struct {",
-        *fields,
-        f"}} {prefix}_state;",
-        "",
-        f"static inline void {prefix}_reset({prefix}_state *state)",
-        "{",
-        f"    static const {prefix}_state empty = {{0}};",
-        "    *state = empty;",
-        "}",
-        "",
-    ]
-
-
-def _inverse(terms: Terms, prefix: str) -> list[str]:
-    n = f"{prefix}_gyros"
-    name, kind, end = ("solve", "void", []) if terms.of_the_rate else ("invert", "int", ["    return 0;"])
-    lines = [
-        f"static inline {kind} {prefix}_{name}(const double left[{n}], double w_rps[3])",
-        "{",
-        "    int i, r;",
-        "    for (r = 0; r < 3; r++) {",
-        "        w_rps[r] = 0.0;",
-        f"        for (i = 0; i < {n}; i++)",
-        f"            w_rps[r] += {prefix}_solution[r][i] * left[i];",
-        "    }",
-        *end,
-        "}",
-        "",
-    ]
-    if not terms.of_the_rate:
-        return lines
-    warmth = "double warmth, " if terms.warms_the_rate else ""
-    return [
-        *lines,
-        "/* Undoes what depends on the rate itself, by iteration; returns 1 and leaves it in if that has no end. */",
-        f"static inline int {prefix}_invert(const double left[{n}], {warmth}double w_rps[3])",
-        "{",
-        f"    double less[{n}], next[3], change, u;",
-        "    int i, r, step;",
-        f"    {prefix}_solve(left, w_rps);",
-        f"    for (step = 0; step < {MOST_ITERATIONS}; step++) {{",
-        f"        for (i = 0; i < {n}; i++) {{",
-        "            u = 0.0;",
-        "            for (r = 0; r < 3; r++)",
-        f"                u += {prefix}_axis[i][r] * w_rps[r];",
-        "            less[i] = left[i];",
-        *(f"            less[i] -= {_written(term, prefix)};" for term in terms.of_the_rate),
-        "        }",
-        f"        {prefix}_solve(less, next);",
-        "        change = 0.0;",
-        "        for (r = 0; r < 3; r++) {",
-        "            change += fabs(next[r] - w_rps[r]);",
-        "            w_rps[r] = next[r];",
-        "        }",
-        f"        if (change <= {number(TOLERANCE_RPS)})",
-        "            return 0;",
-        "    }",
-        f"    {prefix}_solve(left, w_rps);",
-        "    return 1;",
-        "}",
-        "",
-    ]
-
-
-def _correct(exported: Exported, terms: Terms, prefix: str) -> list[str]:
-    n = f"{prefix}_gyros"
-    declared = {
-        "rate_rps": f"const double rate_rps[{n}]",
-        "temperature_c": "double temperature_c",
-        "accel": "const double accel[3]",
-        "dt_s": "double dt_s",
-    }
-    arguments = [f"{prefix}_state *state"] if terms.keeps_state else []
-    arguments += [*(declared[name] for name in argument_names(terms)), "double w_rps[3]"]
-    warmth = "warmth, " if terms.warms_the_rate else ""
-    body = [f"    double left[{n}];", "    int i;"]
-    if terms.uses("warmth"):
-        body.append(f"    const double warmth = temperature_c - {number(REFERENCE_C)};")
-    if terms.uses("time_s"):
-        body += ["    const double time_s = state->started ? state->time_s + dt_s : state->time_s;"]
-    if terms.uses("slope"):
-        body += ["    const double step = state->started && dt_s > 0.0 ? dt_s : 0.0;", "    double slope;"]
-    if terms.uses("wdot"):
-        body += ["    double wdot[3] = {0.0, 0.0, 0.0}, w[3];", "    int r;"]
-    if terms.uses("slope"):
-        body += [
-            "    if (!state->started || isnan(state->smooth_c))",
-            "        state->smooth_c = temperature_c;",
-            "    else if (!isnan(temperature_c))",
-            f"        state->smooth_c += (temperature_c - state->smooth_c) * step / ({number(SLOPE_S)} + step);",
-            f"    slope = (temperature_c - state->smooth_c) / {number(SLOPE_S)};",
-        ]
-    body.append(f"    for (i = 0; i < {n}; i++) {{")
-    body.append(f"        left[i] = rate_rps[i] + {prefix}_bias[i];")
-    if terms.lag is not None:
-        body += [
-            "        if (state->started && dt_s > 0.0 && isfinite(rate_rps[i] - state->rate_rps[i]))",
-            f"            left[i] += {prefix}_{terms.lag.table}[i] * (rate_rps[i] - state->rate_rps[i]) / dt_s;",
-            "        state->rate_rps[i] = rate_rps[i];",
-        ]
-    body += [f"        left[i] -= {_written(term, prefix)};" for term in terms.added]
-    body.append("    }")
-    if terms.of_acceleration is not None:
-        body += [
-            f"    if ({prefix}_invert(left, {warmth}w))",
-            "        w[0] = w[1] = w[2] = NAN;",
-            "    for (r = 0; r < 3; r++) {",
-            "        if (state->started && dt_s > 0.0 && isfinite(w[r] - state->w_rps[r]))",
-            "            wdot[r] = (w[r] - state->w_rps[r]) / dt_s;",
-            "        state->w_rps[r] = w[r];",
-            "    }",
-            f"    for (i = 0; i < {n}; i++)",
-            f"        left[i] -= {_written(terms.of_acceleration, prefix)};",
-        ]
-    if terms.uses("time_s"):
-        body.append("    state->time_s = time_s;")
-    if terms.keeps_state:
-        body.append("    state->started = 1;")
-    body.append(f"    return {prefix}_invert(left, {warmth}w_rps);")
-    return [
-        "/*",
-        *(f" * {_said(line)}" for line in arguments_said(exported, terms)),
-        " * w_rps (out): rate of the body about its axes x, y, z, in rad/s",
-        " * Returns 0; 1 if the rate is no number or far beyond the calibration: effects of the rate are then left in."
-        if terms.of_the_rate
-        else " * Returns 0.",
-        " */",
-        f"static inline int {prefix}_correct({', '.join(arguments)})",
-        "{",
-        *body,
-        "}",
-        "",
-    ]

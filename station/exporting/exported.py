@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from estimator.errors import EstimatorError, RecordingError
 from estimator.recording import Recording, read_recording
 from estimator.stored_calibration import read_calibration
 from station.errors import UsageError
+from station.figures import STATE_FIGURES
 from station.outcome import Outcome
 from station.report.hashes import file_sha256
 
@@ -138,11 +138,9 @@ def _kind(attributes: Mapping[str, Any]) -> str:
 
 def _states(gyro: GyroCalibration) -> str:
     """Return the states with their standard deviations, in the units people use."""
-    scales = ((1e6, "ppm"), (math.degrees(1), "deg/s"), (math.degrees(1), "deg"), (math.degrees(1), "deg"))
-    names = ("k", "b", "sigma_j", "sigma_k")
     return ", ".join(
-        f"{name} {state * scale:.6g} ± {float(f'{sd * scale:.2g}'):g} {unit}"
-        for name, state, sd, (scale, unit) in zip(names, gyro.states, gyro.sd, scales, strict=True)
+        f"{shown.name} {state * shown.factor:.6g} ± {float(f'{sd * shown.factor:.2g}'):g} {shown.unit}"
+        for shown, state, sd in zip(STATE_FIGURES, gyro.states, gyro.sd, strict=True)
     )
 
 

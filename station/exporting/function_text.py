@@ -1,13 +1,17 @@
-"""What C and Python say alike of the correction function: its arguments, and what is left to its user."""
+"""What C and Python have in common: the arguments of the correction function, what is left to its user, its text."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
+from string import Template
+
 import numpy as np
 
-from estimator.compensation import SLOPE_S
+from estimator.compensation import MOST_ITERATIONS, SLOPE_S, TOLERANCE_RPS
+from estimator.effects.thermal import REFERENCE_C
 from station.exporting.exported import Exported
-from station.exporting.terms import Terms
-from station.exporting.written import delay_line, lines_of
+from station.exporting.terms import Term, Terms
+from station.exporting.written import delay_line, lines_of, number
 
 
 def argument_names(terms: Terms) -> list[str]:
@@ -46,3 +50,47 @@ def cautions(exported: Exported, terms: Terms) -> list[str]:
             f"second makes the noise {np.hypot(1 + share, share):.2g} times as large"
         )
     return lines
+
+
+def function_text(
+    template: str,
+    exported: Exported,
+    terms: Terms,
+    name_of: Callable[[Term], str],
+    given: Mapping[str, Iterable[str]],
+    **values: object,
+) -> str:
+    """Return the source code of a template, whose margin ends with a bar; ``name_of`` names the table of a term.
+
+    A name in the margin says when a line comes: where the function uses it, or once for each text of it, which
+    ``$it`` stands for. Other names behind ``$`` are those of ``values``, and what the function consists of.
+    """
+
+    def written(*some: Term | None) -> list[str]:
+        return [term.written(name_of(term)) for term in some if term is not None]
+
+    texts: dict[str, Iterable[str]] = {
+        "added": written(*terms.added),
+        "of rate": written(*terms.of_the_rate),
+        "of wdot": written(terms.of_acceleration),
+        **given,
+    }
+    used = {name: terms.uses(name) for name in ("warmth", "time_s", "slope", "wdot")}
+    used |= {"state": terms.keeps_state, "rate": bool(terms.of_the_rate), "lag": terms.lag is not None}
+    used |= {"adds": bool(terms.added)} | {f"no {name}": not there for name, there in used.items()}
+    values |= {
+        "gyros": len(exported.gyros),
+        "delay_s": number(exported.compensation.delay_s),
+        "iterations": MOST_ITERATIONS,
+        "tolerance": number(TOLERANCE_RPS),
+        "reference_c": number(REFERENCE_C),
+        "slope_s": number(SLOPE_S),
+        "lag": name_of(terms.lag) if terms.lag is not None else "",
+        "warmth": ", warmth" if terms.warms_the_rate else "",
+    }
+    lines = []
+    for line in template.strip("\n").splitlines():
+        name, _, text = line.partition("|")
+        each = texts.get(name.strip()) or [""] * used.get(name.strip(), not name.strip())
+        lines += [Template(text).substitute(values, it=it).rstrip() for it in each]
+    return "\n".join(lines) + "\n"

@@ -11,15 +11,13 @@ kalibr_common/ConfigReader.py).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.kinematics import GRAVITY_MPS2
 from station.errors import UsageError
 from station.exporting.exported import Exported
 from station.exporting.written import Written, as_triad, delay_line, head, lines_of, number
 from station.exporting.yaml_text import Plain, yaml_lines
-
-Floats = NDArray[np.float64]
 
 
 def write_ros(exported: Exported) -> Written:

@@ -10,14 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drivers.arrays import Floats
 from estimator.compensation import ADDED, OF_THE_RATE, Compensation, HeldEffect
 from estimator.kinematics import GRAVITY_MPS2
 from station.exporting.written import number
-
-Floats = NDArray[np.float64]
 
 _EXPRESSIONS: Mapping[str, str] = {
     "thermal_bias": "{table}[i] * warmth",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -16,14 +15,6 @@ _BYTE_LINKS = "write serial:///dev/ttyUSB0?baud=921600, tcp://host:port, rfc2217
 _SERIAL_OPTIONS = {"baud", "parity", "stop_bits"}
 _TCP_LIMIT_S = 2.0
 _LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would be more than what a pty holds
-
-
-@dataclass(frozen=True, slots=True)
-class _Serial:
-    port: str
-    baud: int
-    parity: str
-    stop_bits: int
 
 
 def byte_link(
@@ -52,8 +43,7 @@ def modbus_address(link: str, device: str) -> Address:
     """Return where drives on Modbus are: a host and port, or a serial line (RTU); BenchError if it is neither."""
     if urlsplit(link).scheme == "tcp":
         return tcp_address(link, device, 502)
-    serial = _serial(link, device, 19200)
-    return SerialPort(serial.port, serial.baud, serial.parity, serial.stop_bits)
+    return _serial(link, device, 19200)
 
 
 def tcp_address(link: str, device: str, default_port: int | None) -> tuple[str, int]:
@@ -85,7 +75,7 @@ def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
     return parts[1], parts[2], options
 
 
-def _serial(link: str, device: str, baud: int) -> _Serial:
+def _serial(link: str, device: str, baud: int) -> SerialPort:
     url = urlsplit(link)
     options = {key: values[0] for key, values in parse_qs(url.query).items()}
     port = url.path if url.scheme == "serial" else link.partition("?")[0]
@@ -98,4 +88,4 @@ def _serial(link: str, device: str, baud: int) -> _Serial:
         raise BenchError(
             f"{device}: {link!r} has options that no serial port has: baud=921600, parity=N, E or O, stop_bits=1 or 2"
         )
-    return _Serial(port, int(number), parity, int(stop_bits))
+    return SerialPort(port, int(number), parity, int(stop_bits))

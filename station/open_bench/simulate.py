@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.array import SensorArray
 from estimator.kinematics import Site
 from estimator.model import Prior
@@ -26,7 +26,6 @@ from station.script import Move, Rest, Script
 
 __all__ = ["DeviceTruth", "Hidden", "simulate", "simulate_bench"]
 
-Floats = NDArray[np.float64]
 
 GIMBALS = ("z", "y", "x")
 
@@ -60,75 +59,21 @@ def simulate(
     earth_turns: bool = True,
     hidden: Hidden | None = None,
     started_s: float = 0.0,
+    mounts: Mapping[str, tuple[Mounting, GyroTruth]] | None = None,
 ) -> Recording:
     """Return the recording of a script on a table with these devices, each one source of its name.
 
     Without ``earth_turns`` the data hold no Earth rate. The recording carries the site if there is one, and nothing
     of ``hidden``, which is what is wrong with devices and table. Its stamps begin at 0, when the clock that
-    temperature and hidden effects follow stands at ``started_s``: runs of one session follow each other.
+    temperature and hidden effects follow stands at ``started_s``: runs of one session follow each other. ``mounts``
+    are other mountings and truths than the devices' own.
     """
-    mounts = {
-        name: (
-            mounted(MOUNTS_DEG[d.kind]) if d.kind else Mounting(d.array.p, d.array.j, d.array.k),
-            GyroTruth(
-                k=d.states[:, 0],
-                b_rps=d.states[:, 1],
-                sigma_j_rad=d.states[:, 2],
-                sigma_k_rad=d.states[:, 3],
-                arw_rps_rthz=d.arw_rps_rthz,
-                bias_instability_rps=d.bias_instability_rps,
-                rate_random_walk_rps_rts=d.rate_random_walk_rps_rts,
-            ),
-        )
-        for name, d in devices.items()
-    }
-    return _run(script, devices, mounts, seed, site, gimbals, earth_turns, hidden, started_s)
-
-
-def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
-    """Return the recording of a script on the twins of a bench, its used devices each as one source."""
-    truths = bench.twin.truths.again()
-    used = [imu for imu in bench.imus if imu.used]
-    devices = {
-        imu.name: DeviceTruth(
-            imu.array,
-            np.zeros((len(imu.array), 4)),
-            imu.arw_rps_rthz,
-            rate_hz=imu.rate_hz,
-            prior=imu.prior,
-            stated=imu.noise,
-        )
-        for imu in used
-    }
-    mounts = {imu.name: (mounting_of(imu), truth_of(truths, imu)) for imu in used}
-    hidden, started_s = hidden_of(bench), bench.twin.started_s
-    try:
-        recording = _run(script, devices, mounts, seed, bench.site, bench.table.gimbals, True, hidden, started_s)
-    except HiddenError as error:
-        raise BenchError(f"{bench.twin.hidden}: {error}") from None
-    if isinstance(recording.reference, TableReadings):
-        reference = replace(recording.reference, uncertainty=bench.table.uncertainty)
-        recording = replace(recording, reference=reference)
-    return replace(recording, attributes={"bench": bench.text, "seed": seed, "script": script.name})
-
-
-def _run(
-    script: Script,
-    devices: Mapping[str, DeviceTruth],
-    mounts: Mapping[str, tuple[Mounting, GyroTruth]],
-    seed: int,
-    site: Site | None,
-    gimbals: Sequence[str],
-    earth_turns: bool,
-    hidden: Hidden | None,
-    started_s: float,
-) -> Recording:
     moves = _timed(script)
     latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
     sources: dict[str, ImuData] = {}
     reference: TableReadings | None = None
     for index, (name, device) in enumerate(devices.items()):
-        mounting, truth = mounts[name]
+        mounting, truth = mounts[name] if mounts is not None else _own(device)
         run = direct_run(
             moves,
             script.duration_s,
@@ -156,6 +101,50 @@ def _run(
     if reference is None:
         raise ValueError("a simulation needs one device or more")
     return Recording(sources, reference, site)
+
+
+def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
+    """Return the recording of a script on the twins of a bench, its used devices each as one source."""
+    truths = bench.twin.truths.again()
+    used = [imu for imu in bench.imus if imu.used]
+    devices = {
+        imu.name: DeviceTruth(
+            imu.array,
+            np.zeros((len(imu.array), 4)),
+            imu.noise.arw,
+            rate_hz=imu.rate_hz,
+            prior=imu.prior,
+            stated=imu.noise,
+        )
+        for imu in used
+    }
+    mounts = {imu.name: (mounting_of(imu), truth_of(truths, imu)) for imu in used}
+    try:
+        recording = simulate(
+            script,
+            devices,
+            seed,
+            site=bench.site,
+            gimbals=bench.table.gimbals,
+            hidden=hidden_of(bench),
+            started_s=bench.twin.started_s,
+            mounts=mounts,
+        )
+    except HiddenError as error:
+        raise BenchError(f"{bench.twin.hidden}: {error}") from None
+    if isinstance(recording.reference, TableReadings):
+        reference = replace(recording.reference, uncertainty=bench.table.uncertainty)
+        recording = replace(recording, reference=reference)
+    return replace(recording, attributes={"bench": bench.text, "seed": seed, "script": script.name})
+
+
+def _own(device: DeviceTruth) -> tuple[Mounting, GyroTruth]:
+    """Return how a device is mounted, and what it is, by its own account."""
+    mounting = mounted(MOUNTS_DEG[device.kind]) if device.kind else None
+    k, b_rps, sigma_j, sigma_k = device.states.T
+    noise = device.arw_rps_rthz, device.bias_instability_rps
+    truth = GyroTruth(k, b_rps, sigma_j, sigma_k, *noise, rate_random_walk_rps_rts=device.rate_random_walk_rps_rts)
+    return mounting or Mounting(device.array.p, device.array.j, device.array.k), truth
 
 
 def _timed(script: Script) -> list[TimedMove]:

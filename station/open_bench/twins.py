@@ -11,9 +11,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pymodbus.transport import NULLMODEM_HOST
 
+from drivers.arrays import Floats
 from drivers.can_link import CanLink
 from drivers.can_memory import MemoryBus
 from drivers.errors import DeviceError
@@ -42,8 +42,6 @@ from station.bench_imu import ON_CAN, ImuConfig
 from station.errors import BenchError
 from station.open_bench.faults import read_faults, turn_knobs, turn_node_knobs
 from station.tables import Table
-
-Floats = NDArray[np.float64]
 
 _wires = itertools.count(1)
 _STANDARD_GRAVITY_MPS2 = 9.80665
@@ -284,7 +282,7 @@ def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
         b_rps=np.array(table.quantities("b", "rate", n, 0.0)),
         sigma_j_rad=np.array(table.quantities("sigma_j", "angle", n, 0.0)),
         sigma_k_rad=np.array(table.quantities("sigma_k", "angle", n, 0.0)),
-        arw_rps_rthz=table.quantity("arw", "angle random walk", imu.arw_rps_rthz),
+        arw_rps_rthz=table.quantity("arw", "angle random walk", imu.noise.arw),
         bias_instability_rps=table.quantity("bias_instability", "rate", 0.0),
         rate_random_walk_rps_rts=table.quantity("rate_random_walk", "rate random walk", 0.0),
         temperature_c=table.quantity("temperature", "temperature", 25.0),

@@ -2,59 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.effects.effect import Effect
 from estimator.planning import EffectForecast
 from estimator.tracing.investigation import Value
 from station.investigation_printed import human
 from station.plan_printed import combination
 from station.report.figures import CELSIUS, DEG_PER_S, ONE, STATES, Unit, figure, fixed, plain, significant, typographic
-from station.report.html import Content, Markup, bullets, joined, paragraph, table
+from station.report.html import Content, Markup, bullets, composed, joined, paragraph, table
 from station.report.recorded import Recorded
 from station.report.unseen import MARKED, Unseen, by_state
 
 _ABSURD = 10.0  # times the largest plausible size: an effect that would have to be larger cannot be seen
 
 
-def blind_spots(recorded: Recorded, unseen: Unseen | None) -> Markup:
+@composed
+def blind_spots(recorded: Recorded, unseen: Unseen | None) -> Iterator[Content]:
     """Return what the run could not see: a statement, and the effects that would have passed unnoticed."""
-    parts: list[Content] = [_scope(recorded)]
+    yield _scope(recorded)
     if unseen is None:
-        parts.append(
-            paragraph(
-                "The steps that were driven are not known, so what this motion shows of further effects (scale factors "
-                "that differ by direction, sensitivity to acceleration and the like) is not stated."
-            )
+        yield paragraph(
+            "The steps that were driven are not known, so what this motion shows of further effects (scale factors "
+            "that differ by direction, sensitivity to acceleration and the like) is not stated."
         )
-        return joined(parts)
+        return
     found = unseen.forecast
     lacking = [gyro for gyro in found.gyros if len(gyro.unseen)]
     if lacking:
-        parts.append(
-            paragraph(
-                "Errors of the states in these proportions change nothing that this motion shows; only the data sheet "
-                "limits them:"
-            )
+        yield paragraph(
+            "Errors of the states in these proportions change nothing that this motion shows; only the data sheet "
+            "limits them:"
         )
-        parts.append(
-            bullets(f"{recorded.label(g.source, g.name)}: {'; '.join(map(combination, g.unseen))}" for g in lacking)
-        )
+        yield bullets(f"{recorded.label(g.source, g.name)}: {'; '.join(map(combination, g.unseen))}" for g in lacking)
     else:
-        parts.append(paragraph("Every combination of the four states of each gyro is shown by this motion."))
+        yield paragraph("Every combination of the four states of each gyro is shown by this motion.")
     if found.saturated:
-        parts.append(
-            paragraph(
-                f"The motion is saturated: {found.steady_conditions} steady conditions (rests and rates that differ) "
-                "for four states a gyro. Whatever is constant within each condition is taken up by the states and "
-                "leaves no residual: the calibration could be wrong by it without a sign.",
-                class_="caution",
-            )
+        yield paragraph(
+            f"The motion is saturated: {found.steady_conditions} steady conditions (rests and rates that differ) "
+            "for four states a gyro. Whatever is constant within each condition is taken up by the states and "
+            "leaves no residual: the calibration could be wrong by it without a sign.",
+            class_="caution",
         )
-    return joined([*parts, _hidden(unseen), _visible(unseen)])
+    yield _hidden(unseen)
+    yield _visible(unseen)
 
 
 def _scope(recorded: Recorded) -> Markup:
@@ -69,7 +63,7 @@ def _scope(recorded: Recorded) -> Markup:
     warm: Content = " at temperatures that were not recorded"
     if known:
         low, high = min(float(t.min()) for t in known), max(float(t.max()) for t in known)
-        warm = joined([Markup(" at "), fixed(low, CELSIUS, 1), Markup(" to "), fixed(high, CELSIUS, 1), Markup(" °C")])
+        warm = joined([" at ", fixed(low, CELSIUS, 1), " to ", fixed(high, CELSIUS, 1), " °C"])
     return paragraph(
         "The results hold for outputs up to ",
         plain(max(float(np.abs(r).max(initial=0.0)) for r in rates), DEG_PER_S, 3),
@@ -116,7 +110,7 @@ def _visible(unseen: Unseen) -> Content:
     return paragraph(*parts, ". Whether they were looked for is said in the chapter on the residual.")
 
 
-def _shift(shifts: NDArray[np.float64]) -> Content:
+def _shift(shifts: Floats) -> Content:
     moved = [(symbol, float(s)) for (symbol, _), s in zip(STATES, shifts, strict=True) if s >= MARKED]
     parts: list[Content] = []
     for symbol, size in moved:

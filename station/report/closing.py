@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
+from collections.abc import Iterator
 
 from station.report.front import accepted
 from station.report.hashes import RAW_RULE
-from station.report.html import BLANK, Content, Markup, element, facts, joined, paragraph, table
+from station.report.html import BLANK, Content, Markup, composed, element, facts, joined, paragraph, table
 from station.report.recorded import Recorded
 from station.report.standing import is_simulated
 from station.report.traced import Traced
@@ -41,19 +42,16 @@ def _hash(text: str) -> Markup:
     return element("code", text, class_="hash")
 
 
-def signatures(recorded: Recorded) -> Markup:
+@composed
+def signatures(recorded: Recorded) -> Iterator[Content]:
     """Return the fields for those who answer for the document, filled in where the recording says who."""
     rows: list[list[Content]] = [
         ["Calibrated by", recorded.text("operator") or BLANK, BLANK, BLANK],
         ["Accepted by", accepted(recorded) or BLANK, BLANK, BLANK],
     ]
-    return joined(
-        [
-            paragraph(
-                "The results relate only to the device that is identified above, at the time and under the conditions "
-                "of this run. This document makes no claim of accreditation. It is issued when it is signed, and "
-                "may be reproduced in full only."
-            ),
-            table("Signatures", ("", "name", "date", "signature"), rows, align="llll"),
-        ]
+    yield paragraph(
+        "The results relate only to the device that is identified above, at the time and under the conditions "
+        "of this run. This document makes no claim of accreditation. It is issued when it is signed, and "
+        "may be reproduced in full only."
     )
+    yield table("Signatures", ("", "name", "date", "signature"), rows, align="llll")

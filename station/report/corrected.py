@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from estimator.compensation import OF_THE_RATE, SLOPE_S
 from estimator.effects.thermal import REFERENCE_C
@@ -12,7 +12,7 @@ from estimator.tracing.investigation import Value
 from station.investigation_printed import human, words
 from station.report.correction import Correction, corrections_of
 from station.report.figures import DEG_PER_S, MILLISECONDS, ONE, Unit, figure, fixed, plain, typographic
-from station.report.html import Content, Markup, bullets, element, joined, paragraph, table
+from station.report.html import Content, Markup, bullets, composed, element, joined, paragraph, table
 from station.report.recorded import Recorded
 from station.report.snippet import snippet
 from station.report.traced import Traced
@@ -65,28 +65,28 @@ _WHERE_ONLY = (
 )
 
 
-def correction(recorded: Recorded, traced: Traced | None, data_sha256: str) -> Markup:
+@composed
+def correction(recorded: Recorded, traced: Traced | None, data_sha256: str) -> Iterator[Content]:
     """Return the correction of every device, and again with the effects that an investigation added."""
     origin = f"Recording {recorded.path.name}, SHA-256 of its samples\n{data_sha256}"
-    parts: list[Content] = [_axes(recorded)]
+    yield _axes(recorded)
     for one in corrections_of(recorded):
         title = f"Device {one.device}"
-        parts += [element("h3", title), _of_device(one, f"{origin}\n{title}", "correction")]
+        yield element("h3", title)
+        yield _of_device(one, f"{origin}\n{title}", "correction")
     if traced is not None and traced.added and traced.model is not None and traced.model.effects:
         for one in corrections_of(recorded, traced):
             title = f"Device {one.device} with the traced effects"
-            parts += [
-                element("h3", title),
-                paragraph(
-                    "States and effects as the investigation estimated them together, from its own recordings: they "
-                    "replace the numbers above, and differ from the results of this run alone."
-                ),
-                _of_device(one, f"{origin}\n{title}", "traced"),
-            ]
-    return joined(parts)
+            yield element("h3", title)
+            yield paragraph(
+                "States and effects as the investigation estimated them together, from its own recordings: they "
+                "replace the numbers above, and differ from the results of this run alone."
+            )
+            yield _of_device(one, f"{origin}\n{title}", "traced")
 
 
-def _axes(recorded: Recorded) -> Markup:
+@composed
+def _axes(recorded: Recorded) -> Iterator[Content]:
     """Return the nominal axes, without which the states mean nothing."""
     assert recorded.calibration is not None
     frame = "The body axes x, y and z are those of the reference data."
@@ -106,40 +106,29 @@ def _axes(recorded: Recorded) -> Markup:
         "Components along x, y, z. The true sense axis is <b>p</b> − <var>σ</var><sub>k</sub> <b>j</b> + "
         "<var>σ</var><sub>j</sub> <b>k</b>."
     )
-    return joined(
-        [
-            paragraph(frame),
-            table("Nominal axes of the gyros", [*heads, Markup("tilt axis <b>k</b>")], rows, align="lrrr", notes=notes),
-        ]
-    )
+    yield paragraph(frame)
+    yield table("Nominal axes of the gyros", [*heads, Markup("tilt axis <b>k</b>")], rows, align="lrrr", notes=notes)
 
 
 def _direction(axis: Sequence[float]) -> Markup:
     return joined(part for value in axis for part in (Markup(" &ensp;"), fixed(round(value, 9) + 0.0, ONE, 5)))
 
 
-def _of_device(one: Correction, origin: str, name: str) -> Markup:
+@composed
+def _of_device(one: Correction, origin: str, name: str) -> Iterator[Content]:
     effects = f" − {_E}" if one.held else ""
     formula = (_AXES_ONLY if one.axes_only else _G).format(effects=effects)
-    parts: list[Content] = [
-        paragraph(Markup(formula), class_="formula"),
-        paragraph(Markup(_WHERE_ONLY if one.axes_only else _WHERE)),
-        _numbers(one),
-    ]
+    yield paragraph(Markup(formula), class_="formula")
+    yield paragraph(Markup(_WHERE_ONLY if one.axes_only else _WHERE))
+    yield _numbers(one)
     if one.held:
-        parts.append(_effects(one))
+        yield _effects(one)
     if one.compensation.delay_s:
-        parts.append(
-            paragraph(
-                "The stamps of the samples are late by ",
-                plain(one.compensation.delay_s, MILLISECONDS, 4),
-                " ms: take that off them.",
-            )
-        )
-    parts.append(bullets(f"Not undone: {words(effect)}; {why}." for effect, why in one.not_applied.items()))
+        delay = plain(one.compensation.delay_s, MILLISECONDS, 4)
+        yield paragraph("The stamps of the samples are late by ", delay, " ms: take that off them.")
+    yield bullets(f"Not undone: {words(effect)}; {why}." for effect, why in one.not_applied.items())
     code = element("code", snippet(one, origin))
-    parts.append(element("pre", code, class_="code", data_snippet=name, data_device=one.device))
-    return joined(parts)
+    yield element("pre", code, class_="code", data_snippet=name, data_device=one.device)
 
 
 def _numbers(one: Correction) -> Markup:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from station.plan_printed import STATE_UNITS
+from station.figures import STATE_UNITS
 from station.report.html import Markup, element
 
 COVERAGE = 2.0

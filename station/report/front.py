@@ -14,7 +14,7 @@ from estimator.recording import ImuData
 from estimator.reference import AttitudeReadings, RateReadings, TableReadings, Turns
 from estimator.rows import observations
 from station.report.figures import CELSIUS, DEG, DEG_PER_S, ONE, SECONDS, Unit, figure, fixed, plain
-from station.report.html import BLANK, Content, Markup, element, facts, joined, paragraph, table
+from station.report.html import BLANK, Content, Markup, composed, element, facts, joined, paragraph, table
 from station.report.pictures import rates_picture
 from station.report.recorded import Recorded
 from station.report.standing import begun_utc, is_simulated
@@ -81,26 +81,21 @@ def _table(recorded: Recorded) -> str:
     return f"none: the reference are {kinds[type(reference)]} that were measured elsewhere"
 
 
-def conditions(recorded: Recorded) -> Markup:
+@composed
+def conditions(recorded: Recorded) -> Iterator[Content]:
     """Return when, where, how warm, how long, how fast sampled."""
     begun = begun_utc(recorded)
     site = recorded.recording.site
     place: Content = "not stated: Earth rate is not in the model"
     if site is not None:
-        place = joined(
-            [
-                Markup("latitude "),
-                fixed(site.latitude_rad, DEG, 4, "@site_latitude_rad"),
-                Markup("°, heading of the base x axis "),
-                fixed(site.heading_rad, DEG, 4, "@site_heading_rad"),
-                Markup("°; Earth rate is in the model"),
-            ]
-        )
+        latitude = fixed(site.latitude_rad, DEG, 4, "@site_latitude_rad")
+        heading = fixed(site.heading_rad, DEG, 4, "@site_heading_rad")
+        place = Markup(f"latitude {latitude}°, heading of the base x axis {heading}°; Earth rate is in the model")
     duration_s = (recorded.end_ns - recorded.start_ns) * 1e-9
     rows: list[tuple[str, Content]] = [
         ("Date of measurement", f"{begun:%Y-%m-%d %H:%M:%S} UTC" if begun else _no_date(recorded)),
         ("Site", place),
-        ("Duration", joined([fixed(duration_s, SECONDS, 2), Markup(" s")])),
+        ("Duration", joined([fixed(duration_s, SECONDS, 2), " s"])),
         ("Script", recorded.text("script") or "not stated"),
         ("Ended early", recorded.text("ended_early")),
         ("Ambient temperature, humidity", joined(["not recorded by the station; by the laboratory: ", BLANK])),
@@ -108,17 +103,8 @@ def conditions(recorded: Recorded) -> Markup:
     ]
     sources = [_source(name, data) for name, data in recorded.recording.sources.items()]
     heads = ("source", "samples", "sampling rate, Hz", "lowest, °C", "mean, °C", "highest, °C")
-    return joined(
-        [
-            facts(rows),
-            table(
-                "Sampling, and temperature as the gyros themselves tell it",
-                heads,
-                sources,
-                align="lrrrrr",
-            ),
-        ]
-    )
+    yield facts(rows)
+    yield table("Sampling, and temperature as the gyros themselves tell it", heads, sources, align="lrrrrr")
 
 
 def _no_date(recorded: Recorded) -> str:
@@ -135,27 +121,26 @@ def _source(name: str, data: ImuData) -> list[Content]:
     return [*cells, *(fixed(float(f(known)), CELSIUS, 2) for f in (np.min, np.mean, np.max))]
 
 
-def motion(recorded: Recorded) -> Markup:
+@composed
+def motion(recorded: Recorded) -> Iterator[Content]:
     """Return the profile of the axes, or of the body where there was no table, and the steps as they were driven."""
     reference = recorded.recording.reference
-    parts: list[Content] = []
     if isinstance(reference, TableReadings):
         order = sorted(range(len(reference.gimbals)), key=lambda column: reference.gimbals[column])
         names = [reference.gimbals[column] for column in order]
         t_s = np.asarray((reference.t_ns - recorded.start_ns) * 1e-9, dtype=np.float64)
-        parts.append(rates_picture(names, t_s, reference.rate_rps[:, order], "rates of the axes of the table"))
+        yield rates_picture(names, t_s, reference.rate_rps[:, order], "rates of the axes of the table")
         if recorded.steps:
-            parts.append(_steps(recorded, reference))
+            yield _steps(recorded, reference)
     elif isinstance(reference, Turns):
-        parts.append(paragraph(f"{len(reference.sd_rad)} turns and rests of known angle."))
+        yield paragraph(f"{len(reference.sd_rad)} turns and rests of known angle.")
     else:
         source = next(iter(recorded.recording.sources))
         rows = [part for part in observations(recorded.recording, source) if part.t_ns is not None]
         if rows:
             t_s = np.concatenate([part.t_ns for part in rows if part.t_ns is not None]) * 1e-9
             w_rps = np.vstack([part.w_rps for part in rows])
-            parts.append(rates_picture("xyz", t_s - t_s[0], w_rps, "rates of the body"))
-    return joined(parts)
+            yield rates_picture("xyz", t_s - t_s[0], w_rps, "rates of the body")
 
 
 def _steps(recorded: Recorded, reference: TableReadings) -> Markup:

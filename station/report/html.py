@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import wraps
 from html import escape
+from typing import ParamSpec
+
+P = ParamSpec("P")
 
 _VOID = frozenset({"br", "img", "meta"})
 
@@ -33,6 +37,16 @@ def element(tag: str, *content: Content, **attributes: str | float | None) -> Ma
 def joined(content: Iterable[Content]) -> Markup:
     """Return pieces one after the other."""
     return Markup("".join(c if isinstance(c, Markup) else escape(c, quote=False) for c in content if c is not None))
+
+
+def composed(pieces: Callable[P, Iterable[Content]]) -> Callable[P, Markup]:
+    """Return a function that joins the pieces which another yields."""
+
+    @wraps(pieces)
+    def whole(*arguments: P.args, **options: P.kwargs) -> Markup:
+        return joined(pieces(*arguments, **options))
+
+    return whole
 
 
 def paragraph(*content: Content, class_: str | None = None) -> Markup:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, STATES
 from station.report.html import Markup, picture
 from station.report.recorded import Course
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 
 WIDTH_IN = 6.85  # of the text on A4
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#777777"

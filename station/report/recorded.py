@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats, Stamps
 from estimator.calibration import Calibration
 from estimator.errors import RecordingError
 from estimator.recording import Recording, read_recording
@@ -20,8 +20,6 @@ from station.outcome import Outcome
 if TYPE_CHECKING:
     from h5py import Group
 
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 _MAY_LACK_ESTIMATE = (Outcome.FAIL, Outcome.ABORTED, Outcome.FAULT)
 

@@ -2,43 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from estimator.tracing.investigation import Value
 from station.investigation_printed import human, probability, words
 from station.report.figures import COVERAGE, DEG_PER_H, ONE, PERCENT, Unit, figure, plain, typographic
-from station.report.html import Content, Markup, bullets, element, joined, paragraph, table
+from station.report.html import Content, Markup, bullets, composed, element, paragraph, table
 from station.report.pictures import residual_picture
 from station.report.recorded import Recorded
 from station.report.traced import Traced
 
 
-def residual(recorded: Recorded, traced: Traced | None) -> Markup:
+@composed
+def residual(recorded: Recorded, traced: Traced | None) -> Iterator[Content]:
     """Return verdict, traced effects and pictures of an investigation, or that there was none."""
     if traced is None:
-        return paragraph(
+        yield paragraph(
             "No investigation of the residual was given: effects that the four states lack were not looked for. ",
             element("code", "station investigate"),
             " looks for them.",
         )
+        return
     what = traced.what
-    parts: list[Content] = [
-        paragraph("Verdict: ", element("strong", str(what["verdict"])), f". {_sentence(words(what['reason']))}"),
-        _recordings(recorded, what),
-    ]
+    yield paragraph("Verdict: ", element("strong", str(what["verdict"])), f". {_sentence(words(what['reason']))}")
+    yield _recordings(recorded, what)
     if what["added"]:
-        parts.append(_added(what["added"]))
-    parts.append(bullets(_said(what)))
-    parts += [residual_picture(r, traced.spectra.get(r.gyro)) for r in traced.residuals]
-    return joined(parts)
+        yield _added(what["added"])
+    yield bullets(_said(what))
+    yield from (residual_picture(r, traced.spectra.get(r.gyro)) for r in traced.residuals)
 
 
-def verification(traced: Traced | None) -> Markup:
+@composed
+def verification(traced: Traced | None) -> Iterator[Content]:
     """Return the error of the compensated rate before and after."""
     if traced is None:
-        return paragraph("No verification was given.")
+        yield paragraph("No verification was given.")
+        return
     what = traced.what
     rows: list[Sequence[Content]] = [_errors(name, own["before"], own["after"]) for name, own in what["gyros"].items()]
     if len(rows) > 1:
@@ -53,40 +54,23 @@ def verification(traced: Traced | None) -> Markup:
         "within 95 % before, %",
         "within 95 % after, %",
     )
-    parts: list[Content] = [
-        table(
-            f"Error of the compensated rate before and after ({where})",
-            heads,
-            rows,
-            align="lrrrrrr",
-            notes="Before: corrected with the four states alone; after: with the traced effects, too. Rms over rests, "
-            "ramps and steady rates, noise taken off, at least the doubt of the model itself; the largest holds noise. "
-            "Within 95 %: share of the 95 % intervals that hold the measured error, where the two models differ; 95 % "
-            "if they are true.",
-        )
-    ]
+    notes = (
+        "Before: corrected with the four states alone; after: with the traced effects, too. Rms over rests, ramps and "
+        "steady rates, noise taken off, at least the doubt of the model itself; the largest holds noise. Within 95 %: "
+        "share of the 95 % intervals that hold the measured error, where the two models differ; 95 % if they are true."
+    )
+    yield table(f"Error of the compensated rate before and after ({where})", heads, rows, align="lrrrrrr", notes=notes)
     gain = what.get("improvement")
     if gain:
-        parts.append(
-            paragraph(
-                "The rms error became ",
-                *_figure(gain["ratio"], ONE),
-                " times smaller (95 % interval: ",
-                *_figure(gain["low"], ONE),
-                " to ",
-                *_figure(gain["high"], ONE),
-                ", block bootstrap).",
-            )
-        )
+        ratio, low, high = (_figure(gain[key], ONE) for key in ("ratio", "low", "high"))
+        said = f"The rms error became {ratio} times smaller (95 % interval: {low} to {high}, block bootstrap)."
+        yield paragraph(Markup(said))
     if what["in_sample"]:
-        parts.append(
-            paragraph(
-                "No verification run was given: these figures come from the recordings that were fitted, by "
-                "cross-validation over their steps, and say less than a run of its own would.",
-                class_="caution",
-            )
+        yield paragraph(
+            "No verification run was given: these figures come from the recordings that were fitted, by "
+            "cross-validation over their steps, and say less than a run of its own would.",
+            class_="caution",
         )
-    return joined(parts)
 
 
 def _recordings(recorded: Recorded, what: Mapping[str, Any]) -> Markup:
@@ -127,12 +111,12 @@ def _errors(name: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> l
     cells: list[Content] = [name]
     for key, unit in (("rms_rps", DEG_PER_H), ("max_rps", DEG_PER_H), ("coverage95", PERCENT)):
         for errors in (before, after):
-            cells += _figure(errors[key], unit)
+            cells.append(_figure(errors[key], unit))
     return cells
 
 
-def _figure(value: float | None, unit: Unit) -> list[Content]:
-    return [plain(_number(value), unit)]
+def _figure(value: float | None, unit: Unit) -> Markup:
+    return plain(_number(value), unit)
 
 
 def _number(value: float | None) -> float:

@@ -8,15 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drivers.arrays import Floats
 from estimator.compensation import ADDED, MOST_ITERATIONS, OF_THE_RATE, SLOPE_S, TOLERANCE_RPS, HeldEffect
 from estimator.effects.thermal import REFERENCE_C
 from estimator.kinematics import GRAVITY_MPS2
 from station.report.correction import Correction
-
-Floats = NDArray[np.float64]
 
 _WARMTH = f"(t - {REFERENCE_C:g})"
 _CODE: Mapping[str, str] = {

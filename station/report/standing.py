@@ -19,37 +19,16 @@ from station.report.recorded import Recorded
 
 
 class Kind(Enum):
-    """Kinds of documents: title, and what is to be said beside it."""
+    """Kinds of documents: title, and why it is no certificate."""
 
     CERTIFICATE = ("Calibration certificate", "")
-    SPECIMEN = (
-        "Specimen of a calibration certificate",
-        "This is not a calibration certificate of any real device.",
-    )
-    ELSEWHERE = (
-        "Calibration report",
-        "This is not a calibration certificate: no run of the station made the recording.",
-    )
-    UNJUDGED = (
-        "Calibration report",
-        "This is not a calibration certificate: the recording states no limits, so nothing was judged.",
-    )
-    FAILED = (
-        "Calibration report: not within limits",
-        "This is not a calibration certificate: the calibration failed its limits.",
-    )
-    NO_ESTIMATE = (
-        "Report of a failed calibration",
-        "This is not a calibration certificate: the run came to no estimate.",
-    )
-    ABORTED = (
-        "Report of an aborted run",
-        "This is not a calibration certificate: the run was ended before its time.",
-    )
-    FAULT = (
-        "Report of a run that ended by a fault",
-        "This is not a calibration certificate: a device failed during the run.",
-    )
+    SPECIMEN = ("Specimen of a calibration certificate", " of any real device")
+    ELSEWHERE = ("Calibration report", ": no run of the station made the recording")
+    UNJUDGED = ("Calibration report", ": the recording states no limits, so nothing was judged")
+    FAILED = ("Calibration report: not within limits", ": the calibration failed its limits")
+    NO_ESTIMATE = ("Report of a failed calibration", ": the run came to no estimate")
+    ABORTED = ("Report of an aborted run", ": the run was ended before its time")
+    FAULT = ("Report of a run that ended by a fault", ": a device failed during the run")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +82,8 @@ class Standing:
     def warning(self) -> str:
         """What it is not, empty for a certificate."""
         twins = "Simulated devices: table and gyros of this run were twins in software." if self.simulated else ""
-        return " ".join(filter(None, (twins, str(self.kind.value[1]))))
+        why = self.kind.value[1]
+        return " ".join(filter(None, (twins, why and f"This is not a calibration certificate{why}.")))
 
 
 def standing_of(recorded: Recorded) -> Standing:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.error_model import ErrorModel
 from estimator.errors import RecordingError
 from estimator.prober import probe
@@ -19,7 +19,6 @@ from station.report.recorded import Recorded, labels_of, plain
 if TYPE_CHECKING:
     from h5py import Group
 
-Floats = NDArray[np.float64]
 
 _ALL = "all gyros"  # under this name an error model keeps what was found of a shared effect
 

@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.calibration import Calibration
 from estimator.effects.catalogue import catalogue
-from estimator.effects.conditions import Conditions
 from estimator.noise import NoiseModel
 from estimator.planning import Forecast, PlannedDevice, forecast
 from estimator.recording import ImuData
@@ -21,8 +20,6 @@ from station.planned import planned_motion
 from station.report.recorded import Recorded, Step
 from station.script import Rest, Rotate, Script
 from station.script import Step as ScriptStep
-
-Floats = NDArray[np.float64]
 
 _PERIOD_S = 0.1
 _MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser steps
@@ -69,15 +66,7 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
         return None
     period_s = max(_PERIOD_S, script.duration_s / _MOST_ROWS)
     motion = planned_motion(script, reference.gimbals, period_s)
-    conditions = Conditions.on_table(
-        motion.t_s,
-        motion.angle_rad,
-        motion.rate_rps,
-        motion.acceleration_rps2,
-        motion.gimbals,
-        temperature_c=_temperature(recorded, motion.t_s),
-        site=recorded.recording.site,
-    )
+    conditions = motion.conditions(_temperature(recorded, motion.t_s), recorded.recording.site)
     devices = [
         PlannedDevice(source, data.array, _noise(found, source, data), data.prior)
         for source, data in recorded.recording.sources.items()

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
+
+from station.whole_file import new_recording
 
 TWIN_SCALE = 5.0
 """Speed of runs whose devices are all twins in memory, unless another was asked for: a person can follow it."""
@@ -52,21 +53,7 @@ class Choices:
 
     def new_recording(self) -> Path:
         """Return a path in the folder that is free."""
-        stem = f"run-{datetime.now():%Y%m%d-%H%M%S}"
-        path, number = self.folder / f"{stem}.h5", 1
-        while path.exists():
-            number += 1
-            path = self.folder / f"{stem}-{number}.h5"
-        return path
-
-
-def free_path(path: Path) -> Path:
-    """Return the path, or one with a number that is free: nothing is ever overwritten."""
-    number, found = 1, path
-    while found.exists():
-        number += 1
-        found = path.with_name(f"{path.stem}-{number}{path.suffix}")
-    return found
+        return new_recording(self.folder)
 
 
 def _given(text: str) -> list[str]:

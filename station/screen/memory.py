@@ -10,6 +10,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from station.errors import UsageError
+from station.whole_file import write_whole
+
 _FOLDER = "turntable-station"
 _FILE = "screen.json"
 _MOST_BENCHES = 50
@@ -45,12 +48,5 @@ def load_remembered() -> Remembered:
 def save_remembered(remembered: Remembered) -> None:
     """Keep it, the latest 50 benches; a folder that cannot be written is no reason to stop a calibration."""
     kept = asdict(remembered) | {"serials": dict(list(remembered.serials.items())[-_MOST_BENCHES:])}
-    with suppress(OSError):
-        folder = state_folder()
-        folder.mkdir(parents=True, exist_ok=True)
-        new = folder / f"{_FILE}.{os.getpid()}"
-        try:
-            new.write_text(json.dumps(kept, indent=1), encoding="utf-8")
-            new.replace(folder / _FILE)
-        finally:
-            new.unlink(missing_ok=True)
+    with suppress(UsageError):
+        write_whole(state_folder() / _FILE, json.dumps(kept, indent=1), replace=True)

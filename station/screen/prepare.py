@@ -15,7 +15,7 @@ from textual.binding import Binding
 from textual.containers import Container, Horizontal, Vertical
 from textual.widgets import Button, Input, Label, Static
 
-from station.figures import clock, number
+from station.figures import STATE_UNITS, clock, number
 from station.screen.base import Field, StationScreen
 from station.screen.choices import Choices
 from station.screen.figures import columns, headed, titled
@@ -29,12 +29,6 @@ _FIELDS = (
     ("script", "Script file", "the 360 s script"),
     ("operator", "Operator", "your name"),
     ("serial", "Device serial no.", "of the device under test"),
-)
-_PLAN_UNITS = (
-    ("k", "k", "ppm", 1e6),
-    ("b_rps", "b", "deg/h", math.degrees(3600)),
-    ("sigma_j_rad", "sigma_j", "urad", 1e6),
-    ("sigma_k_rad", "sigma_k", "urad", 1e6),
 )
 _DOTS = {"OK": "bold green", "WRONG": "bold red", "WAIT": "bold yellow"}
 
@@ -82,14 +76,9 @@ class PrepareScreen(StationScreen):
     def on_mount(self) -> None:
         """Fill in what is known; ask bench and script once the first picture is out."""
         choices = self.station.choices
-        for name, text in (
-            ("bench", choices.bench),
-            ("script", choices.script),
-            ("operator", choices.operator),
-            ("serial", choices.serial),
-        ):
+        for name, *_ in _FIELDS:
             with self.prevent(Input.Changed):
-                self.query_one(f"#{name}", Input).value = text
+                self.query_one(f"#{name}", Input).value = getattr(choices, name)
         self._show()
         self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
 
@@ -204,10 +193,8 @@ class PrepareScreen(StationScreen):
 
     def _take_over(self) -> None:
         """Take over what stands in the fields."""
-        bench, script, operator, serial = (self.query_one(f"#{name}", Input).value.strip() for name, *_ in _FIELDS)
-        self.station.choices = replace(
-            self.station.choices, bench=bench, script=script, operator=operator, serial=serial
-        )
+        entered: dict[str, Any] = {name: self.query_one(f"#{name}", Input).value.strip() for name, *_ in _FIELDS}
+        self.station.choices = replace(self.station.choices, **entered)
 
     def _obstacles(self) -> list[tuple[str, str]]:
         """Return what stands against a start: WRONG or WAIT, and what to do."""
@@ -336,12 +323,13 @@ def _plan_lines(prospect: Prospect | None, plan: Answer | None, width: int) -> t
     gyros = plan.found.get("gyros")
     if not gyros:
         return title, [*lines, Text.assemble(("WRONG ", _DOTS["WRONG"]), plan.reason)]
-    rows = [["predicted", *(f"{name} {unit}" for _, name, unit, _ in _PLAN_UNITS)]]
-    rows += [[g["name"], *(_size(g["sd"][key] * factor) for key, _, _, factor in _PLAN_UNITS)] for g in gyros]
+    rows = [
+        ["predicted", *(f"{name} {unit}" for name, unit, _ in STATE_UNITS)],
+        *(_sizes(g["name"], g["sd"]) for g in gyros),
+    ]
     required = plan.found.get("required") or {}
-    if any(required.get(key) is not None for key, *_ in _PLAN_UNITS):
-        cells = [(required.get(key), factor) for key, _, _, factor in _PLAN_UNITS]
-        rows.append(["required", *("-" if value is None else _size(value * factor) for value, factor in cells)])
+    if any(value is not None for value in required.values()):
+        rows.append(_sizes("required", required))
     texts = headed(columns(rows, gap=" "))
     for text, gyro in zip(texts[1:], gyros, strict=False):
         if not gyro["reached"]:
@@ -349,5 +337,9 @@ def _plan_lines(prospect: Prospect | None, plan: Answer | None, width: int) -> t
     return title, [*lines, Text(""), *texts]
 
 
-def _size(value: float) -> str:
-    return f"{value:.3g}" if value < 1000 else f"{value:.0f}"
+def _sizes(name: str, by_state: Mapping[str, float | None]) -> list[str]:
+    """Return a name and the sigmas of the four states, a dash for what is not there."""
+    cells = [
+        None if v is None else v * factor for v, (_, _, factor) in zip(by_state.values(), STATE_UNITS, strict=True)
+    ]
+    return [name, *("-" if v is None else f"{v:.3g}" if v < 1000 else f"{v:.0f}" for v in cells)]

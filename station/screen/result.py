@@ -18,7 +18,6 @@ from textual.widgets import Button, Static
 from station.figures import STATE_FIGURES, number
 from station.screen.archive import Entry, GyroEntry, Whole, last_before
 from station.screen.base import StationScreen
-from station.screen.choices import free_path
 from station.screen.dialogs import AskDialog, ChooseDialog
 from station.screen.figures import OUTCOME_STYLES, columns, headed, state_heads, titled
 from station.screen.investigated import investigation_lines
@@ -26,6 +25,7 @@ from station.screen.live_run import Trend
 from station.screen.plots import gyro_plots
 from station.screen.programs import ask
 from station.screen.reader_process import INVESTIGATION
+from station.whole_file import free_path
 
 _MANY_SIGMAS = 3.0
 _REASONS = 4

@@ -12,20 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
+from estimator import baselines
 from estimator.array import SensorArray, tetrahedron
-from estimator.baselines import (
-    BaselineEstimate,
-    Position,
-    augmented_observation,
-    covariance_filter,
-    direct_observation,
-    least_squares,
-    six_position,
-    table_rates,
-    unseen_directions,
-)
 from estimator.calibrate import calibrate
 from estimator.model import Prior
 from estimator.recording import Recording
@@ -34,8 +24,6 @@ from station.errors import UsageError
 from station.script import Move, Rest, Rotate, Script, paper_script
 from station.studies.paper import MEMS_NOISE, our_recording, rows_of, source_of
 from station.studies.paper_text import RATE_DPS, SAMPLE_HZ, TABLE_1, from_si
-
-Floats = NDArray[np.float64]
 
 _DEG = math.pi / 180
 _TOTAL_S = 360.0
@@ -79,7 +67,7 @@ class BaselineStudy:
     failures: tuple[Failure, ...]
 
 
-Method = Callable[[Recording], BaselineEstimate]
+Method = Callable[[Recording], baselines.BaselineEstimate]
 
 
 def run_study(
@@ -127,17 +115,17 @@ def rotation_script() -> Script:
     )
 
 
-def static_six_position(recording: Recording) -> BaselineEstimate:
+def static_six_position(recording: Recording) -> baselines.BaselineEstimate:
     """Six positions at rest, with Earth rate as the input: z up and down, x down and up, y up and down."""
     rests = _steady(recording, static_script())
     y90, y180, y270, y360, x90, x270 = rests
-    return six_position(((y360, y180), (y270, y90), (x90, x270)), source_of(recording).array)
+    return baselines.six_position(((y360, y180), (y270, y90), (x90, x270)), source_of(recording).array)
 
 
-def rotating_six_position(recording: Recording) -> BaselineEstimate:
+def rotating_six_position(recording: Recording) -> baselines.BaselineEstimate:
     """Steady rotation both ways about each axis."""
     steady = _steady(recording, rotation_script())
-    return six_position([(steady[i], steady[i + 1]) for i in (0, 2, 4)], source_of(recording).array)
+    return baselines.six_position([(steady[i], steady[i + 1]) for i in (0, 2, 4)], source_of(recording).array)
 
 
 def direct_blind_spots(array: SensorArray) -> list[str]:
@@ -145,7 +133,7 @@ def direct_blind_spots(array: SensorArray) -> list[str]:
 
     A state x of the sum may grow by its coefficient times any number, all at once, and the rates stay as they are.
     """
-    directions = unseen_directions(array, table_rates(array))
+    directions = baselines.unseen_directions(array, baselines.table_rates(array))
     labels = (
         "biases",
         *(f"sensitivity of all gyros along body {axis}" for axis in "xyz"),
@@ -153,31 +141,33 @@ def direct_blind_spots(array: SensorArray) -> list[str]:
     return [f"{labels[i % 4]}: {_combination(direction)}" for i, direction in enumerate(directions)]
 
 
-def _least_squares(recording: Recording) -> BaselineEstimate:
-    return least_squares(*rows_of(recording), source_of(recording).array)
+def _least_squares(recording: Recording) -> baselines.BaselineEstimate:
+    return baselines.least_squares(*rows_of(recording), source_of(recording).array)
 
 
-def _direct(recording: Recording) -> BaselineEstimate:
-    return direct_observation(*rows_of(recording), source_of(recording).array)
+def _direct(recording: Recording) -> baselines.BaselineEstimate:
+    return baselines.direct_observation(*rows_of(recording), source_of(recording).array)
 
 
-def _augmented(recording: Recording) -> BaselineEstimate:
-    return augmented_observation(*rows_of(recording), source_of(recording).array)
+def _augmented(recording: Recording) -> baselines.BaselineEstimate:
+    return baselines.augmented_observation(*rows_of(recording), source_of(recording).array)
 
 
-def _filter(recording: Recording) -> BaselineEstimate:
+def _filter(recording: Recording) -> baselines.BaselineEstimate:
     data = source_of(recording)
     noise_rps = MEMS_NOISE.arw * math.sqrt(SAMPLE_HZ)
     prior_sd = np.sqrt(Prior().variances())
-    return covariance_filter(*rows_of(recording), data.array, prior_sd, noise_rps, every=len(data.t_ns)).final()
+    return baselines.covariance_filter(
+        *rows_of(recording), data.array, prior_sd, noise_rps, every=len(data.t_ns)
+    ).final()
 
 
-def _ours(recording: Recording) -> BaselineEstimate:
+def _ours(recording: Recording) -> baselines.BaselineEstimate:
     gyros = calibrate(recording, innovations=False).gyros
     n, samples = len(gyros), len(source_of(recording).t_ns)
     # Output error 6n, sums of [w, z] over blocks and of their products; what follows works on blocks, not samples.
     operations = samples * (6 * n + (3 + n) + (3 + n) * (4 + n))
-    return BaselineEstimate(np.array([g.states for g in gyros]), np.array([g.sd for g in gyros]), operations)
+    return baselines.BaselineEstimate(np.array([g.states for g in gyros]), np.array([g.sd for g in gyros]), operations)
 
 
 _SCRIPTS = (static_script(), rotation_script(), paper_script())
@@ -220,7 +210,7 @@ def _rms(values: Sequence[Floats]) -> Floats:
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=(0, 1))))
 
 
-def _steady(recording: Recording, script: Script) -> list[Position]:
+def _steady(recording: Recording, script: Script) -> list[baselines.Position]:
     """Return the rows of each rest, or of each rotation between its ramps, in the order of the script."""
     w_rps, y_rps = rows_of(recording)
     t_s = np.arange(1, len(w_rps) + 1) / SAMPLE_HZ
@@ -231,7 +221,7 @@ def _steady(recording: Recording, script: Script) -> list[Position]:
         margin_s = ramp_s + _SETTLE_S
         if not isinstance(step, Move):
             inside = (t_s > begins_s + margin_s) & (t_s < begins_s + duration_s - margin_s)
-            positions.append(Position(w_rps[inside], y_rps[inside]))
+            positions.append(baselines.Position(w_rps[inside], y_rps[inside]))
         begins_s += duration_s
     return positions
 

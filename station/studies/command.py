@@ -11,16 +11,9 @@ from typing import Any
 from estimator.errors import EstimatorError
 from station.campaigns import Failure
 from station.errors import EXIT_USAGE, UsageError
-from station.studies import baselines, detection, paper
+from station.investigation_file import check_new_file
+from station.studies import baselines, detection, paper, printed
 from station.studies.pictures import check_picture, draw_convergence
-from station.studies.printed import (
-    baselines_object,
-    detection_object,
-    paper_object,
-    print_baselines,
-    print_detection,
-    print_paper,
-)
 
 EXIT_INCOMPLETE = 1
 
@@ -43,7 +36,7 @@ def _paper(arguments: argparse.Namespace) -> tuple[Failure, ...]:
     if picture is not None:
         check_picture(picture)
     if output is not None:
-        _check_output(output)
+        check_new_file(output, "--output")
     study = paper.run_study(arguments.seeds, **_where(arguments))
     if picture is not None or output is not None:
         recording = paper.our_recording(paper.MEMS_NOISE, 0)
@@ -53,28 +46,21 @@ def _paper(arguments: argparse.Namespace) -> tuple[Failure, ...]:
         if output is not None:
             paper.write_curves(output, recording, ours, study.letter)
     if arguments.json:
-        _print_object({**paper_object(study), "plot": arguments.plot, "output": arguments.output})
+        _print_object({**printed.paper_object(study), "plot": arguments.plot, "output": arguments.output})
     else:
-        print_paper(study)
+        printed.print_paper(study)
         for name, path in (("picture", picture), ("curves", output)):
             if path is not None:
                 print(f"{name}: {path}")
     return study.failures
 
 
-def _check_output(path: Path) -> None:
-    if path.exists():
-        raise UsageError(f"--output {path} is there already: give another name")
-    if not path.resolve().parent.is_dir():
-        raise UsageError(f"--output {path}: there is no directory {path.parent}")
-
-
 def _baselines(arguments: argparse.Namespace) -> tuple[Failure, ...]:
     study = baselines.run_study(arguments.seeds, **_where(arguments))
     if arguments.json:
-        _print_object(baselines_object(study))
+        _print_object(printed.baselines_object(study))
     else:
-        print_baselines(study)
+        printed.print_baselines(study)
     return study.failures
 
 
@@ -90,9 +76,9 @@ def _detection(arguments: argparse.Namespace) -> tuple[Failure, ...]:
         raise UsageError(f"--sizes takes numbers, for instance 1,0.3,0.1, not {arguments.sizes}") from None
     study = detection.run_study(groups, sizes, arguments.seeds, **_where(arguments))
     if arguments.json:
-        _print_object(detection_object(study))
+        _print_object(printed.detection_object(study))
     else:
-        print_detection(study)
+        printed.print_detection(study)
     return study.failures
 
 

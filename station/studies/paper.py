@@ -14,8 +14,8 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.array import SensorArray, tetrahedron, tetrahedron_as_printed
 from estimator.baselines import FilterRun, bound, covariance_filter
 from estimator.calibrate import calibrate
@@ -40,8 +40,6 @@ from station.studies.paper_text import (
     relative_percent,
     to_si,
 )
-
-Floats = NDArray[np.float64]
 
 SOURCE = "array"
 HEADINGS_DEG = tuple(range(0, 360, 30))

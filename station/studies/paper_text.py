@@ -6,11 +6,9 @@ Where it contradicts itself is worked out from these numbers, so that a note can
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.arrays import Floats
 from estimator.array import SensorArray
-
-Floats = NDArray[np.float64]
 
 NAMES = ("b", "k", "sigma_j", "sigma_k")
 UNITS = ("deg/s", "ppm", "deg", "deg")

@@ -7,20 +7,20 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from drivers.arrays import Floats
 from estimator.array import tetrahedron_as_printed
 from station.printing import stdout
+from station.rich_table import rich_table
 from station.studies.baselines import BaselineStudy
 from station.studies.detection import DetectionStudy
 from station.studies.paper import BARS_PERCENT, PaperStudy
 from station.studies.paper_text import NAMES, TABLE_1, TABLE_2, TABLE_3, UNITS, contradictions, errata, relative_percent
 
-Floats = NDArray[np.float64]
-
 _GYROS = len(TABLE_2)
+_STATES = tuple(f"{name}, {unit}" for name, unit in zip(NAMES, UNITS, strict=True))
 _FORMATS = (".4f", ".1f", ".4f", ".4f")
 """Of an error in b, k, sigma_j, sigma_k."""
 
@@ -193,22 +193,15 @@ def baselines_object(study: BaselineStudy) -> dict[str, Any]:
 
 
 def _table_2(study: PaperStudy) -> Table:
-    table = _table("Errors at the end, beside the paper's Table 2")
-    table.add_column("state")
-    table.add_column("gyro")
-    for heading in (
-        "paper",
-        "to the letter, no Earth rate",
-        "to the letter, Earth rate in data,\nleast to most by heading",
-        "our default,\nthe paper's noise",
-    ):
-        table.add_column(heading, justify="right")
+    heads = ("state", "gyro", "paper", "to the letter, no Earth rate")
+    more = ("to the letter, Earth rate in data,\nleast to most by heading", "our default,\nthe paper's noise")
+    table = rich_table("Errors at the end, beside the paper's Table 2", (*heads, *more), "llr")
     earth = np.abs(np.array([e.linear for e in study.headings.values()]))
-    for state, (name, unit, form) in enumerate(zip(NAMES, UNITS, _FORMATS, strict=True)):
+    for state, (name, form) in enumerate(zip(_STATES, _FORMATS, strict=True)):
         for gyro in range(_GYROS):
             low, high = earth[:, gyro, state].min(), earth[:, gyro, state].max()
             table.add_row(
-                f"{name}, {unit}" if gyro == 0 else "",
+                name if gyro == 0 else "",
                 str(gyro + 1),
                 format(TABLE_2[gyro, state], form),
                 format(abs(study.clean.linear[gyro, state]), form),
@@ -220,8 +213,6 @@ def _table_2(study: PaperStudy) -> Table:
 
 
 def _table_3(study: PaperStudy) -> Table:
-    table = _table("Mean relative errors in percent, beside the paper's Table 3")
-    table.add_column("state")
     earth = relative_percent(np.array([e.linear for e in study.headings.values()]))
     columns = (
         ("paper,\nTable 3", TABLE_3),
@@ -232,20 +223,17 @@ def _table_3(study: PaperStudy) -> Table:
         ("to the letter,\nEarth rate in data", earth),
         ("our default", relative_percent(study.ours)),
     )
-    for heading, _ in columns:
-        table.add_column(heading, justify="right")
+    heads = ["state", *(head for head, _ in columns)]
+    table = rich_table("Mean relative errors in percent, beside the paper's Table 3", heads, "lr")
     for state, name in enumerate(NAMES):
         table.add_row(name, *(_small(values[state], 3) for _, values in columns))
     return table
 
 
 def _headings(study: PaperStudy) -> Table:
-    table = _table("To the letter, Earth rate at 45 deg latitude in the data and not in the model")
-    table.add_column("heading, deg", justify="right")
-    for gyro in range(_GYROS):
-        table.add_column(f"b{gyro + 1}", justify="right")
-    for name, unit in zip(NAMES, UNITS, strict=True):
-        table.add_column(f"mean {name}, {unit}", justify="right")
+    heads = ["heading, deg", *(f"b{gyro + 1}" for gyro in range(_GYROS)), *(f"mean {state}" for state in _STATES)]
+    title = "To the letter, Earth rate at 45 deg latitude in the data and not in the model"
+    table = rich_table(title, heads, "r")
     for heading, errors in study.headings.items():
         table.add_row(str(heading), *_heading_cells(errors.linear))
     table.add_section()
@@ -260,22 +248,17 @@ def _heading_cells(errors: Floats) -> Iterable[str]:
 
 
 def _mems(study: PaperStudy) -> Table:
-    table = _table(
-        f"Our default, mean relative error in percent over {study.seeds} seeds\n"
-        "(0.005 deg/s/rtHz, bias instability 2 deg/h)"
-    )
-    for heading in ("state", "error", "Cramer-Rao bound", "error / bound", "bar"):
-        table.add_column(heading, justify="left" if heading == "state" else "right")
+    title = f"Our default, mean relative error in percent over {study.seeds} seeds\n"
+    title += "(0.005 deg/s/rtHz, bias instability 2 deg/h)"
+    table = rich_table(title, ("state", "error", "Cramer-Rao bound", "error / bound", "bar"), "lr")
     for name, error, least, bar in zip(NAMES, study.mems_percent, study.mems_bound_percent, BARS_PERCENT, strict=True):
         table.add_row(name, f"{error:.2f}", f"{least:.2f}", f"{error / least:.2f}", f"{bar:.1f}")
     return table
 
 
 def _errors(study: BaselineStudy) -> Table:
-    table = _table(f"Rms error over {study.seeds} seeds and four gyros (stated sigma; rms error / stated sigma)")
-    table.add_column("method")
-    for name, unit in zip(NAMES, UNITS, strict=True):
-        table.add_column(f"{name}, {unit}", justify="right")
+    title = f"Rms error over {study.seeds} seeds and four gyros (stated sigma; rms error / stated sigma)"
+    table = rich_table(title, ("method", *_STATES), "lr")
     for method in study.methods:
         cells = [
             "not seen" if np.isnan(rms) else f"{_number(rms, form)}\n({_number(stated, form)}; {ratio:.2f})"
@@ -286,17 +269,11 @@ def _errors(study: BaselineStudy) -> Table:
 
 
 def _cost(study: BaselineStudy) -> Table:
-    table = _table("What it costs: 360 s of four gyros at 100 Hz, from the recording to the states")
-    table.add_column("method")
-    table.add_column("wall time, ms", justify="right")
-    table.add_column("operations a sample", justify="right")
+    title = "What it costs: 360 s of four gyros at 100 Hz, from the recording to the states"
+    table = rich_table(title, ("method", "wall time, ms", "operations a sample"), "lr")
     for method in study.methods:
         table.add_row(method.name, f"{1e3 * method.seconds:,.0f}", f"{method.operations_a_sample:,.0f}")
     return table
-
-
-def _table(title: str) -> Table:
-    return Table(title=title, title_style="bold", title_justify="left")
 
 
 def _list(console: Console, title: str, lines: Sequence[str]) -> None:

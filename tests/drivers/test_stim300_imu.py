@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stim300_console import Stim300Service, Stim300Utility
 
 from drivers.byte_links import MemoryLink, SerialLink
 from drivers.errors import DeviceRefused, LinkLost
 from drivers.seams import Identity, ImuBlock
 from drivers.stim300 import encode_special
-from drivers.stim300_console import Stim300Service, Stim300Utility
 from drivers.stim300_imu import Stim300Imu
 from drivers.stim300_special import Configuration
 from sims.body import Body

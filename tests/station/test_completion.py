@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from support import command, station
 
-from station.cli import main, make_parser
+from station.cli import COMMANDS, main
 
 HELP_S = 0.3
 
@@ -55,7 +55,7 @@ def test_help_lists_every_command_once_under_a_heading_with_what_it_does(capsys:
         main(["--help"])
     assert ended.value.code == 0
     said = capsys.readouterr().out
-    commands = dict(make_parser().lines)
+    commands = {name: line for name, (line, _, _) in COMMANDS.items()}
     listed = re.findall(r"^  ([a-z]+) {2,}(\S.*)$", said, re.MULTILINE)
     assert dict(listed) == commands
     assert len(listed) == len(commands)
@@ -70,7 +70,7 @@ def test_help_lists_every_command_once_under_a_heading_with_what_it_does(capsys:
 
 
 def test_each_command_has_help_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
-    for name in make_parser().lines:
+    for name in COMMANDS:
         with pytest.raises(SystemExit) as ended:
             main([name, "--help"])
         assert ended.value.code == 0
@@ -81,7 +81,7 @@ def test_each_command_has_help_of_its_own(capsys: pytest.CaptureFixture[str]) ->
 def test_every_shell_gets_every_command(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", shell]) == 0
     script = capsys.readouterr().out
-    assert all(name in script for name in make_parser().lines)
+    assert all(name in script for name in COMMANDS)
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")

@@ -27,7 +27,7 @@ from test_run import bench_file, events, run_json
 
 from station.attaching import RemoteSession, running_sessions
 from station.errors import UsageError
-from station.snapshot import AxisSnapshot, GyroSnapshot, Snapshot, SourceSnapshot, snapshot_object, snapshot_of
+from station.snapshot import AxisSnapshot, GyroSnapshot, Snapshot, SourceSnapshot, json_object, snapshot_of
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="Unix sockets")
 
@@ -532,7 +532,7 @@ def test_a_snapshot_comes_through_json_as_it_was() -> None:
         (SourceSnapshot("s", "d", 99.5, 10, 1, 2, 3, 4, 0.001, float("nan"), 25.0, "ok"),),
         (GyroSnapshot("g", "s", (1.0, 2.0, 3.0, 4.0), (0.1, 0.2, 0.3, float("nan")), 1.1),),
     )  # fmt: skip
-    text = json.dumps(snapshot_object(snapshot), allow_nan=False)
+    text = json.dumps(json_object(snapshot), allow_nan=False)
     assert '"nis_mean": null' in text
     assert repr(snapshot_of(json.loads(text))) == repr(snapshot)
     with pytest.raises(KeyError):

@@ -27,8 +27,8 @@ from station.loops import VirtualLoop
 from station.open_bench import open_bench
 from station.printing import result_object
 from station.script import load_script
-from station.session import Session
-from station.snapshot import snapshot_object
+from station.session import RunOptions, Session
+from station.snapshot import json_object
 
 STREAMS = Path(__file__).parents[2] / "data" / "screen"
 RECORDING = "recordings/run-20261121-101502.h5"
@@ -72,13 +72,13 @@ async def listen(folder: Path, act: Callable[[Session, float], None], end: str =
 
     async def watch(session: Session) -> None:
         while True:
-            said.append({"at_s": loop.time(), "kind": "snapshot", **snapshot_object(session.snapshot())})
+            said.append({"at_s": loop.time(), "kind": "snapshot", **json_object(session.snapshot())})
             act(session, loop.time())
             await asyncio.sleep(1.0)
 
     async with open_bench(bench) as opened:
         told = {"operator": "A. Operator", "device_serial": "SN-0042"}
-        session = Session(opened, script, folder / "run.h5", on_event=tell, **told)
+        session = Session(opened, script, folder / "run.h5", options=RunOptions(**told), on_event=tell)
         hello = introduction(bench, "bench.toml", script, Path(RECORDING), session.gyros)
         head = {"at_s": 0.0, "kind": "hello", "version": 1, "pid": 4242, "time_scale": 5.0, **hello, **told}
         watching = asyncio.create_task(watch(session))

@@ -1,0 +1,56 @@
+"""What drivers of tables have in common."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import contextmanager
+
+from drivers.errors import BadReply, DeviceError, DeviceRefused, LinkLost
+from drivers.exchange import Exchange, ExchangeCounts, Framing
+from drivers.seams import AxisLimits, ByteLink
+
+_HOMING_LIMIT_S = 60.0
+
+
+class LineTable:
+    """A table whose controller speaks lines of text."""
+
+    def __init__(
+        self, device: str, link: ByteLink, framing: Framing, timeout_s: float, limits: Mapping[str, AxisLimits]
+    ) -> None:
+        """A request is tried twice, each for ``timeout_s``; ``limits`` are by axis."""
+        self._device, self.limits = device, limits
+        self._exchange = Exchange(device, link, framing, timeout_s)
+
+    @property
+    def counts(self) -> ExchangeCounts:
+        """Counts of what went wrong on the link."""
+        return self._exchange.counts
+
+    def close(self) -> None:
+        """Drop the link."""
+        self._exchange.close()
+
+    async def _wait_for_home(self, at_home: Callable[[str], Awaitable[bool]], poll_s: float) -> None:
+        """Ask the axes until all are at home; after a minute ``_give_up_homing`` and DeviceRefused."""
+        loop = asyncio.get_running_loop()
+        deadline, waiting = loop.time() + _HOMING_LIMIT_S, sorted(self.limits)
+        while waiting := [axis for axis in waiting if not await at_home(axis)]:
+            if loop.time() > deadline:
+                await self._give_up_homing()
+                said = f"axis {', '.join(waiting)} found no home within {_HOMING_LIMIT_S:.0f} s"
+                raise DeviceRefused(self._device, said)
+            await asyncio.sleep(poll_s)
+
+    async def _give_up_homing(self) -> None:
+        """End a homing that the controller does by itself."""
+
+
+@contextmanager
+def kept(failures: list[DeviceError]) -> Iterator[None]:
+    """Keep what fails within, so that it keeps nothing else from being tried."""
+    try:
+        yield
+    except (LinkLost, BadReply, DeviceRefused) as error:
+        failures.append(error)
