@@ -29,6 +29,8 @@ _STEPS = 12
 _WORTH = 0.3
 _FEWEST_CYCLES = 20
 _PARTS = 4
+_GAP_S = 1.0  # between samples: means of both sides are not those of one piece
+_CYCLES_A_PIECE = 3.0  # fewer within a piece without a gap are no line, but what the bias does from piece to piece
 _FEWEST = 256
 _RAMP = 0.02  # share of the steepest acceleration
 _COHERENT = 0.5  # of what parts of a run show each by itself, a tone shows as much with one phase
@@ -87,10 +89,7 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
     samples = [_steady(run, s) for run, s in zip(runs, samples, strict=True)]
     if min(len(s.t_s) for s in samples) < _FEWEST:
         return None
-    rests = [
-        s.z_rps - np.column_stack([np.interp(s.t_s, run.t_s, column) for column in p.T])
-        for run, s, p in zip(runs, samples, predicted, strict=True)
-    ]
+    rests = [_left(run, s, p) for run, s, p in zip(runs, samples, predicted, strict=True)]
     even = [_evened(s.t_s, rest) for s, rest in zip(samples, rests, strict=True)]
     longest = max((len(values) for values, _ in even), default=0)
     period_s = min(period for _, period in even)
@@ -98,15 +97,16 @@ def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequen
     hz = np.fft.rfftfreq(size, period_s)
     total = np.zeros(len(hz))
     floors: list[Floats] = []
-    for values, period in even:
+    for (values, period), rest in zip(even, rests, strict=True):
         if abs(period / period_s - 1) > 1e-3:
             return None  # sources of different rates: each would need its own grid of frequencies
-        power = np.abs(np.fft.rfft(values, size, axis=0)) ** 2 / len(values)
+        power = np.abs(np.fft.rfft(values, size, axis=0)) ** 2 / len(rest)  # of the samples that there are
         floor = _floor(power)
         floors.append(floor)
         total += (power / floor).sum(axis=1)
     span_s = longest * period_s
     lowest_hz = _LOWEST_HZ if all(run.grid.gimbals for run in runs) else _LOWEST_BY_HAND_HZ
+    lowest_hz = max(lowest_hz, *(_CYCLES_A_PIECE / _piece_s(s) for s in samples))
     usable = (hz > max(lowest_hz, _FEWEST_CYCLES / span_s)) & (hz < 0.98 * hz[-1])
     if not usable.any():
         return None
@@ -177,7 +177,7 @@ def fit_tone(found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], 
     count = {name: np.zeros(width) for name in names}
     squares = dict.fromkeys(names, 0.0)
     for number, (run, s, p) in enumerate(zip(runs, samples, predicted, strict=True)):
-        rest = s.z_rps - np.column_stack([np.interp(s.t_s, run.t_s, column) for column in p.T])
+        rest = _left(run, s, p)
         turning = np.exp(-2j * np.pi * found.frequency_hz * s.t_s) @ rest
         at = 0 if found.locked else number
         for i, name in enumerate(s.names):
@@ -206,16 +206,39 @@ def without_tone(fit: ToneFit, samples: Sequence[Samples]) -> list[Samples]:
 
 
 def _steady(run: Run, samples: Samples) -> Samples:
-    """Return the samples of a run outside of ramps, within which block means say too little of each sample."""
-    if not run.grid.gimbals:
-        return samples
-    steep = run.fold(np.abs(run.grid.acceleration_rps2).max(axis=1, keepdims=True))[:, 0]
-    ramp = steep > _RAMP * max(float(steep.max()), 1e-9)
-    ramp[1:] |= ramp[:-1].copy()
-    ramp[:-1] |= ramp[1:].copy()
+    """Return the samples of a run within full blocks outside of ramps, where block means say enough of each."""
+    keep = run.weight > 0
+    if run.grid.gimbals:
+        steep = run.fold(np.abs(run.grid.acceleration_rps2).max(axis=1, keepdims=True))[:, 0]
+        ramp = steep > _RAMP * max(float(steep.max()), 1e-9)
+        ramp[1:] |= ramp[:-1].copy()
+        ramp[:-1] |= ramp[1:].copy()
+        keep &= ~ramp
     block = np.clip(np.searchsorted(run.t_s + 0.5 * run.length_s, samples.t_s), 0, len(run.t_s) - 1)
-    keep = ~ramp[block]
-    return Samples(samples.t_s[keep], samples.z_rps[keep], samples.names)
+    inside = keep[block] & (np.abs(samples.t_s - run.t_s[block]) <= 0.5 * run.length_s)
+    return Samples(samples.t_s[inside], samples.z_rps[inside], samples.names)
+
+
+def _left(run: Run, samples: Samples, predicted: Floats) -> Floats:
+    """Return what a model of blocks (b, m) leaves of samples (n, m), about its mean over each piece without a gap."""
+    known = run.weight > 0
+    rest = samples.z_rps - np.column_stack([np.interp(samples.t_s, run.t_s[known], c) for c in predicted[known].T])
+    pieces = _pieces(samples)
+    for a, b in pairwise(pieces):
+        rest[a:b] -= rest[a:b].mean(axis=0)
+    return np.asarray(rest)
+
+
+def _pieces(samples: Samples) -> list[int]:
+    """Return where pieces of samples without a gap begin, and the end."""
+    breaks = np.flatnonzero(np.diff(samples.t_s) > _GAP_S) + 1
+    return [0, *breaks.tolist(), len(samples.t_s)]
+
+
+def _piece_s(samples: Samples) -> float:
+    """Return the length of the usual piece of samples without a gap."""
+    ends = [(samples.t_s[a], samples.t_s[b - 1]) for a, b in pairwise(_pieces(samples)) if b > a]
+    return max(float(np.median([b - a for a, b in ends])), 1e-3)
 
 
 def _evened(t_s: Floats, values: Floats) -> tuple[Floats, float]:
