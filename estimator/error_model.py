@@ -214,7 +214,10 @@ _REMEDIES = {
     "specific force": "the recording must hold the specific force: record accelerometers, or use a table",
 }
 
-_WHY_NOT = {"bias_step": "it happened once, in one recording"}
+_WHY_NOT = {
+    "bias_step": "it happened once, in one recording",
+    "reference_lag": "it is the reference that lags, not the gyros",
+}
 
 _MAKERS: Mapping[str, Callable[[Mapping[str, Any], Sequence[str]], Effect]] = {
     "earth_rate": lambda s, g: earth_rate(),

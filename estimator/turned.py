@@ -17,6 +17,8 @@ from estimator.reference import AttitudeReadings, RateReadings, Reference, Table
 
 Floats = NDArray[np.float64]
 
+REST_RPS = 2e-3
+"""Several times Earth rate: what turns no faster rests."""
 _GAP_STEPS, _GAP_S = 3.5, 0.15  # between readings further apart than both nobody knows what happened
 _SLOPE_S = 0.02  # to each side of an instant, over which a turn gives its rate; never less than one reading
 
@@ -30,23 +32,26 @@ class Turned:
     gaps: Floats
 
     @classmethod
-    def of_increments(cls, t_s: Floats, increments: Floats) -> Turned:
-        """Return the sum of ``increments`` (k - 1, c) from each instant to the next, NaN where they are not known."""
+    def of_increments(cls, t_s: Floats, increments: Floats, longest_s: float | None = None) -> Turned:
+        """Return the sum of ``increments`` (k - 1, c) from each instant to the next, NaN where they are not known.
+
+        Over ``longest_s`` (some usual steps) they are not known either.
+        """
         unknown = np.asarray(~np.isfinite(increments).all(axis=1), dtype=np.bool_)
         steps = np.diff(t_s)
         if len(steps):
-            unknown = unknown | (steps > max(_GAP_STEPS * float(np.median(steps)), _GAP_S))
+            unknown |= steps > (longest_s or max(_GAP_STEPS * float(np.median(steps)), _GAP_S))
         summed = np.cumsum(np.where(unknown[:, None], 0.0, increments), axis=0)
         zero = np.zeros((1, increments.shape[1]))
         return cls(t_s, np.vstack([zero, summed]), np.concatenate([[0.0], np.cumsum(unknown)]))
 
     @classmethod
-    def of_rates(cls, t_ns: NDArray[np.int64], rate_rps: Floats) -> Turned:
+    def of_rates(cls, t_ns: NDArray[np.int64], rate_rps: Floats, longest_s: float | None = None) -> Turned:
         """Return the integral of rates (k, c) that are samples, by trapezoids; NaN where they are not known."""
         order = np.argsort(t_ns, kind="stable")
         order = order[np.concatenate([[True], np.diff(t_ns[order]) > 0])]
         t_s, rate = np.asarray(t_ns[order] * 1e-9, dtype=np.float64), rate_rps[order]
-        return cls.of_increments(t_s, 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)[:, None])
+        return cls.of_increments(t_s, 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)[:, None], longest_s)
 
     @classmethod
     def of_reference(cls, reference: Reference, site: Site | None) -> Turned:
@@ -56,7 +61,8 @@ class Turned:
             t_s = np.asarray(reference.t_ns * 1e-9, dtype=np.float64)
             return cls.of_increments(t_s, rates.rate_rps * np.diff(t_s)[:, None])
         if isinstance(reference, RateReadings):
-            return cls.of_rates(reference.t_ns, reference.rate_rps)
+            still = np.nan_to_num(np.abs(reference.rate_rps)).max(initial=0.0) < REST_RPS
+            return cls.of_rates(reference.t_ns, reference.rate_rps, np.inf if still else None)  # rests are stated whole
         assert isinstance(reference, TableReadings)
         t_s = np.asarray(reference.t_ns * 1e-9, dtype=np.float64)
         angle = np.unwrap(reference.angle_rad[:, 0])

@@ -17,16 +17,17 @@ _LAGUERRE = np.polynomial.laguerre.laggauss(4)
 def latency(delay_s: float = 0.0) -> Effect:
     """Return a delay of the gyros' stamps against the table's: p . (w that long ago - w), per second of the delay.
 
-    It is exact for ``delay_s``; for 0, or where it is not known what was before, its limit -p . wdot.
+    It is exact for ``delay_s``; for 0, or where it is not known what was before, its limit -p . wdot. Gyros that seem
+    to be early are not: then it is the reference that lags.
     """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
         if not delay_s or conditions.delayed_rps is None:
             return -conditions.wdot_rps2 @ axes.p
-        return (conditions.delayed_rps(delay_s) - conditions.delayed_rps(0.0)) @ axes.p / delay_s
+        return (conditions.delayed_rps(delay_s) - conditions.delayed_rps(0.0)) @ axes.p / abs(delay_s)
 
     return Effect(
-        "latency",
+        "latency" if delay_s >= 0 else "reference_lag",
         (Parameter("delay", "s", 0.02),),
         shared=True,
         shown_by="ramps",

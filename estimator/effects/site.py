@@ -33,6 +33,23 @@ def earth_rate() -> Effect:
     )
 
 
+def earth_rate_upward() -> Effect:
+    """Return the part of Earth rate along the upward direction: all that rests tell whose headings are not known."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        return np.asarray(conditions.specific_force_mps2 @ axes.p / GRAVITY_MPS2)
+
+    return Effect(
+        "earth_rate",
+        (Parameter("upward", "rad/s", EARTH_RATE_RPS),),
+        shared=True,
+        shown_by="rests with other sides up",
+        confused_with=("g_sensitivity",),
+        regressors=columns,
+        needs=frozenset({"specific force"}),
+    )
+
+
 def g_sensitivity() -> Effect:
     """Return what specific force along each body axis adds, per g.
 

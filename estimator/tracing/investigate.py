@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.effects.constructed import in_words
+from estimator.kinematics import EARTH_RATE_RPS
 from estimator.model import decode
 from estimator.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
@@ -43,11 +44,11 @@ _SURPRISED = 8.0
 """Sigmas by which the error on a verification run exceeds chance before a verdict is taken back."""
 _CONFIRMED = 2.0
 """Natural logarithm by which an effect must make the verification run more probable: less is chance."""
-_REST_RPS = 2e-3  # several times Earth rate
 _VISIBLE = 3.0
 _SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
 _MAY_BE = 0.5  # probability of something without a name from which laws are composed for it
+_NEAR_EARTH = 1.3
 _MATTERS = 1e-2  # share of the probability below which what may act is not averaged over
 _OF_THETA = {"warm_up": "time constant", "bias_step": "instant", "dead_band": "width"}
 NOTHING_MEASURED = "nothing that was measured"
@@ -151,7 +152,9 @@ def _trace(
     traced, left_out = _prepared(runs)
     found = traced.search.run(most, tell)
     named = [c.term for c in found.choices if c.tone is None]
-    if named or traced.search.open_world(named).probability > _MAY_BE:
+    # In rests, horizontal Earth rate of headings that nobody knows would have laws of its own.
+    lawful = not _at_rest(runs) or any(run.recording.site is not None for run in runs)
+    if lawful and (named or traced.search.open_world(named).probability > _MAY_BE):
         found = traced.search.composed(found, laws_of(runs), most)
     return replace(traced, found=found), left_out
 
@@ -191,7 +194,7 @@ def _conclude(
     judged = replace(judged, gyros=_owned_up(traced, judged.gyros, after, [*certain, *doubtful], opened))
     residuals_of = _left(traced.runs, 0, before, after), _left(held_back, len(traced.runs), before, after)
     unexplained = _unexplained(residuals_of[0][1]) if opened.probability > CERTAIN else None
-    rivals = [names for names in _rivals(doubtful) if len(names) > 1] if not unexplained else []
+    rivals = [names for names in _rivals([c for c in doubtful if c.share < CERTAIN]) if len(names) > 1]
     faulty = _faulty(faults)
     added = [a.effect for a in faulty] + [_called(c) for c in certain]
     if rivals or (doubtful and not unexplained):
@@ -348,7 +351,7 @@ def _visible(traced: Traced) -> tuple[Choice, ...]:
 
 
 def _at_rest(runs: Sequence[Run]) -> bool:
-    return all(float(np.abs(run.w_rps).max(initial=0.0)) < _REST_RPS for run in runs)
+    return not any(run.turns for run in runs)
 
 
 def _proven(choice: Choice, told: OutOfSample | None) -> Choice:
@@ -367,10 +370,25 @@ def _with_copies(traced: Traced, choice: Choice) -> Choice:
     if choice.tone is not None:
         return choice
     copies = traced.search.copies(choice, traced.found.terms)
+    if choice.candidate.called == "g_sensitivity" and _like_earth_rate(traced, choice):
+        copies = ["earth_rate", *copies]
     if not copies:
         return choice
     rivals = tuple(dict.fromkeys((choice.candidate.called, *copies)))
-    return replace(choice, probability=min(choice.probability, 1 / len(rivals)), rivals=rivals)
+    share = min(choice.probability, 1 / len(rivals))
+    return replace(choice, probability=share, share=share, rivals=rivals)
+
+
+def _like_earth_rate(traced: Traced, choice: Choice) -> bool:
+    """Return whether what depends on pose is no larger than Earth rate, which nothing has taken off.
+
+    With headings that nobody knows, rests have any horizontal part of it.
+    """
+    if any(run.recording.site is not None for run in traced.runs):
+        return False
+    model = _model(traced, [choice], traced.search.evidence.noise_weight([choice.term]))
+    sizes = model.mean[:, model.slice_of(0)] * choice.candidate.largest
+    return float(np.linalg.norm(sizes, axis=1).max()) < _NEAR_EARTH * EARTH_RATE_RPS
 
 
 def _model(traced: Traced, choices: Sequence[Choice], weight: Floats) -> Augmented:

@@ -21,7 +21,7 @@ from estimator.reference import AttitudeReadings, BodyRates, TableReadings, Turn
 from estimator.rows import table_rows
 from estimator.tracing.faults import Fault, held_samples, saturations, split_faulty, without_stuck
 from estimator.tracing.investigation import InvestigationError
-from estimator.turned import Turned, by_turns
+from estimator.turned import REST_RPS, Turned, by_turns
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -84,6 +84,11 @@ class Run:
         """Return the regressors (m, b, 4) of the states of every gyro."""
         one = np.column_stack([np.ones(len(self.t_s)), self.w_rps])
         return np.asarray(np.einsum("bj,mij->mbi", one, regressor_maps(self.array)))
+
+    @property
+    def turns(self) -> bool:
+        """Whether the body turns, faster than the Earth."""
+        return bool(np.abs(self.w_rps).max(initial=0.0) > REST_RPS)
 
     def coarse(self) -> Run:
         """Return the run with a fifth of its grid: a few instants in each block do where many functions are tried."""
@@ -258,9 +263,11 @@ def _by_turns(recording: Recording, data: ImuData, block_s: float) -> _Measured 
     if len(data.t_ns) < 2:
         return None
     gyros, body = Turned.of_rates(data.t_ns, data.rate_rps), Turned.of_reference(recording.reference, recording.site)
-    if np.abs(body.integral).max() > _TURNS_RAD:
+    stamps = [gyros.t_s]
+    if np.abs(body.integral).max() > _TURNS_RAD:  # of a body at rest a few readings tell all
         block_s = min(block_s, _MOVED_S)
-    length_s = _length_s(recording, data, block_s, 2 * max(float(np.median(np.diff(t))) for t in (gyros.t_s, body.t_s)))
+        stamps.append(body.t_s)
+    length_s = _length_s(recording, data, block_s, 2 * max(float(np.median(np.diff(t))) for t in stamps))
     origin_s = max(gyros.t_s[0], body.t_s[0])
     count = int((min(gyros.t_s[-1], body.t_s[-1]) - origin_s) / length_s)
     edges = origin_s + np.arange(count + 1) * length_s

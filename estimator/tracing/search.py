@@ -55,13 +55,17 @@ _LONGEST_S = 0.3  # of a delay or a time constant: what is slower than this is n
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """One effect of the model found: its candidate, its term, how probable it is, what could stand in its place."""
+    """One effect of the model found: its candidate, its term, how probable it is, what could stand in its place.
+
+    ``share`` is its probability among its ``rivals`` alone, whatever else may be.
+    """
 
     candidate: Candidate
     term: Term
     probability: float
     rivals: tuple[str, ...]
     tone: ToneFit | None = None
+    share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -409,9 +413,12 @@ class Search:
             lost = self._sizes(candidate, term, model)
             return bool(np.any(np.abs(lost - 1) < _LOST)) and bool(np.all(lost > -_LOST))
         if candidate.by_size and candidate.theta:
-            of_it = self._sizes(candidate, term, model) / candidate.theta
+            of_it = self._sizes(candidate, term, model) / abs(candidate.theta)
             return bool(np.abs(np.median(of_it) - 1) < _LOST)
         posterior = self.evidence.posterior([*model, term])
+        if candidate.called == "earth_rate":  # is as long as it is
+            length = float(np.linalg.norm(posterior.shared[-len(term.columns) :]))
+            return length < 1 + _LOST
         at = 4 + sum(len(t.columns) for t in model if not t.shared)
         sizes = [posterior.shared[-len(term.columns) :]] if term.shared else [m[at:] for m in posterior.own]
         return bool(np.sqrt(np.mean(np.square(sizes))) < _IMPLAUSIBLE)
@@ -542,7 +549,8 @@ class Search:
                 break
             rivals.append(label)
             sum_of += shares[label]
-        return Choice(candidate, scores[name][1], shares[self._label(name)], tuple(rivals))
+        share = shares[self._label(name)]
+        return Choice(candidate, scores[name][1], share, tuple(rivals), share=share)
 
     def _label(self, name: str) -> str:
         if not name:
@@ -680,7 +688,7 @@ class _Scan:
 
     def _gain_of(self, candidate: Candidate, size: float) -> float:
         own, right = self._products(_at(candidate, size))
-        share = size / candidate.largest[0]
+        share = abs(size) / candidate.largest[0] if size else 0.0
         return float(share * right - 0.5 * share**2 * own)
 
     def _products(self, candidate: Candidate) -> Floats:

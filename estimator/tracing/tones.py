@@ -84,7 +84,7 @@ def tone_columns(frequency_hz: float, run: Run, samples: Samples) -> Floats:
 
 def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFound | None:
     """Return the strongest line beside a model; ``predicted`` (b, m) is what the model says of each run's blocks."""
-    if any(by_turns(run.recording.reference) and np.any(run.w_rps) for run in runs):
+    if any(by_turns(run.recording.reference) and run.turns for run in runs):
         return None  # what moves the body moves its reference: of a line in their difference nobody knows whose it is
     samples = [_steady(run, s) for run, s in zip(runs, samples, strict=True)]
     if min(len(s.t_s) for s in samples) < _FEWEST:
