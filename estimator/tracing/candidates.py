@@ -44,7 +44,7 @@ _EXPECTED = {
 _EXPECTED_WITH_TEMPERATURE = {"warm_up": -1.5}
 _EXPECTED_BESIDE = {"thermal_gradient": ("thermal_bias", -1.5)}
 _WARM_UPS = float(np.log(3600.0 / 5.0))  # time constants of warm-up from a chip's to a housing's
-_SURE = 3.0  # log odds of Earth rate where a body rests and nothing has taken it off: the Earth turns
+
 _HELD = 6.0  # log odds of the delay of held samples against another delay: that they are held is seen in them
 _PICKED_UP = float(np.radians(0.5))
 _STEPS = 100  # instants in a run at which a step is looked for first
@@ -156,7 +156,7 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
     )
     if not gimbals and all(run.recording.site is None and not run.turns for run in runs):
         found = [c for c in found if c.called != "earth_rate"]
-        found.append(Candidate("earth_rate", earth_rate_upward(), _SURE))
+        found.append(Candidate("earth_rate", earth_rate_upward(), 0.0))
     late = partial(_by_size, sensed=_sensed(runs))
     found.append(late("latency", latency, np.concatenate([[0.0], far_s])))
     if not len(far_s):

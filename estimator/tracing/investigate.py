@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.effects.constructed import in_words
+from estimator.effects.constructed import depends_on, in_words
 from estimator.kinematics import EARTH_RATE_RPS
 from estimator.model import decode
 from estimator.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
-from estimator.tracing.candidates import candidates_of
+from estimator.tracing.candidates import Candidate, candidates_of
 from estimator.tracing.composing import laws_of
 from estimator.tracing.evidence import Evidence, Posterior, Term
 from estimator.tracing.faults import Fault
@@ -36,6 +36,7 @@ from estimator.tracing.runs import BLOCK_S, Run, runs_of, same_devices
 from estimator.tracing.search import CERTAIN, Choice, Found, Search
 from estimator.tracing.spectra import GyroSpectra, NoiseShapes, gyro_spectra
 from estimator.tracing.verification import Judged, Truth, drawn, judge, sum_of
+from estimator.turned import by_turns
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -152,11 +153,20 @@ def _trace(
     traced, left_out = _prepared(runs)
     found = traced.search.run(most, tell)
     named = [c.term for c in found.choices if c.tone is None]
-    # In rests, horizontal Earth rate of headings that nobody knows would have laws of its own.
-    lawful = not _at_rest(runs) or any(run.recording.site is not None for run in runs)
-    if lawful and (named or traced.search.open_world(named).probability > _MAY_BE):
-        found = traced.search.composed(found, laws_of(runs), most)
+    if _lawful(runs) and (named or traced.search.open_world(named).probability > _MAY_BE):
+        found = traced.search.composed(found, _laws(runs), most)
     return replace(traced, found=found), left_out
+
+
+def _lawful(runs: Sequence[Run]) -> bool:
+    """Return whether laws may be composed: what turns beside another instrument shows the laws of that one, too."""
+    return not any(by_turns(run.recording.reference) and run.turns for run in runs)
+
+
+def _laws(runs: Sequence[Run]) -> list[Candidate]:
+    """Return the laws to try; in rests, horizontal Earth rate of headings that nobody knows has laws of its own."""
+    known = not _at_rest(runs) or any(run.recording.site is not None for run in runs)
+    return [law for law in laws_of(runs) if known or "gravity" not in depends_on(law.law)]
 
 
 def _prepared(runs: Sequence[Run], only: Sequence[str] | None = None) -> tuple[Traced, dict[str, str]]:

@@ -99,6 +99,7 @@ class Search:
         self._scored: dict[tuple[tuple[tuple[int, ...], float], ...], dict[str, tuple[float, Term]]] = {}
         self._barred: set[str] = set()
         self._turned: dict[tuple[str, float, str], Floats] = {}
+        self._laws_kept: set[str] = set()
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Bring in candidates: their columns are worked out for every gyro."""
@@ -228,13 +229,16 @@ class Search:
             ranked.append((max(gains) + law.log_prior, options[int(np.argmax(gains))]))
         ranked.sort(key=lambda pair: -pair[0])
         chosen = [self._tuned(law, scan) if law.start is not None else law for _, law in ranked[:_LAWS_TRIED]]
-        for name in [n for n, (c, _) in self._known.items() if c.called == NAME and n not in taken]:
+        for name in [n for n, (c, _) in self._known.items() if c.called == NAME and n not in self._laws_kept]:
             del self._known[name]
-        self.add(chosen)
+        self.add([law for law in chosen if law.name not in self._laws_kept])
         scores = self._scores(terms, [*taken])
         found = [law.name for law in chosen if self._sensible(law.name, scores[law.name][1], terms)]
         best = max(found, key=lambda name: scores[name][0], default=None)
-        return [] if best is None else [(self._known[best][0], scores[best][1])]
+        if best is None:
+            return []
+        self._laws_kept.add(best)
+        return [(self._known[best][0], scores[best][1])]
 
     def open_world(self, model: Sequence[Term]) -> OpenWorld:
         """Return how probable it is beside a model that something acts that has no name."""
