@@ -135,7 +135,7 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
     white = np.array([gyro.arw for gyro in spectra])
     level = _levels(spectra, shapes, ordered, _used(moved))
     arw = np.maximum(white * level, _LEAST_ARW)
-    spectra = _spectra(moved, columns, arw)
+    _rescale(spectra, arw)
     weight = _weights(spectra, shapes, ordered)
     means, covariances = _posterior(spectra, shapes, ordered, weight)
     noise = [_noise(gyro.arw, shapes, own) for gyro, own in zip(spectra, weight.T, strict=True)]
@@ -283,9 +283,8 @@ def _steadied(run: Run, columns: Floats) -> Run:
 
 
 def _spectra(runs: Sequence[Run], columns: Sequence[Floats], arw: Floats | None) -> list[GyroSpectra]:
-    names = [name for run in runs for name in run.array.names]
-    spectra = gyro_spectra(runs, None if arw is None else dict(zip(names, arw.tolist(), strict=True)))
-    if [gyro.name for gyro in spectra] != names:
+    spectra = gyro_spectra(runs)
+    if [gyro.name for gyro in spectra] != [name for run in runs for name in run.array.names]:
         raise TooShort("too few blocks of a gyro follow on each other")
     for gyro in spectra if columns[0].shape[2] else ():
         parts = []
@@ -294,7 +293,17 @@ def _spectra(runs: Sequence[Run], columns: Sequence[Floats], arw: Floats | None)
             own = columns[stretch.run][run.array.names.index(gyro.name)]
             parts.append((own * run.weight[:, None])[stretch.blocks])
         gyro.add(parts)
+    if arw is not None:
+        _rescale(spectra, arw)
     return spectra
+
+
+def _rescale(spectra: Sequence[GyroSpectra], arw: Floats) -> None:
+    """Take the white noise of each gyro to be this (gyros,)."""
+    for gyro, noise in zip(spectra, arw.tolist(), strict=True):
+        ratio = gyro.arw / noise
+        gyro.arw, gyro.columns = noise, [own * ratio for own in gyro.columns]
+        gyro.products = [own * ratio**2 for own in gyro.products]
 
 
 def _terms(laws: Sequence[Law], *, own: bool = False) -> list[Term]:
