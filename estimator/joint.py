@@ -23,7 +23,7 @@ from estimator.errors import RecordingError
 from estimator.noise import NoiseFound, NoiseModel
 from estimator.recording import ImuData, Recording
 from estimator.reference import TableReadings
-from estimator.tracing.evidence import Evidence, Posterior, Term
+from estimator.tracing.evidence import Evidence, Term
 from estimator.tracing.runs import Run
 from estimator.tracing.spectra import GyroSpectra, NoiseShapes, Stretch, Z, gyro_spectra
 from estimator.tracing.tones import TONE, samples_of, tone_columns
@@ -306,14 +306,6 @@ def _rescale(spectra: Sequence[GyroSpectra], arw: Floats) -> None:
         gyro.products = [own * ratio**2 for own in gyro.products]
 
 
-def _terms(laws: Sequence[Law], *, own: bool = False) -> list[Term]:
-    terms, first = [], Z + 1
-    for law in laws:
-        terms.append(Term(law.called, tuple(range(first, first + len(law.sd))), law.shared and not own))
-        first += len(law.sd)
-    return terms
-
-
 def _levels(spectra: Sequence[GyroSpectra], shapes: NoiseShapes, laws: Sequence[Law], used: Floats) -> Floats:
     """Return by how much the noise of each gyro (gyros,) is larger than that of the upper half of its frequencies."""
     weight = _weights(spectra, shapes, laws)
@@ -339,7 +331,8 @@ def _select(shapes: NoiseShapes, which: NDArray[np.intp]) -> NoiseShapes:
 
 def _weights(spectra: Sequence[GyroSpectra], shapes: NoiseShapes, laws: Sequence[Law]) -> Floats:
     """Return how probable each noise model is for each gyro (G, gyros), which is expected to be like the others."""
-    terms = _terms(laws, own=True)
+    count = sum(len(law.sd) for law in laws)
+    terms = [Term("laws", tuple(range(Z + 1, Z + 1 + count)), shared=False)] if count else []
     evidence = np.column_stack([Evidence([gyro], shapes).by_noise(terms) for gyro in spectra])
     prior = shapes.log_prior[:, None]
     if evidence.shape[1] == 1:
@@ -357,20 +350,53 @@ def _posterior(
     spectra: Sequence[GyroSpectra], shapes: NoiseShapes, laws: Sequence[Law], weight: Floats
 ) -> tuple[list[Floats], list[Floats]]:
     """Return means (c,) and covariances (c, c) of [states, own laws, shared laws] by gyro, each under its own noise."""
-    terms = _terms(laws)
-    together = Evidence(spectra, shapes) if any(law.shared for law in laws) else None
+    parts = [_reduced(gyro, shapes, laws, own) for gyro, own in zip(spectra, weight.T, strict=True)]
+    h = parts[0].left.shape[-1] - 1
+    of_all = np.sum([np.einsum("g,gij->ij", part.weight, part.left) for part in parts], axis=0)
     means, covariances = [], []
-    for i, gyro in enumerate(spectra):
-        evidence, at = (together, i) if together is not None else (Evidence([gyro], shapes), 0)
-        found = evidence.posterior(terms, weight[:, i])
-        means.append(np.concatenate([found.own[at], found.shared]))
-        covariances.append(_whole(found, at))
+    for part in parts:
+        # What the other gyros say of shared laws they say under their own noise.
+        left = part.left + (of_all - np.einsum("g,gij->ij", part.weight, part.left))
+        shared_covariance = np.linalg.inv(left[:, :h, :h] + np.eye(h))
+        shared = (shared_covariance @ left[:, :h, h:])[..., 0]
+        slope = part.gain[:, :, :h]
+        x = np.hstack([part.gain[:, :, h] - np.einsum("gij,gj->gi", slope, shared), shared])
+        across = -slope @ shared_covariance
+        own = part.inner - across @ slope.transpose(0, 2, 1)
+        whole = np.block([[own, across], [across.transpose(0, 2, 1), shared_covariance]])
+        mean = part.weight @ x
+        spread = x - mean
+        means.append(mean)
+        covariances.append(np.einsum("g,gij->ij", part.weight, whole + spread[:, :, None] * spread[:, None, :]))
     return means, covariances
 
 
-def _whole(posterior: Posterior, gyro: int) -> Floats:
-    own, cross = posterior.own_covariance[gyro], posterior.cross[gyro]
-    return np.block([[own, cross], [cross.T, posterior.shared_covariance]])
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reduced:
+    """One gyro with its states and own laws eliminated, under the noise models that matter (G,).
+
+    ``inner`` (G, c, c) is their covariance, ``gain`` (G, c, h + 1) what they take of [shared laws, z], ``left``
+    (G, h + 1, h + 1) the products of these that are left.
+    """
+
+    weight: Floats
+    inner: Floats
+    gain: Floats
+    left: Floats
+
+
+def _reduced(gyro: GyroSpectra, shapes: NoiseShapes, laws: Sequence[Law], weight: Floats) -> _Reduced:
+    matter = np.flatnonzero(weight > 1e-4)
+    gram = Evidence([gyro], _select(shapes, matter)).grams[0]
+    count = sum(len(law.sd) for law in laws if not law.shared)
+    own = [*range(4), *range(Z + 1, Z + 1 + count)]
+    rest = [*range(Z + 1 + count, gram.shape[1]), Z]
+    precision = np.diag(np.concatenate([1 / gyro.prior, np.ones(count)]))
+    inner = np.linalg.inv(gram[:, own][:, :, own] + precision)
+    across = gram[:, own][:, :, rest]
+    gain = inner @ across
+    left = gram[:, rest][:, :, rest] - across.transpose(0, 2, 1) @ gain
+    return _Reduced(weight[matter] / weight[matter].sum(), inner, gain, left)
 
 
 def _expected_nis(spectra: Sequence[GyroSpectra], shapes: NoiseShapes, weight: Floats) -> tuple[float, float]:
