@@ -37,7 +37,7 @@ _LEAST = 0.05  # expectation of no coloured noise at most, where the data sheet 
 _LEAST_ARW = 1e-9  # rad/s/rtHz, below any gyro
 _ACCELERATING = 0.02  # change of rate from block to block, as a share of the largest rate, that counts as a ramp
 _FEWEST_STEADY = 40
-_ASIDE = 1e-4  # weight of ramps while steady rates are fitted
+_ASIDE = 0.1  # weight of ramps while steady rates are fitted
 _ROWS_A_COLUMN = 4  # fewer and what is left of the blocks tells nothing of ramps
 
 
@@ -392,7 +392,7 @@ def _reduced(gyro: GyroSpectra, shapes: NoiseShapes, laws: Sequence[Law], weight
     own = [*range(4), *range(Z + 1, Z + 1 + count)]
     rest = [*range(Z + 1 + count, gram.shape[1]), Z]
     precision = np.diag(np.concatenate([1 / gyro.prior, np.ones(count)]))
-    inner = np.linalg.inv(gram[:, own][:, :, own] + precision)
+    inner = np.asarray(np.linalg.inv(gram[:, own][:, :, own] + precision), dtype=np.float64)
     across = gram[:, own][:, :, rest]
     gain = inner @ across
     left = gram[:, rest][:, :, rest] - across.transpose(0, 2, 1) @ gain
