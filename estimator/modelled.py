@@ -316,31 +316,39 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
 
     No direction gets less than the covariance under coloured noise.
     """
-    out, notes = [], []
-    for number, run in enumerate(joint.runs):
-        states, rows = run.state_columns(), max(round(CLUSTER_S / run.length_s), 1)
-        for i, g in enumerate(joint.gyros_of(number)):
-            both = np.hstack([states[i], joint.columns[number][i]]) * run.weight[:, None]
-            per = run.length_s / joint.arw[g] ** 2
-            scores = both * ((run.z_rps[:, i] * run.weight - both @ joint.means[g]) * per)[:, None]
-            sums = np.add.reduceat(scores, np.arange(0, len(scores), rows), axis=0)
-            precision = np.diag(np.concatenate([1 / run.prior.variances(), np.ones(both.shape[1] - 4)]))
-            white = np.linalg.inv(both.T @ both * per + precision)
-            covariance, name = joint.covariances[g], run.array.names[i].partition(" ")[2]
-            if len(sums) >= FEWEST_CLUSTERS:
-                meat = sums.T @ sums * (len(sums) / (len(sums) - 1)) + precision
-                covariance = _larger(covariance, white @ meat @ white)
-            else:
-                notes.append(
-                    f"{run.source}: too short to tell how the residual hangs together; sigmas assume its spectrum"
-                )
-            worst = float(np.sqrt(np.max((np.diag(covariance) / np.diag(white))[[0, 2, 3]])))  # a bias always wanders
-            if worst > COLOURED:
-                notes.append(
-                    f"{name}: the residual is no white noise; sigmas are up to {worst:.1f} times those of white noise"
-                )
-            out.append(covariance)
-    return out, list(dict.fromkeys(notes))
+    runs, n, whole = joint.runs, len(joint.means), len(joint.means[0])
+    own = 4 + sum(len(law.sd) for law in joint.laws if not law.shared)
+    begin = min(float(run.t_s[0]) for run in runs)
+    clusters = [((run.t_s - begin) / CLUSTER_S).astype(np.intp) for run in runs]
+    used = np.unique(np.concatenate([c[run.weight > 0] for run, c in zip(runs, clusters, strict=True)]))
+    if len(used) < FEWEST_CLUSTERS:
+        who = ", ".join(dict.fromkeys(run.source for run in runs))
+        return joint.covariances, [f"{who}: too short to tell how the residual hangs together; sigmas assume noise"]
+    places = [np.r_[g * own : (g + 1) * own, n * own : n * own + whole - own] for g in range(n)]
+    precision = np.ones(n * own + whole - own)
+    information, scores = np.zeros((len(precision),) * 2), np.zeros((max(map(max, clusters)) + 1, len(precision)))
+    for number, run in enumerate(runs):
+        first = np.flatnonzero(np.diff(clusters[number], prepend=-1))
+        for states, laws, g in zip(run.state_columns(), joint.columns[number], joint.gyros_of(number), strict=True):
+            scale, z = run.weight * np.sqrt(run.length_s) / joint.arw[g], run.z_rps[:, g - joint.gyros_of(number)[0]]
+            both = np.hstack([states, laws]) * scale[:, None]
+            information[np.ix_(places[g], places[g])] += both.T @ both
+            rest = both * (z * scale - both @ joint.means[g])[:, None]
+            scores[clusters[number][first][:, None], places[g]] += np.add.reduceat(rest, first, axis=0)
+            precision[g * own : g * own + 4] = 1 / run.prior.variances()
+    white = np.linalg.inv(information + np.diag(precision))
+    meat = scores.T @ scores * (len(used) / (len(used) - 1)) + np.diag(precision)
+    sandwich, out, notes = white @ meat @ white, [], []
+    names = [name.partition(" ")[2] for run in runs for name in run.array.names]
+    for name, place, covariance in zip(names, places, joint.covariances, strict=True):
+        out.append(_larger(covariance, sandwich[np.ix_(place, place)]))
+        ratio = np.diag(out[-1])[:4] / np.diag(white)[place[:4]]
+        worst = float(np.sqrt(ratio[[0, 2, 3]].max()))  # a bias always wanders
+        if worst > COLOURED:
+            notes.append(
+                f"{name}: the residual is no white noise; sigmas are up to {worst:.1f} times those of white noise"
+            )
+    return out, notes
 
 
 def _larger(covariance: Floats, other: Floats) -> Floats:
