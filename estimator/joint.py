@@ -38,6 +38,8 @@ _LEAST_ARW = 1e-9  # rad/s/rtHz, below any gyro
 _ACCELERATING = 0.02  # change of rate from block to block, as a share of the largest rate, that counts as a ramp
 _FEWEST_STEADY = 40
 _ASIDE = 0.1  # weight of ramps while steady rates are fitted
+_SPECTRA = 2  # times that the spectrum of a residual is taken
+_TELLING, _BY_CHANCE = 16.0, 1e-4  # degrees of freedom that tell a level of noise, and its probability by chance
 _ROWS_A_COLUMN = 4  # fewer and what is left of the blocks tells nothing of ramps
 
 
@@ -87,6 +89,8 @@ class Joint:
     expected_nis: tuple[float, float]
     shapes: NoiseShapes
     weight: Floats
+    spectra: list[GyroSpectra]
+    profiles: list[_Profile]
 
     def gyros_of(self, run: int) -> range:
         """Return which of the gyros are those of a run."""
@@ -97,6 +101,18 @@ class Joint:
         """Return where the parameters of a law are."""
         first = 4 + sum(len(one.sd) for one in self.laws[:law])
         return slice(first, first + len(self.laws[law].sd))
+
+    def whitened(self, gyro: int) -> tuple[Floats, Floats]:
+        """Return instants (b,) and the rows (b, c + 1) of [states, z, laws] as they count: of white noise of one."""
+        from scipy.fft import idct
+
+        spectra = self.spectra[gyro]
+        parts = []
+        for stretch, columns in zip(spectra.stretches, spectra.columns, strict=True):
+            weight = (self.weight[:, gyro] @ (1 / self.shapes.density(stretch)))[stretch.band]
+            parts.append(idct(columns * np.sqrt(weight)[:, None], axis=0, norm="ortho"))
+        t_s = [self.runs[stretch.run].t_s[stretch.blocks] for stretch in spectra.stretches]
+        return np.concatenate(t_s), np.vstack(parts)
 
     def halves(self) -> list[Joint]:
         """Return the estimates from the first and from the second half, under the noise of the whole.
@@ -111,13 +127,20 @@ class Joint:
             runs = [_some(run, keep) for run, keep in zip(self.runs, keeps, strict=True)]
             columns = [c[:, keep] for c, keep in zip(self.columns, keeps, strict=True)]
             spectra = _spectra(runs, columns, self.arw)
+            _flatten(spectra, self.profiles)
             means, covariances = _posterior(spectra, self.shapes, self.laws, self.weight)
-            found.append(replace(self, runs=runs, columns=columns, means=means, covariances=covariances))
+            found.append(
+                replace(self, runs=runs, columns=columns, means=means, covariances=covariances, spectra=spectra)
+            )
         return found
 
 
-def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseModel | None = None) -> Joint:
+def joint_estimate(
+    runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseModel | None = None, *, any_spectrum: bool = False
+) -> Joint:
     """Return the estimate of the gyros of one device, each name once; ``stated`` is its data sheet's noise.
+
+    ``any_spectrum``: where the residual is beyond the noise models, up or down, its own spectrum counts as the noise.
 
     Raises TooShort for a gyro with fewer blocks than tell noise by its frequencies.
     """
@@ -138,10 +161,19 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
     _rescale(spectra, arw)
     weight = _weights(spectra, shapes, ordered)
     means, covariances = _posterior(spectra, shapes, ordered, weight)
+    profiles: list[_Profile] = []
+    for _ in range(_SPECTRA if any_spectrum else 0):
+        found = [_profile(*each) for each in zip(spectra, means, covariances, _mean(shapes, weight), strict=True)]
+        profiles = [a.times(b) for a, b in zip(profiles, found, strict=True)] if profiles else found
+        _flatten(spectra, found)
+        weight = _weights(spectra, shapes, ordered)
+        means, covariances = _posterior(spectra, shapes, ordered, weight)
     noise = [_noise(gyro.arw, shapes, own) for gyro, own in zip(spectra, weight.T, strict=True)]
     chance = _expected_nis(spectra, shapes, weight)
     white = np.maximum(white, 1e-3 * arw)
-    return Joint(list(moved), ordered, columns, means, covariances, noise, arw, white, chance, shapes, weight)
+    return Joint(
+        list(moved), ordered, columns, means, covariances, noise, arw, white, chance, shapes, weight, spectra, profiles
+    )
 
 
 def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableReadings) -> Run:
@@ -236,7 +268,7 @@ class _OneRecording(NoiseShapes):
     """Noise models of one recording of ``span_s``: its bias is that of its span, not that since power-on.
 
     Flicker noise goes on to ten times the span, as in ``noise.MeansCovariance``, so that the mean of a stretch has
-    (ln 10 + 3/2) / pi of its square in variance; of a random walk the mean is the bias.
+    (ln 10 + 3/2) / pi of its square in variance; of a random walk the bias is its value in the middle.
     """
 
     span_s: float = 0.0
@@ -245,7 +277,7 @@ class _OneRecording(NoiseShapes):
         out = NoiseShapes.density(self, stretch)
         own_s = len(stretch.band) * stretch.length_s
         flicker = (np.log(10 * self.span_s / own_s) + 1.5) / np.pi
-        walk = (self.span_s - own_s) / 3  # what stretches differ by
+        walk = own_s / 12 + (self.span_s - own_s) / 3
         out[:, 0] = 1 + own_s * (self.instability**2 * flicker + self.walk**2 * walk)
         return out
 
@@ -296,6 +328,59 @@ def _spectra(runs: Sequence[Run], columns: Sequence[Floats], arw: Floats | None)
     if arw is not None:
         _rescale(spectra, arw)
     return spectra
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Profile:
+    """By how much a noise is larger than its models say, by frequency: ``factor`` (f,) at ``hz`` (f,)."""
+
+    hz: Floats
+    factor: Floats
+
+    def at(self, hz: Floats) -> Floats:
+        """Return the factor (n,) at frequencies."""
+        return np.exp(np.interp(np.log(np.maximum(hz, 1e-12)), np.log(self.hz), np.log(self.factor)))
+
+    def times(self, other: _Profile) -> _Profile:
+        """Return both together."""
+        hz = np.union1d(self.hz, other.hz)
+        return _Profile(hz, self.at(hz) * other.at(hz))
+
+
+def _profile(gyro: GyroSpectra, mean: Floats, covariance: Floats, shapes: NoiseShapes) -> _Profile:
+    """Return the spectrum of a residual over that of its noise; 1 where the difference may be chance."""
+    from scipy.stats import chi2
+
+    left = np.concatenate([-mean[:4], [1.0], -mean[4:]])
+    free = np.r_[0:4, Z + 1 : len(left)]
+    found: list[tuple[float, float, float]] = []
+    for stretch, products in zip(gyro.stretches, gyro.products, strict=True):
+        density = shapes.density(stretch)[0]
+        squares = np.einsum("i,bij,j->b", left, products, left) / density
+        fitted = np.einsum("ij,bji->b", covariance, products[:, free][:, :, free]) / density
+        freedom = np.maximum(stretch.counts - fitted, 0.05 * stretch.counts)
+        found += zip(stretch.band_hz[1:].tolist(), squares[1:].tolist(), freedom[1:].tolist(), strict=True)
+    hz, squares, freedom = np.array(sorted(found)).T
+    group = np.floor(np.concatenate([[0.0], np.cumsum(freedom)[:-1]]) / _TELLING).astype(np.intp)
+    _, group = np.unique(group, return_inverse=True)
+    total, count = np.maximum(np.bincount(group, squares), 1e-12), np.bincount(group, freedom)
+    chance = 2 * np.minimum(chi2.sf(total, count), chi2.cdf(total, count))
+    middle = np.exp(np.bincount(group, np.log(np.maximum(hz, 1e-12))) / np.bincount(group))
+    return _Profile(middle, np.where(chance < _BY_CHANCE, total / count, 1.0))
+
+
+def _mean(shapes: NoiseShapes, weight: Floats) -> list[NoiseShapes]:
+    """Return by gyro the noise model that is most probable."""
+    return [_select(shapes, np.array([own])) for own in np.argmax(weight, axis=0)]
+
+
+def _flatten(spectra: Sequence[GyroSpectra], profiles: Sequence[_Profile]) -> None:
+    """Let frequencies count less by how much more noise they hold than the models of it say."""
+    for gyro, profile in zip(spectra, profiles, strict=False):
+        for i, stretch in enumerate(gyro.stretches):
+            factor = profile.at(stretch.band_hz)
+            gyro.products[i] = gyro.products[i] / factor[:, None, None]
+            gyro.columns[i] = gyro.columns[i] / np.sqrt(factor[stretch.band])[:, None]
 
 
 def _rescale(spectra: Sequence[GyroSpectra], arw: Floats) -> None:

@@ -24,6 +24,7 @@ from estimator.noise import NoiseFound
 from estimator.recording import ImuData, Recording
 from estimator.reference import TableReadings, Turns
 from estimator.tracing.runs import Run, run_of
+from estimator.tracing.spectra import Z
 from estimator.undeclared import undeclared_laws
 
 Floats = NDArray[np.float64]
@@ -47,14 +48,13 @@ _MOST_NAMED, _NAMED = 3, 0.1
 class Modelled:
     """Estimate of the gyros (m) of one source.
 
-    ``x`` (m, 4) and ``covariance`` (m, 4, 4) are of the states [k, b, s_j, s_k]; ``lines`` is what the covariance is
-    the sum of. ``noise`` and ``effects`` are by gyro; ``white`` (m,) is the angle random walk in the upper half of the
-    frequencies. ``said_rps`` (b, m) is what effects add to the output over the blocks of ``run``. ``expected_nis``: of
-    block means taken as white, mean and standard deviation.
+    ``x`` (m, 4) are the states [k, b, s_j, s_k]; ``lines`` is what their covariance is the sum of. ``noise`` and
+    ``effects`` are by gyro; ``white`` (m,) is the angle random walk in the upper half of the frequencies. ``said_rps``
+    (b, m) is what effects add to the output over the blocks of ``run``. ``expected_nis``: of block means taken as
+    white, mean and standard deviation.
     """
 
     x: Floats
-    covariance: Floats
     lines: list[tuple[Contribution, ...]]
     noise: list[NoiseFound]
     effects: list[tuple[EffectValue, ...]]
@@ -108,7 +108,8 @@ def aligned(
     moved, delay_s = list(sources), 0.0
     for _ in range(_MOST_STEPS):
         runs = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
-        joint = joint_estimate(runs, [*_model_laws(model, recording, runs), _delay_law(delay_s)], sources[0][1].noise)
+        laws = [*_model_laws(model, recording, runs), _delay_law(delay_s)]
+        joint = joint_estimate(runs, laws, sources[0][1].noise, any_spectrum=True)
         step_s, sd_s = _delay(joint)
         if abs(step_s) < max(_SETTLED_S, 0.01 * sd_s):
             break
@@ -138,17 +139,22 @@ def estimate_device(
     if delay_s is not None and not any(law.effect.name in ("latency", "sample_hold") for law in laws):
         laws.append(_delay_law(delay_s))
     stated = sources[0][1].noise
-    joint = plain = joint_estimate(runs, laws, stated)
-    notes: list[str] = []
+    joint = plain = joint_estimate(runs, laws, stated, any_spectrum=delay_s is not None)
+    covariances, notes = _clustered(plain) if delay_s is not None else (plain.covariances, [])
+    unseen: list[Floats] | None = None
     if excluded is not None and model is None:
         further, runs = undeclared_laws(runs, excluded | {law.effect.name for law in laws})
-        joint = joint_estimate(runs, [*laws, *further], stated) if further else plain
-    covariances, coloured = _clustered(joint) if delay_s is not None else (joint.covariances, [])
-    notes += coloured
+        joint = joint_estimate(runs, [*laws, *further], stated, any_spectrum=delay_s is not None) if further else plain
+        notes += _undeclared_notes(joint)
     if delay_s is not None:
-        notes += _delay_notes(joint, covariances, delay_s)
-    notes += _undeclared_notes(joint, covariances)
-    found = [_modelled(joint, number, covariances) for number in range(len(joint.runs))]
+        notes += _delay_notes(plain, covariances, delay_s)
+        # What is left may be the reference's as well: it does not decide on effects of the gyros.
+        chosen = [n for n, law in enumerate(joint.laws) if law.line == UNSEEN]
+        unseen = [_through(joint, c, chosen) for c in joint.covariances] if chosen else None
+        joint = plain
+    elif joint is not plain:
+        covariances = joint.covariances
+    found = [_modelled(joint, number, covariances, unseen) for number in range(len(joint.runs))]
     return Device(tuple(found), tuple(notes), tuple(_halves(plain, delay_s is not None)))
 
 
@@ -244,15 +250,16 @@ def _halves(joint: Joint, clustered: bool) -> list[str]:
     return [f"the two halves of this recording disagree: {worst} by {size:.0f} sigma{others}"]
 
 
-def _modelled(joint: Joint, number: int, covariances: Sequence[Floats]) -> Modelled:
+def _modelled(joint: Joint, number: int, covariances: Sequence[Floats], unseen: Sequence[Floats] | None) -> Modelled:
     run, gyros = joint.runs[number], joint.gyros_of(number)
+    further = [() if unseen is None else (Contribution(UNSEEN, unseen[g]),) for g in gyros]
+    lines = [(*_lines(joint, covariances[g]), *more) for g, more in zip(gyros, further, strict=True)]
     columns, expected = joint.columns[number], expected_of(joint.laws)
     values = [joint.means[g][4:] + expected for g in gyros]
     said = np.column_stack([c @ v for c, v in zip(columns, values, strict=True)])
     return Modelled(
         np.array([joint.means[g][:4] for g in gyros]),
-        np.array([covariances[g][:4, :4] for g in gyros]),
-        [_lines(joint, covariances[g]) for g in gyros],
+        lines,
         [joint.noise[g] for g in gyros],
         [_values(joint, v, covariances[g]) for g, v in zip(gyros, values, strict=True)],
         joint.white[gyros.start : gyros.stop],
@@ -279,16 +286,16 @@ def _through(joint: Joint, covariance: Floats, laws: Sequence[int]) -> Floats:
     return np.asarray(across @ np.linalg.solve(covariance[np.ix_(at, at)], across.T))
 
 
-def _undeclared_notes(joint: Joint, covariances: Sequence[Floats]) -> list[str]:
+def _undeclared_notes(joint: Joint) -> list[str]:
     """Return which undeclared effects make up most of the sigmas of the states, in words."""
     laws = [n for n, law in enumerate(joint.laws) if law.line == UNSEEN]
     if not laws:
         return []
-    whole = np.array([np.diag(c)[:4] for c in covariances])
+    whole = np.array([np.diag(c)[:4] for c in joint.covariances])
     shares: dict[str, float] = {}
     for n in laws:
         name = joint.laws[n].called
-        part = [np.diag(_through(joint, c, [n])) for c in covariances]
+        part = [np.diag(_through(joint, c, [n])) for c in joint.covariances]
         shares[name] = max(shares.get(name, 0.0), float(np.max(np.mean(part / whole, axis=0))))
     worst = sorted((name for name in shares if shares[name] > _NAMED), key=lambda name: -shares[name])[:_MOST_NAMED]
     if not worst:
@@ -319,35 +326,34 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
     runs, n, whole = joint.runs, len(joint.means), len(joint.means[0])
     own = 4 + sum(len(law.sd) for law in joint.laws if not law.shared)
     begin = min(float(run.t_s[0]) for run in runs)
-    clusters = [((run.t_s - begin) / CLUSTER_S).astype(np.intp) for run in runs]
-    used = np.unique(np.concatenate([c[run.weight > 0] for run, c in zip(runs, clusters, strict=True)]))
+    used = np.unique(np.concatenate([((r.t_s - begin) / CLUSTER_S).astype(np.intp)[r.weight > 0] for r in runs]))
     if len(used) < FEWEST_CLUSTERS:
         who = ", ".join(dict.fromkeys(run.source for run in runs))
         return joint.covariances, [f"{who}: too short to tell how the residual hangs together; sigmas assume noise"]
     places = [np.r_[g * own : (g + 1) * own, n * own : n * own + whole - own] for g in range(n)]
     precision = np.ones(n * own + whole - own)
-    information, scores = np.zeros((len(precision),) * 2), np.zeros((max(map(max, clusters)) + 1, len(precision)))
-    for number, run in enumerate(runs):
-        first = np.flatnonzero(np.diff(clusters[number], prepend=-1))
-        for states, laws, g in zip(run.state_columns(), joint.columns[number], joint.gyros_of(number), strict=True):
-            scale, z = run.weight * np.sqrt(run.length_s) / joint.arw[g], run.z_rps[:, g - joint.gyros_of(number)[0]]
-            both = np.hstack([states, laws]) * scale[:, None]
-            information[np.ix_(places[g], places[g])] += both.T @ both
-            rest = both * (z * scale - both @ joint.means[g])[:, None]
-            scores[clusters[number][first][:, None], places[g]] += np.add.reduceat(rest, first, axis=0)
-            precision[g * own : g * own + 4] = 1 / run.prior.variances()
+    information, scores = np.zeros((len(precision),) * 2), np.zeros((used[-1] + 1, len(precision)))
+    for g, place in enumerate(places):
+        t_s, rows = joint.whitened(g)
+        both = np.delete(rows, Z, axis=1)
+        information[np.ix_(place, place)] += both.T @ both
+        cluster = ((t_s - begin) / CLUSTER_S).astype(np.intp)
+        first = np.flatnonzero(np.diff(cluster, prepend=-1))
+        rest = both * (rows[:, Z] - both @ joint.means[g])[:, None]
+        scores[cluster[first][:, None], place] += np.add.reduceat(rest, first, axis=0)
+        precision[place[:4]] = 1 / joint.spectra[g].prior
     white = np.linalg.inv(information + np.diag(precision))
     meat = scores.T @ scores * (len(used) / (len(used) - 1)) + np.diag(precision)
     sandwich, out, notes = white @ meat @ white, [], []
-    names = [name.partition(" ")[2] for run in runs for name in run.array.names]
-    for name, place, covariance in zip(names, places, joint.covariances, strict=True):
-        out.append(_larger(covariance, sandwich[np.ix_(place, place)]))
-        ratio = np.diag(out[-1])[:4] / np.diag(white)[place[:4]]
-        worst = float(np.sqrt(ratio[[0, 2, 3]].max()))  # a bias always wanders
-        if worst > COLOURED:
-            notes.append(
-                f"{name}: the residual is no white noise; sigmas are up to {worst:.1f} times those of white noise"
-            )
+    for number, run in enumerate(runs):
+        for g, name, states in zip(joint.gyros_of(number), run.array.names, run.state_columns(), strict=True):
+            out.append(_larger(joint.covariances[g], sandwich[np.ix_(places[g], places[g])]))
+            seen = states * (run.weight * np.sqrt(run.length_s) / joint.arw[g])[:, None]
+            of_white = np.linalg.inv(seen.T @ seen + np.diag(1 / run.prior.variances()))
+            worst = float(np.sqrt((np.diag(out[-1])[:4] / np.diag(of_white))[[0, 2, 3]].max()))  # a bias always wanders
+            if worst > COLOURED:
+                who = name.partition(" ")[2]
+                notes.append(f"{who}: the residual is no white noise; sigmas are up to {worst:.1f} times those of it")
     return out, notes
 
 

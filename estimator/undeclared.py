@@ -4,6 +4,7 @@ A script may be saturated: what is constant within each of its steady rates leav
 are for it. Only expectation can speak there (JCGM 100:2008, 4.3: type B). Every law of the catalogue stands beside the
 states with mean zero and one standard deviation, the same rule for all: a third of the largest plausible size, which is
 thus three sigmas. Where the motion shows an effect the data decide; where it does not, the state stays that uncertain.
+Powers of the rate are as large at the fastest rate of a recording as they plausibly are at 30 deg/s.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ Floats = NDArray[np.float64]
 _SHARE = 1 / 3  # of the largest plausible size of a parameter is its expected standard deviation
 _STEPS = 8  # a step at an unknown instant is as good as several that share its variance
 _TIMES_S = (20.0, 90.0, 400.0)  # of a warm-up, whose time constant is not known either
+_POWERS = {"scale_quadratic": 2, "scale_cubic": 3}
+_SPOKEN_OF_RPS = float(np.radians(30.0))  # rate at which these are as large as they plausibly are, in %
 _DEAD_RPS = float(np.radians(0.1))
 _WARMS_K, _WARMS_S = 10.0, 600.0  # after power-on, where no temperature was recorded
 _LEAST_COLUMN = 1e-12
@@ -69,12 +72,16 @@ def _effects(grid: Conditions) -> list[tuple[Effect, float]]:
     known = grid.temperature_c if grid.temperature_c is not None else np.full(1, REFERENCE_C)
     # The temperature nearest to that of data sheets at which the run was: the states are those there.
     reference_c = float(np.clip(REFERENCE_C, known.min(), known.max()))
+    fastest_rps = max(float(np.abs(grid.w_rps).max(initial=0.0)), _SPOKEN_OF_RPS)
     thermal = [make(reference_c) for make in (thermal_bias, thermal_bias_quadratic, thermal_scale)]
     spread = {"bias_step", "warm_up", *(effect.name for effect in thermal)}
     plain = [effect for effect in catalogue(grid.gimbals, last - first) if effect.name not in spread]
     steps = np.linspace(first, last, _STEPS + 2)[1:-1].tolist()
     return [
-        *((effect, 1.0) for effect in (*plain, *thermal, dead_band(_DEAD_RPS))),
+        *(
+            (effect, (_SPOKEN_OF_RPS / fastest_rps) ** (_POWERS.get(effect.name, 1) - 1))
+            for effect in (*plain, *thermal, dead_band(_DEAD_RPS))
+        ),
         *((bias_step(at_s), _STEPS**-0.5) for at_s in steps),
         *((warm_up(tau_s), len(_TIMES_S) ** -0.5) for tau_s in _TIMES_S),
     ]
