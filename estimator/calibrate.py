@@ -273,8 +273,8 @@ def _nis_doubts(nis: float, estimates: Sequence[_Estimate]) -> list[str]:
     if abs(nis - mean) <= _CHANCE * sd + _NEAR * mean:
         return []
     return [
-        f"mean NIS {nis:.3g}, where the noise that was found gives {mean:.3g} +- {sd:.2g}: something other than noise "
-        "is in what is left, or the reference is coarser than its readings"
+        f"mean NIS {nis:.3g}, where the noise that was found gives {mean:.3g} +- {sd:.2g}: single samples and "
+        "means do not tell of the same noise"
     ]
 
 

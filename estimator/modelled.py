@@ -301,8 +301,8 @@ def _undeclared_notes(joint: Joint) -> list[str]:
     if not worst:
         return []
     return [
-        f"the sigmas hold effects that this script cannot show, mostly {', '.join(worst)}: [undeclared] of the bench "
-        "file says which are ruled out, --model which there are"
+        f"the sigmas hold effects that this script cannot show, mostly {', '.join(worst)}: the section undeclared "
+        "of the bench file says which are ruled out, --model which there are"
     ]
 
 
@@ -353,7 +353,7 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
             worst = float(np.sqrt((np.diag(out[-1])[:4] / np.diag(of_white))[[0, 2, 3]].max()))  # a bias always wanders
             if worst > COLOURED:
                 who = name.partition(" ")[2]
-                notes.append(f"{who}: the residual is no white noise; sigmas are up to {worst:.1f} times those of it")
+                notes.append(f"{who}: the residual is no white noise; sigmas are up to {worst:.1f} times as large")
     return out, notes
 
 

@@ -80,6 +80,8 @@ def _read(path: Path, file: Any, group: Any) -> Calibration:
         tuple(_texts(group.attrs.get("notes", ()))),
         tuple(Excluded(name, reason) for name, _, reason in excluded),
         model=model,
+        doubts=tuple(_texts(group.attrs.get("doubts", ()))),
+        holds_for=_text(group.attrs.get("holds_for", "")),
     )
 
 

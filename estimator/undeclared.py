@@ -61,11 +61,6 @@ def undeclared_laws(runs: Sequence[Run], excluded: frozenset[str]) -> tuple[list
     return [law for law in laws if _acts(law, runs)], runs
 
 
-def names() -> tuple[str, ...]:
-    """Return the names by which effects of the catalogue are excluded."""
-    return tuple(dict.fromkeys(_kind(effect) for effect in (*catalogue("zyx", 1.0), dead_band(_DEAD_RPS))))
-
-
 def _effects(grid: Conditions) -> list[tuple[Effect, float]]:
     """Return the effects, and the share of its size that each stands for: what is not linear is spread over several."""
     first, last = float(grid.t_s[0]), float(grid.t_s[-1])
