@@ -326,13 +326,17 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
     runs, n, whole = joint.runs, len(joint.means), len(joint.means[0])
     own = 4 + sum(len(law.sd) for law in joint.laws if not law.shared)
     begin = min(float(run.t_s[0]) for run in runs)
-    used = np.unique(np.concatenate([((r.t_s - begin) / CLUSTER_S).astype(np.intp)[r.weight > 0] for r in runs]))
+    clusters = [((run.t_s - begin) / CLUSTER_S).astype(np.intp) for run in runs]
+    used = np.unique(np.concatenate([c[run.weight > 0] for run, c in zip(runs, clusters, strict=True)]))
     if len(used) < FEWEST_CLUSTERS:
         who = ", ".join(dict.fromkeys(run.source for run in runs))
         return joint.covariances, [f"{who}: too short to tell how the residual hangs together; sigmas assume noise"]
     places = [np.r_[g * own : (g + 1) * own, n * own : n * own + whole - own] for g in range(n)]
     precision = np.ones(n * own + whole - own)
-    information, scores = np.zeros((len(precision),) * 2), np.zeros((used[-1] + 1, len(precision)))
+    information, scores = (
+        np.zeros((len(precision),) * 2),
+        np.zeros((np.concatenate(clusters).max() + 1, len(precision))),
+    )
     for g, place in enumerate(places):
         t_s, rows = joint.whitened(g)
         both = np.delete(rows, Z, axis=1)
