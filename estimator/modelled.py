@@ -38,6 +38,7 @@ _DELAY_SD_S = 0.02
 _SETTLED_S = 1e-4
 _LARGEST_STEP_S = 0.05  # beyond, a motion is no straight line any more
 _MOST_STEPS = 12
+_KNOWN = 0.2  # sigma of k below which the sign of an output is known
 _TOLD = 3.0  # sigmas from which on a delay is told
 _UNSEEN = 0.7  # of what is expected of a parameter: a larger sigma says that the run did not show it
 _BY_CHANCE = 1e-4  # probability that one of all states differs so between halves
@@ -111,6 +112,9 @@ def aligned(
         laws = [*_model_laws(model, recording, runs), _delay_law(delay_s)]
         joint = joint_estimate(runs, laws, sources[0][1].noise, any_spectrum=True)
         step_s, sd_s = _delay(joint)
+        # An output that is opposite to the reference has its delay the other way round, too.
+        gains = [1 - mean[0] for mean, c in zip(joint.means, joint.covariances, strict=True) if c[0, 0] < _KNOWN**2]
+        step_s *= float(np.sign(np.median(gains or [1.0])))
         if abs(step_s) < max(_SETTLED_S, 0.01 * sd_s):
             break
         delay_s += float(np.clip(step_s, -_LARGEST_STEP_S, _LARGEST_STEP_S))
@@ -185,8 +189,20 @@ def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
             "samples that the reference covers are needed"
         )
     if at_rest(recording.reference):  # Earth rate is too slow to tell k from other effects
-        return replace(run, w_rps=np.zeros_like(run.w_rps))
+        return replace(run, w_rps=np.zeros_like(run.w_rps), z_rps=_sample_means(run))
     return run
+
+
+def _sample_means(run: Run) -> Floats:
+    """Return output errors (b, m) as means over the samples of each block: at rest there is nothing to integrate."""
+    first_s = run.t_s[0] - 0.5 * run.length_s
+    block = np.round((run.t_s - run.t_s[0]) / run.length_s).astype(np.intp)
+    number = np.floor((run.data.t_ns * 1e-9 - first_s) / run.length_s + 1e-9).astype(np.intp)
+    inside = (number >= 0) & (number <= block[-1])
+    number, rate = number[inside], run.data.rate_rps[inside]
+    counts = np.bincount(number, minlength=block[-1] + 1)[block, None]
+    sums = np.column_stack([np.bincount(number, own, block[-1] + 1)[block] for own in rate.T])
+    return np.where(counts > 0, sums / np.maximum(counts, 1) - run.w_rps @ run.array.p.T, run.z_rps)
 
 
 def _model_laws(model: ErrorModel | None, recording: Recording, runs: Sequence[Run]) -> list[Law]:
@@ -347,17 +363,18 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
         scores[cluster[first][:, None], place] += np.add.reduceat(rest, first, axis=0)
         precision[place[:4]] = 1 / joint.spectra[g].prior
     white = np.linalg.inv(information + np.diag(precision))
-    meat = scores.T @ scores * (len(used) / (len(used) - 1)) + np.diag(precision)
+    # So few clusters fit so many parameters: their scores are too small by these.
+    meat = scores.T @ scores * (len(used) / max(len(used) - whole, len(used) / 4)) + np.diag(precision)
     sandwich, out, notes = white @ meat @ white, [], []
     for number, run in enumerate(runs):
         for g, name, states in zip(joint.gyros_of(number), run.array.names, run.state_columns(), strict=True):
             out.append(_larger(joint.covariances[g], sandwich[np.ix_(places[g], places[g])]))
             seen = states * (run.weight * np.sqrt(run.length_s) / joint.arw[g])[:, None]
             of_white = np.linalg.inv(seen.T @ seen + np.diag(1 / run.prior.variances()))
-            worst = float(np.sqrt((np.diag(out[-1])[:4] / np.diag(of_white))[[0, 2, 3]].max()))  # a bias always wanders
-            if worst > COLOURED:
-                who = name.partition(" ")[2]
-                notes.append(f"{who}: the residual is no white noise; sigmas are up to {worst:.1f} times as large")
+            ratio = (np.diag(out[-1])[:4] / np.diag(of_white))[[0, 2, 3]]  # a bias always wanders
+            if ratio.mean() > COLOURED**2:
+                grown, who = float(np.sqrt(ratio.max())), name.partition(" ")[2]
+                notes.append(f"{who}: the residual is no white noise; sigmas are up to {grown:.1f} times as large")
     return out, notes
 
 
