@@ -24,6 +24,8 @@ KINDS = ("rate", "wobble", "orthogonality", "timing")
 """Names of the contributions of a table."""
 TYPE_A = ("noise", "effects")
 """Names of what comes from the scatter of the data, and from effects of an error model that they do not show."""
+UNSEEN = "unseen_effects"
+"""Name of what undeclared effects of the catalogue could do to the states without being seen (type B)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

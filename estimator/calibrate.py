@@ -8,55 +8,66 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.array import SensorArray
 from estimator.blocks import Blocks
-from estimator.budget import Contribution, table_budget
+from estimator.budget import TYPE_A, Contribution, table_budget
 from estimator.calibration import Calibration, EffectValue, GyroCalibration, unseen_notes
-from estimator.coloured import (
-    FEWEST_BLOCKS,
-    GridFit,
-    NoiseFound,
-    NoiseGrid,
-    Part,
-    coarse,
-    combine,
-    fit_grids,
-    weights,
-)
+from estimator.conditions_seen import holds_for
 from estimator.error_model import ErrorModel
 from estimator.errors import RecordingError
-from estimator.foreign import against_foreign, at_rest, factor_notes, foreign_motion_notes
+from estimator.foreign import at_rest, factor_notes, foreign_motion_notes
+from estimator.gram import solve
 from estimator.health import Excluded, usable
+from estimator.joint import TooShort
 from estimator.model import decode, regressor_maps
-from estimator.modelled import against_reference, check_model, effect_notes, estimate_device
+from estimator.modelled import Modelled, aligned, check_model, effect_notes, estimate_device, is_external
+from estimator.noise import NoiseFound, NoiseModel
 from estimator.parity import GyroParity, parity
 from estimator.recording import ImuData, Recording
-from estimator.reference import RateReadings, TableReadings
+from estimator.reference import RateReadings, TableReadings, Turns
 from estimator.rests import RestNoise, motion_notes, rest_noise
-from estimator.rows import BLOCK_S, enough, source_blocks
+from estimator.rows import BLOCK_S, gram_of, row_length_s, sample_noise, source_blocks
 
 Floats = NDArray[np.float64]
 
 _BLOCK_ROWS = 4  # fewer samples do not tell their scatter
+_CHANCE = 4.0  # standard deviations of the mean NIS
+_NEAR = 0.05  # to which the noise is known beside that
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Estimate:
-    """Of one source: states x (m, 4), what their covariance is the sum of, noise, effects, blocks without these."""
+    """Of one source: states x (m, 4), what their covariance is the sum of, noise, effects, noise of one sample (m,).
+
+    ``squares`` of block means about the estimate, over those of white noise, and their number ``dof``; ``blocks``
+    without what effects say, for the parity; ``expected_nis``: mean and standard deviation under the noise found.
+    """
 
     x: Floats
-    kinds: list[tuple[Contribution, ...]]
-    noise: list[NoiseFound]
-    effects: list[tuple[EffectValue, ...]]
-    blocks: Blocks
+    lines: Sequence[tuple[Contribution, ...]]
+    noise: Sequence[NoiseFound | None]
+    effects: Sequence[tuple[EffectValue, ...]]
+    noise_rps: Floats
+    samples: int
+    squares: float = 0.0
+    dof: int = 0
+    blocks: Blocks | None = None
+    expected_nis: tuple[float, float] = (1.0, 0.0)
 
 
-def calibrate(recording: Recording, *, innovations: bool = True, model: ErrorModel | None = None) -> Calibration:
+def calibrate(
+    recording: Recording,
+    *,
+    innovations: bool = True,
+    model: ErrorModel | None = None,
+    excluded: frozenset[str] | None = None,
+) -> Calibration:
     """Return the batch estimate of every gyro under its data sheet's prior, the noise taken from the data.
 
-    Against a table, or at rest, the noise may be coloured (``estimator.coloured``); against other foreign references
-    sigmas come from clusters of residuals. ``innovations`` also gives the mean NIS, else that is NaN. With a ``model``
-    its effects are estimated with the states, and what the recording does not show of them is in the sigmas.
+    The noise may be coloured (``estimator.joint``). Against another instrument its delay is estimated too, and sigmas
+    hold errors that hang together. ``innovations`` also gives the mean NIS, else that is NaN. With a ``model`` its
+    effects are estimated with the states, and what the recording does not show of them is in the sigmas. Without one
+    ``excluded`` names the effects of the catalogue that device and table do not have: what the others could do to the
+    states unseen is in the sigmas then; None leaves that out.
 
     Raises RecordingError if a source has no samples that the reference covers, or no gyro can be estimated; ModelError
     if the recording lacks what the model needs.
@@ -65,132 +76,162 @@ def calibrate(recording: Recording, *, innovations: bool = True, model: ErrorMod
         check_model(model, recording)
         model = model if model.effects else None
     notes: list[str] = []
-    excluded: list[Excluded] = []
+    defective: list[Excluded] = []
     sources: list[tuple[str, ImuData]] = []
     for source, data in recording.sources.items():
         found = usable(data, fine=isinstance(recording.reference, TableReadings))
         notes.extend(found.notes)
-        excluded.extend(found.excluded)
+        defective.extend(found.excluded)
         sources.extend((source, part) for part in found.parts)
     if not sources:
-        reasons = "; ".join(f"{e.name}: {e.reason}" for e in excluded)
+        reasons = "; ".join(f"{e.name}: {e.reason}" for e in defective)
         raise RecordingError(f"{recording.name}: no gyro of it can be estimated: {reasons}")
-    notes.extend(f"{e.name} is not estimated: {e.reason}; the others are" for e in excluded)
-    if isinstance(recording.reference, TableReadings) or at_rest(recording.reference):
-        result = _against_table(recording, recording.reference, sources, innovations, model)
-    elif model is not None:
-        result = against_reference(model, recording, sources, innovations)
-    else:
-        result = against_foreign(recording, sources, innovations)
+    notes.extend(f"{e.name} is not estimated: {e.reason}; the others are" for e in defective)
+    notes += [*motion_notes(recording), *foreign_motion_notes(recording)]
+    gyros: list[GyroCalibration] = []
+    estimates: list[_Estimate] = []
+    checks: list[GyroParity] = []
+    doubts: list[str] = []
+    for device in dict.fromkeys(data.device for _, data in sources):
+        own = [pair for pair in sources if pair[1].device == device]
+        own, found_of, said, doubtful = _device(recording, own, model, excluded)
+        its_gyros = [g for pair, one in zip(own, found_of, strict=True) for g in _gyros(recording, *pair, one)]
+        checks += _parity(own, found_of, its_gyros)
+        notes += said
+        for gyro in its_gyros:
+            prior = next(data.prior for name, data in own if name == gyro.source)
+            if not at_rest(recording.reference):  # else the body rests, and that was told
+                notes += unseen_notes(gyro.name, _type_a(gyro), prior)
+                notes += factor_notes(gyro.name, float(gyro.states[0]), float(gyro.sd[0]))
+        gyros += its_gyros
+        estimates += found_of
+        doubts += doubtful
+    squares, dof = sum(one.squares for one in estimates), sum(one.dof for one in estimates)
+    nis = squares / dof if dof and innovations else float("nan")
+    doubts += _nis_doubts(nis, estimates)
     order = [name for data in recording.sources.values() for name in data.array.names]
     return Calibration(
-        tuple(sorted(result.gyros, key=lambda gyro: order.index(gyro.name))),
-        result.nis_mean,
-        result.samples,
+        tuple(sorted(gyros, key=lambda gyro: order.index(gyro.name))),
+        nis,
+        sum(one.samples for one in estimates),
         sum(data.lost * len(data.array) for data in recording.sources.values()),
-        (*notes, *result.notes),
-        tuple(excluded),
-        result.parity,
-        result.model,
+        (*notes, *_parity_notes(checks), *effect_notes(gyros), *doubts),
+        tuple(defective),
+        tuple(checks),
+        model.text() if model is not None else "",
+        tuple(doubts),
+        holds_for(recording),
     )
 
 
-def _against_table(
+def _device(
     recording: Recording,
-    reference: TableReadings | RateReadings,
     sources: list[tuple[str, ImuData]],
-    innovations: bool,
     model: ErrorModel | None,
-) -> Calibration:
-    blocks = [source_blocks(recording, data, _block_s(data)) for _, data in sources]
-    for (source, data), own in zip(sources, blocks, strict=True):
-        enough(recording, source, data, int(own.rows.sum()))
-    if isinstance(reference, RateReadings):  # at rest: Earth rate is taken off, too slow to tell k from other effects
-        blocks = [replace(own, w_rps=np.zeros_like(own.w_rps)) for own in blocks]
-    notes = [*motion_notes(recording), *foreign_motion_notes(recording)]
-    span_s = max(float(b.t_s[-1] - b.t_s[0]) + b.length_s for b in blocks)
-    gyros: list[GyroCalibration] = []
-    checks: list[GyroParity] = []
-    squares, dof = 0.0, 0
-    for device in dict.fromkeys(data.device for _, data in sources):
-        members = [n for n, (_, data) in enumerate(sources) if data.device == device]
-        its_blocks, its_sources = [blocks[n] for n in members], [sources[n] for n in members]
-        if model is None:
-            estimates = _estimates(its_blocks, [data for _, data in its_sources], span_s)
-        else:
-            estimates = _with_effects(model, recording, reference, its_sources, its_blocks)
-        for n, found in zip(members, estimates, strict=True):
-            source, data = sources[n]
-            x, noise = found.x, found.noise
-            sample = _sample_noise_of(blocks[n], data.array, x)
-            arw = np.array([one.mean.arw for one in noise])
-            table: list[tuple[Contribution, ...]] = [()] * len(data.array)  # a body at rest has no errors of a table
-            if isinstance(reference, TableReadings):
-                table = table_budget(reference, recording.site, data.array, data.prior, arw)
-            rests: list[RestNoise | None] = [*rest_noise(data, reference)] or [None] * len(data.array)
-            for i, name in enumerate(data.array.names):
-                kinds = (*found.kinds[i], *table[i])
-                type_a = np.sum([c.covariance for c in found.kinds[i]], axis=0)
-                states, covariance = decode(x[i], np.sum([c.covariance for c in kinds], axis=0))
-                gyros.append(
-                    GyroCalibration(
-                        name,
-                        source,
-                        states,
-                        covariance,
-                        noise_rps=sample[i],
-                        p=data.array.p[i],
-                        device=device,
-                        budget=tuple(Contribution(c.name, decode(x[i], c.covariance)[1]) for c in kinds),
-                        noise=noise[i],
-                        rest=rests[i],
-                        effects=found.effects[i],
-                    )
-                )
-                if isinstance(reference, TableReadings):  # else the body rests, and that was told
-                    notes.extend(unseen_notes(name, type_a, data.prior))
-                    notes.extend(factor_notes(name, float(states[0]), float(np.sqrt(covariance[0, 0]))))
-            if innovations:
-                chi, count = _block_squares(found.blocks, data.array, x, sample)
-                squares, dof = squares + chi, dof + count
-        own_gyros = gyros[len(gyros) - sum(len(sources[n][1].array) for n in members) :]
-        checks += parity(
-            [sources[n][1].array for n in members],
-            [coarse(found.blocks) for found in estimates],
-            np.array([g.states for g in own_gyros]),
-            [g.noise.mean for g in own_gyros if g.noise],
+    excluded: frozenset[str] | None,
+) -> tuple[list[tuple[str, ImuData]], list[_Estimate], tuple[str, ...], tuple[str, ...]]:
+    """Return the sources of one device as they were estimated, the estimates, notes, and doubts about the sigmas."""
+    if isinstance(recording.reference, Turns):
+        return sources, [_white(recording, *pair) for pair in sources], (), ()
+    try:
+        delay_s = None
+        if is_external(recording):
+            sources, delay_s = aligned(recording, sources, model)
+        found = estimate_device(recording, sources, model, excluded, delay_s)
+    except TooShort:
+        if model is not None:
+            raise
+        return sources, [_white(recording, *pair) for pair in sources], (), ()
+    estimates = [_joint(recording, data, own) for (_, data), own in zip(sources, found.sources, strict=True)]
+    return sources, estimates, found.notes, found.doubts
+
+
+def _white(recording: Recording, source: str, data: ImuData) -> _Estimate:
+    """Return the estimate of a source under white noise: of turns, or of too few samples to tell what it is like."""
+    gram, m = gram_of(recording, source, data), len(data.array)
+    noise = None
+    if isinstance(recording.reference, Turns):  # a few rows: their doubt is stated, not found
+        # The rows are weighted by the noise of the worst channel, so that is what the noise is relative to.
+        noise = np.maximum(sample_noise(data).max(), solve(gram, data.array, data.prior).noise_rps)
+    found = solve(gram, data.array, data.prior, noise)
+    kinds: list[NoiseFound | None] = [None] * m
+    if noise is None:
+        arw = found.noise_rps * np.sqrt(row_length_s(recording, data))
+        kinds = [NoiseFound(NoiseModel(one), 0.0, 0.0) for one in arw.tolist()]
+    lines = [(Contribution("noise", covariance),) for covariance in found.covariance]
+    return _Estimate(found.x, lines, kinds, [()] * m, found.noise_rps, gram.rows * m)
+
+
+def _joint(recording: Recording, data: ImuData, found: Modelled) -> _Estimate:
+    """Return the joint estimate of a source, with the innovations of its block means."""
+    m = len(data.array)
+    if isinstance(recording.reference, (TableReadings, RateReadings)):
+        blocks = source_blocks(recording, data, _block_s(data))
+        if at_rest(recording.reference):
+            blocks = replace(blocks, w_rps=np.zeros_like(blocks.w_rps))
+        if found.said_rps.any():
+            since_ns = float(recording.reference.t_ns[0])
+            blocks = replace(blocks, z_rps=blocks.z_rps - found.said_at(blocks.t_s + since_ns * 1e-9))
+        noise_rps = _sample_noise_of(blocks, data, found.x)
+        squares, dof = _block_squares(blocks, data, found.x, noise_rps)
+        samples = int(blocks.rows.sum()) * m
+    else:
+        blocks, length_s, full = None, row_length_s(recording, data), int((found.run.weight > 0).sum())
+        noise_rps = found.white / np.sqrt(length_s)
+        squares = float(np.sum((found.left_rps / found.white) ** 2)) * found.run.length_s
+        dof, samples = max((full - 4) * m, 0), round(full * found.run.length_s / length_s) * m
+    return _Estimate(
+        found.x, found.lines, found.noise, found.effects, noise_rps, samples, squares, dof, blocks, found.expected_nis
+    )
+
+
+def _gyros(recording: Recording, source: str, data: ImuData, found: _Estimate) -> list[GyroCalibration]:
+    """Return the gyros of a source, the table's own uncertainty and the noise of its rests beside what was found."""
+    reference, m = recording.reference, len(data.array)
+    table: list[tuple[Contribution, ...]] = [()] * m
+    rests: list[RestNoise | None] = [None] * m
+    if isinstance(reference, TableReadings):
+        arw = np.array([one.mean.arw if one else 0.0 for one in found.noise])
+        table = table_budget(reference, recording.site, data.array, data.prior, arw)
+    if isinstance(reference, TableReadings) or at_rest(reference):
+        rests = [*rest_noise(data, reference)] or rests
+    gyros = []
+    for i, name in enumerate(data.array.names):
+        kinds = (*found.lines[i], *table[i])
+        states, covariance = decode(found.x[i], np.sum([c.covariance for c in kinds], axis=0))
+        gyros.append(
+            GyroCalibration(
+                name,
+                source,
+                states,
+                covariance,
+                float(found.noise_rps[i]),
+                data.array.p[i],
+                data.device,
+                tuple(Contribution(c.name, decode(found.x[i], c.covariance)[1]) for c in kinds),
+                found.noise[i],
+                rests[i],
+                found.effects[i],
+            )
         )
-    samples = sum(int(b.rows.sum()) * b.z_rps.shape[1] for b in blocks)
-    nis = squares / dof if dof else float("nan")
-    notes += [*_parity_notes(checks), *effect_notes(gyros)]
-    text = model.text() if model is not None else ""
-    return Calibration(tuple(gyros), nis, samples, 0, tuple(notes), (), tuple(checks), text)
+    return gyros
 
 
-def _estimates(blocks: list[Blocks], data: list[ImuData], span_s: float) -> list[_Estimate]:
-    """Return the estimates of the sources of one device."""
-    fits = _device_fits([coarse(own) for own in blocks], data, span_s)
-    found = []
-    for own, fit, weight in zip(blocks, fits, weights(fits), strict=True):
-        x, covariances, noise = combine(fit, weight)
-        kinds = [(Contribution("noise", covariance),) for covariance in covariances]
-        found.append(_Estimate(x, [*kinds], noise, [()] * len(x), own))
-    return found
+def _type_a(gyro: GyroCalibration) -> Floats:
+    """Return what the data leave open of a gyro's states (4, 4), whatever may be wrong with the reference."""
+    own = [line.covariance for line in gyro.budget if line.name in TYPE_A]
+    return np.asarray(np.sum(own, axis=0))
 
 
-def _with_effects(
-    model: ErrorModel,
-    recording: Recording,
-    reference: TableReadings | RateReadings,
-    sources: Sequence[tuple[str, ImuData]],
-    blocks: Sequence[Blocks],
-) -> list[_Estimate]:
-    """Return the same under an error model; blocks are rid of what its effects say."""
-    found = []
-    for own, one in zip(blocks, estimate_device(model, recording, sources), strict=True):
-        cleaned = replace(own, z_rps=own.z_rps - one.said_at(own.t_s + float(reference.t_ns[0]) * 1e-9))
-        found.append(_Estimate(one.x, [one.budget(i) for i in range(len(one.x))], one.noise, one.effects, cleaned))
-    return found
+def _parity(
+    sources: Sequence[tuple[str, ImuData]], estimates: Sequence[_Estimate], gyros: Sequence[GyroCalibration]
+) -> list[GyroParity]:
+    """Return the parity check of the gyros of a device, none where there are no blocks to check."""
+    blocks = [one.blocks for one in estimates if one.blocks is not None]
+    if len(blocks) < len(estimates):
+        return []
+    noise = [gyro.noise.mean for gyro in gyros if gyro.noise is not None]
+    return parity([data.array for _, data in sources], blocks, np.array([gyro.states for gyro in gyros]), noise)
 
 
 def _block_s(data: ImuData) -> float:
@@ -199,15 +240,9 @@ def _block_s(data: ImuData) -> float:
     return max(BLOCK_S, _BLOCK_ROWS * period_s)
 
 
-def _device_fits(merged: list[Blocks], data: list[ImuData], span_s: float) -> list[GridFit]:
-    parts = [Part(b, d.array, d.prior) for b, d in zip(merged, data, strict=True)]
-    long_enough = min(len(b.index) for b in merged) >= FEWEST_BLOCKS
-    grid = NoiseGrid.over(span_s, data[0].noise) if long_enough else NoiseGrid.white()
-    return fit_grids(parts, grid)
-
-
-def _sample_noise_of(blocks: Blocks, array: SensorArray, x: Floats) -> Floats:
+def _sample_noise_of(blocks: Blocks, data: ImuData, x: Floats) -> Floats:
     """Return the scatter of single samples within blocks (m,), in rad/s, about the states x (m, 4)."""
+    array = data.array
     maps = regressor_maps(array)[:, :, 1:]
     rows = max(int(blocks.rows.sum()) - len(blocks.rows), 1)
     slopes = np.einsum("mi,mij->mj", x, maps)
@@ -215,15 +250,32 @@ def _sample_noise_of(blocks: Blocks, array: SensorArray, x: Floats) -> Floats:
     for i, slope in enumerate(slopes):
         weights_of = np.concatenate([-slope, np.eye(len(array))[i]])
         squares[i] = weights_of @ blocks.within @ weights_of
-    return np.sqrt(np.maximum(squares / rows, 1e-30))
+    return np.maximum(np.sqrt(np.maximum(squares / rows, 0.0)), 1e-3 * sample_noise(data))
 
 
-def _block_squares(blocks: Blocks, array: SensorArray, x: Floats, noise_rps: Floats) -> tuple[float, int]:
+def _block_squares(blocks: Blocks, data: ImuData, x: Floats, noise_rps: Floats) -> tuple[float, int]:
     """Return the squares of block means about the estimate, over those of white noise, and their number."""
     regressors = np.column_stack([np.ones(len(blocks.index)), blocks.w_rps])
-    rest = blocks.z_rps - np.einsum("rj,mij,mi->rm", regressors, regressor_maps(array), x)
+    rest = blocks.z_rps - np.einsum("rj,mij,mi->rm", regressors, regressor_maps(data.array), x)
     squares = float(np.sum(blocks.rows[:, None] * (rest / noise_rps) ** 2))
-    return squares, max(rest.size - 4 * len(array), 0)
+    return squares, max(rest.size - 4 * len(data.array), 0)
+
+
+def _nis_doubts(nis: float, estimates: Sequence[_Estimate]) -> list[str]:
+    """Return, in words, that a mean NIS is not what the noise found makes it, if it is not."""
+    dof = sum(one.dof for one in estimates)
+    if not dof or not np.isfinite(nis):
+        return []
+    mean = sum(one.dof * one.expected_nis[0] for one in estimates) / dof
+    sd = np.hypot(
+        np.sqrt(sum((one.dof * one.expected_nis[1]) ** 2 for one in estimates)) / dof, np.sqrt(2 / dof) * mean
+    )
+    if abs(nis - mean) <= _CHANCE * sd + _NEAR * mean:
+        return []
+    return [
+        f"mean NIS {nis:.3g}, where the noise that was found gives {mean:.3g} +- {sd:.2g}: single samples and "
+        "means do not tell of the same noise"
+    ]
 
 
 def _parity_notes(checks: list[GyroParity]) -> list[str]:

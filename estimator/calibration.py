@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.budget import Contribution
-from estimator.coloured import NoiseFound
 from estimator.health import Excluded
 from estimator.model import Prior
+from estimator.noise import NoiseFound
 from estimator.parity import GyroParity
 from estimator.rests import RestNoise
 
@@ -67,7 +67,8 @@ class Calibration:
     """What one recording says of its gyros. ``samples`` counts gyro samples used, ``lost`` those missing.
 
     ``excluded`` are gyros that could not be estimated; ``parity`` is what the gyros of redundant devices say of
-    each other. ``model`` is the text of the error model that the estimate began with, if one was given.
+    each other. ``model`` is the text of the error model that the estimate began with, if one was given. ``doubts`` are
+    those of the notes that speak against the sigmas, ``holds_for`` the conditions that the states are of.
     """
 
     gyros: tuple[GyroCalibration, ...]
@@ -78,6 +79,8 @@ class Calibration:
     excluded: tuple[Excluded, ...] = ()
     parity: tuple[GyroParity, ...] = ()
     model: str = ""
+    doubts: tuple[str, ...] = ()
+    holds_for: str = ""
 
 
 def unseen_notes(name: str, covariance: Floats, prior: Prior) -> list[str]:

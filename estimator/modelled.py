@@ -1,61 +1,68 @@
-"""States and effects estimated together, under an error model and coloured noise.
+"""The gyros of one device against its reference: states, effects of an error model, a delay of the reference.
 
-The machinery is that of tracing: block means in the cosine domain, all noise models at once. What an effect could do
-that the motion does not show stays as wide as it typically is, and the sigmas of the states hold it.
+All are estimated jointly (``estimator.joint``). What an effect could do that the motion does not show stays as wide as
+it typically is, and the sigmas of the states hold it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.budget import Contribution
-from estimator.calibration import Calibration, EffectValue, GyroCalibration, unseen_notes
-from estimator.coloured import NoiseFound, quantile
-from estimator.effects.effect import Effect
-from estimator.error_model import ErrorModel, KnownEffect, ModelError
-from estimator.errors import RecordingError
-from estimator.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest, factor_notes, foreign_motion_notes
-from estimator.model import decode
-from estimator.noise import NoiseModel
+from estimator.budget import UNSEEN, Contribution
+from estimator.calibration import EffectValue, GyroCalibration
+from estimator.effects.dynamics import latency
+from estimator.error_model import ErrorModel, ModelError
+from estimator.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
+from estimator.joint import Joint, Law, TooShort, expected_of, joint_estimate, tone_hz
+from estimator.noise import NoiseFound
 from estimator.recording import ImuData, Recording
-from estimator.reference import Turns
-from estimator.rows import row_length_s
-from estimator.tracing.evidence import Evidence, Posterior, Term
+from estimator.reference import TableReadings, Turns
 from estimator.tracing.runs import Run, run_of
-from estimator.tracing.spectra import NoiseShapes, Z, gyro_spectra
-from estimator.tracing.tones import TONE, samples_of, tone_columns
+from estimator.tracing.spectra import Z
+from estimator.undeclared import undeclared_laws
 
 Floats = NDArray[np.float64]
+Sources = Sequence[tuple[str, ImuData]]
 
+EFFECTS = "effects"
+"""Line of the budget that holds what the data do not show of the effects of an error model."""
+_STATES = ("k", "b", "sigma_j", "sigma_k")
+_DELAY = "delay of the reference"
+_DELAY_SD_S = 0.02
+_SETTLED_S = 1e-4
+_LARGEST_STEP_S = 0.05  # beyond, a motion is no straight line any more
+_MOST_STEPS = 12
+_KNOWN = 0.2  # sigma of k below which the sign of an output is known
+_TOLD = 3.0  # sigmas from which on a delay is told
 _UNSEEN = 0.7  # of what is expected of a parameter: a larger sigma says that the run did not show it
+_BY_CHANCE = 1e-4  # probability that one of all states differs so between halves
+_MOST_NAMED, _NAMED = 3, 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Modelled:
     """Estimate of the gyros (m) of one source.
 
-    ``x`` (m, 4) and ``covariance`` (m, 4, 4) are of the states [k, b, s_j, s_k]; ``of_effects`` (m, 4, 4) is the part
-    of the covariance that would be gone if the effects were known. ``noise`` and ``effects`` are by gyro;
-    ``said_rps`` (b, m) is what the effects add to the output over the blocks of ``run``.
+    ``x`` (m, 4) are the states [k, b, s_j, s_k]; ``lines`` is what their covariance is the sum of. ``noise`` and
+    ``effects`` are by gyro; ``white`` (m,) is the angle random walk in the upper half of the frequencies. ``said_rps``
+    (b, m) is what effects add to the output over the blocks of ``run``. ``expected_nis``: of block means taken as
+    white, mean and standard deviation.
     """
 
     x: Floats
-    covariance: Floats
-    of_effects: Floats
+    lines: list[tuple[Contribution, ...]]
     noise: list[NoiseFound]
     effects: list[tuple[EffectValue, ...]]
+    white: Floats
     said_rps: Floats
     run: Run
-    notes: tuple[str, ...] = ()
-
-    def budget(self, gyro: int) -> tuple[Contribution, ...]:
-        """Return what noise and effects contribute to the covariance of a gyro's states [k, b, s_j, s_k]."""
-        noise = self.covariance[gyro] - self.of_effects[gyro]
-        return Contribution("noise", noise), Contribution("effects", self.of_effects[gyro])
+    expected_nis: tuple[float, float]
 
     def said_at(self, t_s: Floats) -> Floats:
         """Return what the effects add to the outputs (rows, m) at instants on the recording's clock."""
@@ -68,6 +75,15 @@ class Modelled:
         return np.asarray((self.run.z_rps - explained) * self.run.weight[:, None])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Device:
+    """What a recording says of one device: by source, what a person should know, and what speaks against it."""
+
+    sources: tuple[Modelled, ...]
+    notes: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+
 def check_model(model: ErrorModel, recording: Recording) -> None:
     """See that effects can be estimated against the reference of a recording at all; ModelError if not."""
     if isinstance(recording.reference, Turns):
@@ -77,92 +93,73 @@ def check_model(model: ErrorModel, recording: Recording) -> None:
         )
 
 
+def is_external(recording: Recording) -> bool:
+    """Return whether the reference is another instrument's, whose stamps and errors nobody knows beforehand."""
+    own = isinstance(recording.reference, TableReadings) and "bench" in recording.attributes
+    return not own and not at_rest(recording.reference)
+
+
+def aligned(
+    recording: Recording, sources: Sources, model: ErrorModel | None
+) -> tuple[list[tuple[str, ImuData]], float]:
+    """Return the sources of one device with their stamps moved to those of an external reference, and by how much.
+
+    Gauss-Newton: the delay that is found is taken off the stamps, and estimated again until it is below 0.1 ms.
+    """
+    moved, delay_s = list(sources), 0.0
+    for _ in range(_MOST_STEPS):
+        runs = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
+        laws = [*_model_laws(model, recording, runs), _delay_law(delay_s)]
+        joint = joint_estimate(runs, laws, sources[0][1].noise, any_spectrum=True)
+        step_s, sd_s = _delay(joint)
+        # An output that is opposite to the reference has its delay the other way round, too.
+        gains = [1 - mean[0] for mean, c in zip(joint.means, joint.covariances, strict=True) if c[0, 0] < _KNOWN**2]
+        step_s *= float(np.sign(np.median(gains or [1.0])))
+        if abs(step_s) < max(_SETTLED_S, 0.01 * sd_s):
+            break
+        delay_s += float(np.clip(step_s, -_LARGEST_STEP_S, _LARGEST_STEP_S))
+        moved = [(name, replace(data, t_ns=data.t_ns - round(delay_s * 1e9))) for name, data in sources]
+    return moved, delay_s
+
+
 def estimate_device(
-    model: ErrorModel, recording: Recording, sources: Sequence[tuple[str, ImuData]], *, clustered: bool = False
-) -> list[Modelled]:
+    recording: Recording,
+    sources: Sources,
+    model: ErrorModel | None,
+    excluded: frozenset[str] | None,
+    delay_s: float | None,
+) -> Device:
     """Return the estimate of the sources of one device.
 
-    ``clustered``: the errors of the reference hang together over 5 s, and the covariances hold it.
+    ``model`` holds effects that are estimated beside the states. ``excluded`` are effects of the catalogue that the
+    device and its table do not have; None for all. ``delay_s``: the reference is another instrument's, and so much has
+    been taken off the gyros' stamps (``aligned``); what is left of the delay is estimated with the states, and the
+    errors of the reference may hang together over 5 s, which the covariances hold.
 
-    Raises ModelError for a model that needs what the recording lacks, RecordingError for too little data.
+    Raises ModelError for a model that needs what the recording lacks, TooShort for too little data.
     """
-    runs = [_run(recording, number, source, data) for number, (source, data) in enumerate(sources)]
-    try:
-        made = model.made(runs[0].grid.gimbals, frozenset.intersection(*(run.grid.offers for run in runs)))
-    except ModelError as error:
-        raise ModelError(f"{recording.name}: {error}") from None
-    parts = sorted((_Part(known, e) for known, e in zip(model.effects, made, strict=True)), key=lambda p: p.shared)
-    columns = [_columns(run, parts) for run in runs]
-    mean = np.concatenate([part.mean for part in parts])
-    shifted = [replace(r, z_rps=r.z_rps - np.einsum("mbp,p->bm", c, mean)) for r, c in zip(runs, columns, strict=True)]
-    spectra = gyro_spectra(shifted)
-    if len(spectra) < sum(len(run.array) for run in runs):
-        raise RecordingError(_too_little(recording, sources[0][0]))
-    for gyro in spectra:
-        gyro.add([_of_stretch(gyro.name, runs[s.run], columns[s.run], s.blocks) for s in gyro.stretches])
-    span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
-    shapes = NoiseShapes.over(span_s)
-    # One recording is of one power-on: no bias changes but by wandering.
-    evidence = Evidence(spectra, shapes.select(shapes.turn_on == 0))
-    terms = _terms(parts)
-    evidence.narrow([[], terms])
-    weight = evidence.noise_weight(terms)
-    posterior = evidence.posterior(terms, weight)
-    found, first = [], 0
-    for run, moved, own in zip(runs, shifted, columns, strict=True):
-        gyros = range(first, first + len(run.array))
-        first = gyros.stop
-        means = [np.concatenate([posterior.own[g], posterior.shared]) for g in gyros]
-        covariances = [_whole(posterior, g) for g in gyros]
-        notes: list[str] = []
-        if clustered:
-            for i, g in enumerate(gyros):
-                covariances[i], said = _clustered(moved, i, own[i], means[i], covariances[i], spectra[g].arw)
-                notes += said
-        noise = [_noise(spectra[g].arw, evidence.shapes, weight) for g in gyros]
-        found.append(_modelled(run, parts, own, means, covariances, noise, tuple(notes)))
-    return found
-
-
-def against_reference(
-    model: ErrorModel, recording: Recording, sources: Sequence[tuple[str, ImuData]], innovations: bool
-) -> Calibration:
-    """Return the estimate against an attitude or a rate, whose own errors hang together over clusters of 5 s."""
-    gyros: list[GyroCalibration] = []
-    notes = foreign_motion_notes(recording)
-    squares, dof, samples = 0.0, 0, 0
-    for device in dict.fromkeys(data.device for _, data in sources):
-        members = [pair for pair in sources if pair[1].device == device]
-        for (source, data), found in zip(
-            members, estimate_device(model, recording, members, clustered=True), strict=True
-        ):
-            notes += found.notes
-            length_s = row_length_s(recording, data)
-            arw = np.array([noise.mean.arw for noise in found.noise])
-            for i, name in enumerate(data.array.names):
-                states, covariance = decode(found.x[i], found.covariance[i])
-                gyros.append(
-                    GyroCalibration(
-                        name,
-                        source,
-                        states,
-                        covariance,
-                        float(arw[i] / np.sqrt(length_s)),
-                        data.array.p[i],
-                        data.device,
-                        tuple(Contribution(c.name, decode(found.x[i], c.covariance)[1]) for c in found.budget(i)),
-                        found.noise[i],
-                        effects=found.effects[i],
-                    )
-                )
-                notes += unseen_notes(name, found.covariance[i], data.prior)
-                notes += factor_notes(name, float(states[0]), float(np.sqrt(covariance[0, 0])))
-            full = int(found.run.weight.sum())
-            samples += round(full * found.run.length_s / length_s) * len(data.array)
-            squares += float(np.sum((found.left_rps / arw) ** 2)) * found.run.length_s
-            dof += max((full - 4) * len(data.array), 0)
-    nis = squares / dof if dof and innovations else float("nan")
-    return Calibration(tuple(gyros), nis, samples, 0, (*notes, *effect_notes(gyros)), model=model.text())
+    runs = [_run(recording, number, *pair) for number, pair in enumerate(sources)]
+    laws = _model_laws(model, recording, runs)
+    if delay_s is not None and not any(law.effect.name in ("latency", "sample_hold") for law in laws):
+        laws.append(_delay_law(delay_s))
+    stated = sources[0][1].noise
+    joint = plain = joint_estimate(runs, laws, stated, any_spectrum=delay_s is not None)
+    covariances, notes = _clustered(plain) if delay_s is not None else (plain.covariances, [])
+    unseen: list[Floats] | None = None
+    if excluded is not None and model is None:
+        further, runs = undeclared_laws(runs, excluded | {law.effect.name for law in laws})
+        joint = joint_estimate(runs, [*laws, *further], stated, any_spectrum=delay_s is not None) if further else plain
+        notes += _undeclared_notes(joint)
+    if delay_s is not None:
+        notes += _delay_notes(plain, covariances, delay_s)
+        # What is left may be the reference's as well: it does not decide on effects of the gyros.
+        chosen = [n for n, law in enumerate(joint.laws) if law.line == UNSEEN]
+        unseen = [_through(joint, c, chosen) for c in joint.covariances] if chosen else None
+        joint = plain
+    elif joint is not plain:
+        covariances = joint.covariances
+    found = [_modelled(joint, number, covariances, unseen) for number in range(len(joint.runs))]
+    return Device(tuple(found), tuple(notes), tuple(_halves(plain, delay_s is not None)))
 
 
 def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
@@ -182,136 +179,209 @@ def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
     ]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    known: KnownEffect
-    effect: Effect
-
-    @property
-    def shared(self) -> bool:
-        return self.effect.shared
-
-    @property
-    def mean(self) -> Floats:
-        """What is expected of each parameter, in its own sigmas: columns are scaled by these."""
-        return self.known.mean / self.known.sd
-
-
 def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
     # Two sources may have gyros of the same names.
     named = replace(data, array=replace(data.array, names=tuple(f"{number} {name}" for name in data.array.names)))
     run = run_of(recording, source, named)
     if run is None:
-        raise RecordingError(_too_little(recording, source))
+        raise TooShort(
+            f"{recording.name}: source {source} holds too little data to estimate effects beside the states: 8 s of "
+            "samples that the reference covers are needed"
+        )
     if at_rest(recording.reference):  # Earth rate is too slow to tell k from other effects
-        return replace(run, w_rps=np.zeros_like(run.w_rps))
+        return replace(run, w_rps=np.zeros_like(run.w_rps), z_rps=_sample_means(run))
     return run
 
 
-def _too_little(recording: Recording, source: str) -> str:
-    return (
-        f"{recording.name}: source {source} holds too little data to estimate effects beside the states: 8 s of "
-        "samples that the reference covers are needed"
+def _sample_means(run: Run) -> Floats:
+    """Return output errors (b, m) as means over the samples of each block: at rest there is nothing to integrate."""
+    first_s = run.t_s[0] - 0.5 * run.length_s
+    block = np.round((run.t_s - run.t_s[0]) / run.length_s).astype(np.intp)
+    number = np.floor((run.data.t_ns * 1e-9 - first_s) / run.length_s + 1e-9).astype(np.intp)
+    inside = (number >= 0) & (number <= block[-1])
+    number, rate = number[inside], run.data.rate_rps[inside]
+    counts = np.bincount(number, minlength=block[-1] + 1)[block, None]
+    sums = np.column_stack([np.bincount(number, own, block[-1] + 1)[block] for own in rate.T])
+    return np.where(counts > 0, sums / np.maximum(counts, 1) - run.w_rps @ run.array.p.T, run.z_rps)
+
+
+def _model_laws(model: ErrorModel | None, recording: Recording, runs: Sequence[Run]) -> list[Law]:
+    if model is None:
+        return []
+    try:
+        made = model.made(runs[0].grid.gimbals, frozenset.intersection(*(run.grid.offers for run in runs)))
+    except ModelError as error:
+        raise ModelError(f"{recording.name}: {error}") from None
+    return [
+        Law(known.called, effect, known.mean, known.sd, EFFECTS, tone_hz(known.name, known.settings))
+        for known, effect in zip(model.effects, made, strict=True)
+    ]
+
+
+def _delay_law(taken_off_s: float) -> Law:
+    """Return a delay of which so much is taken off already; expected to be within 20 ms in all."""
+    return Law(_DELAY, latency(), np.array([-taken_off_s]), np.array([_DELAY_SD_S]))
+
+
+def _delay(joint: Joint) -> tuple[float, float]:
+    """Return the delay that is left, and its standard deviation; it is the same for every gyro."""
+    number = next((n for n, law in enumerate(joint.laws) if law.called == _DELAY), None)
+    if number is None:
+        return 0.0, 0.0
+    at, law = joint.slice_of(number).start, joint.laws[number]
+    value = float(np.mean([mean[at] for mean in joint.means])) * law.sd[0] + law.mean[0]
+    return float(value), float(np.mean([np.sqrt(c[at, at]) for c in joint.covariances]) * law.sd[0])
+
+
+def _delay_notes(joint: Joint, covariances: Sequence[Floats], taken_off_s: float) -> list[str]:
+    left_s, _ = _delay(joint)
+    _, sd_s = _delay(replace(joint, covariances=list(covariances)))
+    delay_s = taken_off_s + left_s
+    if not sd_s or abs(delay_s) < _TOLD * sd_s:
+        return []
+    later = "gyros" if delay_s > 0 else "reference"
+    return [
+        f"reference and gyros are {1e3 * abs(delay_s):.1f} +- {max(1e3 * sd_s, 0.1):.1f} ms apart, the {later} late by "
+        "their stamps: the states are those without this delay"
+    ]
+
+
+def _halves(joint: Joint, clustered: bool) -> list[str]:
+    """Return, in words, what of the states differs between the halves of a recording by more than chance."""
+    try:
+        early, late = joint.halves()
+    except TooShort:
+        return []
+    names = [name.partition(" ")[2] for run in joint.runs for name in run.array.names]
+    spread = [_clustered(half)[0] if clustered else half.covariances for half in (early, late)]
+    limit = NormalDist().inv_cdf(1 - _BY_CHANCE / (8 * len(names)))
+    found = []
+    for name, a, b, ca, cb in zip(names, early.means, late.means, *spread, strict=True):
+        sigmas = np.abs(a[:4] - b[:4]) / np.sqrt(np.diag(ca)[:4] + np.diag(cb)[:4])
+        found += [(float(s), f"{state} of {name}") for s, state in zip(sigmas, _STATES, strict=True) if s > limit]
+    if not found:
+        return []
+    size, worst = max(found)
+    others = f", and {len(found) - 1} other states of {4 * len(names)}" if len(found) > 1 else ""
+    return [f"the two halves of this recording disagree: {worst} by {size:.0f} sigma{others}"]
+
+
+def _modelled(joint: Joint, number: int, covariances: Sequence[Floats], unseen: Sequence[Floats] | None) -> Modelled:
+    run, gyros = joint.runs[number], joint.gyros_of(number)
+    further = [() if unseen is None else (Contribution(UNSEEN, unseen[g]),) for g in gyros]
+    lines = [(*_lines(joint, covariances[g]), *more) for g, more in zip(gyros, further, strict=True)]
+    columns, expected = joint.columns[number], expected_of(joint.laws)
+    values = [joint.means[g][4:] + expected for g in gyros]
+    said = np.column_stack([c @ v for c, v in zip(columns, values, strict=True)])
+    return Modelled(
+        np.array([joint.means[g][:4] for g in gyros]),
+        lines,
+        [joint.noise[g] for g in gyros],
+        [_values(joint, v, covariances[g]) for g, v in zip(gyros, values, strict=True)],
+        joint.white[gyros.start : gyros.stop],
+        said,
+        replace(run, z_rps=run.z_rps + np.einsum("mbp,p->bm", columns, expected)),
+        joint.expected_nis,
     )
 
 
-def _columns(run: Run, parts: Sequence[_Part]) -> Floats:
-    """Return the block means (m, b, p) of all effects, scaled by what is expected of each parameter."""
-    waves: dict[str, Floats] = {}
-    tones = [part.known for part in parts if part.known.name == TONE]
-    if tones:
-        samples = samples_of(run)
-        waves = {tone.called: tone_columns(float(tone.settings["frequency_hz"]), run, samples) for tone in tones}
-    of_gyros = []
-    for gyro in range(len(run.array)):
-        own = [
-            (waves[p.known.called] if p.known.called in waves else run.columns(p.effect, gyro)) * p.known.sd
-            for p in parts
-        ]
-        of_gyros.append(np.hstack(own))
-    return np.array(of_gyros)
+def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:
+    """Return what makes up the covariance of the states: noise, and what would be gone if laws of a line were known."""
+    left, lines = covariance[:4, :4], []
+    for name in dict.fromkeys(law.line for law in joint.laws if law.line):
+        chosen = [n for n, law in enumerate(joint.laws) if law.line == name]
+        lines.append(Contribution(name, _through(joint, covariance, chosen)))
+        left = left - lines[-1].covariance
+    return Contribution("noise", left), *lines
 
 
-def _of_stretch(name: str, run: Run, columns: Floats, blocks: slice) -> Floats:
-    return np.asarray((columns[run.array.names.index(name)] * run.weight[:, None])[blocks])
+def _through(joint: Joint, covariance: Floats, laws: Sequence[int]) -> Floats:
+    """Return the part (4, 4) of the covariance of the states that comes of some laws."""
+    at = np.concatenate([np.arange(len(covariance))[joint.slice_of(n)] for n in laws])
+    across = covariance[:4, at]
+    return np.asarray(across @ np.linalg.solve(covariance[np.ix_(at, at)], across.T))
 
 
-def _terms(parts: Sequence[_Part]) -> list[Term]:
-    terms, start = [], Z + 1
-    for part in parts:
-        stop = start + len(part.known.sizes)
-        terms.append(Term(part.known.called, tuple(range(start, stop)), part.shared))
-        start = stop
-    return terms
+def _undeclared_notes(joint: Joint) -> list[str]:
+    """Return which undeclared effects make up most of the sigmas of the states, in words."""
+    laws = [n for n, law in enumerate(joint.laws) if law.line == UNSEEN]
+    if not laws:
+        return []
+    whole = np.array([np.diag(c)[:4] for c in joint.covariances])
+    shares: dict[str, float] = {}
+    for n in laws:
+        name = joint.laws[n].called
+        part = [np.diag(_through(joint, c, [n])) for c in joint.covariances]
+        shares[name] = max(shares.get(name, 0.0), float(np.max(np.mean(part / whole, axis=0))))
+    worst = sorted((name for name in shares if shares[name] > _NAMED), key=lambda name: -shares[name])[:_MOST_NAMED]
+    if not worst:
+        return []
+    return [
+        f"the sigmas hold effects that this script cannot show, mostly {', '.join(worst)}: the section undeclared "
+        "of the bench file says which are ruled out, --model which there are"
+    ]
 
 
-def _whole(posterior: Posterior, gyro: int) -> Floats:
-    """Return the covariance (c, c) of [states, own effects, shared effects] of a gyro."""
-    own, cross = posterior.own_covariance[gyro], posterior.cross[gyro]
-    return np.block([[own, cross], [cross.T, posterior.shared_covariance]])
+def _values(joint: Joint, shares: Floats, covariance: Floats) -> tuple[EffectValue, ...]:
+    """Return the effects of an error model as found on a gyro."""
+    doubts = np.sqrt(np.diag(covariance)[4:])
+    edges = np.cumsum([0, *(len(law.sd) for law in joint.laws)]).tolist()
+    return tuple(
+        EffectValue(law.called, p.name, float(v * sd), float(d * sd), p.unit, float(sd), law.shared)
+        for law, (a, b) in zip(joint.laws, pairwise(edges), strict=True)
+        if law.line == EFFECTS
+        for p, v, d, sd in zip(law.effect.parameters, shares[a:b], doubts[a:b], law.sd, strict=True)
+    )
 
 
-def _noise(arw: float, shapes: NoiseShapes, weight: Floats) -> NoiseFound:
-    instability, walk = shapes.instability * arw, shapes.walk * arw
-    mean = NoiseModel(arw, float(weight @ instability), float(weight @ walk))
-    return NoiseFound(mean, quantile(instability, weight), quantile(walk, weight))
-
-
-def _modelled(
-    run: Run,
-    parts: Sequence[_Part],
-    columns: Floats,
-    means: Sequence[Floats],
-    covariances: Sequence[Floats],
-    noise: list[NoiseFound],
-    notes: tuple[str, ...],
-) -> Modelled:
-    expected = np.concatenate([part.mean for part in parts])
-    effects, of_effects, said = [], [], []
-    for mean, covariance, own in zip(means, covariances, columns, strict=True):
-        shares = mean[4:] + expected
-        doubts = np.sqrt(np.diag(covariance)[4:])
-        said.append(own @ shares)
-        effects.append(_values(parts, shares, doubts))
-        across = covariance[:4, 4:]
-        of_effects.append(across @ np.linalg.solve(covariance[4:, 4:], across.T))
-    states = np.array([mean[:4] for mean in means])
-    whole = np.array([covariance[:4, :4] for covariance in covariances])
-    return Modelled(states, whole, np.array(of_effects), noise, effects, np.column_stack(said), run, notes)
-
-
-def _values(parts: Sequence[_Part], shares: Floats, doubts: Floats) -> tuple[EffectValue, ...]:
-    values, at = [], 0
-    for part in parts:
-        for size in part.known.sizes:
-            value, sd = float(shares[at] * size.sd), float(doubts[at] * size.sd)
-            values.append(EffectValue(part.known.called, size.name, value, sd, size.unit, size.sd, part.shared))
-            at += 1
-    return tuple(values)
-
-
-def _clustered(
-    run: Run, gyro: int, columns: Floats, mean: Floats, covariance: Floats, arw: float
-) -> tuple[Floats, list[str]]:
-    """Return a covariance (c, c) that holds for residuals correlated within clusters (Liang, Zeger 1986), and notes.
+def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
+    """Return covariances by gyro that hold for residuals correlated within clusters (Liang, Zeger 1986), and notes.
 
     No direction gets less than the covariance under coloured noise.
     """
-    both = np.hstack([run.state_columns()[gyro], columns]) * run.weight[:, None]
-    rest = (run.z_rps[:, gyro] * run.weight - both @ mean) * (run.length_s / arw**2)
-    rows = max(round(CLUSTER_S / run.length_s), 1)
-    scores = np.add.reduceat(both * rest[:, None], np.arange(0, len(rest), rows), axis=0)
-    name = run.data.array.names[gyro].partition(" ")[2]
-    if len(scores) < FEWEST_CLUSTERS:
-        return covariance, [f"{name}: too short to tell how the residual hangs together; sigmas assume its spectrum"]
-    precision = np.diag(np.concatenate([1 / run.prior.variances(), np.ones(columns.shape[1])]))
-    white = np.linalg.inv(both.T @ both * (run.length_s / arw**2) + precision)
-    found = white @ (scores.T @ scores * (len(scores) / (len(scores) - 1)) + precision) @ white
+    runs, n, whole = joint.runs, len(joint.means), len(joint.means[0])
+    own = 4 + sum(len(law.sd) for law in joint.laws if not law.shared)
+    begin = min(float(run.t_s[0]) for run in runs)
+    clusters = [((run.t_s - begin) / CLUSTER_S).astype(np.intp) for run in runs]
+    used = np.unique(np.concatenate([c[run.weight > 0] for run, c in zip(runs, clusters, strict=True)]))
+    if len(used) < FEWEST_CLUSTERS:
+        who = ", ".join(dict.fromkeys(run.source for run in runs))
+        return joint.covariances, [f"{who}: too short to tell how the residual hangs together; sigmas assume noise"]
+    places = [np.r_[g * own : (g + 1) * own, n * own : n * own + whole - own] for g in range(n)]
+    precision = np.ones(n * own + whole - own)
+    information, scores = (
+        np.zeros((len(precision),) * 2),
+        np.zeros((np.concatenate(clusters).max() + 1, len(precision))),
+    )
+    for g, place in enumerate(places):
+        t_s, rows = joint.whitened(g)
+        both = np.delete(rows, Z, axis=1)
+        information[np.ix_(place, place)] += both.T @ both
+        cluster = ((t_s - begin) / CLUSTER_S).astype(np.intp)
+        first = np.flatnonzero(np.diff(cluster, prepend=-1))
+        rest = both * (rows[:, Z] - both @ joint.means[g])[:, None]
+        scores[cluster[first][:, None], place] += np.add.reduceat(rest, first, axis=0)
+        precision[place[:4]] = 1 / joint.spectra[g].prior
+    white = np.linalg.inv(information + np.diag(precision))
+    # So few clusters fit so many parameters: their scores are too small by these.
+    meat = scores.T @ scores * (len(used) / max(len(used) - whole, len(used) / 4)) + np.diag(precision)
+    sandwich, out, notes = white @ meat @ white, [], []
+    for number, run in enumerate(runs):
+        for g, name, states in zip(joint.gyros_of(number), run.array.names, run.state_columns(), strict=True):
+            out.append(_larger(joint.covariances[g], sandwich[np.ix_(places[g], places[g])]))
+            seen = states * (run.weight * np.sqrt(run.length_s) / joint.arw[g])[:, None]
+            of_white = np.linalg.inv(seen.T @ seen + np.diag(1 / run.prior.variances()))
+            ratio = (np.diag(out[-1])[:4] / np.diag(of_white))[[0, 2, 3]]  # a bias always wanders
+            if ratio.mean() > COLOURED**2:
+                grown, who = float(np.sqrt(ratio.max())), name.partition(" ")[2]
+                notes.append(f"{who}: the residual is no white noise; sigmas are up to {grown:.1f} times as large")
+    return out, notes
+
+
+def _larger(covariance: Floats, other: Floats) -> Floats:
+    """Return the covariance (c, c) that has in each direction the larger of two variances."""
     root = np.linalg.cholesky(covariance)
-    ratio, directions = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, found).T))
+    half = np.linalg.solve(root, other)
+    ratio, directions = np.linalg.eigh(np.linalg.solve(root, half.T))
     basis = root @ directions
-    out = basis @ np.diag(np.maximum(ratio, 1.0)) @ basis.T
-    worst = float(np.sqrt(np.max(np.diag(out)[:4] / np.diag(covariance)[:4])))
-    if worst > COLOURED:
-        return out, [f"{name}: the residual hangs together; sigmas are up to {worst:.1f} times those of its spectrum"]
-    return out, []
+    return np.asarray(basis @ np.diag(np.maximum(ratio, 1.0)) @ basis.T)

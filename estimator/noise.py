@@ -34,6 +34,15 @@ class NoiseModel:
         return np.asarray(np.sqrt(self.arw**2 / tau_s + flicker + self.walk**2 * tau_s / 3))
 
 
+@dataclass(frozen=True, slots=True)
+class NoiseFound:
+    """Noise of one gyro as found, and what 95 % of the expectation is below."""
+
+    mean: NoiseModel
+    instability_below: float
+    walk_below: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MeansCovariance:
     """Covariance of means over blocks of one length, per unit of each kind of noise squared, each (B, B).

@@ -19,6 +19,7 @@ from estimator.noise import NoiseModel
 
 Floats = NDArray[np.float64]
 
+_MOST_BLOCKS, _FINEST_S = 200, 1.0
 _SUSPECT = 5.0  # sigmas of a mean over one block: chance gives it in one of a million
 
 
@@ -49,6 +50,7 @@ def parity(
         return []
     p, j, k = (np.vstack([getattr(array, axis) for array in arrays]) for axis in "pjk")
     sense = (1 - states[:, :1]) * (p - states[:, 3:4] * j + states[:, 2:3] * k)
+    blocks = [_coarse(own) for own in blocks]
     common = blocks[0].index
     for other in blocks[1:]:
         common = np.intersect1d(common, other.index)
@@ -88,3 +90,10 @@ def parity(
             )
         )
     return checks
+
+
+def _coarse(blocks: Blocks) -> Blocks:
+    """Return blocks of a second or more, at most 200 and half full: a fault that lasts shows better in these."""
+    span = int(blocks.index[-1] - blocks.index[0]) + 1
+    merged = blocks.merged(max(round(_FINEST_S / blocks.length_s), -(-span // _MOST_BLOCKS), 1))
+    return merged.select(2 * merged.held_s >= merged.length_s)

@@ -1,9 +1,9 @@
 """What a motion will show, before it is made: sigmas of the states, smallest effects, what looks alike.
 
 All of it is linear algebra on one information matrix a gyro, over the columns [four states | all effects], as the
-estimate against a table weighs them (``estimator.coloured``): block means under the covariance of coloured noise, and
-what happens within the blocks at the weight of their noise there. Each column is scaled by the prior sigma of its
-state or the largest plausible size of its effect, so that the prior information is one everywhere.
+estimate against a table weighs them but for rounding: means over a second and more under the covariance of coloured
+noise, and what happens within these blocks at the weight of their noise there. Each column is scaled by the prior sigma
+of its state or the largest plausible size of its effect, so that the prior information is one everywhere.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array import SensorArray
-from estimator.coloured import MOST_BLOCKS
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.kinematics import body_rate
@@ -32,7 +31,7 @@ UNSEEN = 0.5
 """A posterior sigma above this share of the prior's: the motion does not show it, as ``calibrate`` says."""
 ALIKE = 0.9
 """Correlation above which two effects are listed as not told apart."""
-_FINEST_S = 1.0  # blocks of the estimate are not shorter
+_FINEST_S, _MOST_BLOCKS = 1.0, 200  # of the blocks: the work grows with their third power
 _LEAST_SHARE = 1e-12  # of an effect's information: below it what is left of it is rounding
 _LEADS = 0.1  # a state leads a direction from this share of the largest on; k before b before s_j before s_k
 _ROUNDING = 1e-3
@@ -159,13 +158,13 @@ def _information(conditions: Conditions, device: PlannedDevice, effects: Sequenc
 
 
 def weighed(columns: Floats, t_s: Floats, period_s: float, noise: NoiseModel) -> Floats:
-    """Return the products (c, c) of columns (N, c) at even instants, as ``estimator.coloured`` weighs them."""
+    """Return the products (c, c) of columns (N, c) at even instants, as the estimate weighs them."""
     return _Weighting.of(t_s, period_s, noise).products(columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Weighting:
-    """How ``estimator.coloured`` weighs rows: in blocks that begin at ``first`` (B,) and have so many ``rows`` (B,).
+    """How rows are weighed: in blocks that begin at ``first`` (B,) and have so many ``rows`` (B,).
 
     ``inverse`` (B, B) is that of the covariance of their means, ``within`` the weight of what is about the means.
     """
@@ -197,7 +196,7 @@ class _Weighting:
 
 def _block_length(duration_s: float) -> float:
     factor = round(_FINEST_S / BLOCK_S)
-    while duration_s / (factor * BLOCK_S) > MOST_BLOCKS:
+    while duration_s / (factor * BLOCK_S) > _MOST_BLOCKS:
         factor = int(np.ceil(factor * 1.25))
     return factor * BLOCK_S
 

@@ -66,6 +66,8 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
             "samples": calibration.samples,
             "lost": calibration.lost,
             "notes": list(calibration.notes),
+            "doubts": list(calibration.doubts),
+            "holds_for": calibration.holds_for,
             **named,
             **(attributes or {}),
         },

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from estimator.budget import Contribution
 from estimator.calibration import Calibration, EffectValue, GyroCalibration
-from estimator.coloured import NoiseFound
 from estimator.error_model import ErrorModel
 from estimator.errors import RecordingError
 from estimator.health import Excluded
-from estimator.noise import NoiseModel
+from estimator.noise import NoiseFound, NoiseModel
 from estimator.prober import probe
 
 Floats = NDArray[np.float64]
@@ -81,6 +80,8 @@ def _read(path: Path, file: Any, group: Any) -> Calibration:
         tuple(_texts(group.attrs.get("notes", ()))),
         tuple(Excluded(name, reason) for name, _, reason in excluded),
         model=model,
+        doubts=tuple(_texts(group.attrs.get("doubts", ()))),
+        holds_for=_text(group.attrs.get("holds_for", "")),
     )
 
 

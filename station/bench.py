@@ -6,10 +6,11 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from importlib import resources
 from pathlib import Path
 
+from estimator.effects.entries import Kind, entries
 from estimator.kinematics import Site
 from station.bench_imu import ImuConfig, read_imu
 from station.bench_table import TableConfig, read_table
@@ -33,6 +34,12 @@ class Limits:
     nis_high: float
     lost: float
 
+    @property
+    def stated(self) -> bool:
+        """Whether there is anything to judge by."""
+        least = (self.nis_low, 1 - self.lost)
+        return any(map(math.isfinite, astuple(self)[:6])) or math.isfinite(self.nis_high) or any(v > 0 for v in least)
+
 
 @dataclass(frozen=True, slots=True)
 class TwinConfig:
@@ -53,7 +60,8 @@ class Bench:
     """A whole bench, and the text of its file.
 
     ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
-    like there (regular expressions for the whole of it), empty for anything.
+    like there (regular expressions for the whole of it), empty for anything. ``excluded`` are effects of the catalogue
+    that devices and table do not have; None for all of them.
     """
 
     name: str
@@ -66,6 +74,7 @@ class Bench:
     station: str
     operator_pattern: str
     serial_pattern: str
+    excluded: frozenset[str] | None = None
 
     def checked_operator(self, text: str) -> str:
         """Return an operator's name as it is to be kept; UsageError with the pattern if it does not match."""
@@ -103,6 +112,7 @@ def load_bench(path: Path | None) -> Bench:
         station=place.string("name", name),
         operator_pattern=_pattern(place, "operator_pattern"),
         serial_pattern=_pattern(place, "serial_pattern"),
+        excluded=_excluded(top.table("undeclared", optional=True)),
     )
     place.done()
     top.done()
@@ -131,6 +141,21 @@ def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:
 def read_limits(text: str) -> Limits:
     """Return the limits of a bench file's text, for instance the one that a recording carries."""
     return _limits(Table.parse(text, "bench in the recording", BenchError).table("limits", optional=True))
+
+
+def read_excluded(text: str) -> frozenset[str] | None:
+    """Return the effects that a bench file's text rules out, None if all."""
+    return _excluded(Table.parse(text, "bench in the recording", BenchError).table("undeclared", optional=True))
+
+
+def _excluded(table: Table) -> frozenset[str] | None:
+    which = table.string("effects", "all", one_of=("all", "none"))
+    excluded = frozenset(table.strings("excluded")) if table.has("excluded") else frozenset[str]()
+    laws = dict.fromkeys(e.name.rstrip("_0123456789") for e in entries() if e.kind is Kind.LAW)  # harmonics together
+    for unknown in sorted(excluded - set(laws)):
+        raise table.fail("excluded", f"{unknown!r} is none of {', '.join(laws)}")
+    table.done()
+    return None if which == "none" else excluded
 
 
 def _pattern(table: Table, key: str) -> str:

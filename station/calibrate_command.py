@@ -22,10 +22,10 @@ from estimator.errors import EstimatorError, RecordingError
 from estimator.recording import Recording, read_recording
 from estimator.repeatability import Repeatability, repeatability, same_device
 from estimator.results import write_calibration
-from station.bench import Limits, load_bench, read_limits
+from station.bench import Bench, load_bench, read_excluded, read_limits
 from station.campaigns import run_all
 from station.errors import UsageError
-from station.outcome import Outcome, Verdict, judge
+from station.outcome import Verdict, judge
 from station.printing import (
     OverviewLine,
     print_calibration,
@@ -59,10 +59,10 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     """Estimate the gyros of each recording; the worst exit code of all."""
     try:
         names = recordings_of(arguments.recordings)
-        limits = load_bench(Path(arguments.bench)).limits if arguments.bench else None
+        bench = load_bench(Path(arguments.bench)) if arguments.bench else None
         model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
         results, failures = run_all(
-            partial(estimate, limits=limits, write=arguments.write, model=model),
+            partial(estimate, bench=bench, write=arguments.write, model=model),
             [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
             label="calibrating",
             scheduler=arguments.scheduler,
@@ -92,21 +92,19 @@ def recordings_of(arguments: Sequence[str]) -> list[str]:
     return list(found.values())
 
 
-def estimate(name: str, *, limits: Limits | None, write: bool, model: ErrorModel | None = None) -> Estimated:
-    """Estimate the gyros of one recording and judge them, by its own limits unless some are given.
+def estimate(name: str, *, bench: Bench | None, write: bool, model: ErrorModel | None = None) -> Estimated:
+    """Estimate the gyros of one recording and judge them, by its own bench file unless one is given.
 
     ``model``: effects to estimate beside the states.
 
     Raises EstimatorError or UsageError for a recording that cannot be used, or not be written into.
     """
     recording = read_recording(Path(name))
-    limits = limits or _own_limits(recording)
-    calibration = calibrate(recording, model=model)
-    verdict = (
-        judge(calibration, limits)
-        if limits
-        else Verdict(Outcome.PASS, "estimated; the recording carries no limits to judge by")
-    )
+    text = str(recording.attributes.get("bench", ""))
+    limits = bench.limits if bench else read_limits(text)
+    excluded = bench.excluded if bench else read_excluded(text)
+    calibration = calibrate(recording, model=model, excluded=excluded)
+    verdict = judge(calibration, limits)
     if write:
         try:
             write_calibration(Path(name), calibration)
@@ -114,11 +112,6 @@ def estimate(name: str, *, limits: Limits | None, write: bool, model: ErrorModel
             raise RecordingError(f"{name} cannot be written into: {error}") from None
     attributes = {key: recording.attributes[key] for key in _KEPT if key in recording.attributes}
     return Estimated(calibration, verdict, attributes, _worst_share(recording, calibration))
-
-
-def _own_limits(recording: Recording) -> Limits | None:
-    text = recording.attributes.get("bench")
-    return read_limits(str(text)) if text else None
 
 
 def _worst_share(recording: Recording, calibration: Calibration) -> float:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from drivers.arrays import Floats
 from estimator.blocks import Blocks
 from estimator.budget import table_budget
-from estimator.coloured import FEWEST_BLOCKS, NoiseGrid, Part, coarse, combine, fit_grids, weights
+from estimator.joint import TooShort, joint_estimate, run_of_blocks
 from estimator.model import decode
+from estimator.recording import ImuData
 from estimator.reference import TableReadings
 from station.bench import Bench, Limits
 from station.bench_imu import ImuConfig
@@ -21,6 +23,7 @@ from station.live import RECENT_S, LiveEstimate, LiveSource
 _LOOK_EVERY_S = 1.0
 _CONFIRM_EVERY_S = 5.0  # an estimate under coloured noise takes a host a third of a second
 _ENOUGH = 0.9  # of a limit: the samples of the last seconds may raise what is found of the noise
+_NO_STAMPS = np.empty(0, dtype=np.int64)
 _IN_A_ROW = 2  # so many confirmations: an estimate that is looked at often dips below its limit by chance
 
 
@@ -90,17 +93,22 @@ class EarlyEnd:
         """Return the largest sigma of a device as a share of its limit, as ``estimator.calibrate`` finds it."""
         own = [pair for name, pair in sources.items() if self._configs[name].name == device]
         config = next(config for config in self._configs.values() if config.name == device)
-        parts = [Part(coarse(blocks), source.array, source.prior) for source, blocks in own]
-        if min(len(part.blocks.index) for part in parts) < FEWEST_BLOCKS:
+        runs = []
+        for number, (source, blocks) in enumerate(own):
+            named = replace(source.array, names=tuple(f"{number} {name}" for name in source.array.names))
+            data = ImuData(named, _NO_STAMPS, np.empty((0, len(named))), prior=source.prior)
+            runs.append(run_of_blocks(device, data, blocks, readings))
+        try:
+            found = joint_estimate(runs, (), config.noise)
+        except TooShort:
             return np.inf
-        span_s = max(float(blocks.t_s[-1] - blocks.t_s[0]) + blocks.length_s for _, blocks in own)
-        fits = fit_grids(parts, NoiseGrid.over(span_s, config.noise))
         share = 0.0
-        for part, fit, weight in zip(parts, fits, weights(fits), strict=True):
-            x, covariances, noise = combine(fit, weight)
-            arw = np.array([found.mean.arw for found in noise])
-            tables = table_budget(readings, self._bench.site, part.array, part.prior, arw)
-            for i, table in enumerate(tables):
-                covariance = decode(x[i], covariances[i] + sum(line.covariance for line in table))[1]
-                share = max(share, float((np.sqrt(np.diag(covariance)) / self._required).max()))
+        for number, run in enumerate(found.runs):
+            gyros = found.gyros_of(number)
+            arw = found.arw[gyros.start : gyros.stop]
+            tables = table_budget(readings, self._bench.site, run.array, run.prior, arw)
+            for g, table in zip(gyros, tables, strict=True):
+                whole = found.covariances[g] + sum(line.covariance for line in table)
+                sd = np.sqrt(np.diag(decode(found.means[g], whole)[1]))
+                share = max(share, float((sd / self._required).max()))
         return share

@@ -22,15 +22,19 @@ from station.sources import SourceReport
 
 
 def final_estimate(
-    path: Path, live: LiveEstimate, model: ErrorModel | None, reports: Mapping[str, SourceReport]
+    path: Path,
+    live: LiveEstimate,
+    model: ErrorModel | None,
+    excluded: frozenset[str] | None,
+    reports: Mapping[str, SourceReport],
 ) -> tuple[Calibration, float, dict[str, SourceReport]]:
     """Return the batch estimate from a closed recording, how far the live filter is from it, and fuller reports.
 
-    Results are written into the recording. The live estimate is finished. EstimatorError if the samples do not
-    suffice.
+    ``excluded`` as for ``calibrate``. Results are written into the recording, and the live estimate is finished.
+    EstimatorError if the samples do not suffice.
     """
     recording = read_recording(path, trusted=True)
-    found = calibrate(recording, innovations=False, model=model)
+    found = calibrate(recording, innovations=False, model=model, excluded=excluded)
     calibration = replace(found, nis_mean=live.nis_mean, notes=(*found.notes, *live.notes))
     agreement = _agreement(recording, live)
     fuller = {}

@@ -19,6 +19,7 @@ from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as RichProgress
 from rich.table import Table
 
+from estimator.budget import UNSEEN
 from estimator.calibration import Calibration, GyroCalibration
 from estimator.model import STATES
 from estimator.repeatability import Repeatability
@@ -31,6 +32,7 @@ from station.snapshot import Snapshot
 _REFRESH_S = 0.1  # of the wall's clock: a person watches, however fast the loop's clock runs
 _COLOURS = {
     Outcome.PASS: "bold green",
+    Outcome.ESTIMATED: "bold blue",
     Outcome.FAIL: "bold red",
     Outcome.ABORTED: "bold yellow",
     Outcome.FAULT: "bold red",
@@ -42,6 +44,7 @@ _BUDGET_WORDS = {
     "wobble": "table wobble (type B)",
     "orthogonality": "table orthogonality (type B)",
     "timing": "table timing (type B)",
+    UNSEEN: "effects that this script cannot show (type B)",
 }
 _PIPE_WIDTH = 120
 _PLAIN_EVERY = 0.1  # without a terminal: one line each tenth of the run
@@ -117,6 +120,8 @@ def print_calibration(calibration: Calibration) -> None:
         else ""
     )
     console.print(f"{nis}{calibration.samples} samples, {calibration.lost} lost", highlight=False)
+    if calibration.holds_for:
+        console.print(f"holds for: {calibration.holds_for}", highlight=False)
     for note in calibration.notes:
         console.print(f"note: {note}", highlight=False)
 
@@ -319,6 +324,8 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
         "nis_mean": nis,
         "samples": calibration.samples if calibration else 0,
         "lost": calibration.lost if calibration else 0,
+        "holds_for": calibration.holds_for if calibration else "",
+        "doubts": list(calibration.doubts) if calibration else [],
         "excluded": {e.name: e.reason for e in calibration.excluded} if calibration else {},
         "parity": {
             c.name: {"rms_sigma": c.rms_sigma, "worst_sigma": c.worst_sigma, "suspect": c.suspect}

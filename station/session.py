@@ -422,7 +422,8 @@ class Session:
             try:
                 self._live.finish()
                 # In a thread: who looks on is not to think that the session hangs.
-                work = partial(final_estimate, self._writer.path, self._live, self._model, dict(self._reports))
+                about = (self._writer.path, self._live, self._model, self._bench.excluded, dict(self._reports))
+                work = partial(final_estimate, *about)
                 calibration, agreement, self._reports = await asyncio.get_running_loop().run_in_executor(None, work)
                 verdict = judge(calibration, self._bench.limits)
             except EstimatorError as error:

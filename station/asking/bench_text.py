@@ -95,6 +95,10 @@ def bench_text(bench: BenchAnswer) -> str:
     for key, value in bench.limits.items():
         comment = "beyond these the sigmas are off by a tenth" if key == "nis_low" else ""
         lines.append(_line(key, value, comment, bare=key.startswith("nis")))
+    simulated = all(imu.link == TWIN for imu in bench.imus)
+    lines += ["", "[undeclared]"]
+    lines += [_line("effects", "none", "twins have none; take this line off when gyros are real")] if simulated else []
+    lines += ['#excluded = ["earth_rate"]              # effects that are ruled out: they are then not in the sigmas']
     lines += ["", *_twins(bench)]
     return "\n".join(lines) + "\n"
 

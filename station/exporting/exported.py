@@ -56,7 +56,7 @@ class Exported:
     def cautions(self) -> list[str]:
         """What speaks against using the calibration: that it was no pass, and what its notes say."""
         outcome = self.identity.get("outcome", Outcome.PASS)
-        failed = [] if outcome.startswith(Outcome.PASS) else [f"the run was no pass: {outcome}"]
+        failed = [] if outcome.startswith((Outcome.PASS, Outcome.ESTIMATED)) else [f"the run was no pass: {outcome}"]
         return [*failed, *self.calibration.notes]
 
     @property

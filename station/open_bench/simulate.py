@@ -100,7 +100,8 @@ def simulate(
         reference = TableReadings(run.table_t_ns, run.angle_rad, run.rate_rps, tuple(gimbals))
     if reference is None:
         raise ValueError("a simulation needs one device or more")
-    return Recording(sources, reference, site)
+    # An empty bench, not none: stamps of gyros and table are those of one clock, as of every run of the station.
+    return Recording(sources, reference, site, {"bench": ""})
 
 
 def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:

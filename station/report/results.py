@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from estimator.budget import TYPE_A
+from estimator.budget import TYPE_A, UNSEEN
 from estimator.calibration import Calibration
 from estimator.reference import TableReadings, TableUncertainty
 from estimator.tracing.investigation import Value
@@ -26,6 +26,7 @@ _NEXT_TO_NOTHING = 0.01  # ppm, deg/h, urad
 _SOURCES = {
     "noise": "noise of the gyro, and what its course leaves open",
     "effects": "effects of the error model",
+    UNSEEN: "undeclared effects that the motion does not show",
     "rate": "rate of the table",
     "wobble": "wobble of the table's axes",
     "orthogonality": "orthogonality of the table's axes",
@@ -35,7 +36,7 @@ _SOURCES = {
 
 _TYPE_B = (
     "Type B: from the standard uncertainties of the table as stated, worked out for the motion that was driven. The "
-    "table's part is common to all gyros."
+    "table's part is common to all gyros; undeclared effects are as large as the catalogue calls plausible."
 )
 _NO_TYPE_B = "Type B: none, since no uncertainty of the reference is stated."
 

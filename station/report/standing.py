@@ -106,13 +106,16 @@ def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[Line, ...])
     if recorded.calibration is None:
         return Kind.NO_ESTIMATE, ended
     judged = judge(recorded.calibration, limits) if limits is not None and lines else None
-    if judged is not None and judged.outcome is not Outcome.PASS:
+    if judged is not None and judged.outcome is Outcome.FAIL:
         return Kind.FAILED, judged
     if ended is None:
         return Kind.ELSEWHERE, judged
     if judged is None:
         return Kind.UNJUDGED, None
-    if ended.outcome is not Outcome.PASS:  # calibrated again since, but the run itself was never judged a pass
+    if ended.outcome not in (
+        Outcome.PASS,
+        Outcome.ESTIMATED,
+    ):  # calibrated again since, but the run itself was never judged a pass
         return Kind.FAILED, ended
     return Kind.CERTIFICATE, judged
 

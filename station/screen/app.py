@@ -297,7 +297,7 @@ class StationApp(App[None]):
         self._fresh = run.recording
         if run.result is None:
             self._work(partial(self._look_into, run, run.recording), "ended")
-        elif run.outcome in ("PASS", "FAIL") and isinstance(self.screen, RunScreen):
+        elif run.outcome in ("PASS", "ESTIMATED", "FAIL") and isinstance(self.screen, RunScreen):
             self.switch_mode("result")
 
     async def _look_into(self, run: LiveRun, recording: Path) -> None:

@@ -8,7 +8,13 @@ from rich.text import Text
 
 from station.figures import STATE_FIGURES
 
-OUTCOME_STYLES = {"PASS": "bold green", "FAIL": "bold red", "ABORTED": "bold yellow", "FAULT": "bold red"}
+OUTCOME_STYLES = {
+    "PASS": "bold green",
+    "ESTIMATED": "bold blue",
+    "FAIL": "bold red",
+    "ABORTED": "bold yellow",
+    "FAULT": "bold red",
+}
 """Colours of outcomes; the word always stands there too."""
 
 

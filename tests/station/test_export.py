@@ -19,11 +19,10 @@ from support import station
 
 from estimator.array import SensorArray, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.calibration import Calibration, EffectValue, GyroCalibration
-from estimator.coloured import NoiseFound
 from estimator.compensation import Compensation
 from estimator.effects.entries import entries
 from estimator.error_model import ErrorModel, KnownEffect, Size
-from estimator.noise import NoiseModel
+from estimator.noise import NoiseFound, NoiseModel
 from estimator.recording import ImuData, Recording, write_recording
 from estimator.reference import TableReadings
 from estimator.results import write_calibration
