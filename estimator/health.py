@@ -14,6 +14,7 @@ from estimator.recording import ImuData
 Floats = NDArray[np.float64]
 
 _RUN_S = 0.25  # equal extreme values for longer than this are a limit, not a coincidence
+_UNUSUAL = 5  # a limit holds a value so much longer than values repeat by chance
 _MARGIN_S = 0.5  # close to a limit the noise is cut on one side only
 _DEG = 180 / np.pi
 
@@ -108,7 +109,9 @@ def _at_limits(data: ImuData, column: Floats, low: float, high: float) -> NDArra
     if len(column) < 3 or not (_repeats(column, low) or _repeats(column, high)):
         return limited
     period_s = float(np.median(np.diff(data.t_ns[:10000]))) * 1e-9
-    least, margin = max(round(_RUN_S / period_s), 5), max(round(_MARGIN_S / period_s), 1)
+    # Coarse outputs repeat any value: at a limit they do so for much longer than elsewhere.
+    usual = float(np.quantile(np.diff(np.flatnonzero(np.diff(column, prepend=np.nan, append=np.nan) != 0)), 0.99))
+    least, margin = max(round(_RUN_S / period_s), 5, round(_UNUSUAL * usual)), max(round(_MARGIN_S / period_s), 1)
     for extreme in (low, high):
         for start, stop in _runs(column == extreme):
             if stop - start >= least:
