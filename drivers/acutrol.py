@@ -10,7 +10,6 @@ from __future__ import annotations
 import random
 import re
 from collections import deque
-from dataclasses import dataclass
 
 from drivers.exchange import Framed, Token
 
@@ -27,18 +26,13 @@ INTERLOCK_SUMMARY = 0x01  # of the status byte: seen as 65 = this and the master
 _TOKENS_REMEMBERED = 64
 
 
-@dataclass(frozen=True, slots=True)
-class AbsoluteLimits:
-    """The maker's limits of an axis, from the answer to ``:limit:absolute?``."""
+def absolute_limits(text: str) -> tuple[float, float] | None:
+    """Return the maker's limits of an axis from the answer to ``:limit:absolute?``, in deg/s and deg/s2.
 
-    rate_dps: float
-    acceleration_dps2: float
-
-
-def absolute_limits(text: str) -> AbsoluteLimits | None:
-    """Return rate and acceleration, the first of the values; None if there are fewer than two."""
+    They are the first of the values; None if there are fewer than two.
+    """
     values = [float(value) for value in text.split(",")]
-    return AbsoluteLimits(values[0], values[1]) if len(values) >= 2 else None
+    return (values[0], values[1]) if len(values) >= 2 else None
 
 
 def refusal(text: str) -> bool:

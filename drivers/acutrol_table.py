@@ -96,13 +96,11 @@ class AcutrolTable(LineTable):
             axis.unwrapper.restart()
             text = (await self._ask(f":limit:absolute? {axis.own.number}", acutrol.NUMBERS)).text
             absolute, limits = acutrol.absolute_limits(text), axis.own.limits
-            if absolute is None:
-                continue
             asked = math.degrees(limits.rate_rps), math.degrees(limits.acceleration_rps2)
-            if asked[0] > absolute.rate_dps * 1.001 or asked[1] > absolute.acceleration_dps2 * 1.001:
+            if absolute is not None and any(ours > 1.001 * most for ours, most in zip(asked, absolute, strict=True)):
                 raise DeviceRefused(
                     self._device,
-                    f"axis {name} has limits of {absolute.rate_dps:g} deg/s and {absolute.acceleration_dps2:g} deg/s2, "
+                    f"axis {name} has limits of {absolute[0]:g} deg/s and {absolute[1]:g} deg/s2, "
                     f"the bench allows {asked[0]:g} deg/s and {asked[1]:g} deg/s2: lower max_rate, max_acceleration",
                 )
 

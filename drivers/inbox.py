@@ -20,20 +20,16 @@ class Inbox:
         self._chunks: deque[ByteChunk] = deque()
         self._bytes = 0
         self._wake = asyncio.Event()
-        self._ended = ""
+        self.ended = ""
+        """Why nothing more will come; empty while it may."""
         self.dropped = 0
         """Number of bytes dropped."""
-
-    @property
-    def ended(self) -> str:
-        """Why nothing more will come; empty while it may."""
-        return self._ended
 
     def begin(self) -> None:
         """Forget what was there, for a link that is opened again."""
         self._chunks.clear()
         self._bytes = 0
-        self._ended = ""
+        self.ended = ""
 
     def put(self, chunk: ByteChunk) -> None:
         """Add a chunk."""
@@ -47,7 +43,7 @@ class Inbox:
 
     def end(self, reason: str) -> None:
         """Let no more come, for the first reason given."""
-        self._ended = self._ended or reason
+        self.ended = self.ended or reason
         self._wake.set()
 
     def fail(self, reason: str) -> None:
@@ -58,8 +54,8 @@ class Inbox:
     async def get(self) -> ByteChunk:
         """Return the next chunk; LinkLost when there is none and none will come."""
         while not self._chunks:
-            if self._ended:
-                raise LinkLost(self._device, self._ended)
+            if self.ended:
+                raise LinkLost(self._device, self.ended)
             self._wake.clear()
             await self._wake.wait()
         chunk = self._chunks.popleft()

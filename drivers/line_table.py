@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 from drivers.errors import BadReply, DeviceError, DeviceRefused, LinkLost
-from drivers.exchange import Exchange, ExchangeCounts, Framing
+from drivers.exchange import Exchange, Framing
 from drivers.seams import AxisLimits, ByteLink
 
 _HOMING_LIMIT_S = 60.0
@@ -22,11 +22,8 @@ class LineTable:
         """A request is tried twice, each for ``timeout_s``; ``limits`` are by axis."""
         self._device, self.limits = device, limits
         self._exchange = Exchange(device, link, framing, timeout_s)
-
-    @property
-    def counts(self) -> ExchangeCounts:
+        self.counts = self._exchange.counts
         """Counts of what went wrong on the link."""
-        return self._exchange.counts
 
     def close(self) -> None:
         """Drop the link."""

@@ -25,26 +25,18 @@ class AcutrolAxisTwin:
         self.most = {"rate": math.degrees(data.max_rate_rps), "acceleration": math.degrees(data.max_acceleration_rps2)}
         self.limits = {(what, mode): self.most[what] for what in self.most for mode in LIMITED_MODES}
         self._mode = "off"
-        self._closed = False
-        self._faulty = False
+        self.powered = False
+        """Whether the interlock is closed."""
+        self.faulty = False
+        """Whether the interlock is in fault."""
         self._rate_demand = 0.0
         self._position_demand = 0.0
 
     def update(self) -> None:
         """Let a pulled fault input or a pressed limit switch open the interlock."""
-        if self._axis in self._table.tripped or (self._closed and self._pressed_ahead()):
-            self._faulty, self._closed, self._mode = True, False, "off"
+        if self._axis in self._table.tripped or (self.powered and self._pressed_ahead()):
+            self.faulty, self.powered, self._mode = True, False, "off"
             self._brake()
-
-    @property
-    def faulty(self) -> bool:
-        """Whether the interlock is in fault."""
-        return self._faulty
-
-    @property
-    def powered(self) -> bool:
-        """Whether the interlock is closed."""
-        return self._closed
 
     def interlock(self, word: str) -> None:
         """Open, close or reset the interlock."""
@@ -52,15 +44,15 @@ class AcutrolAxisTwin:
             self.power_down()
         elif word == "reset":
             self._table.tripped.pop(self._axis, None)
-            self._faulty = False
-        elif self._faulty:
+            self.faulty = False
+        elif self.faulty:
             raise AclError("Interlock fault")
         else:
-            self._closed = True
+            self.powered = True
 
     def interlock_text(self) -> str:
         """Return the state of the interlock."""
-        return "Fault" if self._faulty else "Closed" if self._closed else "Open"
+        return "Fault" if self.faulty else "Closed" if self.powered else "Open"
 
     def mode_text(self) -> str:
         """Return the mode as it is told."""
@@ -68,7 +60,7 @@ class AcutrolAxisTwin:
 
     def enter(self, mode: str) -> None:
         """Change the mode; position mode holds where the axis stands."""
-        if mode != "off" and not self._closed:
+        if mode != "off" and not self.powered:
             raise AclError("Interlock not closed")
         self._mode = mode
         if mode == "rate":
@@ -121,7 +113,7 @@ class AcutrolAxisTwin:
     def power_down(self) -> None:
         """Open the interlock: the drive brakes and lets go."""
         self._brake()
-        self._closed, self._mode = False, "off"
+        self.powered, self._mode = False, "off"
 
     def _follow_rate(self) -> None:
         self._table.motion[self._axis].jog(

@@ -37,15 +37,10 @@ class SlcanAdapter:
         self._version, self._serial = version, serial
         self._line = bytearray()
         self._too_long = False
-        self._open = self._listens_only = self._stamps = False
+        self.is_open = self._listens_only = self._stamps = False
         self._sends_itself = True
         self._waiting: deque[bytes] = deque()
         self._flags = 0
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the host has opened the channel."""
-        return self._open
 
     def flag(self, bits: int) -> None:
         """Raise bits of the status that F tells once: 1, 2 queues full, 4 warning, 8 overrun, 32 passive, 128 error."""
@@ -66,7 +61,7 @@ class SlcanAdapter:
 
     def send(self, msg: can.Message) -> None:
         """Take a frame from the bus, as a python-can bus would send it; nobody hears it while the channel is closed."""
-        if not self._open or msg.is_error_frame:
+        if not self.is_open or msg.is_error_frame:
             return
         line = self._encoded(msg)
         if self._sends_itself:
@@ -93,7 +88,7 @@ class SlcanAdapter:
             return self._poll(name, rest)
         if rest:
             return BELL
-        if name == "F" and self._open:
+        if name == "F" and self.is_open:
             flags, self._flags = self._flags, 0
             return f"F{flags:02X}\r".encode()
         told = {"V": f"V{self._version}", "N": f"N{self._serial}"}.get(name)
@@ -102,15 +97,15 @@ class SlcanAdapter:
     def _set_up(self, name: str, rest: str) -> bytes:
         """Open, close, and what can only be set while closed."""
         if name == "C":
-            was_open, self._open = self._open, False
+            was_open, self.is_open = self.is_open, False
             self._waiting.clear()
             return CR if was_open and not rest else BELL
-        if self._open:
+        if self.is_open:
             return BELL
         if name in "OL":
             if rest:
                 return BELL
-            self._open, self._listens_only = True, name == "L"
+            self.is_open, self._listens_only = True, name == "L"
             return CR
         if name == "Z":
             self._stamps = rest == "1"
@@ -132,7 +127,7 @@ class SlcanAdapter:
                 return BELL
             self._sends_itself = rest == "1"
             return CR
-        if rest or not self._open or self._sends_itself:
+        if rest or not self.is_open or self._sends_itself:
             return BELL
         if name == "P":
             return self._waiting.popleft() if self._waiting else CR
@@ -142,7 +137,7 @@ class SlcanAdapter:
 
     def _transmit(self, text: str) -> bytes:
         message = decode_frame(text)
-        if message is None or not self._open or self._listens_only:
+        if message is None or not self.is_open or self._listens_only:
             return BELL
         if self._on_message is not None:
             self._on_message(message)

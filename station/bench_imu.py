@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +54,7 @@ class ImuConfig:
     noise: NoiseModel
     prior: Prior
     used: bool
-    options: Mapping[str, str | int | bool] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def knows_temperature(self) -> bool:
@@ -83,7 +84,7 @@ def read_imu(table: Table, folder: Path) -> ImuConfig:
         raise table.fail("array", f"protocol {protocol} has three gyros, this array {len(array)}")
     can = _can(table, folder, name, array) if protocol == "can" else None
     options = _options(table, protocol)
-    _check_rate(table, protocol, rate_hz, str(options.get("output", "")))
+    _check_rate(table, protocol, rate_hz, options.get("output", ""))
     noise, prior = _datasheet(table.table("datasheet"))
     config = ImuConfig(
         name,
@@ -116,8 +117,8 @@ def _check_rate(table: Table, protocol: str, rate_hz: float, output: str) -> Non
         raise table.fail("rate", f"{said} {', '.join(f'{legal_hz:g}' for legal_hz in legal[protocol])} Hz")
 
 
-def _options(table: Table, protocol: str) -> dict[str, str | int | bool]:
-    options: dict[str, str | int | bool] = {}
+def _options(table: Table, protocol: str) -> dict[str, Any]:
+    options: dict[str, Any] = {}
     if protocol in ("xsens", "j1939"):
         options["configure"] = table.flag("configure", True)
     if protocol == "vectornav":
@@ -127,7 +128,7 @@ def _options(table: Table, protocol: str) -> dict[str, str | int | bool]:
         if table.has("axis_order"):
             options["axis_order"] = table.string("axis_order", one_of=("xyz", "sae"))
         options["address"] = table.integer("address", aceinna.DEFAULT_ADDRESS)
-        if not 0 <= int(options["address"]) <= 0xFD:
+        if not 0 <= options["address"] <= 0xFD:
             raise table.fail("address", f"{options['address']} is no J1939 address: give 0 to 253")
     elif protocol == "stim300":
         if table.has("gyro_unit"):

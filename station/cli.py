@@ -13,11 +13,6 @@ from station.errors import EXIT_ABORTED, EXIT_USAGE
 from station.exporting.held import HELD
 from station.worker_pool import ONE_BLAS_THREAD
 
-# Matrices here are small: threads of the linear algebra library gain nothing, and on a busy machine they wait for
-# each other for seconds. It reads this when it is loaded.
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
 _MODULES = dict.fromkeys(("run", "twin", "import"), "station.commands") | {"study": "station.studies.command"}
 """Where the function of a command is, if not in a module of its name: ``command_NAME(arguments) -> exit code``."""
 
@@ -74,7 +69,9 @@ def _take(parser: argparse._ActionsContainer, spelled: str, help: str, **more: A
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code: 0 pass, 1 fail, 2 wrong usage, 3 aborted, 4 device fault."""
     arguments = make_parser().parse_args(argv)
-    os.environ.update(ONE_BLAS_THREAD)  # before any command imports numpy
+    # Before any command imports numpy. Matrices here are small: threads of the linear algebra library gain nothing,
+    # and on a busy machine they wait for each other for seconds.
+    os.environ.update(ONE_BLAS_THREAD)
     command = "ui" if getattr(arguments, "ui", False) else arguments.command
     try:
         # The libraries behind the commands cost a second: --help does without.

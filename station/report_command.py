@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,66 +14,58 @@ from station.investigation_file import check_new_file
 from station.whole_file import write_whole
 
 
-@dataclass(frozen=True, slots=True)
-class _Outputs:
-    """Files to write; ``pdf`` is None where none is wanted."""
-
-    html: Path
-    pdf: Path | None
-
-
 def command_report(arguments: argparse.Namespace) -> int:
     """Write the report of a recording; 0 if it is written, whatever it says."""
     try:
-        outputs = _outputs(arguments)
-        said = _write(Path(arguments.recording), arguments.investigation, outputs)
+        html, pdf = _outputs(arguments)
+        said = _write(Path(arguments.recording), arguments.investigation, html)
     except (UsageError, EstimatorError) as error:
         print(f"station: {error}", file=sys.stderr)
         if arguments.json:
             print(json.dumps({"title": None, "reason": str(error), "html": None, "pdf": None}))
         return EXIT_USAGE
-    problem = _print(outputs)
+    problem = _print(html, pdf)
     if arguments.json:
-        print(json.dumps({**said, "html": str(outputs.html), "pdf": None if problem else _text(outputs.pdf)}))
+        print(json.dumps({**said, "html": str(html), "pdf": None if problem or pdf is None else str(pdf)}))
     else:
         print(f"{said['title']} No. {said['number']}")
-        print(f"report: {outputs.html}")
-        if outputs.pdf is not None and not problem:
-            print(f"PDF: {outputs.pdf}")
+        print(f"report: {html}")
+        if pdf is not None and not problem:
+            print(f"PDF: {pdf}")
     if problem:
-        print(f"station: {problem}; the report is kept in {outputs.html}", file=sys.stderr)
+        print(f"station: {problem}; the report is kept in {html}", file=sys.stderr)
         return EXIT_USAGE
     return 0
 
 
-def _outputs(arguments: argparse.Namespace) -> _Outputs:
-    """Return the files to write, seen to be free before any long work."""
+def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None]:
+    """Return the files to write, HTML and, where it is wanted, PDF, seen to be free before any long work."""
     if arguments.output is None:
-        outputs = _free_outputs(Path(arguments.recording), arguments.pdf)
+        html, pdf = _free_outputs(Path(arguments.recording), arguments.pdf)
     else:
         named = Path(arguments.output)
         if named.suffix.lower() not in (".html", ".htm", ".pdf"):
             raise UsageError(f"--output {named}: the name must end in .html or .pdf")
         as_pdf = named.suffix.lower() == ".pdf"
         html = named.with_suffix(".html") if as_pdf else named
-        outputs = _Outputs(html, named if as_pdf else named.with_suffix(".pdf") if arguments.pdf else None)
-    for path in filter(None, (outputs.pdf, outputs.html)):
+        pdf = named if as_pdf else named.with_suffix(".pdf") if arguments.pdf else None
+    for path in filter(None, (pdf, html)):
         check_new_file(path, "--output")
-    return outputs
+    return html, pdf
 
 
-def _free_outputs(recording: Path, pdf: bool) -> _Outputs:
+def _free_outputs(recording: Path, as_pdf: bool) -> tuple[Path, Path | None]:
     """Return files beside the recording that are not there yet, numbered if need be."""
     number = 1
     while True:
         html = recording.with_name(f"{recording.stem}{'' if number == 1 else f'-{number}'}.html")
-        outputs = _Outputs(html, html.with_suffix(".pdf") if pdf else None)
-        if not html.exists() and not (outputs.pdf is not None and outputs.pdf.exists()):
-            return outputs
+        pdf = html.with_suffix(".pdf") if as_pdf else None
+        if not html.exists() and not (pdf is not None and pdf.exists()):
+            return html, pdf
         number += 1
 
 
-def _write(path: Path, investigation: str | None, outputs: _Outputs) -> dict[str, Any]:
+def _write(path: Path, investigation: str | None, html: Path) -> dict[str, Any]:
     # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
     from station.report.document import make_report
     from station.report.recorded import read_recorded
@@ -82,7 +73,7 @@ def _write(path: Path, investigation: str | None, outputs: _Outputs) -> dict[str
 
     recorded = read_recorded(path)
     report = make_report(recorded, read_traced(Path(investigation) if investigation else None, recorded))
-    write_whole(outputs.html, report.html)
+    write_whole(html, report.html)
     standing = report.standing
     return {
         "title": standing.title,
@@ -96,18 +87,14 @@ def _write(path: Path, investigation: str | None, outputs: _Outputs) -> dict[str
     }
 
 
-def _print(outputs: _Outputs) -> str:
+def _print(html: Path, pdf: Path | None) -> str:
     """Print the PDF if one is wanted; return what went wrong, in words."""
-    if outputs.pdf is None:
+    if pdf is None:
         return ""
     from station.report.browser import print_pdf
 
     try:
-        print_pdf(outputs.html, outputs.pdf)
+        print_pdf(html, pdf)
     except UsageError as error:
         return str(error)
     return ""
-
-
-def _text(path: Path | None) -> str | None:
-    return None if path is None else str(path)

@@ -35,52 +35,48 @@ class Sequencer:
         self._index = 0
         self._step_began_s = 0.0
         self._way_rad = 0.0  # of the step under way
-        self._paused = ""
+        self.paused = ""
+        """Empty, AFTER_THIS_STEP or PAUSED."""
         self._resumed = asyncio.Event()
 
     @property
     def driven_axis(self) -> str | None:
         """Axis that the step under way turns."""
         step = self._script.steps[self._index]
-        return None if isinstance(step, Rest) or self._paused == PAUSED else step.axis
+        return None if isinstance(step, Rest) or self.paused == PAUSED else step.axis
 
     @property
     def label(self) -> str:
         """Label of the step under way."""
-        return _PAUSE if self._paused == PAUSED else self._script.steps[self._index].label
-
-    @property
-    def paused(self) -> str:
-        """Empty, AFTER_THIS_STEP or PAUSED."""
-        return self._paused
+        return _PAUSE if self.paused == PAUSED else self._script.steps[self._index].label
 
     def pause(self) -> None:
         """Hold once the step under way has ended, until ``resume``; UsageError in the last step."""
-        if self._paused:
+        if self.paused:
             return
         if self._index == len(self._durations_s) - 1:
             raise UsageError("the last step is under way: the run ends with it")
         self._resumed.clear()
-        self._paused = AFTER_THIS_STEP
+        self.paused = AFTER_THIS_STEP
         self._tell(f"to be paused after step {self.label!r}")
 
     def resume(self) -> None:
         """Go on, or take back a pause that has not begun; UsageError if there is none."""
-        if not self._paused:
+        if not self.paused:
             raise UsageError("the run is not paused")
-        self._tell("resumed" if self._paused == PAUSED else "pause taken back")
-        self._paused = ""
+        self._tell("resumed" if self.paused == PAUSED else "pause taken back")
+        self.paused = ""
         self._resumed.set()
 
     async def going_on(self) -> None:
         """Wait for the end of a pause, if there is one."""
-        if self._paused == PAUSED:
+        if self.paused == PAUSED:
             await self._resumed.wait()
 
     def setpoint_rps(self, axis: str, now_s: float) -> float:
         """Return the rate that the script asks of an axis at an instant of the loop's clock."""
         step = self._script.steps[self._index]
-        if isinstance(step, Rest) or step.axis != axis or self._paused == PAUSED:
+        if isinstance(step, Rest) or step.axis != axis or self.paused == PAUSED:
             return 0.0
         since_s = now_s - self._step_began_s
         ramp_s = min(since_s, self._durations_s[self._index] - since_s)
@@ -103,14 +99,14 @@ class Sequencer:
             else:
                 await self._drive(step, due_s)
             self._on_step(step.label, round(self._step_began_s * 1e9), round(loop.time() * 1e9))
-            if self._paused:
+            if self.paused:
                 await self._hold()
 
     async def _hold(self) -> None:
         """Leave the table as it is, at rest under power, until told to go on; time done stands still meanwhile."""
         began_s = asyncio.get_running_loop().time()
         self._tell(f"paused after step {self.label!r}")
-        self._paused = PAUSED
+        self.paused = PAUSED
         await self._resumed.wait()
         self._on_step(_PAUSE, round(began_s * 1e9), round(asyncio.get_running_loop().time() * 1e9))
 

@@ -115,16 +115,16 @@ def snapshot_of(found: Mapping[str, Any]) -> Snapshot:
 
     KeyError, TypeError or ValueError if it is none.
     """
-    snapshot: Snapshot = _of_type(Snapshot, found)
+    snapshot: Snapshot = of_type(Snapshot, found)
     return snapshot
 
 
-def _of_type(kind: Any, value: Any) -> Any:
-    """Return a value of JSON as what the field of a snapshot holds; null is a number that is not known."""
+def of_type(kind: Any, value: Any) -> Any:
+    """Return a value of JSON as what a field of this type holds; null is a number that is not known."""
     if get_origin(kind) is tuple:
-        return tuple(_of_type(get_args(kind)[0], item) for item in value)
+        return tuple(of_type(get_args(kind)[0], item) for item in value)
     if types := _types_of(kind):
-        return kind(**{name: _of_type(types[name], value[name]) for name in types})
+        return kind(**{name: of_type(types[name], value[name]) for name in types})
     return math.nan if kind is float and value is None else kind(value)
 
 

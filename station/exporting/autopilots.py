@@ -48,20 +48,15 @@ def write_px4(exported: Exported, instance: int = 0) -> Written:
             "PX4 passes over offsets that differ from those in use (zero at its start) by less than 0.01 rad/s, and "
             "these do: its estimator finds them as its gyro bias instead"
         )
-    rows: list[tuple[str, float | int]] = [
-        (f"{prefix}_{axis}OFF", value) for axis, value in zip("XYZ", offsets.tolist(), strict=True)
-    ]
+    rows: list[tuple[str, float | int]] = [*_by_axis(prefix + "_{}OFF", offsets)]
     if held.effects:
         low, _, high = exported.seen.temperature_c
         thermal = f"TC_G{instance}"
         rows += [("TC_G_ENABLE", 1), (f"{thermal}_TREF", REFERENCE_C)]
         rows += [(f"{thermal}_TMIN", low), (f"{thermal}_TMAX", high)]
         coefficients = [np.zeros(3), *_thermal(exported, held), np.zeros(3)]
-        rows += [
-            (f"{thermal}_X{order}_{axis}", value)
-            for order, values in enumerate(coefficients)
-            for axis, value in enumerate(values.tolist())
-        ]
+        for order, values in enumerate(coefficients):
+            rows += _by_axis(f"{thermal}_X{order}_{{}}", values, "012")
         not_held.append(f"{thermal}_ID: it must be that of this sensor, the number that {prefix}_ID has")
     lines = [
         f"1\t1\t{name}\t{value if isinstance(value, int) else number(value)}\t"
@@ -92,16 +87,17 @@ def write_ardupilot(exported: Exported, instance: int = 0) -> Written:
         thermal_rows = [(f"INS_GYR{number_of}_CALTEMP", mean), (f"{thermal}_ENABLE", 1.0)]
         thermal_rows += [(f"{thermal}_TMIN", low), (f"{thermal}_TMAX", high)]
         for order, values in ((1, linear), (2, quadratic), (3, np.zeros(3))):
-            thermal_rows += [
-                (f"{thermal}_GYR{order}_{axis}", value / _ARDUPILOT_UNIT)
-                for axis, value in zip("XYZ", values.tolist(), strict=True)
-            ]
+            thermal_rows += _by_axis(f"{thermal}_GYR{order}_{{}}", values / _ARDUPILOT_UNIT)
         not_held.append(f"{thermal}_TMIN and TMAX are for the coefficients of the accelerometer, too, if it has any")
-    rows = [(f"{prefix}_{axis}", value) for axis, value in zip("XYZ", offsets.tolist(), strict=True)]
-    rows += thermal_rows
+    rows = [*_by_axis(prefix + "_{}", offsets), *thermal_rows]
     lines = [f"{name},{number(value)}" for name, value in rows]
     what = "Parameters for ArduPilot: output less offset (rad/s)"
     return Written("\n".join([*head(exported, what, not_held, "#"), *lines]) + "\n", tuple(not_held))
+
+
+def _by_axis(name: str, values: Floats, axes: str = "XYZ") -> list[tuple[str, float]]:
+    """Return a parameter for each axis, which stands in its name."""
+    return [(name.format(axis), value) for axis, value in zip(axes, values.tolist(), strict=True)]
 
 
 def _check_instance(instance: int, most: int, form: str) -> None:

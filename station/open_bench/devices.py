@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, cast
 
 from drivers.aceinna import Settings
 from drivers.acutrol_table import AcutrolAxis, AcutrolTable
@@ -61,18 +60,11 @@ def byte_imu(config: ImuConfig, link: ByteLink, time_scale: float) -> ImuSource:
     name, options, answer_s = config.name, config.options, _ANSWER_S * time_scale
     if config.protocol == "stim300":
         unit, most = options.get("gyro_unit"), options.get("accel_range")
-        return Stim300Imu(
-            name,
-            link,
-            round(config.rate_hz),
-            gyro_unit=None if unit is None else str(unit),
-            accel_range_g=None if most is None else int(most),
-            timeout_s=answer_s,
-        )
+        rate_hz = round(config.rate_hz)
+        return Stim300Imu(name, link, rate_hz, gyro_unit=unit, accel_range_g=most, timeout_s=answer_s)
     if config.protocol == "xsens":
-        return XsensImu(name, link, config.rate_hz, configure=bool(options["configure"]), timeout_s=answer_s)
-    output = cast(Literal["binary", "ascii"], options["output"])
-    return VectorNavImu(name, link, config.rate_hz, output=output, timeout_s=answer_s)
+        return XsensImu(name, link, config.rate_hz, configure=options["configure"], timeout_s=answer_s)
+    return VectorNavImu(name, link, config.rate_hz, output=options["output"], timeout_s=answer_s)
 
 
 def frame_imu(config: ImuConfig, link: FrameLink) -> ImuSource:
@@ -80,13 +72,12 @@ def frame_imu(config: ImuConfig, link: FrameLink) -> ImuSource:
     if config.can is not None:
         can = config.can
         return CanImu(config.name, link, can.dbc, can.channels, config.rate_hz, source_address=can.source_address)
-    order = config.options.get("axis_order")
     return AceinnaImu(
         config.name,
         link,
         config.rate_hz,
-        model=str(config.options["model"]),
-        axis_order=None if order is None else cast(Literal["xyz", "sae"], order),
-        address=int(config.options["address"]),
+        model=config.options["model"],
+        axis_order=config.options.get("axis_order"),
+        address=config.options["address"],
         settings=Settings(rate_hz=config.rate_hz, packets=("ari", "accs")) if config.options["configure"] else None,
     )

@@ -7,6 +7,7 @@ import json
 import socket
 from collections.abc import Callable
 from contextlib import AsyncExitStack
+from functools import partial
 from typing import Any
 
 import can
@@ -69,18 +70,15 @@ class _Serving:
             return {"link": f"tcp://{bound[0]}:{bound[1]}", **said}
         said["axes"] = addresses
         if wire == "serial":
-            name = await self._pty("table", self._twins.table_device)
-            return {"link": f"serial://{name}", **said}
-        bound = await self._tcp("table", self._twins.table_device, port)
-        return {"link": f"tcp://{bound[0]}:{bound[1]}", **said}
+            return {"link": await self._pty("table", self._twins.table_device), **said}
+        return {"link": await self._tcp("table", self._twins.table_device, port), **said}
 
     async def imu(self, imu: ImuConfig) -> str:
         """Serve a device that speaks bytes; return its link."""
-        if self._twins.wire(imu.name) == "tcp":
-            bound = await self._tcp(imu.name, lambda write: self._twins.imu_device(imu, write), 0)
-            return f"tcp://{bound[0]}:{bound[1]}"
-        name = await self._pty(imu.name, lambda write: self._twins.imu_device(imu, write))
-        return f"serial://{name}"
+        make = partial(self._twins.imu_device, imu)
+        return await (
+            self._tcp(imu.name, make, 0) if self._twins.wire(imu.name) == "tcp" else self._pty(imu.name, make)
+        )
 
     async def bus(self, imu: ImuConfig) -> str:
         """Serve a device on a CAN bus of its own; return its link."""
@@ -122,15 +120,17 @@ class _Serving:
 
     async def _pty(self, device: str, make: Callable[[Write], ByteDevice]) -> str:
         plug = Plug()
-        return await self._stack.enter_async_context(on_pty(self._twins.faulty(device, make, plug), plug))
+        name = await self._stack.enter_async_context(on_pty(self._twins.faulty(device, make, plug), plug))
+        return f"serial://{name}"
 
-    async def _tcp(self, device: str, make: Callable[[Write], ByteDevice], port: int) -> tuple[str, int]:
+    async def _tcp(self, device: str, make: Callable[[Write], ByteDevice], port: int) -> str:
         plug = Plug()
         try:
             wire = on_tcp(self._twins.faulty(device, make, plug), self._host, port, plug)
-            return await self._stack.enter_async_context(wire)
+            bound = await self._stack.enter_async_context(wire)
         except OSError as error:
             raise DeviceError("twin", f"cannot listen on {self._host}:{port} ({error}); is the port free?") from None
+        return f"tcp://{bound[0]}:{bound[1]}"
 
 
 class _Heard:

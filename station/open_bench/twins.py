@@ -164,27 +164,12 @@ class Twins:
         if wire.any:
             bus = FaultyFrames(bus, wire, self._seed(imu.name))
         if imu.can is not None:
-            nodes = CanNodes(
-                self.gyros(imu),
-                bus,
-                imu.can.dbc,
-                imu.can.channels,
-                imu.rate_hz,
-                specific_force=force,
-                faults=knobs,
-            )
+            signals = imu.can.dbc, imu.can.channels
+            nodes = CanNodes(self.gyros(imu), bus, *signals, imu.rate_hz, specific_force=force, faults=knobs)
             self.run(nodes.serve())
             return None
-        options = imu.options
-        device = AceinnaDevice(
-            self.gyros(imu),
-            bus,
-            imu.rate_hz,
-            model=str(options["model"]),
-            address=int(options["address"]),
-            specific_force=force,
-            faults=knobs,
-        )
+        own = {key: imu.options[key] for key in ("model", "address")}
+        device = AceinnaDevice(self.gyros(imu), bus, imu.rate_hz, **own, specific_force=force, faults=knobs)
         self.run(device.serve())
         return FaultyFrames(device.received, wire, (*self._seed(imu.name), 1)) if wire.any else device.received
 

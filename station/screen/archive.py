@@ -14,6 +14,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from station.snapshot import of_type
+
 _LIMIT_S = 10.0
 _WRITE_LIMIT_S = 120.0
 _MOST_BYTES = 64 * 1024 * 1024
@@ -188,15 +190,8 @@ def _files(folder: Path) -> list[tuple[Path, float, int]]:
 def _entry(path: Path, when_utc_s: float, found: Mapping[str, Any]) -> Entry:
     if found.get("wrong"):
         return Entry(path, when_utc_s, str(found["wrong"]), bool(found.get("foreign")))
-    gyros = tuple(
-        GyroEntry(str(gyro["name"]), str(gyro["source"]), _values(gyro["states"]), _values(gyro["sd"]))
-        for gyro in found.get("gyros", [])
-    )
+    gyros = tuple(of_type(GyroEntry, {**gyro, "sds": gyro["sd"]}) for gyro in found.get("gyros", []))
     texts = {key: value for key, value in found.items() if isinstance(value, str)}
     began = found.get("began_utc_s")
     when = when_utc_s if began is None else float(began)
     return Entry(path, when, "", False, texts, tuple(found.get("devices", [])), gyros)
-
-
-def _values(values: Sequence[float | None]) -> tuple[float, ...]:
-    return tuple(math.nan if value is None else value for value in values)

@@ -141,16 +141,8 @@ def direct_blind_spots(array: SensorArray) -> list[str]:
     return [f"{labels[i % 4]}: {_combination(direction)}" for i, direction in enumerate(directions)]
 
 
-def _least_squares(recording: Recording) -> baselines.BaselineEstimate:
-    return baselines.least_squares(*rows_of(recording), source_of(recording).array)
-
-
-def _direct(recording: Recording) -> baselines.BaselineEstimate:
-    return baselines.direct_observation(*rows_of(recording), source_of(recording).array)
-
-
-def _augmented(recording: Recording) -> baselines.BaselineEstimate:
-    return baselines.augmented_observation(*rows_of(recording), source_of(recording).array)
+def _on_rows(method: Callable[[Floats, Floats, SensorArray], baselines.BaselineEstimate]) -> Method:
+    return lambda recording: method(*rows_of(recording), source_of(recording).array)
 
 
 def _filter(recording: Recording) -> baselines.BaselineEstimate:
@@ -174,9 +166,9 @@ _SCRIPTS = (static_script(), rotation_script(), paper_script())
 METHODS: tuple[tuple[str, Script, Method], ...] = (
     ("six positions, Earth rate as the input", _SCRIPTS[0], static_six_position),
     ("six positions, rotation both ways", _SCRIPTS[1], rotating_six_position),
-    ("table rates observed directly", _SCRIPTS[2], _direct),
-    ("the same, null space augmented", _SCRIPTS[2], _augmented),
-    ("least squares", _SCRIPTS[2], _least_squares),
+    ("table rates observed directly", _SCRIPTS[2], _on_rows(baselines.direct_observation)),
+    ("the same, null space augmented", _SCRIPTS[2], _on_rows(baselines.augmented_observation)),
+    ("least squares", _SCRIPTS[2], _on_rows(baselines.least_squares)),
     ("covariance filter, each sample", _SCRIPTS[2], _filter),
     ("this station", _SCRIPTS[2], _ours),
 )
