@@ -99,7 +99,8 @@ def unexplained_line(unexplained: Unexplained) -> str:
     """Return what is unexplained in words."""
     return (
         f"unexplained: {unexplained.share:.0%} of the power of what is left depends on {unexplained.depends_on}, and "
-        "no effect of the catalogue explains it"
+        "neither an effect of the catalogue nor a law composed of what was measured explains it; the sigmas of the "
+        "states allow for it"
     )
 
 
@@ -214,7 +215,7 @@ def improvement_line(found: Investigation) -> str:
         return f"rms error {dph(found.before.rms_rps)} deg/h; nothing was added, so nothing changed"
     return (
         f"rms error {dph(found.before.rms_rps)} -> {dph(found.after.rms_rps)} deg/h: {gain.ratio:.3g} times smaller "
-        f"(95 %: {gain.low:.3g} to {gain.high:.3g}, block bootstrap)"
+        f"(95 %: {gain.low:.3g} to {gain.high:.3g}), over the whole of the run, its noise taken off"
     )
 
 
@@ -277,6 +278,7 @@ def investigation_object(
         ],
         "residual": residual_object(found),
         "left_out": dict(found.left_out),
+        "taken_back": list(found.taken_back),
         "notes": list(found.notes),
         "recordings": list(recordings),
         "verification": list(verification),
@@ -294,6 +296,8 @@ def _gyro(gyro: GyroErrors) -> dict[str, Any]:
         "after": _errors(gyro.after),
         "states_before": _states(gyro.states_before),
         "states_after": _states(gyro.states_after),
+        "sd_before": _states(gyro.sd_before),
+        "sd_after": _states(gyro.sd_after),
         "moved_sigmas": _states(gyro.moved),
         "phases": [
             {key: _finite(value) if isinstance(value, float) else value for key, value in asdict(phase).items()}

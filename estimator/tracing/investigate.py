@@ -213,9 +213,8 @@ def _conclude(
         reason = "these recordings cannot tell apart " + "; nor ".join(" and ".join(names) for names in rivals)
     elif unexplained:
         finding = Finding.PARTLY if added else Finding.UNEXPLAINED
-        what = "what is left" if added else "the residual"
         reason = f"added {', '.join(added)}; " if added else ""
-        reason += f"{what} depends on {unexplained.depends_on}, and no effect that is known explains it"
+        reason += f"{unexplained.share:.0%} of what is left depends on {unexplained.depends_on}, unexplained"
     elif added:
         finding, reason = Finding.ADDED, "added " + ", ".join(added)
     else:
