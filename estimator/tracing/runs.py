@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -179,6 +180,7 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
     offsets = (np.arange(steps) + 0.5) / steps * length_s
     grid_s = (t_s[:, None] - 0.5 * length_s + offsets).ravel()
 
+    @lru_cache(maxsize=12)  # every gyro asks for the same
     def delayed_rps(delay_s: float) -> Floats:
         ago = w.copy()
         past = measured.past_rps(delay_s)
