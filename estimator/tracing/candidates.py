@@ -29,6 +29,7 @@ _BY_ITSELF = frozenset({"warm_up", "bias_step", "tone", "table_rate", "latency",
 """Effects of the catalogue that are looked for in a way of their own, and one that passes for scale factor errors."""
 OF_TIME = frozenset({"warm_up", "bias_step", "bias_drift"})
 """Effects of which all gyros have the same columns."""
+_OF_ENCODERS = ("table_harmonic", "dead_band")
 _OTHER_ORDERS = (3, 5, 6)
 # Log odds of an effect against the others before the data. What refines a simpler effect is rarer than that effect.
 # A bias over temperature is in every data sheet; its gradient without it one part in a hundred may have, while beside
@@ -118,9 +119,13 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
     left_out: dict[str, str] = {}
     if not gimbals:
         left_out["table_harmonic"] = "the recordings hold no gimbals"
-    if any(by_turns(run.recording.reference) for run in runs):
+    foreign = any(by_turns(run.recording.reference) for run in runs)
+    if foreign:
         left_out["bandwidth"] = "another instrument has a lag of its own: a delay against it is the sum of all lags"
     listed = _catalogue(runs, gimbals, span_s)
+    if foreign and gimbals:
+        listed = [candidate for candidate in listed if candidate.called not in _OF_ENCODERS]
+        left_out |= dict.fromkeys(_OF_ENCODERS, "an encoder that is read from outside may have the same by itself")
     chosen = []
     for candidate in listed:
         missing = candidate.effect.needs - offers

@@ -517,6 +517,10 @@ def _added(traced: Traced, choice: Choice, model: Augmented, told: OutOfSample |
         for i, (value, doubt) in enumerate(zip(mean, doubts, strict=True)):
             parameter = effect.parameters[i % len(effect.parameters)]
             size = parameter.largest
+            if (
+                shared and choice.candidate.by_size
+            ):  # not fitted to its own column, which the reference's noise enlarges
+                value = abs(choice.candidate.theta or 0.0) / size
             label = parameter.name if shared else f"{name} {parameter.name}"
             if i >= len(effect.parameters):
                 label += f" in run {i // len(effect.parameters) + 1}"

@@ -687,21 +687,25 @@ class _Scan:
 
     def _first_size(self, candidate: Candidate) -> float:
         """Return the size by the candidate as it is: right where it is small."""
-        products = self._products(candidate)
-        return float(products[1] / max(products[0], 1e-30) * candidate.largest[0])
+        own, right = np.sum(self._products(candidate), axis=0)
+        return float(right / max(own, 1e-30) * candidate.largest[0])
 
     def _gain_of(self, candidate: Candidate, size: float) -> float:
-        own, right = self._products(_at(candidate, size))
+        """Return how much more probable a size makes what is left, each gyro under as much noise as then is left."""
         share = abs(size) / candidate.largest[0] if size else 0.0
-        return float(share * right - 0.5 * share**2 * own)
+        total = 0.0
+        for rest, (own, right) in zip(self._rest, self._products(_at(candidate, size)), strict=True):
+            before = float(rest @ rest)
+            total -= 0.5 * len(rest) * np.log(max(before - 2 * share * right + share**2 * own, 1e-9 * before) / before)
+        return float(total)
 
-    def _products(self, candidate: Candidate) -> Floats:
-        """Return the squares of the first column of a candidate beside the model, and its product with what is left."""
-        products = np.zeros(2)
+    def _products(self, candidate: Candidate) -> list[tuple[float, float]]:
+        """Return by gyro the squares of a candidate's first column beside the model, and its product with the rest."""
+        products = []
         for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
             new = self._turn(candidate, gyro)[:, 0] * root
             new = new - basis @ (basis.T @ new)
-            products += new @ new, new @ rest
+            products.append((float(new @ new), float(new @ rest)))
         return products
 
     def gain(self, candidate: Candidate) -> float:

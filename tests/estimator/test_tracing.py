@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from estimator.array import sensor_array
 from estimator.importing import import_recording
+from estimator.kinematics import EARTH_RATE_RPS
 from estimator.mapping import read_mapping
-from estimator.recording import Recording
-from estimator.reference import TableReadings
+from estimator.recording import ImuData, Recording
+from estimator.reference import RateReadings, TableReadings
 from estimator.tracing.investigate import fit_known, investigate
 from estimator.tracing.investigation import Finding, InvestigationError
 from station.studies.detection import Case, end_of, recordings_of
@@ -73,11 +75,36 @@ def test_the_error_that_is_left_is_that_of_an_estimate_that_was_told(effects: tu
     assert ended.bare > 1.5 * ended.error
 
 
-def test_what_no_effect_explains_is_said_to_be_unexplained_with_what_it_depends_on() -> None:
-    ended = end_of(Case(("hysteresis",), 1.0, 1))
-    assert ended.finding == Finding.UNEXPLAINED
-    assert ended.depends_on == "direction"
-    assert not ended.added
+def test_what_the_catalogue_does_not_hold_is_composed_of_what_was_measured() -> None:
+    calibration, exploration, verification = recordings_of(Case(("hysteresis",), 1.0, 1))
+    found = investigate([calibration, exploration], [verification])
+    assert found.finding == Finding.ADDED
+    assert [(a.constructed, a.expression) for a in found.added] == [(True, "last(u)")]
+    assert "last direction of the rate" in found.added[0].effect
+    assert found.improvement is not None
+    assert found.improvement.low > 5
+
+
+@pytest.mark.full
+def test_a_bias_that_lags_the_temperature_has_the_lag_and_the_sizes_that_it_has() -> None:
+    recordings = recordings_of(Case(("thermal_lag",), 1.0, 3, shape="cycle"))
+    found = investigate(recordings[:2], recordings[2:])
+    (added,) = found.added
+    assert added.expression.startswith("lag(T, ")
+    assert added.parameters["constant"].value == pytest.approx(40, abs=5)
+
+
+def test_what_does_not_lower_the_error_on_the_verification_run_is_taken_back() -> None:
+    calibration, exploration, verification = recordings_of(Case((), 1.0, 4))
+    data = exploration.sources["array"]
+    seconds = (data.t_ns - data.t_ns[0])[:, None] * 1e-9
+    drifting = changed(exploration, rate_rps=data.rate_rps + 2e-4 * DEG * np.array([1.0, -1.0, 0.8, 1.2]) * seconds)
+    alone = investigate([calibration, drifting])
+    found = investigate([calibration, drifting], [verification])
+    assert not any(a.effect in ("bias_drift", "warm_up") for a in found.added)
+    if alone.added:
+        assert found.taken_back
+        assert any("taken back" in note for note in found.notes)
 
 
 @pytest.mark.full  # the short form is the command's, in tests/station
@@ -172,6 +199,56 @@ def test_the_lag_of_a_real_gyro_behind_its_optical_reference_is_found_and_helps_
     )
     found = investigate([first], [second])
     assert [a.effect for a in found.added] == ["latency"]
-    assert found.added[0].parameters["delay"].value == pytest.approx(0.0043, abs=0.0015)
+    assert found.added[0].parameters["delay"].value == pytest.approx(0.0042, abs=0.0005)  # extracts of a minute
     assert found.improvement is not None
-    assert found.improvement.ratio > 1.5  # extracts of a minute: its interval is wide
+    assert found.improvement.ratio > 2
+
+
+def test_a_real_gyro_that_lags_behind_a_coarse_encoder_is_late_and_nothing_else() -> None:
+    folder = Path(__file__).parent.parent / "data" / "mpu6050"
+    imported = import_recording(read_mapping(folder / "yaw.toml"), sorted(folder.glob("*.mat")))
+    found = investigate([imported.recording])
+    assert [a.effect for a in found.added] == ["latency"]
+    assert found.added[0].parameters["delay"].value == pytest.approx(0.0118, abs=0.001)
+
+
+def test_a_reference_that_lags_is_named_as_that() -> None:
+    recording = _on_a_shaft(gyro_early_s=0.023)
+    found = investigate([recording])
+    assert [a.effect for a in found.added] == ["reference_lag"]
+    assert found.added[0].parameters["delay"].value == pytest.approx(0.023, abs=0.0015)
+
+
+def _on_a_shaft(gyro_early_s: float) -> Recording:
+    """Return a gyro on a shaft that is turned by hand, beside an encoder that is read 26 times a second."""
+    random = np.random.default_rng(11)
+    tones = random.uniform(0.1, 0.7, 6), random.uniform(0, 6.28, 6), random.uniform(0.2, 1.0, 6)
+
+    def angle(t_s: np.ndarray) -> np.ndarray:
+        return np.asarray(sum(a * np.sin(2 * np.pi * f * t_s + p) for f, p, a in zip(*tones, strict=True)))
+
+    t_ns = np.round(np.arange(0, 120, 0.01) * 1e9).astype(np.int64)
+    read_ns = np.round(np.arange(0.013, 120, 1 / 26) * 1e9).astype(np.int64)
+    shown = t_ns * 1e-9 + gyro_early_s
+    rate = (angle(shown + 5e-5) - angle(shown - 5e-5)) / 1e-4 + 0.02 + 0.002 * random.standard_normal(len(t_ns))
+    counts = 2 * np.pi / 4000 * np.round(angle(read_ns * 1e-9) * 4000 / (2 * np.pi))
+    slope = np.gradient(counts, read_ns * 1e-9)
+    reference = TableReadings(read_ns, counts[:, None], slope[:, None], ("z",))
+    array = sensor_array([[0.0, 0.0, 1.0]], names=("z",), part_of_array=True)
+    return Recording({"gyro": ImuData(array, t_ns, rate[:, None])}, reference)
+
+
+def test_earth_rate_is_a_rival_where_a_body_rests_and_tilts() -> None:
+    random = np.random.default_rng(5)
+    n, rate_hz = 6000, 100.0
+    ups = np.repeat([[0.0, 0, 1], [0, 0, -1], [0, 0, 1], [0, 0, -1]], n, axis=0)
+    t_s = np.arange(len(ups)) / rate_hz + 20.0 * (np.arange(len(ups)) // n)
+    earth = EARTH_RATE_RPS * np.sin(np.radians(51.0)) * ups
+    noise = np.radians(0.002 / 60) * np.sqrt(rate_hz) * random.standard_normal(ups.shape)
+    t_ns = np.round(t_s * 1e9).astype(np.int64)
+    data = ImuData(sensor_array(np.eye(3), names=("x", "y", "z")), t_ns, earth + noise, accel_mps2=9.80665 * ups)
+    edges = np.concatenate([[t_ns[k * n], t_ns[k * n + n - 1], t_ns[k * n + n - 1] + 10**9] for k in range(4)])
+    still = np.tile([[0.0] * 3, [0.0] * 3, [np.nan] * 3], (4, 1))
+    found = investigate([Recording({"imu": data}, RateReadings(edges, still))])
+    told = {a.effect for a in found.added} | {name for names in found.rivals for name in names}
+    assert "earth_rate" in told

@@ -1,0 +1,69 @@
+"""Laws composed of what was measured: the grammar holds what it says, and nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimator.effects.conditions import Conditions
+from estimator.effects.constructed import LawError, constructed, depends_on, in_words, lagged, last_sign, played
+from estimator.effects.effect import Axes
+
+AXES = Axes(np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0]), np.array([-0.8, 0.0, 0.6]))
+
+
+def conditions(n: int = 400) -> Conditions:
+    random = np.random.default_rng(2)
+    t_s = np.arange(n) * 0.05
+    w, wdot, force = (random.standard_normal((n, 3)) for _ in range(3))
+    angle, rate = random.standard_normal((n, 3)), random.standard_normal((n, 3))
+    warm = 25 + 5 * np.sin(0.1 * t_s)
+    return Conditions(t_s, w, wdot, angle, rate, 0 * rate, ("z", "y", "x"), 9.80665 * force, warm)
+
+
+def test_a_law_is_worked_out_as_it_is_written() -> None:
+    c = conditions()
+    u, g = c.w_rps @ AXES.p, c.specific_force_mps2 / 9.80665
+    warm = c.temperature_c - 25
+    for law, expected in {
+        "u**2": u**2,
+        "gx*gs": g[:, 0] * (g @ AXES.p),
+        "sign(u)*log1p(abs(u)/0.5)": np.sign(u) * np.log1p(np.abs(u) / 0.5),
+        "abs(rate_y)*cos(3*angle_y)": np.abs(c.rate_rps[:, 1]) * np.cos(3 * c.angle_rad[:, 1]),
+        "T*t": warm * c.t_s,
+    }.items():
+        np.testing.assert_allclose(constructed(law).at(c, AXES)[:, 0], expected, atol=1e-12)
+    two = constructed("cos(angle_z); sin(angle_z)")
+    assert [p.name for p in two.parameters] == ["of cos(angle_z)", "of sin(angle_z)"]
+    assert two.needs == {"gimbals"}
+
+
+def test_what_remembers_obeys_its_equation() -> None:
+    t_s = np.arange(2000) * 0.01
+    x = np.sin(0.7 * t_s)
+    slow = lagged(x, t_s, 3.0)
+    np.testing.assert_allclose(slow[1:] + 3.0 * np.diff(slow) / 0.01, x[1:], atol=5e-3)
+    uneven = np.sort(np.random.default_rng(1).uniform(0, 20, 4000))
+    np.testing.assert_allclose(
+        np.interp(t_s[200:], uneven, lagged(np.sin(0.7 * uneven), uneven, 3.0)), slow[200:], atol=0.02
+    )
+    loop = played(x, 0.5)
+    assert np.all(np.abs(loop - x) <= 0.25 + 1e-12)
+    moved = np.diff(loop) != 0
+    np.testing.assert_allclose(np.abs(loop - x)[1:][moved], 0.25, atol=1e-12)
+    np.testing.assert_array_equal(last_sign(np.array([0.0, 1.0, 0.01, -2.0, 0.0])), [0, 1, 1, -1, -1])
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "u.__class__", "__import__('os')", "lambda: u", "u if u else 1", "open(u)", "q", "lag(u, u)", "u" * 300],
+)
+def test_what_is_no_law_is_refused(text: str) -> None:
+    with pytest.raises(LawError):
+        constructed(text)
+
+
+def test_a_law_says_in_words_what_it_is_and_what_it_depends_on() -> None:
+    assert in_words("lag(T, 58)") == "a bias in proportion to temperature above 25 degC lagged by 58 s"
+    assert depends_on("last(rate_z)") == ("direction", "rate")
+    assert set(depends_on("lag(T, 58)*gx")) == {"temperature", "gravity"}
