@@ -28,6 +28,7 @@ from estimator.tracing.tones import (
     tone_columns,
     without_tone,
 )
+from estimator.turned import by_turns
 
 Floats = NDArray[np.float64]
 
@@ -287,15 +288,18 @@ class Search:
         """Return choices no more probable than the structure beside them allows.
 
         An effect that only imitates another leaves a part of it, in functions that are like itself. Who explains a
-        residual leaves nothing of the kind.
+        residual leaves nothing of the kind. Beside a moving reference that has errors of its own, all functions count
+        for all effects but the delay between the two.
         """
+        foreign = any(by_turns(run.recording.reference) and run.turns for run in self._runs)
         terms = [choice.term for choice in choices if choice.tone is None]
         judged = []
         for choice in choices:
             if choice.tone is None:
                 others = [term for term in terms if term is not choice.term]
                 columns, sizes = self._open_columns()
-                like = self._likeness(choice.term, np.array(columns, dtype=np.intp), others) > _LIKE
+                least = 0.0 if foreign and not choice.candidate.by_size else _LIKE
+                like = self._likeness(choice.term, np.array(columns, dtype=np.intp), others) > least
                 kept = [c for c, is_like in zip(columns, like, strict=True) if is_like], sizes[like]
                 left = OpenWorld.beside(self.evidence, terms, *kept)
                 explained = max(left.closed - self.evidence.of(others), 0.0)
@@ -688,7 +692,7 @@ class _Scan:
     def _first_size(self, candidate: Candidate) -> float:
         """Return the size by the candidate as it is: right where it is small."""
         own, right = np.sum(self._products(candidate), axis=0)
-        return float(right / max(own, 1e-30) * candidate.largest[0])
+        return float(np.clip(right / max(own, 1e-30) * candidate.largest[0], -_LONGEST_S, _LONGEST_S))
 
     def _gain_of(self, candidate: Candidate, size: float) -> float:
         """Return how much more probable a size makes what is left, each gyro under as much noise as then is left."""
