@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from estimator.budget import Contribution
 from estimator.calibration import Calibration, EffectValue, GyroCalibration, unseen_notes
 from estimator.coloured import NoiseFound, quantile
+from estimator.effects.constructed import readable
 from estimator.effects.effect import Effect
 from estimator.error_model import ErrorModel, KnownEffect, ModelError
 from estimator.errors import RecordingError
@@ -174,7 +175,7 @@ def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
                 unseen.setdefault(name, []).append(gyro.name)
     by_gyros: dict[tuple[str, ...], list[str]] = {}
     for name, who in unseen.items():
-        by_gyros.setdefault(tuple(who), []).append(name.replace("_", " "))
+        by_gyros.setdefault(tuple(who), []).append(readable(name))
     return [
         f"not seen by this run on {', '.join(who)}, of the effects of the model: {', '.join(names)}; the sigmas of the "
         "states hold what is typical of them"
