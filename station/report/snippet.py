@@ -78,43 +78,28 @@ def warming(t, t_s):
 '''
 
 
-_KEEPING = '''
+_FOLLOW = '''
 
-def keeping(x, follow, steps):
-    """Return what follows x (N, m) row by row; what is no number is passed over."""
-    out = np.array(x, dtype=float)
-    kept = np.full(out.shape[1:], np.nan)
-    for row, step in enumerate(steps):
-        follows = np.where(np.isfinite(kept), follow(kept, out[row], step), out[row])
-        kept = np.where(np.isfinite(out[row]), follows, kept)
-        out[row] = np.where(np.isfinite(out[row]), kept, out[row])
+def follow(x, shares, width):
+    """Return what follows x (N, m) by a share of how far behind it was, no more than a width; skips no numbers."""
+    out, kept = np.array(x, dtype=float), np.full_like(x[0], np.nan)
+    for row, share in enumerate(shares):
+        now = out[row].copy()
+        moved = np.where(np.isfinite(kept), now + share * np.clip(kept - now, -width, width), now)
+        kept = np.where(np.isfinite(now), moved, kept)
+        out[row] = np.where(np.isfinite(now), kept, now)
     return out
 '''
-_MEMORY: Mapping[str, str] = {
-    "lag": '''
-
-def lag(x, t_s, seconds):
-    """Return x through a first-order lag."""
-    keep = np.exp(-np.maximum(np.diff(t_s, prepend=t_s[:1]), 0) / seconds)
-    return keeping(x, lambda kept, now, share: now + (kept - now) * share, keep)
-''',
-    "play": '''
-
-def play(x, width):
-    """Return what follows x with a play of some width."""
-    return keeping(x, lambda kept, now, _: np.clip(kept, now - width / 2, now + width / 2), np.zeros(len(x)))
-''',
-    "last": f'''
+_LAST = f'''
 
 def last(x, limit=None):
     """Return the sign that x had last beyond a limit, or beyond {LAST_SHARE:g} of its largest size so far."""
-    x = np.where(np.isfinite(x), x, 0.0)
-    limit = {LAST_SHARE:g} * np.maximum.accumulate(np.abs(x)) if limit is None else limit
-    sign = np.where(np.abs(x) > limit, np.sign(x), np.nan)
-    sign[0] = np.where(np.isnan(sign[0]), 0.0, sign[0])
-    return keeping(sign, lambda kept, now, _: now, np.zeros(len(x))) if len(x) else x
-''',
-}
+    size = np.where(np.isfinite(x), np.abs(x), 0.0)
+    beyond = size > ({LAST_SHARE:g} * np.maximum.accumulate(size) if limit is None else limit)
+    rows = np.maximum.accumulate(np.where(beyond, np.arange(len(x))[:, None], -1))
+    return np.where(rows < 0, 0.0, np.take_along_axis(np.sign(x), np.maximum(rows, 0), 0))
+'''
+_HELPERS = {"slope(": _SLOPE, "warming(": _WARMING, "follow(": _FOLLOW, "last(": _LAST}
 
 
 def snippet(correction: Correction, origin: str) -> str:
@@ -122,9 +107,7 @@ def snippet(correction: Correction, origin: str) -> str:
     code = "\n".join(_of(correction, *Acts))
     needs = [argument for argument, names in _NEEDS.items() if re.search(names, code)]
     lines = ["import numpy as np", "", *(f"# {line}" for line in origin.splitlines()), *_tables(correction, code)]
-    memory = {name: text for name, text in _MEMORY.items() if f"{name}(" in code}
-    helpers = {"slope(": _SLOPE, "warming(": _WARMING, "": _KEEPING if memory else "", **memory}
-    lines += [line for name, text in helpers.items() if name in code for line in text.splitlines()]
+    lines += [line for name, text in _HELPERS.items() if name in code for line in text.splitlines()]
     name = "own_rates" if correction.axes_only else "body_rate"
     lines += ["", "", f"def {name}({', '.join(['rate_rps', *needs])}):", *_documented(correction, needs)]
     if "temperature_c" in needs:
@@ -176,8 +159,11 @@ def _called(name: str, inner: str, constant: str) -> str:
     """Return the call of a function of laws, on arrays."""
     if name == "pow":
         return f"({inner} ** {constant})"
-    told = f"{inner}, t_s" if name == "lag" else inner
-    return f"{name if name in _MEMORY else f'np.{name}'}({told}{', ' if constant else ''}{constant})"
+    if name == "lag":
+        return f"follow({inner}, np.exp(-np.maximum(np.diff(t_s, prepend=t_s[:1]), 0) / {constant}), np.inf)"
+    if name == "play":
+        return f"follow({inner}, np.ones(len(left)), 0.5 * {constant})"
+    return f"last({inner}, {constant or None})" if name == "last" else f"np.{name}({inner})"
 
 
 def _tables(correction: Correction, code: str) -> list[str]:
