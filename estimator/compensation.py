@@ -3,14 +3,16 @@
 With the sensitivity G (n, 3) of the array, rows (1 - k)(p - sigma_k j + sigma_j k), and the effects e of the error
 model, gyros put out ``y = G w - b + e``, so ``w = H (y + b - e)`` with H the inverse of G, by least squares where
 there are more gyros than axes. What an effect needs of a sample (temperature, specific force, the samples before it)
-must be given; effects of the rate itself are undone by iteration. No sample is waited for: rates of change are
-differences from the sample before, so they lag by half a period.
+must be given; effects of the rate itself are undone by iteration. What remembers the rate, depends on its change, or
+jumps where the rate changes sign, is worked out from the rate without it, once (``Acts.MOTION``). No sample is waited
+for: rates of change are differences from the sample before, so they lag by half a period.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from itertools import groupby
 
 import numpy as np
@@ -19,6 +21,8 @@ from numpy.typing import NDArray
 from estimator.array import TOLERANCE, SensorArray
 from estimator.calibration import GyroCalibration
 from estimator.effects.conditions import Conditions
+from estimator.effects.constructed import NAME as CONSTRUCTED
+from estimator.effects.constructed import VARIABLES, functions_of, variables_of
 from estimator.effects.thermal import REFERENCE_C
 from estimator.error_model import ErrorModel, KnownEffect
 from estimator.errors import EstimatorError
@@ -29,15 +33,13 @@ Floats = NDArray[np.float64]
 MOST_ITERATIONS = 30
 """After which effects of the rate that are not undone to ``TOLERANCE_RPS`` are beyond what the model can be undone."""
 TOLERANCE_RPS = 1e-13
-SLOPE_S = 10.0
-"""Time constant over which the slope of the temperature is taken: readings are too coarse for differences."""
 
-ADDED = ("thermal_bias", "thermal_bias_quadratic", "warm_up", "g_sensitivity")
+ADDED = ("thermal_bias", "thermal_bias_quadratic", "warm_up", "g_sensitivity", "thermal_gradient")
 """Effects that add to the output whatever the rate."""
 OF_THE_RATE = ("thermal_scale", "scale_asymmetry", "scale_quadratic", "scale_cubic")
 """Effects that follow the rate itself."""
-OF_THE_PAST = ("thermal_gradient", "bandwidth", "acceleration_sensitivity")
-"""Effects of rates of change, for which the samples before are needed."""
+OF_THE_PAST = ("bandwidth", "acceleration_sensitivity")
+"""Effects of changes of the rate, for which the samples before are needed."""
 OF_THE_STAMPS = ("latency", "sample_hold")
 """Effects that are undone by taking the delay off the stamps of the samples."""
 _LEFT_OUT = {
@@ -49,6 +51,22 @@ _LEFT_OUT = {
     "tone": "its phase is another each time: a notch filter takes it away",
     "dead_band": "what a gyro does not answer cannot be got back",
 }
+
+
+_OF_THAT_TABLE = "it goes with the axes of the table that it was found on: away from that table it is not there"
+_TIMED = frozenset({"warm_up", "thermal_gradient", *OF_THE_PAST})
+_MEMORY = frozenset({"lag", "play", "last"})
+_UNSTEADY = _MEMORY | {"sign", "sqrt", "/"}
+"""Functions of the rate that no iteration undoes: with memory, or of a slope without limit."""
+
+
+class Acts(StrEnum):
+    """How an effect that is undone comes into the output."""
+
+    ADDED = "whatever the rate"
+    RATE = "by the rate, undone by iteration"
+    MOTION = "by the rate as it is without this effect, its past and its change"
+    LAG = "as a lag of the output"
 
 
 class CompensationError(EstimatorError):
@@ -64,8 +82,25 @@ class HeldEffect:
 
     @property
     def name(self) -> str:
-        """Name in the catalogue."""
+        """Name in the catalogue; that of laws is "constructed"."""
         return self.known.name
+
+    @property
+    def acts(self) -> Acts:
+        """How it comes into the output."""
+        if self.name == CONSTRUCTED:
+            return _acts_of(self.known.law)
+        if self.name in ADDED:
+            return Acts.ADDED
+        return Acts.RATE if self.name in OF_THE_RATE else Acts.LAG if self.name == "bandwidth" else Acts.MOTION
+
+    @property
+    def timed(self) -> bool:
+        """Whether it needs to know when samples were taken."""
+        law = self.known.law
+        if not law:
+            return self.name in _TIMED
+        return bool(_MEMORY & functions_of(law) or {"t", "Tdot", "a", "jolt"} & {*variables_of(law)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +137,9 @@ class Compensation:
                 delay_s += float(values[0, 0])
             elif name in _LEFT_OUT:
                 left_out[called] = _LEFT_OUT[name]
-            elif name in (*ADDED, *OF_THE_RATE, *OF_THE_PAST):
+            elif name == CONSTRUCTED and known[called].axes:
+                left_out[called] = _OF_THAT_TABLE
+            elif name in (*ADDED, *OF_THE_RATE, *OF_THE_PAST, CONSTRUCTED):
                 effects.append(HeldEffect(known[called], values))
             else:
                 raise CompensationError(f"the calibration has the effect {called}, which this version cannot undo")
@@ -133,7 +170,7 @@ class Compensation:
     def needs(self) -> frozenset[str]:
         """What samples must come with: "temperature", "specific force", "time"."""
         needed = set().union(*(effect.known.effect(()).needs for effect in self.effects))
-        if any(effect.name in (*OF_THE_PAST, "warm_up") for effect in self.effects):
+        if any(effect.timed for effect in self.effects):
             needed.add("time")
         return frozenset(needed)
 
@@ -189,11 +226,7 @@ class Compensation:
         lag = self.held("bandwidth")
         if lag is not None:
             left += lag[:, 0] * _slope(left, t_s)
-        left += self.bias_rps - self._effects(ADDED, conditions)
-        gradient = self.held("thermal_gradient")
-        if gradient is not None and temperature_c is not None:
-            left -= gradient[:, 0] * smoothed_slope(t_s, temperature_c)[:, None]
-        return left
+        return left + (self.bias_rps - self._effects(Acts.ADDED, conditions))
 
     def compensate(
         self,
@@ -211,10 +244,10 @@ class Compensation:
         Raises CompensationError for gyros that do not span space, and if something is lacking.
         """
         left = self.less_added(rate_rps, t_s, temperature_c, accel_mps2)
-        w = self._inverted(left, t_s, temperature_c)
-        if self.held("acceleration_sensitivity") is not None:
-            moved = _conditions(t_s, w, temperature_c, None, _slope(w, t_s))
-            w = self._inverted(left - self._effects(("acceleration_sensitivity",), moved), t_s, temperature_c)
+        w = self._inverted(left, t_s, temperature_c, accel_mps2)
+        if any(effect.acts is Acts.MOTION for effect in self.effects):
+            moved = _conditions(t_s, w, temperature_c, accel_mps2, _slope(w, t_s))
+            w = self._inverted(left - self._effects(Acts.MOTION, moved), t_s, temperature_c, accel_mps2)
         return w
 
     def _check(self, temperature_c: Floats | None, accel_mps2: Floats | None) -> None:
@@ -223,49 +256,42 @@ class Compensation:
         if lacking:
             raise CompensationError(f"the effects of these gyros cannot be undone without {' and '.join(lacking)}")
 
-    def _inverted(self, left: Floats, t_s: Floats, temperature_c: Floats | None) -> Floats:
+    def _inverted(self, left: Floats, t_s: Floats, temperature_c: Floats | None, accel_mps2: Floats | None) -> Floats:
         """Return body rates (N, 3) from outputs (N, n) that only the rate has a part in."""
         solution = self.solution.T
         with np.errstate(over="ignore", invalid="ignore"):  # of infinities, and of rows that come to no end
             w = left @ solution
-            if not any(effect.name in OF_THE_RATE for effect in self.effects):
+            if not any(effect.acts is Acts.RATE for effect in self.effects):
                 return np.asarray(w)
             change = np.full(len(w), np.inf)
             for _ in range(MOST_ITERATIONS):
                 before = w
-                w = (left - self._effects(OF_THE_RATE, _conditions(t_s, w, temperature_c, None))) @ solution
+                w = (left - self._effects(Acts.RATE, _conditions(t_s, w, temperature_c, accel_mps2))) @ solution
                 change = np.abs(w - before).sum(axis=1)
                 if not (change > TOLERANCE_RPS).any():
                     break
         w[~(change <= TOLERANCE_RPS)] = np.nan
         return np.asarray(w)
 
-    def _effects(self, names: Collection[str], conditions: Conditions) -> Floats:
-        """Return what effects of these names add to the outputs (N, n), by the catalogue's own regressors."""
+    def _effects(self, acts: Acts, conditions: Conditions) -> Floats:
+        """Return what effects that act like this add to the outputs (N, n), by their own regressors."""
         added = np.zeros((len(conditions.t_s), len(self.array)))
         for held in self.effects:
-            if held.name in names:
+            if held.acts is acts:
                 effect = held.known.effect(())
-                for gyro, values in enumerate(held.values):
-                    added[:, gyro] += effect.columns(conditions, self.array, gyro) @ values
+                with np.errstate(all="ignore"):  # a law may divide by zero, and samples may be no numbers
+                    for gyro, values in enumerate(held.values):
+                        added[:, gyro] += effect.columns(conditions, self.array, gyro) @ values
         return added
 
 
-def smoothed_slope(t_s: Floats, temperature_c: Floats) -> Floats:
-    """Return the slope (N,) in K/s of a temperature that is smoothed by a first-order lag of ``SLOPE_S``.
-
-    A reading that is no number makes its own slope NaN, and those after it only go by the others.
-    """
-    slopes = np.zeros(len(t_s))
-    smooth = np.nan
-    for row, (now, step) in enumerate(zip(temperature_c, np.diff(t_s, prepend=t_s[:1]), strict=True)):
-        if np.isnan(smooth):
-            smooth = now
-        elif not np.isnan(now):
-            step = max(step, 0.0)
-            smooth += (now - smooth) * step / (SLOPE_S + step)
-        slopes[row] = (now - smooth) / SLOPE_S
-    return slopes
+def _acts_of(law: str) -> Acts:
+    """Return how a law acts; its time and temperature are remembered sample by sample, which no iteration may do."""
+    names, functions = variables_of(law), functions_of(law)
+    kinds = {VARIABLES[name][0] for name in names}
+    if not kinds & {"rate", "acceleration"}:
+        return Acts.ADDED
+    return Acts.MOTION if "acceleration" in kinds or "Tdot" in names or functions & _UNSTEADY else Acts.RATE
 
 
 def _joined(gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray]) -> SensorArray:
@@ -288,7 +314,7 @@ def _conditions(
     none = np.empty((len(t_s), 0))
     force = np.full((len(t_s), 3), np.nan) if accel_mps2 is None else accel_mps2
     wdot = np.zeros_like(w_rps) if wdot_rps2 is None else wdot_rps2
-    return Conditions(t_s, w_rps, wdot, none, none, none, (), force, temperature_c)
+    return Conditions(t_s, w_rps, wdot, none, none, none, (), force, temperature_c, causal=True)
 
 
 def _slope(values: Floats, t_s: Floats) -> Floats:

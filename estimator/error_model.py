@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.constructed import NAME as CONSTRUCTED
+from estimator.effects.constructed import axes_of, constructed, parsed
 from estimator.effects.drift import bias_drift, warm_up
 from estimator.effects.dynamics import acceleration_sensitivity, bandwidth, latency, tone
 from estimator.effects.effect import Effect
@@ -56,11 +59,11 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class KnownEffect:
-    """An effect of the catalogue as a type of gyro has it.
+    """An effect of the catalogue, or one constructed, as a type of gyro has it.
 
-    ``settings`` hold what is not linear in it, by name: "time_constant_s", "frequency_hz", "width_rps", "order" and
-    "axis". ``sizes`` are by parameter. ``found`` is what they come from: by gyro, or by "all gyros" for a shared
-    effect, value and standard deviation of each parameter.
+    ``settings`` hold what is not linear in it, by name: "time_constant_s", "frequency_hz", "width_rps", "order",
+    "axis", the "law" of one constructed. ``sizes`` are by parameter. ``found`` is what they come from: by gyro, or by
+    "all gyros" for a shared effect, value and standard deviation of each parameter.
     """
 
     name: str
@@ -84,19 +87,26 @@ class KnownEffect:
         """Name and settings, different for each effect of a model."""
         return " ".join([self.name, *(_WORDS[key](self.settings[key]) for key in _SETTINGS.get(self.name, ()))])
 
+    @property
+    def law(self) -> str:
+        """The law of a constructed effect, empty for those of the catalogue."""
+        return str(self.settings.get("law", ""))
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the table that it names."""
+        return axes_of(self.law) if self.law else (str(self.settings["axis"]),) if "axis" in self.settings else ()
+
     def effect(self, gimbals: Sequence[str]) -> Effect:
         """Return the effect, made by the catalogue's function, on a table with these gimbals (none: no table).
 
         The sizes stand in the place of the largest plausible ones. Raises ModelError if the table does not fit.
         """
-        axis = self.settings.get("axis")
-        if axis is not None and axis not in gimbals:
-            if gimbals:
-                raise ModelError(f"the model has {self.called}, and the table has no axis {axis}")
-            axis_of: Sequence[str] = (str(axis),)  # without a table it is refused for what it needs
-        else:
-            axis_of = gimbals
-        made = _MAKERS[self.name](self.settings, axis_of)
+        lacking = [axis for axis in self.axes if axis not in gimbals]
+        if lacking and gimbals:
+            raise ModelError(f"the model has {self.called}, and the table has no axis {', '.join(lacking)}")
+        # Without a table it is refused for what it needs.
+        made = _MAKERS[self.name](self.settings, self.axes if lacking else gimbals)
         if len(made.parameters) != len(self.sizes):
             if not gimbals:
                 return made
@@ -240,6 +250,7 @@ _MAKERS: Mapping[str, Callable[[Mapping[str, Any], Sequence[str]], Effect]] = {
     "table_axes": lambda s, g: table_axes(g),
     "table_rate": lambda s, g: table_rate(g),
     "tone": lambda s, g: tone(s["frequency_hz"]),
+    CONSTRUCTED: lambda s, g: constructed(s["law"]),
 }
 """How the catalogue makes each effect, from its settings and the gimbals of a table."""
 
@@ -248,6 +259,7 @@ _SETTINGS = {
     "dead_band": ("width_rps",),
     "table_harmonic": ("order", "axis"),
     "tone": ("frequency_hz",),
+    CONSTRUCTED: ("law",),
 }
 
 _WORDS: Mapping[str, Callable[[Any], str]] = {
@@ -256,6 +268,7 @@ _WORDS: Mapping[str, Callable[[Any], str]] = {
     "width_rps": lambda width: f"{np.degrees(width):.3g} deg/s",
     "order": str,
     "axis": str,
+    "law": str,
 }
 _ANY_PHASE = frozenset({"tone", "table_harmonic"})  # cosine and sine are of one size: it is the phase that differs
 
@@ -291,6 +304,8 @@ def _settings_of(part: Part) -> dict[str, float | int | str]:
     if name == "table_harmonic":
         order, axis = part.candidate.name.split()[1:]
         return {"axis": axis, "order": int(order)}
+    if name == CONSTRUCTED:
+        return {"law": part.candidate.law}
     return {key: float(theta) for key in _SETTINGS.get(name, ()) if theta is not None}
 
 
@@ -304,7 +319,7 @@ def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
     settings: dict[str, float | int | str] = {}
     for key in _SETTINGS.get(name, ()):
         value = entry[key]
-        settings[key] = str(value) if key == "axis" else int(value) if key == "order" else _positive(key, value)
+        settings[key] = _READ.get(key, partial(_positive, key))(value)
     sizes = tuple(
         Size(str(p["name"]), str(p["unit"]), _finite("mean", p["mean"]), _positive("sd", p["sd"]))
         for p in entry["parameters"]
@@ -321,6 +336,12 @@ def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
     return known
 
 
+def _law(value: object) -> str:
+    parsed(str(value))
+    return str(value)
+
+
+_READ: Mapping[str, Callable[[Any], float | int | str]] = {"axis": str, "order": int, "law": _law}
 _OF_GIMBALS = ("table_axes", "table_rate")  # the number of their parameters follows the table
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.budget import UNSEEN, Contribution
 from estimator.calibration import EffectValue, GyroCalibration
+from estimator.effects.constructed import readable
 from estimator.effects.dynamics import latency
 from estimator.error_model import ErrorModel, ModelError
 from estimator.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
@@ -171,7 +172,7 @@ def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
                 unseen.setdefault(name, []).append(gyro.name)
     by_gyros: dict[tuple[str, ...], list[str]] = {}
     for name, who in unseen.items():
-        by_gyros.setdefault(tuple(who), []).append(name.replace("_", " "))
+        by_gyros.setdefault(tuple(who), []).append(readable(name))
     return [
         f"not seen by this run on {', '.join(who)}, of the effects of the model: {', '.join(names)}; the sigmas of the "
         "states hold what is typical of them"

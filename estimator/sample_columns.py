@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from estimator.array import SensorArray
 from estimator.effects.conditions import Conditions
+from estimator.effects.constructed import NAME as CONSTRUCTED
+from estimator.effects.constructed import readable
 from estimator.error_model import ErrorModel
 from estimator.gram import Solution
 from estimator.kinematics import Site
@@ -23,6 +25,7 @@ _ON_A_TABLE = frozenset({"gimbals", "specific force", "temperature"})
 _NOT_LIVE = {
     "bandwidth": "needs the second derivative of the rate",
     "thermal_gradient": "needs the temperature of the seconds to come",
+    CONSTRUCTED: "needs all that went before",
 }
 _CHUNK_ROWS = 8192
 
@@ -43,7 +46,7 @@ class SampleColumns:
         self._scale = np.concatenate([np.empty(0), *(known.sd for known, _ in self._parts)])
         self._expected = np.concatenate([np.empty(0), *(known.mean for known, _ in self._parts)])
         self.notes = tuple(
-            f"{known.called.replace('_', ' ')} {_NOT_LIVE[known.name]}: the live estimate goes without it, the "
+            f"{readable(known.called)} {_NOT_LIVE[known.name]}: the live estimate goes without it, the "
             "calibration has it"
             for known in model.effects
             if known.name in _NOT_LIVE

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from estimator.effects.constructed import readable
 from estimator.model import STATES
 from estimator.tracing.investigation import (
     Added,
@@ -106,7 +107,8 @@ def unexplained_line(unexplained: Unexplained) -> str:
 
 def _added_lines(added: Added, gyros: int) -> list[str]:
     who = "all gyros" if len(added.gyros) == gyros else ", ".join(added.gyros)
-    head = f"{words(added.effect)}, probability {probability(added.probability)}, shown by {who or 'no gyro alone'}"
+    called = _constructed_line(added) if added.constructed else words(added.effect)
+    head = f"{called}, probability {probability(added.probability)}, shown by {who or 'no gyro alone'}"
     lines: dict[str, list[str]] = {}
     for name, value in added.parameters.items():
         own = next((gyro for gyro in added.gyros if name.startswith(f"{gyro} ")), "")
@@ -123,9 +125,17 @@ def _added_lines(added: Added, gyros: int) -> list[str]:
     return said
 
 
+def _constructed_line(added: Added) -> str:
+    """Return what an effect is that has no name, with the uncertainty of its lag."""
+    said, lag = added.effect, added.parameters.get("constant")
+    if lag is not None:
+        said = said.replace(f"lagged by {lag.value:.4g} s", f"lagged by {human(lag)}")
+    return f"CONSTRUCTED: {said}; not in the catalogue"
+
+
 def words(name: str) -> str:
     """Return the name of an effect as people say it; "a + b" for several."""
-    return name.replace("_", " ")
+    return readable(name)
 
 
 def probability(share: float) -> str:
@@ -252,6 +262,8 @@ def investigation_object(
         "added": [
             {
                 "effect": added.effect,
+                "constructed": added.constructed,
+                "expression": added.expression,
                 "gyros": list(added.gyros),
                 "probability": _finite(added.probability),
                 "parameters": {name: [_finite(v.value), _finite(v.sd), v.unit] for name, v in added.parameters.items()},

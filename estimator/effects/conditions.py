@@ -13,6 +13,9 @@ from estimator.kinematics import AXES, Site, body_rate, check_gimbals, into_body
 
 Floats = NDArray[np.float64]
 
+SLOPE_S = 10.0
+"""Time constant over which a causal slope of the temperature is taken: readings are too coarse for differences."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conditions:
@@ -23,7 +26,7 @@ class Conditions:
     ``specific_force_mps2`` (N, 3) in body axes, NaN if it is not known; ``temperature_c`` (N,), None if that is
     not known. Without a table there are no ``gimbals``. ``w_rps`` holds Earth rate only where there is a ``site``.
     ``delayed_rps`` gives, for a delay in s, the body rate (N, 3) that long ago, as means over the samples that the
-    output errors are means of; None where conditions are of a plan.
+    output errors are means of; None where conditions are of a plan. ``causal``: nothing that is to come is known.
     """
 
     t_s: Floats
@@ -37,6 +40,16 @@ class Conditions:
     temperature_c: Floats | None = None
     site: Site | None = None
     delayed_rps: Callable[[float], Floats] | None = None
+    causal: bool = False
+
+    @property
+    def warming_kps(self) -> Floats:
+        """Slope (N,) of the temperature in K/s, smoothed over ``SLOPE_S`` if causal; zero if it is not known."""
+        if self.temperature_c is None:
+            return np.zeros(len(self.t_s))
+        if self.causal:
+            return smoothed_slope(self.t_s, self.temperature_c)
+        return np.asarray(np.gradient(self.temperature_c, self.period_s))
 
     @property
     def offers(self) -> frozenset[str]:
@@ -85,6 +98,23 @@ class Conditions:
             temperature_c,
             site,
         )
+
+
+def smoothed_slope(t_s: Floats, temperature_c: Floats) -> Floats:
+    """Return the slope (N,) in K/s of a temperature that is smoothed by a first-order lag of ``SLOPE_S``.
+
+    A reading that is no number makes its own slope NaN, and those after it only go by the others.
+    """
+    slopes = np.zeros(len(t_s))
+    smooth = np.nan
+    for row, (now, step) in enumerate(zip(temperature_c, np.diff(t_s, prepend=t_s[:1]), strict=True)):
+        if np.isnan(smooth):
+            smooth = now
+        elif not np.isnan(now):
+            step = max(step, 0.0)
+            smooth += (now - smooth) * step / (SLOPE_S + step)
+        slopes[row] = (now - smooth) / SLOPE_S
+    return slopes
 
 
 def body_acceleration(

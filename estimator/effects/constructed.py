@@ -2,13 +2,16 @@
 
 A law is text, as ``lag(T, 58)*gx``: names of variables, numbers, products, powers, quotients, and some functions.
 Three of these remember: ``lag(x, c)`` follows x as a first-order lag of c seconds, ``play(x, c)`` as a linkage with a
-play of c follows its drive (Krasnosel'skii, Pokrovskii 1989); ``last(x)`` is the sign that x had last, beyond a
-twentieth of its largest size. Terms of one law are separated by semicolons, each with a coefficient of its own.
+play of c follows its drive (Krasnosel'skii, Pokrovskii 1989); ``last(x, c)`` is the sign that x had last beyond c,
+``last(x)`` beyond a twentieth of its largest size: of the recording, or so far where conditions are causal. Terms of
+one law are separated by semicolons, each with a coefficient of its own. Memory passes over what is not finite.
 """
 
 from __future__ import annotations
 
 import ast
+import math
+import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -24,8 +27,10 @@ Floats = NDArray[np.float64]
 
 NAME = "constructed"
 REFERENCE_C = 25.0
+LAST_SHARE = 0.05
+"""Share of the largest size beyond which a sign counts."""
 _MOST_CHARACTERS = 200
-_LAST = 0.05  # share of the largest size beyond which a sign counts
+_CHARACTERS = re.compile(r"[A-Za-z0-9_.+\-*/(),; ]*")  # no comments, no line ends: laws stand in source code
 
 VARIABLES: Mapping[str, tuple[str, str, str]] = {
     "u": ("rate", "rad/s", "rate about the sense axis"),
@@ -78,14 +83,24 @@ def constructed(law: str, largest: tuple[float, ...] = ()) -> Effect:
 
 def variables_of(law: str) -> tuple[str, ...]:
     """Return the variables that a law names, in the order in which they come."""
-    return tuple(
-        dict.fromkeys(
-            node.id
-            for tree in parsed(law)
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Name) and node.id in VARIABLES
-        )
-    )
+    return tuple(dict.fromkeys(name for tree in parsed(law) for name in _names(tree)))
+
+
+def _names(tree: ast.expr) -> list[str]:
+    return [node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and node.id in VARIABLES]
+
+
+def functions_of(law: str) -> frozenset[str]:
+    """Return the functions that a law calls; "/" for a quotient by something that is no number."""
+    nodes = [node for tree in parsed(law) for node in ast.walk(tree)]
+    calls = {node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
+    divided = any(isinstance(n, ast.BinOp) and isinstance(n.op, ast.Div) and _names(n.right) for n in nodes)
+    return frozenset(calls | ({"/"} if divided else set()))
+
+
+def axes_of(law: str) -> tuple[str, ...]:
+    """Return the axes of a table that a law names."""
+    return tuple(dict.fromkeys(name.partition("_")[2] for name in variables_of(law) if "_" in name))
 
 
 def depends_on(law: str) -> tuple[str, ...]:
@@ -95,15 +110,23 @@ def depends_on(law: str) -> tuple[str, ...]:
 
 
 def in_words(law: str) -> str:
-    """Return a law as a sentence's object: "a bias in proportion to temperature lagged by 58 s"."""
+    """Return a law as a sentence's object: "bias proportional to temperature lagged by 58 s"."""
     words = [_words(tree) for tree in parsed(law)]
-    return "a bias in proportion to " + " and to ".join(words)
+    return "bias proportional to " + " and to ".join(words)
+
+
+def readable(called: str) -> str:
+    """Return the name of an effect, or of a law in a model, as people say it."""
+    kind, _, law = called.partition(" ")
+    return f"{NAME}: {in_words(law)}" if kind == NAME and law else called.replace("_", " ")
 
 
 def parsed(law: str) -> list[ast.expr]:
     """Return the terms of a law as trees; LawError for anything that the grammar does not hold."""
     if not law.strip() or len(law) > _MOST_CHARACTERS:
         raise LawError(f"a law has 1 to {_MOST_CHARACTERS} characters")
+    if not _CHARACTERS.fullmatch(law):
+        raise LawError(f"{law!r} has a character that no law has")
     trees = []
     for term in law.split(";"):
         try:
@@ -130,9 +153,13 @@ def _check(node: ast.expr) -> None:
             _check(node.operand)
         case ast.Call(func=ast.Name(id=name), args=[inner], keywords=[]) if name in _PLAIN:
             _check(inner)
-        case ast.Call(func=ast.Name(id="last"), args=[inner], keywords=[]):
+        case ast.Call(func=ast.Name(id="last"), args=[inner], keywords=[]) if _names(inner):
             _check(inner)
-        case ast.Call(func=ast.Name(id="lag" | "play"), args=[inner, ast.Constant(value=int() | float())], keywords=[]):
+        case ast.Call(
+            func=ast.Name(id="lag" | "play" | "last"),
+            args=[inner, ast.Constant(value=int() | float() as size)],
+            keywords=[],
+        ) if _names(inner) and 0 < size < np.inf:
             _check(inner)
         case _:
             raise LawError(f"{ast.unparse(node)!r} is not of the grammar of laws")
@@ -166,7 +193,7 @@ class _Values:
             return np.asarray(np.linalg.norm(c.w_rps, axis=1))
         if name in ("T", "Tdot"):
             warm = np.zeros(len(c.t_s)) if c.temperature_c is None else c.temperature_c - REFERENCE_C
-            return np.asarray(warm) if name == "T" else np.asarray(np.gradient(warm, c.period_s))
+            return np.asarray(warm) if name == "T" else c.warming_kps
         if name == "t":
             return np.asarray(c.t_s - c.t_s[0])
         if name in ("gx", "gy", "gz", "gs"):
@@ -199,8 +226,10 @@ def evaluated(node: ast.expr, known: _Values) -> Floats:
             return lagged(value(inner), known.conditions.t_s, float(constant))  # type: ignore[arg-type]
         case ast.Call(func=ast.Name(id="play"), args=[inner, ast.Constant(value=constant)]):
             return played(value(inner), float(constant))  # type: ignore[arg-type]
-        case ast.Call(func=ast.Name(id="last"), args=[inner]):
-            return last_sign(value(inner))
+        case ast.Call(func=ast.Name(id="last"), args=[inner, *limit]):
+            x = value(inner)
+            so_far = LAST_SHARE * np.maximum.accumulate(_finite_sizes(x)) if known.conditions.causal else None
+            return last_sign(x, value(limit[0]) if limit else so_far)
         case ast.Call(func=ast.Name(id=name), args=[inner]):
             return np.asarray(_PLAIN[name](value(inner)))
     raise LawError(ast.unparse(node))
@@ -220,32 +249,40 @@ def lagged(values: Floats, t_s: Floats, lag_s: float) -> Floats:
     from scipy.signal import lfilter
 
     steps = np.diff(t_s)
-    if len(steps) and np.ptp(steps) < 1e-6 * steps[0]:
+    if len(steps) and np.ptp(steps) < 1e-6 * steps[0] and np.isfinite(values).all():
         keep = np.exp(-steps[0] / lag_s)
         slow, _ = lfilter([1 - keep], [1, -keep], values - values[0], zi=[0.0])
         return np.asarray(slow + values[0])
-    out = np.array(values, dtype=np.float64)
-    for row, keep in enumerate(np.exp(-np.maximum(steps, 0.0) / lag_s).tolist(), 1):
-        out[row] = values[row] + (out[row - 1] - values[row]) * keep
-    return out
+    return _remembered(values, np.exp(-np.maximum(steps, 0.0) / lag_s), lambda held, x, keep: x + (held - x) * keep)
 
 
 def played(values: Floats, width: float) -> Floats:
     """Return what follows values (N,) with a play of ``width`` in all, beginning in its middle."""
-    out = np.empty(len(values))
-    held, half = float(values[0]), 0.5 * width
-    for row, value in enumerate(values.tolist()):
-        held = min(max(held, value - half), value + half)
-        out[row] = held
+    half = 0.5 * width
+    return _remembered(values, np.zeros(len(values)), lambda held, x, _: min(max(held, x - half), x + half))
+
+
+def _remembered(values: Floats, steps: Floats, follow: Callable[[float, float, float], float]) -> Floats:
+    """Return what follows values (N,), from the first that is finite; what is not finite stays, and is passed over."""
+    out = np.array(values, dtype=np.float64)
+    held = float("nan")
+    for row, (x, step) in enumerate(zip(out.tolist(), [0.0, *steps.tolist()], strict=False)):
+        if math.isfinite(x):
+            held = out[row] = follow(held, x, step) if math.isfinite(held) else x
     return out
 
 
-def last_sign(values: Floats) -> Floats:
-    """Return the sign (N,) of the last value beyond a twentieth of the largest, 0 before the first."""
-    limit = _LAST * float(np.abs(values).max(initial=0.0))
-    sign = np.where(np.abs(values) > limit, np.sign(values), 0.0)
+def last_sign(values: Floats, limit: Floats | None = None) -> Floats:
+    """Return the sign (N,) of the last value beyond a limit, of the largest a twentieth; 0 before the first."""
+    size = _finite_sizes(values)
+    beyond = size > (LAST_SHARE * size.max(initial=0.0) if limit is None else limit)
+    sign = np.where(beyond, np.sign(values), 0.0)
     last = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign)), -1))
     return np.asarray(np.where(last >= 0, sign[np.maximum(last, 0)], 0.0))
+
+
+def _finite_sizes(values: Floats) -> Floats:
+    return np.where(np.isfinite(values), np.abs(values), 0.0)
 
 
 _POWERS = {"2": "square", "3": "cube"}
@@ -259,7 +296,7 @@ def _words(node: ast.expr) -> str:
             return f"{_words(inner)} lagged by {ast.unparse(constant)} s"
         case ast.Call(func=ast.Name(id="play"), args=[inner, constant]):
             return f"{_words(inner)} with a play of {ast.unparse(constant)}"
-        case ast.Call(func=ast.Name(id="last"), args=[inner]):
+        case ast.Call(func=ast.Name(id="last"), args=[inner, *_]):
             return f"the last direction of the {_words(inner)}"
         case ast.Call(func=ast.Name(id="abs"), args=[inner]):
             return f"the size of the {_words(inner)}"

@@ -70,9 +70,7 @@ def thermal_gradient() -> Effect:
     """Return what a changing temperature adds: up to 1 deg/s per K/min before the parts are evenly warm."""
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        if conditions.temperature_c is None:
-            return np.zeros(len(conditions.t_s))
-        return np.asarray(np.gradient(conditions.temperature_c, conditions.period_s))
+        return conditions.warming_kps
 
     return Effect(
         "thermal_gradient",

@@ -30,6 +30,8 @@ def write_c(exported: Exported) -> Written:
         exported,
         terms,
         lambda term: f"{prefix}_{term.table}",
+        {"axis": f"{prefix}_axis", "value": "(", "sign": f"{prefix}_sign"}
+        | {name: f"{prefix}_{name}(state, " for name in ("follow", "last")},
         {
             "head": map(_said_line, head(exported, what, not_held, " *")),
             "tables": _tables(exported, terms, prefix),
@@ -38,12 +40,13 @@ def write_c(exported: Exported) -> Written:
         p=prefix,
         upper=prefix.upper(),
         arguments=", ".join(arguments),
-        warmth_given=", double warmth" if terms.warms_the_rate else "",
+        beside="".join(_GIVEN[name] for name in terms.given_to_the_rate),
         simple=f"void {prefix}_solve" if terms.of_the_rate else f"int {prefix}_invert",
     )
     return Written(text, tuple(not_held))
 
 
+_GIVEN = {"warmth": ", double warmth", "time_s": ", double time_s", "accel": ", const double accel[3]"}
 _HEADER = """
           |/*
 head      |$it
@@ -63,9 +66,10 @@ state     |/* What is kept from sample to sample; reset it at the start and afte
 state     |typedef struct {
 state     |    int started;
 time_s    |    double time_s; /* since the gyros were switched on; set it if they run already */
-lag       |    double rate_rps[${p}_gyros]; /* of the sample before, as all that follows */
+bandwidth |    double rate_rps[${p}_gyros]; /* of the sample before, as all that follows */
 slope     |    double smooth_c;
 wdot      |    double w_rps[3];
+memory    |    double kept[$places][${p}_gyros]; /* what functions with memory hold */
 state     |} ${p}_state;
 state     |
 state     |static inline void ${p}_reset(${p}_state *state)
@@ -74,6 +78,34 @@ state     |    static const ${p}_state empty = {0};
 state     |    *state = empty;
 state     |}
 state     |
+follow    |/* What follows x by a share of how far behind it was, no more than a width; skips what is no number. */
+follow    |static inline double ${p}_follow(${p}_state *state, int at, int i, double x, double share, double width)
+follow    |{
+follow    |    double *kept = &state->kept[at][i];
+follow    |    if (!state->started || !isfinite(*kept))
+follow    |        *kept = x;
+follow    |    else if (isfinite(x))
+follow    |        *kept = x + share * fmin(fmax(*kept - x, -width), width);
+follow    |    return isfinite(x) ? *kept : x;
+follow    |}
+follow    |
+last      |/* The sign that x had last beyond a limit, or beyond $share of its largest size so far if the limit is 0. */
+last      |static inline double ${p}_last(${p}_state *state, int at, int i, double x, double limit)
+last      |{
+last      |    double *largest = &state->kept[at][i], *sign = &state->kept[at + 1][i];
+last      |    if (isfinite(x)) {
+last      |        *largest = fmax(*largest, fabs(x));
+last      |        if (fabs(x) > (limit > 0.0 ? limit : $share * *largest))
+last      |            *sign = x > 0.0 ? 1.0 : -1.0;
+last      |    }
+last      |    return *sign;
+last      |}
+last      |
+sign      |static inline double ${p}_sign(double x)
+sign      |{
+sign      |    return isnan(x) ? x : (x > 0.0) - (x < 0.0);
+sign      |}
+sign      |
           |static inline $simple(const double left[${p}_gyros], double w_rps[3])
           |{
           |    int i, r;
@@ -86,29 +118,27 @@ no rate   |    return 0;
           |}
           |
 rate      |/* Undoes what depends on the rate itself, by iteration; returns 1 and leaves it in if that has no end. */
-rate      |static inline int ${p}_invert(const double left[${p}_gyros]$warmth_given, double w_rps[3])
+rate      |static inline int ${p}_invert(const double left[${p}_gyros]$beside, double w[3])
 rate      |{
-rate      |    double less[${p}_gyros], next[3], change, u;
-rate      |    int i, r, step;
-rate      |    ${p}_solve(left, w_rps);
-rate      |    for (step = 0; step < $iterations; step++) {
+rate      |    double less[${p}_gyros], next[3], change;
+rate      |    int i, r, pass;
+rate      |    ${p}_solve(left, w);
+rate      |    for (pass = 0; pass < $iterations; pass++) {
 rate      |        for (i = 0; i < ${p}_gyros; i++) {
-rate      |            u = 0.0;
-rate      |            for (r = 0; r < 3; r++)
-rate      |                u += ${p}_axis[i][r] * w_rps[r];
+u rate    |            const double u = ${p}_axis[i][0] * w[0] + ${p}_axis[i][1] * w[1] + ${p}_axis[i][2] * w[2];
 rate      |            less[i] = left[i];
 of rate   |            less[i] -= $it;
 rate      |        }
 rate      |        ${p}_solve(less, next);
 rate      |        change = 0.0;
 rate      |        for (r = 0; r < 3; r++) {
-rate      |            change += fabs(next[r] - w_rps[r]);
-rate      |            w_rps[r] = next[r];
+rate      |            change += fabs(next[r] - w[r]);
+rate      |            w[r] = next[r];
 rate      |        }
 rate      |        if (change <= $tolerance)
 rate      |            return 0;
 rate      |    }
-rate      |    ${p}_solve(left, w_rps);
+rate      |    ${p}_solve(left, w);
 rate      |    return 1;
 rate      |}
 rate      |
@@ -124,9 +154,10 @@ no rate   | * Returns 0.
           |    int i;
 warmth    |    const double warmth = temperature_c - $reference_c;
 time_s    |    const double time_s = state->started ? state->time_s + dt_s : state->time_s;
-slope     |    const double step = state->started && dt_s > 0.0 ? dt_s : 0.0;
+step      |    const double step = state->started && dt_s > 0.0 ? dt_s : 0.0;
 slope     |    double slope;
-wdot      |    double wdot[3] = {0.0, 0.0, 0.0}, w[3];
+motion    |    double w[3];
+wdot      |    double wdot[3] = {0.0, 0.0, 0.0};
 wdot      |    int r;
 slope     |    if (!state->started || isnan(state->smooth_c))
 slope     |        state->smooth_c = temperature_c;
@@ -135,23 +166,25 @@ slope     |        state->smooth_c += (temperature_c - state->smooth_c) * step /
 slope     |    slope = (temperature_c - state->smooth_c) / $slope_s;
           |    for (i = 0; i < ${p}_gyros; i++) {
           |        left[i] = rate_rps[i] + ${p}_bias[i];
-lag       |        if (state->started && dt_s > 0.0 && isfinite(rate_rps[i] - state->rate_rps[i]))
-lag       |            left[i] += $lag[i] * (rate_rps[i] - state->rate_rps[i]) / dt_s;
-lag       |        state->rate_rps[i] = rate_rps[i];
+bandwidth |        if (state->started && dt_s > 0.0 && isfinite(rate_rps[i] - state->rate_rps[i]))
+bandwidth |            left[i] += $lag[i] * (rate_rps[i] - state->rate_rps[i]) / dt_s;
+bandwidth |        state->rate_rps[i] = rate_rps[i];
 added     |        left[i] -= $it;
           |    }
-of wdot   |    if (${p}_invert(left$warmth, w))
-of wdot   |        w[0] = w[1] = w[2] = NAN;
-of wdot   |    for (r = 0; r < 3; r++) {
-of wdot   |        if (state->started && dt_s > 0.0 && isfinite(w[r] - state->w_rps[r]))
-of wdot   |            wdot[r] = (w[r] - state->w_rps[r]) / dt_s;
-of wdot   |        state->w_rps[r] = w[r];
-of wdot   |    }
-of wdot   |    for (i = 0; i < ${p}_gyros; i++)
-of wdot   |        left[i] -= $it;
+motion    |    if (${p}_invert(left$passed, w))
+motion    |        w[0] = w[1] = w[2] = NAN;
+wdot      |    for (r = 0; r < 3; r++) {
+wdot      |        if (state->started && dt_s > 0.0 && isfinite(w[r] - state->w_rps[r]))
+wdot      |            wdot[r] = (w[r] - state->w_rps[r]) / dt_s;
+wdot      |        state->w_rps[r] = w[r];
+wdot      |    }
+motion    |    for (i = 0; i < ${p}_gyros; i++) {
+u motion  |        const double u = ${p}_axis[i][0] * w[0] + ${p}_axis[i][1] * w[1] + ${p}_axis[i][2] * w[2];
+of motion |        left[i] -= $it;
+motion    |    }
 time_s    |    state->time_s = time_s;
 state     |    state->started = 1;
-          |    return ${p}_invert(left$warmth, w_rps);
+          |    return ${p}_invert(left$passed, w_rps);
           |}
           |
           |#endif /* ${upper}_CORRECTION_H */
@@ -180,7 +213,7 @@ def _tables(exported: Exported, terms: Terms, prefix: str) -> list[str]:
         "/* Biases, to be added to the outputs, in rad/s. */",
         *_table(f"{prefix}_bias", exported.compensation.bias_rps),
     ]
-    if terms.of_the_rate:
+    if terms.uses_axes:
         lines += ["/* Nominal sense axes. */", *_table(f"{prefix}_axis", exported.compensation.array.p)]
     for term in terms.all:
         lines += [f"/* {term.effect.replace('_', ' ')}: {term.unit} */", *_table(f"{prefix}_{term.table}", term.values)]

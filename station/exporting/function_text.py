@@ -7,7 +7,9 @@ from string import Template
 
 import numpy as np
 
-from estimator.compensation import MOST_ITERATIONS, SLOPE_S, TOLERANCE_RPS
+from estimator.compensation import MOST_ITERATIONS, TOLERANCE_RPS, Acts
+from estimator.effects.conditions import SLOPE_S
+from estimator.effects.constructed import LAST_SHARE, readable
 from estimator.effects.thermal import REFERENCE_C
 from station.exporting.exported import Exported
 from station.exporting.terms import Term, Terms
@@ -17,7 +19,7 @@ from station.exporting.written import delay_line, lines_of, number
 def argument_names(terms: Terms) -> list[str]:
     """Return what the function is given of a sample, in order; ``arguments_said`` says what each is."""
     warm = terms.uses("warmth") or terms.uses("slope")
-    asked = {"rate_rps": True, "temperature_c": warm, "accel": terms.uses("accel"), "dt_s": terms.keeps_state}
+    asked = {"rate_rps": True, "temperature_c": warm, "accel": terms.uses("accel"), "dt_s": terms.timed}
     return [name for name, needed in asked.items() if needed]
 
 
@@ -35,6 +37,7 @@ def arguments_said(exported: Exported, terms: Terms) -> list[str]:
         lines.append(f"Effects of the rate were found up to {largest:.4g} deg/s; beyond they are extrapolated.")
     if terms.uses("slope"):
         lines.append(f"The slope of the temperature is taken over {SLOPE_S:g} s.")
+    lines += [f"{readable(t.effect)}: found on one type of gyro, not in the catalogue." for t in terms.all if t.of_law]
     if terms.uses("wdot"):
         lines.append("Angular accelerations are differences of two samples, half a period late.")
     return lines
@@ -57,27 +60,32 @@ def function_text(
     exported: Exported,
     terms: Terms,
     name_of: Callable[[Term], str],
+    helpers: Mapping[str, str],
     given: Mapping[str, Iterable[str]],
     **values: object,
 ) -> str:
-    """Return the source code of a template, whose margin ends with a bar; ``name_of`` names the table of a term.
+    """Return the source code of a template, whose margin ends with a bar; ``name_of`` names the table of a term,
+    ``helpers`` are how the language writes what stands in braces in its expression.
 
     A name in the margin says when a line comes: where the function uses it, or once for each text of it, which
     ``$it`` stands for. Other names behind ``$`` are those of ``values``, and what the function consists of.
     """
 
-    def written(*some: Term | None) -> list[str]:
-        return [term.written(name_of(term)) for term in some if term is not None]
+    def written(acts: Acts) -> list[str]:
+        return [term.written(name_of(term), helpers) for term in terms.of(acts)]
 
     texts: dict[str, Iterable[str]] = {
-        "added": written(*terms.added),
-        "of rate": written(*terms.of_the_rate),
-        "of wdot": written(terms.of_acceleration),
+        "added": written(Acts.ADDED),
+        "of rate": written(Acts.RATE),
+        "of motion": written(Acts.MOTION),
         **given,
     }
-    used = {name: terms.uses(name) for name in ("warmth", "time_s", "slope", "wdot")}
-    used |= {"state": terms.keeps_state, "rate": bool(terms.of_the_rate), "lag": terms.lag is not None}
-    used |= {"adds": bool(terms.added)} | {f"no {name}": not there for name, there in used.items()}
+    used = {name: terms.uses(name) for name in ("warmth", "time_s", "slope", "wdot", "follow", "last", "sign")}
+    used |= {"state": terms.keeps_state, "rate": bool(terms.of_the_rate), "bandwidth": terms.lag is not None}
+    used |= {"u rate": terms.uses("u", Acts.RATE), "u motion": terms.uses("u", Acts.MOTION), "law": terms.has_law}
+    used |= {"motion": bool(terms.of(Acts.MOTION)), "memory": bool(terms.places)}
+    used |= {"step": used["slope"] or terms.uses("step"), "dt_s": terms.timed}
+    used |= {"adds": bool(terms.of(Acts.ADDED))} | {f"no {name}": not there for name, there in used.items()}
     values |= {
         "gyros": len(exported.gyros),
         "delay_s": number(exported.compensation.delay_s),
@@ -86,7 +94,9 @@ def function_text(
         "reference_c": number(REFERENCE_C),
         "slope_s": number(SLOPE_S),
         "lag": name_of(terms.lag) if terms.lag is not None else "",
-        "warmth": ", warmth" if terms.warms_the_rate else "",
+        "passed": "".join(f", {name}" for name in terms.given_to_the_rate),
+        "places": terms.places,
+        "share": number(LAST_SHARE),
     }
     lines = []
     for line in template.strip("\n").splitlines():

@@ -15,12 +15,14 @@ def write_python(exported: Exported) -> Written:
     not_held = cautions(exported, terms)
     call = "Correction().correct" if terms.keeps_state else "correct"
     what = f"{call}(...): outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s)."
+    keeps = any(terms.uses(name) for name in ("wdot", "follow", "last"))
     needed = {
-        "expm1": terms.uses("expm1("),
-        "fabs": bool(terms.of_the_rate),
-        "isfinite": terms.lag is not None or terms.of_acceleration is not None,
-        "isnan": terms.uses("slope"),
-        "nan": bool(terms.of_the_rate),
+        **{name: terms.uses(name) for name in ("cos", "exp", "expm1")},
+        "fabs": bool(terms.of_the_rate) or terms.uses("fabs") or terms.uses("last"),
+        "isfinite": terms.lag is not None or keeps,
+        "isnan": terms.uses("slope") or terms.uses("sign"),
+        **{name: terms.uses(name) for name in ("log1p", "sin", "sqrt", "tanh")},
+        "nan": bool(terms.of_the_rate) or terms.has_law,
     }
     functions = [name for name, used in needed.items() if used]
 
@@ -29,6 +31,8 @@ def write_python(exported: Exported) -> Written:
         exported,
         terms,
         lambda term: term.table.upper(),
+        {"axis": "AXIS", "value": "_value(lambda: ", "sign": "_sign"}
+        | {name: f"self._{name}(" for name in ("follow", "last")},
         {
             "head": head(exported, what, not_held, "#"),
             "import": [f"from math import {', '.join(functions)}", ""] if functions else [],
@@ -38,6 +42,7 @@ def write_python(exported: Exported) -> Written:
         names=list(exported.compensation.array.names),
         simple="_solve" if terms.of_the_rate else "_invert",
         arguments=", ".join(argument_names(terms)),
+        beside="".join(f", {name}" for name in terms.given_to_the_rate),
     )
     return Written(text, tuple(not_held))
 
@@ -57,13 +62,24 @@ tables    |$it
           |    return [sum(h * value for h, value in zip(row, left)) for row in SOLUTION]
           |
           |
-rate      |def _invert(left$warmth):
+law       |def _value(formula):
+law       |    try:
+law       |        return formula()
+law       |    except (ArithmeticError, ValueError):
+law       |        return nan
+law       |
+law       |
+sign      |def _sign(x):
+sign      |    return x if isnan(x) else float((x > 0.0) - (x < 0.0))
+sign      |
+sign      |
+rate      |def _invert(left$beside):
 rate      |    \"""Undo what depends on the rate itself, by iteration.\"""
 rate      |    w = _solve(left)
 rate      |    for _ in range($iterations):
 rate      |        less = list(left)
 rate      |        for i in range(len(less)):
-rate      |            u = AXIS[i][0] * w[0] + AXIS[i][1] * w[1] + AXIS[i][2] * w[2]
+u rate    |            u = AXIS[i][0] * w[0] + AXIS[i][1] * w[1] + AXIS[i][2] * w[2]
 of rate   |            less[i] -= $it
 rate      |        before, w = w, _solve(less)
 rate      |        if sum(fabs(a - b) for a, b in zip(w, before)) <= $tolerance:
@@ -79,7 +95,11 @@ warmth    |    warmth = temperature_c - $reference_c
           |    left = [output + bias for output, bias in zip(rate_rps, BIAS, strict=True)]
 adds      |    for i in range(len(left)):
 added     |        left[i] -= $it
-          |    return _invert(left$warmth)
+motion    |    w = _invert(left$passed)
+motion    |    for i in range(len(left)):
+u motion  |        u = AXIS[i][0] * w[0] + AXIS[i][1] * w[1] + AXIS[i][2] * w[2]
+of motion |        left[i] -= $it
+          |    return _invert(left$passed)
 """
 _CLASS = """\
           |class Correction:
@@ -89,11 +109,12 @@ time_s    |    def __init__(self, time_s=0.0):
 time_s    |        \"""``time_s``: since the gyros were switched on.\"""
 time_s    |        self.time_s = time_s
 no time_s |    def __init__(self):
+memory    |        self.kept = [[0.0] * len(GYROS) for _ in range($places)]
           |        self.started = False
           |
           |    def correct(self, $arguments):
 docstring |        $it
-          |        step = dt_s if self.started and dt_s > 0.0 else 0.0
+dt_s      |        step = dt_s if self.started and dt_s > 0.0 else 0.0
 warmth    |        warmth = temperature_c - $reference_c
 time_s    |        if self.started:
 time_s    |            self.time_s += dt_s
@@ -104,23 +125,40 @@ slope     |        elif not isnan(temperature_c):
 slope     |            self.smooth_c += (temperature_c - self.smooth_c) * step / ($slope_s + step)
 slope     |        slope = (temperature_c - self.smooth_c) / $slope_s
           |        left = [output + bias for output, bias in zip(rate_rps, BIAS, strict=True)]
-lag       |        if step:
-lag       |            for i in range(len(left)):
-lag       |                change = rate_rps[i] - self.rate_rps[i]
-lag       |                left[i] += $lag[i] * change / step if isfinite(change) else 0.0
-lag       |        self.rate_rps = list(rate_rps)
+bandwidth |        if step:
+bandwidth |            for i in range(len(left)):
+bandwidth |                change = rate_rps[i] - self.rate_rps[i]
+bandwidth |                left[i] += $lag[i] * change / step if isfinite(change) else 0.0
+bandwidth |        self.rate_rps = list(rate_rps)
 adds      |        for i in range(len(left)):
 added     |            left[i] -= $it
-of wdot   |        w = _invert(left$warmth)
-of wdot   |        wdot = [0.0, 0.0, 0.0]
-of wdot   |        for r in range(3 if step else 0):
-of wdot   |            change = w[r] - self.w_rps[r]
-of wdot   |            wdot[r] = change / step if isfinite(change) else 0.0
-of wdot   |        self.w_rps = w
-of wdot   |        for i in range(len(left)):
-of wdot   |            left[i] -= $it
+motion    |        w = _invert(left$passed)
+wdot      |        wdot = [0.0, 0.0, 0.0]
+wdot      |        for r in range(3 if step else 0):
+wdot      |            change = w[r] - self.w_rps[r]
+wdot      |            wdot[r] = change / step if isfinite(change) else 0.0
+wdot      |        self.w_rps = w
+motion    |        for i in range(len(left)):
+u motion  |            u = AXIS[i][0] * w[0] + AXIS[i][1] * w[1] + AXIS[i][2] * w[2]
+of motion |            left[i] -= $it
           |        self.started = True
-          |        return _invert(left$warmth)
+          |        return _invert(left$passed)
+follow    |
+follow    |    def _follow(self, at, i, x, share, width):
+follow    |        kept = self.kept[at]
+follow    |        if not self.started or not isfinite(kept[i]):
+follow    |            kept[i] = x
+follow    |        elif isfinite(x):
+follow    |            kept[i] = x + share * min(max(kept[i] - x, -width), width)
+follow    |        return kept[i] if isfinite(x) else x
+last      |
+last      |    def _last(self, at, i, x, limit):
+last      |        largest, sign = self.kept[at], self.kept[at + 1]
+last      |        if isfinite(x):
+last      |            largest[i] = max(largest[i], fabs(x))
+last      |            if fabs(x) > (limit or $share * largest[i]):  # of its largest size so far
+last      |                sign[i] = 1.0 if x > 0.0 else -1.0
+last      |        return sign[i]
 """
 
 
@@ -131,7 +169,7 @@ def _tables(exported: Exported, terms: Terms) -> list[str]:
         "# Biases, to be added to the outputs, in rad/s.",
         *_table("BIAS", exported.compensation.bias_rps),
     ]
-    if terms.of_the_rate:
+    if terms.uses_axes:
         lines += ["# Nominal sense axes.", *_table("AXIS", exported.compensation.array.p)]
     for term in terms.all:
         lines += [f"# {term.effect.replace('_', ' ')}: {term.unit}", *_table(term.table.upper(), term.values)]

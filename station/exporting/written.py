@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.effects.constructed import readable
 from station.errors import UsageError
 from station.exporting.exported import Exported
 
@@ -34,7 +35,7 @@ def number(value: float) -> str:
 
 def lines_of(reasons: Mapping[str, str]) -> list[str]:
     """Return a line for each effect that is not held, with the reason."""
-    return [f"{effect.replace('_', ' ')}: {why}" for effect, why in reasons.items()]
+    return [f"{readable(effect)}: {why}" for effect, why in reasons.items()]
 
 
 def delay_line(exported: Exported, what: str = "take it off the stamps of the samples") -> list[str]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from estimator.compensation import OF_THE_RATE, SLOPE_S
+from estimator.compensation import OF_THE_RATE, HeldEffect
+from estimator.effects.conditions import SLOPE_S
+from estimator.effects.constructed import VARIABLES, variables_of
 from estimator.effects.thermal import REFERENCE_C
 from estimator.kinematics import GRAVITY_MPS2
 from estimator.reference import TableReadings
@@ -45,6 +47,10 @@ FORMULAS: Mapping[str, str] = {
     ),
 }
 """What each effect adds to the outputs, as HTML."""
+_LAW = (
+    "lag is a first-order lag of so many seconds, play a play of that width, last the last sign beyond a limit, or "
+    "beyond a twentieth of the largest size so far"
+)
 _SYMBOLS = (
     ("<var>u</var> = <b>p</b> · <var>ω</var>, found by iteration", OF_THE_RATE),
     ("<var>T</var> is the temperature of the gyros", ("thermal_bias", "thermal_bias_quadratic", "thermal_scale")),
@@ -131,6 +137,17 @@ def _of_device(one: Correction, origin: str, name: str) -> Iterator[Content]:
     yield element("pre", code, class_="code", data_snippet=name, data_device=one.device)
 
 
+def _formula(effect: HeldEffect) -> Content:
+    """Return what an effect adds to the outputs: as mathematics, or the text of its law."""
+    if not effect.known.law:
+        return Markup(FORMULAS[effect.name])
+    terms = effect.known.law.split(";")
+    coefficients = [f"<sub>{n}</sub>" if len(terms) > 1 else "" for n in range(1, len(terms) + 1)]
+    pairs = zip(coefficients, terms, strict=True)
+    parts = [(Markup(f"<var>a</var>{n} "), element("code", term.strip())) for n, term in pairs]
+    return joined(part for n, both in enumerate(parts) for part in (Markup(" + " if n else ""), *both))
+
+
 def _numbers(one: Correction) -> Markup:
     compensation = one.compensation
     heads: list[Content] = ["gyro", joined([Markup("<var>b</var>, °/s")])]
@@ -152,9 +169,13 @@ def _effects(one: Correction) -> Markup:
             for value, size in zip(values.tolist(), effect.known.sizes, strict=True):
                 text = typographic(human(Value(value, 0.0, size.unit)))
                 shown += ["; " if shown else None, figure(value, Unit(size.unit, 1.0), text)]
-            rows.append([words(effect.known.called), Markup(FORMULAS[effect.name]), gyro, joined(shown)])
+            rows.append([words(effect.known.called), _formula(effect), gyro, joined(shown)])
     names = {effect.name for effect in one.held}
+    laws = {name for effect in one.held if effect.known.law for name in variables_of(effect.known.law)}
     note = Markup(
         "; ".join([f"{_E} is their sum", *(said for said, effects in _SYMBOLS if names & set(effects))]) + "."
     )
+    if laws:
+        said = ", ".join(f"{name}: {VARIABLES[name][2]} in {VARIABLES[name][1]}" for name in sorted(laws))
+        note = joined([note, f" In laws that were constructed, {said}; {_LAW}."])
     return table("Effects that are undone", heads, rows, align="lllr", notes=note)

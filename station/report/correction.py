@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from estimator.array import SensorArray
 from estimator.calibration import EffectValue, GyroCalibration
-from estimator.compensation import OF_THE_RATE, Compensation, CompensationError, HeldEffect
+from estimator.compensation import Acts, Compensation, CompensationError, HeldEffect
 from station.report.recorded import Recorded
 from station.report.traced import Traced, found_of
 
@@ -69,6 +69,6 @@ def _correction(device: str, gyros: list[GyroCalibration], arrays: Mapping[str, 
         axes_only = True
     not_applied = dict(compensation.left_out)
     if axes_only:
-        of_the_body = [h for h in compensation.effects if h.name in (*OF_THE_RATE, "acceleration_sensitivity")]
+        of_the_body = [h for h in compensation.effects if h.acts in (Acts.RATE, Acts.MOTION)]
         not_applied |= {held.known.called: "the rate of the body is not known" for held in of_the_body}
     return Correction(device, compensation, axes_only, not_applied)

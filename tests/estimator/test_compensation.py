@@ -11,8 +11,8 @@ from support import SITE
 from estimator.array import SensorArray, dodecahedron, tetrahedron, triad
 from estimator.calibrate import calibrate
 from estimator.calibration import EffectValue, GyroCalibration
-from estimator.compensation import Compensation, CompensationError, smoothed_slope
-from estimator.effects.conditions import Conditions
+from estimator.compensation import Compensation, CompensationError
+from estimator.effects.conditions import Conditions, smoothed_slope
 from estimator.effects.entries import Kind, entries
 from estimator.error_model import ErrorModel, KnownEffect, Size
 from estimator.errors import RecordingError
@@ -43,8 +43,19 @@ SETTINGS: dict[str, dict[str, float | int | str]] = {
 }
 
 
+LAWS: dict[str, tuple[float, ...]] = {
+    "constructed lag(T, 58)*gx": (2e-5,),
+    "constructed log1p(t/9); exp(-t/4)": (1e-4, 2e-3),
+    "constructed abs(wx)*wy": (2e-3,),
+    "constructed u*gs; speed**3": (1e-3, 1e-3),
+}
+
+
 def calibrated(array: SensorArray, sizes: dict[str, tuple[float, ...]]) -> tuple[list[GyroCalibration], ErrorModel]:
-    """Return gyros with states and effects that differ from gyro to gyro, and their error model."""
+    """Return gyros with states and effects that differ from gyro to gyro, and their error model.
+
+    Effects by name; "constructed LAW" for those without one.
+    """
     random = np.random.default_rng(7)
     units = {entry.name.removesuffix("_1"): entry.parameters[0].unit for entry in entries() if entry.parameters}
     shared = {entry.name for entry in entries() if entry.shared}
@@ -52,10 +63,10 @@ def calibrated(array: SensorArray, sizes: dict[str, tuple[float, ...]]) -> tuple
         KnownEffect(
             name,
             name in shared,
-            tuple(Size(f"part {n}", units[name], 0.0, abs(value)) for n, value in enumerate(values)),
-            SETTINGS.get(name, {}),
+            tuple(Size(f"part {n}", units.get(name, "rad/s per unit"), 0.0, abs(v)) for n, v in enumerate(values)),
+            {"law": law} if law else SETTINGS.get(name, {}),
         )
-        for name, values in sizes.items()
+        for (name, _, law), values in ((called.partition(" "), values) for called, values in sizes.items())
     )
     gyros = []
     for i, name in enumerate(array.names):
@@ -71,14 +82,14 @@ def calibrated(array: SensorArray, sizes: dict[str, tuple[float, ...]]) -> tuple
                 effect.shared,
             )
             for effect in known
-            for size, value in zip(effect.sizes, sizes[effect.name], strict=True)
+            for size, value in zip(effect.sizes, sizes.get(effect.called, sizes.get(effect.name, ())), strict=True)
         )
         gyros.append(GyroCalibration(name, "imu", states, np.eye(4) * 1e-12, 1e-4, array.p[i], "imu", effects=effects))
     return gyros, ErrorModel(known)
 
 
 @pytest.mark.parametrize("array", [triad(), tetrahedron(), dodecahedron()], ids=["3", "4", "6"])
-@pytest.mark.parametrize("sizes", [{}, SIZES], ids=["states alone", "effects"])
+@pytest.mark.parametrize("sizes", [{}, SIZES, {**SIZES, **LAWS}], ids=["states alone", "effects", "laws"])
 def test_the_rate_that_made_the_outputs_comes_back(array: SensorArray, sizes: dict[str, tuple[float, ...]]) -> None:
     gyros, model = calibrated(array, sizes)
     found = Compensation.of(gyros, {"imu": array}, model.text())
@@ -116,6 +127,59 @@ def test_effects_of_rates_of_change_are_undone_to_what_the_sampling_allows() -> 
     assert error[-1000:].max() < 4e-6
     assert np.abs(Compensation(found.array, found.states).compensate(outputs, t_s) - w)[-1000:].max() > 1e-3
     assert smoothed_slope(t_s, warm)[-1] == pytest.approx(0.02, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("law", "size"),
+    [
+        ("lag(abs(u), 8)", 2e-3),
+        ("u*lag(speed, 5)", 2e-3),
+        ("play(u, 0.2)", 2e-3),
+        ("last(u)", 1e-3),
+        ("last(u, 0.05)*speed", 1e-3),
+        ("sign(u)*sqrt(abs(u))", 1e-3),
+        ("a*abs(u)", 2e-3),
+        ("Tdot**2*u", 1.0),
+    ],
+)
+def test_a_law_of_the_past_of_the_rate_or_with_a_jump_is_undone_but_for_its_effect_on_itself(
+    law: str, size: float
+) -> None:
+    """What is left is the effect of the effect: of 1e-3 a few 1e-6."""
+    array, t_s = tetrahedron(), np.arange(0, 60, 0.01)
+    w = np.column_stack([0.8 * np.cos(t_s / 3 + phase) for phase in (0.1, 1, 2)])
+    wdot = np.column_stack([-0.8 / 3 * np.sin(t_s / 3 + phase) for phase in (0.1, 1, 2)])
+    warm, none = 25 + 0.05 * t_s, np.empty((len(t_s), 0))
+    gyros, model = calibrated(array, {f"constructed {law}": (size,)})
+    conditions = Conditions(t_s, w, wdot, none, none, none, (), np.full_like(w, np.nan), warm, causal=True)
+    effect = model.effects[0].effect(())
+    found = Compensation.of(gyros, {"imu": array}, model.text())
+    outputs = w @ found.sensitivity.T - found.bias_rps
+    for i, gyro in enumerate(gyros):
+        outputs[:, i] += effect.columns(conditions, array, i) @ [value.value for value in gyro.effects]
+    error = found.compensate(outputs, t_s, warm) - w
+    bare = Compensation(found.array, found.states).compensate(outputs, t_s) - w
+    assert np.sqrt(np.mean(error**2)) < 0.02 * np.sqrt(np.mean(bare**2))
+
+
+def test_what_the_laws_need_is_said() -> None:
+    for law, needs in {
+        "lag(T, 5)*u": {"temperature", "time"},
+        "u*gx": {"specific force"},
+        "sqrt(t)": {"time"},
+        "a*u": {"time"},
+        "u**4": set(),
+    }.items():
+        gyros, model = calibrated(triad(), {f"constructed {law}": (1e-3,)})
+        assert Compensation.of(gyros, {"imu": triad()}, model.text()).needs == needs, law
+
+
+def test_a_law_of_the_axes_of_a_table_stays_with_that_table() -> None:
+    gyros, model = calibrated(triad(), {"constructed last(rate_x)": (1e-3,), "constructed u_y*cos(angle_y)": (1e-3,)})
+    found = Compensation.of(gyros, {"imu": triad()}, model.text())
+    assert not found.effects
+    assert all("axes of the table" in why for why in found.left_out.values())
+    assert len(found.left_out) == 2
 
 
 def test_a_lag_is_undone() -> None:

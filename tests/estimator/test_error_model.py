@@ -14,12 +14,14 @@ from support import SITE, TABLE_1
 
 from estimator.array import tetrahedron, triad
 from estimator.calibrate import calibrate
+from estimator.effects.constructed import constructed
 from estimator.error_model import ErrorModel, KnownEffect, ModelError, Size
 from estimator.recording import ImuData, Recording, write_recording
 from estimator.reference import RateReadings, Turns
 from estimator.repeatability import repeatability
 from estimator.results import write_calibration
-from estimator.tracing.candidates import candidates_of
+from estimator.stored_calibration import read_calibration
+from estimator.tracing.candidates import Candidate, candidates_of
 from estimator.tracing.investigate import fit_known, investigate
 from estimator.tracing.runs import runs_of
 from sims.hidden import Hidden
@@ -161,6 +163,59 @@ def test_the_recording_holds_effects_and_the_model_they_were_found_with(model: E
         assert group["effects"][1, 0] == calibration.gyros[1].effects[0].value
         assert list(group.attrs["effect_names"]) == ["scale_asymmetry: each direction"]
         assert ErrorModel.parse(group.attrs["model"], "") == model
+
+
+def law(text: str, sd: float = 1e-3) -> KnownEffect:
+    """A constructed effect of one term."""
+    return KnownEffect("constructed", False, (Size(f"of {text}", "rad/s per unit", 0.0, sd),), {"law": text})
+
+
+def test_laws_that_were_constructed_are_kept_and_estimated_with_the_next_device(tmp_path: Path) -> None:
+    recording = simulated(exploration_script(), 45, FIRST, g_sensitivity={"x": "0.05 deg/s/g"})
+    model = ErrorModel((law("abs(u)", 3e-3), law("gx", 2e-3)))
+    path = tmp_path / "model.json"
+    path.write_text(model.text(), encoding="utf-8")
+    assert ErrorModel.read(path) == model
+    calibration = calibrate(recording, model=model)
+    for gyro, size in zip(calibration.gyros, FIRST, strict=True):
+        assert (np.abs(gyro.states - TABLE_1) < 4 * gyro.sd).all()
+        of_speed, of_force = gyro.effects
+        assert (of_speed.effect, of_speed.parameter) == ("constructed abs(u)", "of abs(u)")
+        assert abs(of_speed.value - size) < 4 * of_speed.sd < 1e-3
+        assert abs(of_force.value - 0.05 * DEG) < 4 * of_force.sd < 1e-3
+    write_recording(path.with_suffix(".h5"), recording)
+    write_calibration(path.with_suffix(".h5"), calibration)
+    assert read_calibration(path.with_suffix(".h5")).gyros[2].effects == calibration.gyros[2].effects
+
+
+def test_a_law_with_a_constant_that_tracing_fitted_goes_into_the_model() -> None:
+    runs = [simulated(exploration_script(), 46, FIRST)]
+    candidate = Candidate("law: lag(abs(u), {c})", constructed("lag(abs(u), 4.2)", (1e-3,)), 0.0, theta=4.2)
+    found = fit_known(runs, ["scale_asymmetry"])
+    (part,) = found.parts
+    (known,) = ErrorModel.of(replace(found, parts=(replace(part, candidate=candidate),))).effects
+    assert (known.name, known.law, known.sizes[0].name) == ("constructed", "lag(abs(u), 4.2)", "of lag(abs(u), 4.2)")
+    assert known.found.keys() == set(found.names)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["u*", "__import__('os')", "u if u else t", "lag(u, 0)", "lag(3, 5)", "u # */ int x;", "last(u, -1)", "phlogiston"],
+)
+def test_a_text_that_is_no_law_is_refused(text: str) -> None:
+    whole = json.loads(ErrorModel((law("u**2"),)).text())
+    whole["effects"][0]["law"] = text
+    with pytest.raises(ModelError, match="damaged"):
+        ErrorModel.parse(json.dumps(whole), "model.json")
+
+
+def test_a_law_of_an_axis_that_the_table_does_not_have_is_refused() -> None:
+    recording = simulated(exploration_script(), 47, None)
+    with pytest.raises(ModelError, match="no axis x"):
+        ErrorModel((law("cos(angle_x)"),)).made(("z",), frozenset({"gimbals"}))
+    cold = {name: replace(data, temperature_c=None) for name, data in recording.sources.items()}
+    with pytest.raises(ModelError, match="temperature.*leave out --model"):
+        calibrate(replace(recording, sources=cold), model=ErrorModel((law("lag(T, 30)"),)))
 
 
 def thermal() -> ErrorModel:

@@ -137,10 +137,13 @@ def test_every_effect_that_can_be_live_gives_the_batch_estimate_however_the_samp
             continue
         sizes = (Size(p.name, p.unit, 0.1 * p.largest * effect.shared, p.largest) for p in effect.parameters)
         known.append(KnownEffect(effect.name, effect.shared, tuple(sizes), settings.get(effect.name, {})))
+    known.append(KnownEffect("constructed", False, (Size("of u", "rad/s per unit", 0.0, 1.0),), {"law": "lag(u, 3)"}))
     harmonic = tuple(Size(part, "rad/s", 0.0, 1e-3) for part in ("cosine", "sine"))
     known.append(KnownEffect("table_harmonic", False, harmonic, {"axis": "y", "order": 2}))
     columns = SampleColumns(ErrorModel(tuple(known)), reference.gimbals, recording.site, data.array)
-    assert [note.partition(" needs")[0] for note in columns.notes] == ["thermal gradient", "bandwidth"]
+    notes = [note.partition(" needs")[0] for note in columns.notes]
+    lagged = "constructed: bias proportional to rate about the sense axis lagged by 3 s"
+    assert notes == ["thermal gradient", "bandwidth", lagged]
     assert data.temperature_c is not None
     warm = data.temperature_c.copy()
     warm[:150] = np.nan  # the first temperature comes late

@@ -68,6 +68,29 @@ ARRAYS = {
     "skewed": sensor_array([[0.6, 0.8, 0.0], [0.0, 0.6, 0.8], [0.8, 0.0, 0.6]]),
 }
 
+LAWS: dict[str, tuple[float, ...]] = {
+    f"constructed {law}": values
+    for law, values in {
+        "lag(T, 1.5)*gx": (2e-5,),
+        "play(T, 3)": (2e-4,),
+        "exp(T/12); Tdot**2": (3e-4, 2e-4),
+        "last(Tdot)": (1e-3,),
+        "log1p(t/2)*gs": (3e-4,),
+        "abs(wx)*wy - u**3/9": (2e-3,),
+        "tanh(u/0.3)*T; speed*gz": (1e-4, 1e-4),
+        "u*t": (1e-4,),
+        "sign(u)*sqrt(abs(u))": (1e-3,),
+        "last(u)*speed": (1e-3,),
+        "last(u, 0.3)": (1e-3,),
+        "lag(u**2, 0.8)": (2e-3,),
+        "play(u, 0.2); cos(wz)": (3e-3, 1e-3),
+        "u*lag(speed, 0.5) + -jolt*1e-3": (2e-3,),
+        "abs(a); wx*wy": (1e-6, 2e-3),
+        "u*Tdot": (1e-3,),
+    }.items()
+}
+OF_AXES = {"constructed cos(2*angle_x); sin(2*angle_x)": (1e-4, 1e-4), "constructed last(rate_z)": (1e-4,)}
+
 Record = Callable[..., Path]
 
 
@@ -102,20 +125,14 @@ def record(tmp_path: Path) -> Record:
 
 def _model(sizes: dict[str, tuple[float, ...]]) -> ErrorModel:
     listed = {entry.name.removesuffix("_1"): entry for entry in entries() if entry.parameters}
-    return ErrorModel(
-        tuple(
-            KnownEffect(
-                name,
-                listed[name].shared,
-                tuple(
-                    Size(f"part {n}", listed[name].parameters[0].unit, 0.0, abs(value) + 1e-9)
-                    for n, value in enumerate(values)
-                ),
-                SETTINGS.get(name, {}),
-            )
-            for name, values in sizes.items()
-        )
-    )
+    effects = []
+    for called, values in sizes.items():
+        name, _, law = called.partition(" ")
+        unit = "rad/s per unit" if law else listed[name].parameters[0].unit
+        parts = tuple(Size(f"part {n}", unit, 0.0, abs(value) + 1e-9) for n, value in enumerate(values))
+        settings = {"law": law} if law else SETTINGS.get(name, {})
+        effects.append(KnownEffect(name, not law and listed[name].shared, parts, settings))
+    return ErrorModel(tuple(effects))
 
 
 def _gyro(
@@ -137,7 +154,7 @@ def _gyro(
             e.shared,
         )
         for e in model.effects
-        for size, value in zip(e.sizes, sizes[e.name], strict=True)
+        for size, value in zip(e.sizes, sizes.get(e.called, sizes.get(e.name, ())), strict=True)
     )
     states = random.normal(0, (5e-3, 2e-2, 2e-3, 2e-3))
     noise = NoiseFound(NoiseModel(1e-4, 1e-6, 1e-7), 2e-6, 2e-7)
@@ -168,11 +185,17 @@ def ours(exported: Exported) -> Any:
     return exported.compensation.compensate(*samples(exported))
 
 
-CASES = {"none": {}, "all": EFFECTS, **{name: {name: value} for name, value in EFFECTS.items()}}
+CASES = {
+    "none": {},
+    "all": EFFECTS,
+    "laws": {**EFFECTS, **LAWS},
+    **{law: {law: LAWS[law]} for law in LAWS},
+    **{name: {name: value} for name, value in EFFECTS.items()},
+}
 
 
 EACH = [(array, effects) for array in ("three", "four", "six") for effects in ("none", "all")]
-EACH += [("four", name) for name in EFFECTS]
+EACH += [("four", name) for name in (*EFFECTS, *LAWS, "laws")]
 
 
 def by_python(exported: Exported, *given: Any) -> tuple[Any, Any]:
@@ -285,7 +308,7 @@ def test_a_bad_sample_is_told_and_soon_over(record: Record, form: str) -> None:
 
 @pytest.mark.parametrize("array", ["three", "four", "six"])
 def test_json_and_yaml_hold_all_that_our_rates_are_made_of(record: Record, array: str) -> None:
-    exported = exported_of(record(ARRAYS[array], {**EFFECTS, **LEFT_OUT}))
+    exported = exported_of(record(ARRAYS[array], {**EFFECTS, **LAWS, **LEFT_OUT, **OF_AXES}))
     held = json.loads(FORMATS["json"].write(exported, 0).text)
     assert held == yaml.safe_load(FORMATS["yaml"].write(exported, 0).text)
     rate, t_s, _, _ = samples(exported)
@@ -294,12 +317,13 @@ def test_json_and_yaml_hold_all_that_our_rates_are_made_of(record: Record, array
     assert np.abs(found - plain.compensate(rate, t_s)).max() < SAME
     assert held["identity"]["operator"] == "A. Müller"
     assert held["identity"]["serial_number"] == "SN 7 */ /* ü"
-    assert {entry["effect"] for entry in held["effects"]} == set(EFFECTS) - {"latency"}
-    for entry in held["effects"]:
-        effect = next(e for e in exported.compensation.effects if e.name == entry["effect"])
+    called = [" ".join([entry["effect"], *([entry["law"]] if "law" in entry else [])]) for entry in held["effects"]]
+    assert set(called) == {*EFFECTS, *LAWS} - {"latency"}
+    for entry, name in zip(held["effects"], called, strict=True):
+        effect = next(e for e in exported.compensation.effects if name in (e.name, e.known.called))
         assert np.array_equal(entry["values"], effect.values)
     assert held["delay_s"] == pytest.approx(5e-3)
-    assert len(held["not_corrected"]) == len(LEFT_OUT)
+    assert len(held["not_corrected"]) == len({**LEFT_OUT, **OF_AXES})
     for told, gyro in zip(held["gyros"], exported.gyros, strict=True):
         assert np.array_equal(list(told["states"].values()), gyro.states)
         assert np.array_equal(told["covariance"], gyro.covariance)
@@ -437,6 +461,32 @@ def test_every_text_form_says_what_of_the_calibration_is_not_in_it(
             for where in (text, said):
                 assert name.replace("_", " ") in where, (form, name)
         assert "0.005" in said  # the delay
+
+
+def test_a_law_of_a_tables_axes_is_named_with_the_reason_where_it_is_left_out(
+    record: Record, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = record(triad(), {**OF_AXES, "constructed u**2": (1e-3,)})
+    for form in ("c", "python", "json"):
+        text = export(path, form).read_text(encoding="utf-8")
+        assert "bias proportional to cos of (2 times angle of axis x)" in text, form
+        assert "away from that table" in text
+    assert "bias proportional to the square of the rate about the sense axis: it is not corrected" in (
+        export(path, "ros").read_text(encoding="utf-8")
+    )
+
+
+@pytest.mark.parametrize("form", ["python", pytest.param("c", marks=needs_cc)])
+def test_memory_of_a_law_outlives_a_bad_sample(record: Record, form: str) -> None:
+    exported = exported_of(record(ARRAYS["four"], LAWS))
+    rate, t_s, warm, force = samples(exported)
+    rate[0, 1], rate[40, 1], warm[80], t_s[120] = np.nan, np.nan, np.nan, t_s[119]
+    expected = exported.compensation.compensate(rate, t_s, warm, force)
+    found, _ = (by_python if form == "python" else by_c)(exported, rate, t_s, warm, force)
+    good = np.delete(np.arange(SAMPLES), [0, 40, 80])
+    assert not np.isfinite(expected[[0, 40, 80]]).any()
+    assert np.isfinite(expected[good]).all()
+    assert np.abs(found[good] - expected[good]).max() < SAME
 
 
 def test_two_devices_are_told_apart_or_taken_as_one_array(record: Record, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,6 +14,7 @@ from support import SITE, TABLE_1
 
 import station.investigate_command
 from estimator.array import tetrahedron
+from estimator.effects.constructed import in_words
 from estimator.recording import Recording, write_recording
 from estimator.tracing.investigation import (
     Added,
@@ -250,6 +251,20 @@ def test_parameters_of_one_gyro_share_a_line(capsys: pytest.CaptureFixture[str])
     assert "gyro1: along body x 0.0200 ± 0.0010 deg/s/g, along body y 0.0200 ± 0.0010 deg/s/g" in lines
     assert "gyro2: along body x 0.0200 ± 0.0010 deg/s/g" in lines
     assert "time constant: 60.0 ± 2.0 s" in lines
+
+
+def test_an_effect_without_a_name_is_said_as_the_law_that_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    law = "lag(T, 58.12)"
+    parameters = {"gyro1 of lag(T, 58.12)": Value(2e-4, 1e-6, "rad/s per unit"), "constant": Value(58.123, 4.2, "s")}
+    added = Added(in_words(law), ("gyro1",), 0.98, parameters, None, (), True, law)
+    found = replace(made(Finding.ADDED), added=(added,))
+    print_investigation(found, None, None, stdout())
+    said = "CONSTRUCTED: bias proportional to temperature above 25 degC lagged by 58.1 ± 4.2 s; not in the catalogue"
+    assert f"{said}, probability 98.0 %" in " ".join(capsys.readouterr().out.split())
+    (entry,) = investigation_object(found, None, [], [])["added"]
+    assert (entry["constructed"], entry["expression"], entry["effect"]) == (True, law, in_words(law))
+    (entry,) = investigation_object(made(Finding.ADDED), None, [], [])["added"]
+    assert (entry["constructed"], entry["expression"]) == (False, "")
 
 
 def test_what_is_unexplained_is_said_with_what_it_depends_on(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
 import shutil
@@ -378,6 +379,59 @@ def gyros_with(effects: list[KnownEffect]) -> tuple[list[GyroCalibration], str]:
     return gyros, ErrorModel(tuple(effects)).text()
 
 
+LAWS = [
+    *("lag(T, 1.5)*gx", "play(gy, 0.3); exp(T/12)", "last(Tdot)", "log1p(t/2)*gs", "abs(wx)*wy - u**3/9", "u*T"),
+    *("sign(u)*sqrt(abs(u))", "last(u)*speed", "last(u, 0.3)", "lag(u**2, 0.8)", "play(u, 0.2); cos(wz)", "u*Tdot"),
+    *("jolt*1e-3 + a*1e-3", "tanh(u/2)"),
+]
+
+
+def law(text: str, sd: float = 3e-4) -> KnownEffect:
+    """A constructed effect."""
+    sizes = tuple(Size(f"of {term.strip()}", "rad/s per unit", 0.0, sd) for term in text.split(";"))
+    return KnownEffect("constructed", False, sizes, {"law": text})
+
+
+@pytest.mark.parametrize("text", LAWS)
+def test_the_snippet_undoes_a_law_by_itself(text: str) -> None:
+    gyros, model = gyros_with([law(text)])
+    compensation = Compensation.of(gyros, {"array": tetrahedron()}, model)
+    defined: dict[str, Any] = {}
+    exec(snippet(Correction("array", compensation, False, {}), "made by hand"), defined)
+    rng, t_s = np.random.default_rng(7), np.arange(300) * 0.01
+    raw, warm, force = rng.normal(size=(300, 4)), 25 + rng.normal(size=300) * 5, rng.normal(size=(300, 3)) * 9.8
+    given = {"temperature_c": warm, "accel_mps2": force, "t_s": t_s}
+    names = inspect.signature(defined["body_rate"]).parameters
+    found = defined["body_rate"](raw, **{name: given[name] for name in names if name in given})
+    np.testing.assert_allclose(found, compensation.compensate(raw, t_s, warm, force), rtol=0, atol=1e-9)
+
+
+def test_laws_that_were_constructed_are_printed_and_reported_in_words_and_as_formulas(
+    copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    laws = [law("lag(abs(u), 5)"), law("cos(2*angle_x); sin(2*angle_x)"), law("u*gz")]
+    model = tmp_path / "model.json"
+    model.write_text(ErrorModel(tuple(laws)).text(), encoding="utf-8")
+    assert main(["calibrate", "--write", "--model", str(model), str(copy)]) in (0, 1)
+    printed = " ".join(re.sub("[│┃]", " ", capsys.readouterr().out).split())
+    in_words = "bias proportional to the size of the rate about the sense axis lagged by 5 s"
+    assert "constructed: bias proportional to" in printed
+    assert "of u*gz" in printed
+    text = reported(copy, tmp_path)
+    words = words_of(parsed(text))
+    assert f"constructed: {in_words}" in words
+    assert "a lag(abs(u), 5)" in words
+    assert "u: rate about the sense axis in rad/s" in words
+    assert re.search(r"Not undone: constructed: bias proportional to cos of \(.*goes with the axes of the table", words)
+    arrays = {name: data.array for name, data in read_recording(copy).sources.items()}
+    calibration = read_calibration(copy)
+    compensation = Compensation.of(calibration.gyros, arrays, calibration.model)
+    t_s = np.arange(200) * 0.01
+    raw = np.random.default_rng(8).normal(size=(200, len(calibration.gyros)))
+    ours = compensation.compensate(raw, t_s, accel_mps2=np.full((200, 3), 5.0))
+    assert np.abs(code_of(text)["body_rate"](raw, accel_mps2=np.full((200, 3), 5.0), t_s=t_s) - ours).max() < 1e-9
+
+
 def test_the_snippet_undoes_every_effect_as_our_compensation_does() -> None:
     effects = [
         KnownEffect("thermal_bias", False, (Size("linear", "rad/s/K", 0.0, 1e-4),)),
@@ -393,6 +447,7 @@ def test_the_snippet_undoes_every_effect_as_our_compensation_does() -> None:
         KnownEffect("acceleration_sensitivity", False, tuple(Size(f"about {a}", "s", 0.0, 2e-3) for a in "jk")),
     ]
     assert {effect.name for effect in effects} == {*ADDED, *OF_THE_RATE, *OF_THE_PAST} == set(FORMULAS)
+    effects += [law(text) for text in LAWS]
     gyros, model = gyros_with(effects)
     compensation = Compensation.of(gyros, {"array": tetrahedron()}, model)
     defined: dict[str, Any] = {}
