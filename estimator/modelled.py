@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from estimator.budget import UNSEEN, Contribution
 from estimator.calibration import EffectValue, GyroCalibration
 from estimator.effects.dynamics import latency
-from estimator.error_model import ErrorModel, ModelError
+from estimator.error_model import ErrorModel, KnownEffect, ModelError
 from estimator.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
-from estimator.joint import Joint, Law, TooShort, expected_of, joint_estimate, tone_hz
+from estimator.joint import Joint, Law, TooShort, expected_of, joint_estimate
 from estimator.noise import NoiseFound
 from estimator.recording import ImuData, Recording
 from estimator.reference import TableReadings, Turns
@@ -110,7 +110,7 @@ def aligned(
     for _ in range(_MOST_STEPS):
         runs = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
         laws = [*_model_laws(model, recording, runs), _delay_law(delay_s)]
-        joint = joint_estimate(runs, laws, sources[0][1].noise, any_spectrum=True)
+        joint = joint_estimate(runs, laws, sources[0][1].noise)
         step_s, sd_s = _delay(joint)
         # An output that is opposite to the reference has its delay the other way round, too.
         gains = [1 - mean[0] for mean, c in zip(joint.means, joint.covariances, strict=True) if c[0, 0] < _KNOWN**2]
@@ -143,12 +143,12 @@ def estimate_device(
     if delay_s is not None and not any(law.effect.name in ("latency", "sample_hold") for law in laws):
         laws.append(_delay_law(delay_s))
     stated = sources[0][1].noise
-    joint = plain = joint_estimate(runs, laws, stated, any_spectrum=delay_s is not None)
+    joint = plain = joint_estimate(runs, laws, stated)
     covariances, notes = _clustered(plain) if delay_s is not None else (plain.covariances, [])
     unseen: list[Floats] | None = None
     if excluded is not None and model is None:
         further, runs = undeclared_laws(runs, excluded | {law.effect.name for law in laws})
-        joint = joint_estimate(runs, [*laws, *further], stated, any_spectrum=delay_s is not None) if further else plain
+        joint = joint_estimate(runs, [*laws, *further], stated) if further else plain
         notes += _undeclared_notes(joint)
     if delay_s is not None:
         notes += _delay_notes(plain, covariances, delay_s)
@@ -213,9 +213,13 @@ def _model_laws(model: ErrorModel | None, recording: Recording, runs: Sequence[R
     except ModelError as error:
         raise ModelError(f"{recording.name}: {error}") from None
     return [
-        Law(known.called, effect, known.mean, known.sd, EFFECTS, tone_hz(known.name, known.settings))
+        Law(known.called, effect, known.mean, known.sd, EFFECTS, _hz(known))
         for known, effect in zip(model.effects, made, strict=True)
     ]
+
+
+def _hz(known: KnownEffect) -> float | None:
+    return float(known.settings["frequency_hz"]) if "frequency_hz" in known.settings else None
 
 
 def _delay_law(taken_off_s: float) -> Law:
