@@ -348,7 +348,7 @@ def _left(gyro: GyroSpectra, mean: Floats, covariance: Floats, shapes: NoiseShap
     found: list[tuple[float, float, float]] = []
     for stretch, products in zip(gyro.stretches, gyro.products, strict=True):
         density = shapes.density(stretch)[0]
-        squares = np.einsum("i,bij,j->b", left, products, left) / density
+        squares = np.maximum(np.einsum("i,bij,j->b", left, products, left), 0.0) / density
         fitted = np.einsum("ij,bji->b", covariance, products[:, free][:, :, free]) / density
         freedom = np.maximum(stretch.counts - fitted, 0.05 * stretch.counts)
         found += zip(stretch.band_hz.tolist(), squares.tolist(), freedom.tolist(), strict=True)
