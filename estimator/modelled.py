@@ -348,8 +348,8 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
     begin = min(float(run.t_s[0]) for run in runs)
     clusters = [((run.t_s - begin) / CLUSTER_S).astype(np.intp) for run in runs]
     used = np.unique(np.concatenate([c[run.weight > 0] for run, c in zip(runs, clusters, strict=True)]))
+    who = ", ".join(dict.fromkeys(run.source for run in runs))
     if len(used) < FEWEST_CLUSTERS:
-        who = ", ".join(dict.fromkeys(run.source for run in runs))
         return joint.covariances, [f"{who}: too short to tell how the residual hangs together; sigmas assume noise"]
     places = [np.r_[g * own : (g + 1) * own, n * own : n * own + whole - own] for g in range(n)]
     precision = np.ones(n * own + whole - own)
@@ -369,16 +369,16 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
     white = np.linalg.inv(information + np.diag(precision))
     # So few clusters fit so many parameters: their scores are too small by these.
     meat = scores.T @ scores * (len(used) / max(len(used) - whole, len(used) / 4)) + np.diag(precision)
-    sandwich, out, notes = white @ meat @ white, [], []
+    sandwich, out, notes, grown = white @ meat @ white, list[Floats](), list[str](), list[Floats]()
     for number, run in enumerate(runs):
-        for g, name, states in zip(joint.gyros_of(number), run.array.names, run.state_columns(), strict=True):
+        for g, states in zip(joint.gyros_of(number), run.state_columns(), strict=True):
             out.append(_larger(joint.covariances[g], sandwich[np.ix_(places[g], places[g])]))
             seen = states * (run.weight * np.sqrt(run.length_s) / joint.arw[g])[:, None]
             of_white = np.linalg.inv(seen.T @ seen + np.diag(1 / run.prior.variances()))
-            ratio = (np.diag(out[-1])[:4] / np.diag(of_white))[[0, 2, 3]]  # a bias always wanders
-            if ratio.mean() > COLOURED**2:
-                grown, who = float(np.sqrt(ratio.max())), name.partition(" ")[2]
-                notes.append(f"{who}: the residual is no white noise; sigmas are up to {grown:.1f} times as large")
+            grown.append((np.diag(out[-1])[:4] / np.diag(of_white))[[0, 2, 3]])  # a bias always wanders
+    if np.mean(grown) > COLOURED**2:
+        worst = float(np.sqrt(np.max(grown)))
+        notes.append(f"{who}: the residual is no white noise; sigmas are up to {worst:.1f} times as large")
     return out, notes
 
 
