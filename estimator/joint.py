@@ -3,8 +3,9 @@
 Block means go through the cosine transform (``tracing.spectra``), in which coloured noise is a weight for each
 frequency. Every noise model is gone through: how much of it is bias instability and how much rate random walk is not
 known beforehand. The estimate is the mean over them, so its covariance holds the doubt about the noise too. Gyros of
-one device are of one make: what the others say of the noise is the better part of what is expected of each. Without
-laws this is the estimate of four states.
+one device are of one make: what the others say of the noise is the better part of what is expected of each. Where the
+residual is beyond all models, up or down, its own spectrum is the noise. Without laws this is the estimate of four
+states.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from estimator.reference import TableReadings
 from estimator.tracing.evidence import Evidence, Term
 from estimator.tracing.runs import Run
 from estimator.tracing.spectra import GyroSpectra, NoiseShapes, Stretch, Z, gyro_spectra
-from estimator.tracing.tones import TONE, samples_of, tone_columns
+from estimator.tracing.tones import samples_of, tone_columns
 
 Floats = NDArray[np.float64]
 
@@ -38,9 +39,8 @@ _LEAST_ARW = 1e-9  # rad/s/rtHz, below any gyro
 _ACCELERATING = 0.02  # change of rate from block to block, as a share of the largest rate, that counts as a ramp
 _FEWEST_STEADY = 40
 _ASIDE = 0.1  # weight of ramps while steady rates are fitted
-_SPECTRA = 2  # times that the spectrum of a residual is taken
-_TELLING, _BY_CHANCE = 16.0, 1e-4  # degrees of freedom that tell a level of noise, and its probability by chance
 _ROWS_A_COLUMN = 4  # fewer and what is left of the blocks tells nothing of ramps
+_TELLING, _BY_CHANCE = 16.0, 1e-4  # degrees of freedom that tell a level of noise, and its probability by chance
 
 
 class TooShort(RecordingError):
@@ -126,7 +126,8 @@ class Joint:
             keeps = [(run.t_s < middle_s) == early for run in self.runs]
             runs = [_some(run, keep) for run, keep in zip(self.runs, keeps, strict=True)]
             columns = [c[:, keep] for c, keep in zip(self.columns, keeps, strict=True)]
-            spectra = _spectra(runs, columns, self.arw)
+            spectra = _spectra(runs, columns)
+            _flatten(spectra, _level(spectra, self.arw))
             _flatten(spectra, self.profiles)
             means, covariances = _posterior(spectra, self.shapes, self.laws, self.weight)
             found.append(
@@ -135,12 +136,8 @@ class Joint:
         return found
 
 
-def joint_estimate(
-    runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseModel | None = None, *, any_spectrum: bool = False
-) -> Joint:
+def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseModel | None = None) -> Joint:
     """Return the estimate of the gyros of one device, each name once; ``stated`` is its data sheet's noise.
-
-    ``any_spectrum``: where the residual is beyond the noise models, up or down, its own spectrum counts as the noise.
 
     Raises TooShort for a gyro with fewer blocks than tell noise by its frequencies.
     """
@@ -154,21 +151,23 @@ def joint_estimate(
     if not all(len(run.t_s) for run in moved):
         raise TooShort("no block holds samples")
     shapes = _shapes(max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in moved), stated)
-    spectra = _spectra(moved, columns, None)
+    spectra = _spectra(moved, columns)
     white = np.array([gyro.arw for gyro in spectra])
-    level = _levels(spectra, shapes, ordered, _used(moved))
-    arw = np.maximum(white * level, _LEAST_ARW)
-    _rescale(spectra, arw)
     weight = _weights(spectra, shapes, ordered)
     means, covariances = _posterior(spectra, shapes, ordered, weight)
-    profiles: list[_Profile] = []
-    for _ in range(_SPECTRA if any_spectrum else 0):
-        found = [_profile(*each) for each in zip(spectra, means, covariances, _mean(shapes, weight), strict=True)]
-        profiles = [a.times(b) for a, b in zip(profiles, found, strict=True)] if profiles else found
-        _flatten(spectra, found)
-        weight = _weights(spectra, shapes, ordered)
-        means, covariances = _posterior(spectra, shapes, ordered, weight)
-    noise = [_noise(gyro.arw, shapes, own) for gyro, own in zip(spectra, weight.T, strict=True)]
+    unused = np.concatenate([np.full(len(run.array), float((run.weight <= 0).sum())) for run in moved])
+    left = [_left(*each) for each in zip(spectra, means, covariances, _best(shapes, weight), strict=True)]
+    level = [own[1].sum() / max(own[2].sum() - none, 1.0) for own, none in zip(left, unused.tolist(), strict=True)]
+    arw = np.maximum(white * np.sqrt(level), _LEAST_ARW)
+    _flatten(spectra, _level(spectra, arw))
+    weight = _weights(spectra, shapes, ordered)
+    means, covariances = _posterior(spectra, shapes, ordered, weight)
+    left = [_left(*each) for each in zip(spectra, means, covariances, _best(shapes, weight), strict=True)]
+    profiles = [_Profile.of(*own) for own in left]
+    _flatten(spectra, profiles)
+    weight = _weights(spectra, shapes, ordered)
+    means, covariances = _posterior(spectra, shapes, ordered, weight)
+    noise = [_noise(own, shapes, share) for own, share in zip(arw.tolist(), weight.T, strict=True)]
     chance = _expected_nis(spectra, shapes, weight)
     white = np.maximum(white, 1e-3 * arw)
     return Joint(
@@ -224,21 +223,11 @@ def expected_of(laws: Sequence[Law]) -> Floats:
     return np.concatenate([np.zeros(0), *(law.mean / law.sd for law in laws)])
 
 
-def tone_hz(name: str, settings: object) -> float | None:
-    """Return the frequency that the settings of an effect state, None if it is no tone."""
-    return float(settings["frequency_hz"]) if name == TONE and isinstance(settings, dict) else None
-
-
 def _some(run: Run, keep: NDArray[np.bool_]) -> Run:
     """Return a run with some of its blocks only; its conditions stay those of all."""
     values: dict[str, Any] = {f.name: getattr(run, f.name) for f in fields(run)}
     parts: dict[str, Any] = {k: v[keep] for k, v in values.items() if isinstance(v, np.ndarray) and len(v) == len(keep)}
     return replace(run, **parts)
-
-
-def _used(runs: Sequence[Run]) -> Floats:
-    """Return how many blocks of each gyro count (gyros,)."""
-    return np.concatenate([np.full(len(run.array), float((run.weight > 0).sum())) for run in runs])
 
 
 def _shapes(span_s: float, stated: NoiseModel | None) -> NoiseShapes:
@@ -314,7 +303,7 @@ def _steadied(run: Run, columns: Floats) -> Run:
     return replace(run, weight=weight)
 
 
-def _spectra(runs: Sequence[Run], columns: Sequence[Floats], arw: Floats | None) -> list[GyroSpectra]:
+def _spectra(runs: Sequence[Run], columns: Sequence[Floats]) -> list[GyroSpectra]:
     spectra = gyro_spectra(runs)
     if [gyro.name for gyro in spectra] != [name for run in runs for name in run.array.names]:
         raise TooShort("too few blocks of a gyro follow on each other")
@@ -325,8 +314,6 @@ def _spectra(runs: Sequence[Run], columns: Sequence[Floats], arw: Floats | None)
             own = columns[stretch.run][run.array.names.index(gyro.name)]
             parts.append((own * run.weight[:, None])[stretch.blocks])
         gyro.add(parts)
-    if arw is not None:
-        _rescale(spectra, arw)
     return spectra
 
 
@@ -341,35 +328,40 @@ class _Profile:
         """Return the factor (n,) at frequencies."""
         return np.exp(np.interp(np.log(np.maximum(hz, 1e-12)), np.log(self.hz), np.log(self.factor)))
 
-    def times(self, other: _Profile) -> _Profile:
-        """Return both together."""
-        hz = np.union1d(self.hz, other.hz)
-        return _Profile(hz, self.at(hz) * other.at(hz))
+    @classmethod
+    def of(cls, hz: Floats, squares: Floats, freedom: Floats) -> _Profile:
+        """Return that of what is left by band (n,); 1 where the difference may be chance."""
+        from scipy.special import gammainc, gammaincc  # of the chi-square; scipy.stats takes a second to import
+
+        group = np.floor(np.concatenate([[0.0], np.cumsum(freedom)[:-1]]) / _TELLING).astype(np.intp)
+        _, group = np.unique(group, return_inverse=True)
+        total, count = np.maximum(np.bincount(group, squares), 1e-12), np.bincount(group, freedom)
+        chance = 2 * np.minimum(gammaincc(count / 2, total / 2), gammainc(count / 2, total / 2))
+        middle = np.exp(np.bincount(group, np.log(np.maximum(hz, 1e-12))) / np.bincount(group))
+        return cls(middle, np.where(chance < _BY_CHANCE, total / count, 1.0))
 
 
-def _profile(gyro: GyroSpectra, mean: Floats, covariance: Floats, shapes: NoiseShapes) -> _Profile:
-    """Return the spectrum of a residual over that of its noise; 1 where the difference may be chance."""
-    from scipy.stats import chi2
-
+def _left(gyro: GyroSpectra, mean: Floats, covariance: Floats, shapes: NoiseShapes) -> tuple[Floats, Floats, Floats]:
+    """Return by band, in order, its frequency (n,), the squares left over those of noise, and their freedom."""
     left = np.concatenate([-mean[:4], [1.0], -mean[4:]])
     free = np.r_[0:4, Z + 1 : len(left)]
     found: list[tuple[float, float, float]] = []
     for stretch, products in zip(gyro.stretches, gyro.products, strict=True):
         density = shapes.density(stretch)[0]
-        squares = np.einsum("i,bij,j->b", left, products, left) / density
+        squares = np.maximum(np.einsum("i,bij,j->b", left, products, left), 0.0) / density
         fitted = np.einsum("ij,bji->b", covariance, products[:, free][:, :, free]) / density
         freedom = np.maximum(stretch.counts - fitted, 0.05 * stretch.counts)
-        found += zip(stretch.band_hz[1:].tolist(), squares[1:].tolist(), freedom[1:].tolist(), strict=True)
+        found += zip(stretch.band_hz.tolist(), squares.tolist(), freedom.tolist(), strict=True)
     hz, squares, freedom = np.array(sorted(found)).T
-    group = np.floor(np.concatenate([[0.0], np.cumsum(freedom)[:-1]]) / _TELLING).astype(np.intp)
-    _, group = np.unique(group, return_inverse=True)
-    total, count = np.maximum(np.bincount(group, squares), 1e-12), np.bincount(group, freedom)
-    chance = 2 * np.minimum(chi2.sf(total, count), chi2.cdf(total, count))
-    middle = np.exp(np.bincount(group, np.log(np.maximum(hz, 1e-12))) / np.bincount(group))
-    return _Profile(middle, np.where(chance < _BY_CHANCE, total / count, 1.0))
+    return hz, squares, freedom
 
 
-def _mean(shapes: NoiseShapes, weight: Floats) -> list[NoiseShapes]:
+def _level(spectra: Sequence[GyroSpectra], arw: Floats) -> list[_Profile]:
+    """Return what makes the white noise of each gyro this (gyros,) at all frequencies."""
+    return [_Profile(np.ones(1), np.array([(own / g.arw) ** 2])) for g, own in zip(spectra, arw, strict=True)]
+
+
+def _best(shapes: NoiseShapes, weight: Floats) -> list[NoiseShapes]:
     """Return by gyro the noise model that is most probable."""
     return [_select(shapes, np.array([own])) for own in np.argmax(weight, axis=0)]
 
@@ -381,33 +373,6 @@ def _flatten(spectra: Sequence[GyroSpectra], profiles: Sequence[_Profile]) -> No
             factor = profile.at(stretch.band_hz)
             gyro.products[i] = gyro.products[i] / factor[:, None, None]
             gyro.columns[i] = gyro.columns[i] / np.sqrt(factor[stretch.band])[:, None]
-
-
-def _rescale(spectra: Sequence[GyroSpectra], arw: Floats) -> None:
-    """Take the white noise of each gyro to be this (gyros,)."""
-    for gyro, noise in zip(spectra, arw.tolist(), strict=True):
-        ratio = gyro.arw / noise
-        gyro.arw, gyro.columns = noise, [own * ratio for own in gyro.columns]
-        gyro.products = [own * ratio**2 for own in gyro.products]
-
-
-def _levels(spectra: Sequence[GyroSpectra], shapes: NoiseShapes, laws: Sequence[Law], used: Floats) -> Floats:
-    """Return by how much the noise of each gyro (gyros,) is larger than that of the upper half of its frequencies."""
-    weight = _weights(spectra, shapes, laws)
-    levels = []
-    for gyro, own, rows in zip(spectra, weight.T, used.tolist(), strict=True):
-        matter = np.flatnonzero(own > 1e-3)
-        gram = Evidence([gyro], _select(shapes, matter)).grams[0]
-        free = [c for c in range(gram.shape[1]) if c != Z]
-        seen = gram[:, free][:, :, free]
-        precision = np.diag(np.concatenate([1 / gyro.prior, np.ones(len(free) - 4)]))
-        right = gram[:, free, Z]
-        x = np.linalg.solve(seen + precision, right[..., None])[..., 0]
-        squares = gram[:, Z, Z] - 2 * np.sum(x * right, axis=1) + np.einsum("gi,gij,gj->g", x, seen, x)
-        taken = np.trace(np.linalg.solve(seen + precision, seen), axis1=1, axis2=2)
-        level = np.maximum(squares, 0.0) / np.maximum(rows - taken, 1.0)
-        levels.append(np.sqrt(float(own[matter] @ level) / float(own[matter].sum())))
-    return np.array(levels)
 
 
 def _select(shapes: NoiseShapes, which: NDArray[np.intp]) -> NoiseShapes:

@@ -18,9 +18,9 @@ from estimator.budget import UNSEEN, Contribution
 from estimator.calibration import EffectValue, GyroCalibration
 from estimator.effects.constructed import readable
 from estimator.effects.dynamics import latency
-from estimator.error_model import ErrorModel, ModelError
+from estimator.error_model import ErrorModel, KnownEffect, ModelError
 from estimator.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
-from estimator.joint import Joint, Law, TooShort, expected_of, joint_estimate, tone_hz
+from estimator.joint import Joint, Law, TooShort, expected_of, joint_estimate
 from estimator.noise import NoiseFound
 from estimator.recording import ImuData, Recording
 from estimator.reference import TableReadings, Turns
@@ -111,7 +111,7 @@ def aligned(
     for _ in range(_MOST_STEPS):
         runs = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
         laws = [*_model_laws(model, recording, runs), _delay_law(delay_s)]
-        joint = joint_estimate(runs, laws, sources[0][1].noise, any_spectrum=True)
+        joint = joint_estimate(runs, laws, sources[0][1].noise)
         step_s, sd_s = _delay(joint)
         # An output that is opposite to the reference has its delay the other way round, too.
         gains = [1 - mean[0] for mean, c in zip(joint.means, joint.covariances, strict=True) if c[0, 0] < _KNOWN**2]
@@ -144,12 +144,12 @@ def estimate_device(
     if delay_s is not None and not any(law.effect.name in ("latency", "sample_hold") for law in laws):
         laws.append(_delay_law(delay_s))
     stated = sources[0][1].noise
-    joint = plain = joint_estimate(runs, laws, stated, any_spectrum=delay_s is not None)
+    joint = plain = joint_estimate(runs, laws, stated)
     covariances, notes = _clustered(plain) if delay_s is not None else (plain.covariances, [])
     unseen: list[Floats] | None = None
     if excluded is not None and model is None:
         further, runs = undeclared_laws(runs, excluded | {law.effect.name for law in laws})
-        joint = joint_estimate(runs, [*laws, *further], stated, any_spectrum=delay_s is not None) if further else plain
+        joint = joint_estimate(runs, [*laws, *further], stated) if further else plain
         notes += _undeclared_notes(joint)
     if delay_s is not None:
         notes += _delay_notes(plain, covariances, delay_s)
@@ -214,9 +214,13 @@ def _model_laws(model: ErrorModel | None, recording: Recording, runs: Sequence[R
     except ModelError as error:
         raise ModelError(f"{recording.name}: {error}") from None
     return [
-        Law(known.called, effect, known.mean, known.sd, EFFECTS, tone_hz(known.name, known.settings))
+        Law(known.called, effect, known.mean, known.sd, EFFECTS, _hz(known))
         for known, effect in zip(model.effects, made, strict=True)
     ]
+
+
+def _hz(known: KnownEffect) -> float | None:
+    return float(known.settings["frequency_hz"]) if "frequency_hz" in known.settings else None
 
 
 def _delay_law(taken_off_s: float) -> Law:
@@ -345,8 +349,8 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
     begin = min(float(run.t_s[0]) for run in runs)
     clusters = [((run.t_s - begin) / CLUSTER_S).astype(np.intp) for run in runs]
     used = np.unique(np.concatenate([c[run.weight > 0] for run, c in zip(runs, clusters, strict=True)]))
+    who = ", ".join(dict.fromkeys(run.source for run in runs))
     if len(used) < FEWEST_CLUSTERS:
-        who = ", ".join(dict.fromkeys(run.source for run in runs))
         return joint.covariances, [f"{who}: too short to tell how the residual hangs together; sigmas assume noise"]
     places = [np.r_[g * own : (g + 1) * own, n * own : n * own + whole - own] for g in range(n)]
     precision = np.ones(n * own + whole - own)
@@ -366,16 +370,16 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
     white = np.linalg.inv(information + np.diag(precision))
     # So few clusters fit so many parameters: their scores are too small by these.
     meat = scores.T @ scores * (len(used) / max(len(used) - whole, len(used) / 4)) + np.diag(precision)
-    sandwich, out, notes = white @ meat @ white, [], []
+    sandwich, out, notes, grown = white @ meat @ white, list[Floats](), list[str](), list[Floats]()
     for number, run in enumerate(runs):
-        for g, name, states in zip(joint.gyros_of(number), run.array.names, run.state_columns(), strict=True):
+        for g, states in zip(joint.gyros_of(number), run.state_columns(), strict=True):
             out.append(_larger(joint.covariances[g], sandwich[np.ix_(places[g], places[g])]))
             seen = states * (run.weight * np.sqrt(run.length_s) / joint.arw[g])[:, None]
             of_white = np.linalg.inv(seen.T @ seen + np.diag(1 / run.prior.variances()))
-            ratio = (np.diag(out[-1])[:4] / np.diag(of_white))[[0, 2, 3]]  # a bias always wanders
-            if ratio.mean() > COLOURED**2:
-                grown, who = float(np.sqrt(ratio.max())), name.partition(" ")[2]
-                notes.append(f"{who}: the residual is no white noise; sigmas are up to {grown:.1f} times as large")
+            grown.append((np.diag(out[-1])[:4] / np.diag(of_white))[[0, 2, 3]])  # a bias always wanders
+    if np.mean(grown) > COLOURED**2:
+        worst = float(np.sqrt(np.max(grown)))
+        notes.append(f"{who}: the residual is no white noise; sigmas are up to {worst:.1f} times as large")
     return out, notes
 
 
