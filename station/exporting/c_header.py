@@ -26,7 +26,7 @@ def write_c(exported: Exported) -> Written:
     arguments = [f"{prefix}_state *state"] if terms.keeps_state else []
     arguments += [*(declared[name] for name in argument_names(terms)), "double w_rps[3]"]
     text = function_text(
-        _HEADER,
+        ["header"],
         exported,
         terms,
         lambda term: f"{prefix}_{term.table}",
@@ -42,120 +42,6 @@ def write_c(exported: Exported) -> Written:
         simple=f"void {prefix}_solve" if terms.of_the_rate else f"int {prefix}_invert",
     )
     return Written(text, tuple(not_held))
-
-
-_HEADER = """
-          |/*
-head      |$it
-          | */
-          |#ifndef ${upper}_CORRECTION_H
-          |#define ${upper}_CORRECTION_H
-          |
-          |#include <math.h>
-          |
-          |enum { ${p}_gyros = $gyros };
-          |
-          |/* A sample stamped t shows the rate at t less this, in s. */
-          |#define ${upper}_DELAY_S $delay_s
-          |
-tables    |$it
-state     |/* What is kept from sample to sample; reset it at the start and after a gap. */
-state     |typedef struct {
-state     |    int started;
-time_s    |    double time_s; /* since the gyros were switched on; set it if they run already */
-lag       |    double rate_rps[${p}_gyros]; /* of the sample before, as all that follows */
-slope     |    double smooth_c;
-wdot      |    double w_rps[3];
-state     |} ${p}_state;
-state     |
-state     |static inline void ${p}_reset(${p}_state *state)
-state     |{
-state     |    static const ${p}_state empty = {0};
-state     |    *state = empty;
-state     |}
-state     |
-          |static inline $simple(const double left[${p}_gyros], double w_rps[3])
-          |{
-          |    int i, r;
-          |    for (r = 0; r < 3; r++) {
-          |        w_rps[r] = 0.0;
-          |        for (i = 0; i < ${p}_gyros; i++)
-          |            w_rps[r] += ${p}_solution[r][i] * left[i];
-          |    }
-no rate   |    return 0;
-          |}
-          |
-rate      |/* Undoes what depends on the rate itself, by iteration; returns 1 and leaves it in if that has no end. */
-rate      |static inline int ${p}_invert(const double left[${p}_gyros]$warmth_given, double w_rps[3])
-rate      |{
-rate      |    double less[${p}_gyros], next[3], change, u;
-rate      |    int i, r, step;
-rate      |    ${p}_solve(left, w_rps);
-rate      |    for (step = 0; step < $iterations; step++) {
-rate      |        for (i = 0; i < ${p}_gyros; i++) {
-rate      |            u = 0.0;
-rate      |            for (r = 0; r < 3; r++)
-rate      |                u += ${p}_axis[i][r] * w_rps[r];
-rate      |            less[i] = left[i];
-of rate   |            less[i] -= $it;
-rate      |        }
-rate      |        ${p}_solve(less, next);
-rate      |        change = 0.0;
-rate      |        for (r = 0; r < 3; r++) {
-rate      |            change += fabs(next[r] - w_rps[r]);
-rate      |            w_rps[r] = next[r];
-rate      |        }
-rate      |        if (change <= $tolerance)
-rate      |            return 0;
-rate      |    }
-rate      |    ${p}_solve(left, w_rps);
-rate      |    return 1;
-rate      |}
-rate      |
-          |/*
-said      | * $it
-          | * w_rps (out): rate of the body about its axes x, y, z, in rad/s
-rate      | * Returns 0; 1 if the rate is no number or far beyond the calibration: effects of the rate are then left in.
-no rate   | * Returns 0.
-          | */
-          |static inline int ${p}_correct($arguments)
-          |{
-          |    double left[${p}_gyros];
-          |    int i;
-warmth    |    const double warmth = temperature_c - $reference_c;
-time_s    |    const double time_s = state->started ? state->time_s + dt_s : state->time_s;
-slope     |    const double step = state->started && dt_s > 0.0 ? dt_s : 0.0;
-slope     |    double slope;
-wdot      |    double wdot[3] = {0.0, 0.0, 0.0}, w[3];
-wdot      |    int r;
-slope     |    if (!state->started || isnan(state->smooth_c))
-slope     |        state->smooth_c = temperature_c;
-slope     |    else if (!isnan(temperature_c))
-slope     |        state->smooth_c += (temperature_c - state->smooth_c) * step / ($slope_s + step);
-slope     |    slope = (temperature_c - state->smooth_c) / $slope_s;
-          |    for (i = 0; i < ${p}_gyros; i++) {
-          |        left[i] = rate_rps[i] + ${p}_bias[i];
-lag       |        if (state->started && dt_s > 0.0 && isfinite(rate_rps[i] - state->rate_rps[i]))
-lag       |            left[i] += $lag[i] * (rate_rps[i] - state->rate_rps[i]) / dt_s;
-lag       |        state->rate_rps[i] = rate_rps[i];
-added     |        left[i] -= $it;
-          |    }
-of wdot   |    if (${p}_invert(left$warmth, w))
-of wdot   |        w[0] = w[1] = w[2] = NAN;
-of wdot   |    for (r = 0; r < 3; r++) {
-of wdot   |        if (state->started && dt_s > 0.0 && isfinite(w[r] - state->w_rps[r]))
-of wdot   |            wdot[r] = (w[r] - state->w_rps[r]) / dt_s;
-of wdot   |        state->w_rps[r] = w[r];
-of wdot   |    }
-of wdot   |    for (i = 0; i < ${p}_gyros; i++)
-of wdot   |        left[i] -= $it;
-time_s    |    state->time_s = time_s;
-state     |    state->started = 1;
-          |    return ${p}_invert(left$warmth, w_rps);
-          |}
-          |
-          |#endif /* ${upper}_CORRECTION_H */
-"""
 
 
 def identifier(name: str) -> str:

@@ -7,6 +7,7 @@ from string import Template
 
 import numpy as np
 
+from drivers.packaged import packaged_text
 from estimator.compensation import MOST_ITERATIONS, SLOPE_S, TOLERANCE_RPS
 from estimator.effects.thermal import REFERENCE_C
 from station.exporting.exported import Exported
@@ -53,14 +54,14 @@ def cautions(exported: Exported, terms: Terms) -> list[str]:
 
 
 def function_text(
-    template: str,
+    templates: Iterable[str],
     exported: Exported,
     terms: Terms,
     name_of: Callable[[Term], str],
     given: Mapping[str, Iterable[str]],
     **values: object,
 ) -> str:
-    """Return the source code of a template, whose margin ends with a bar; ``name_of`` names the table of a term.
+    """Return the source code of templates, whose margin ends with a bar; ``name_of`` names the table of a term.
 
     A name in the margin says when a line comes: where the function uses it, or once for each text of it, which
     ``$it`` stands for. Other names behind ``$`` are those of ``values``, and what the function consists of.
@@ -89,7 +90,8 @@ def function_text(
         "warmth": ", warmth" if terms.warms_the_rate else "",
     }
     lines = []
-    for line in template.strip("\n").splitlines():
+    template = "".join(packaged_text("station.exporting", f"{name}.template") for name in templates)
+    for line in template.splitlines():
         name, _, text = line.partition("|")
         each = texts.get(name.strip()) or [""] * used.get(name.strip(), not name.strip())
         lines += [Template(text).substitute(values, it=it).rstrip() for it in each]
