@@ -25,14 +25,7 @@ from estimator.kinematics import Site, check_gimbals
 from estimator.model import Prior
 from estimator.noise import NoiseModel
 from estimator.prober import probe
-from estimator.reference import (
-    AttitudeReadings,
-    RateReadings,
-    Reference,
-    TableReadings,
-    TableUncertainty,
-    Turns,
-)
+from estimator.reference import AttitudeReadings, RateReadings, Reference, TableReadings, TableUncertainty, Turns
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -224,10 +217,7 @@ def write_recording(path: Path, recording: Recording) -> None:
     try:
         if recording.site is not None:
             writer.set_attributes(
-                {
-                    "site_latitude_rad": recording.site.latitude_rad,
-                    "site_heading_rad": recording.site.heading_rad,
-                }
+                {"site_latitude_rad": recording.site.latitude_rad, "site_heading_rad": recording.site.heading_rad}
             )
         reference = recording.reference
         names: tuple[str, ...]
