@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array import SensorArray, sensor_array
+from estimator.arrays import Floats, Stamps
 from estimator.ballast import Ballast
 from estimator.errors import GeometryError, RecordingError
 from estimator.kinematics import Site, check_gimbals
@@ -26,9 +27,6 @@ from estimator.model import Prior
 from estimator.noise import NoiseModel
 from estimator.prober import probe
 from estimator.reference import AttitudeReadings, RateReadings, Reference, TableReadings, TableUncertainty, Turns
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 FORMAT = "turntable-recording"
 FORMAT_VERSION = 1
