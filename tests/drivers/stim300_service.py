@@ -5,13 +5,18 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from drivers.packaged import packaged_codes
-
 PROMPT = b"\r>"
 LEAVING = b"SYSTEM RETURNING TO"
 """Begins the line after which the device leaves service mode, without a prompt."""
 
-ERROR_TEXTS = packaged_codes("drivers", "stim300", "service")
+ERROR_TEXTS = {
+    1: "the device does not know this command",
+    2: "wrong number of parameters",
+    3: "a parameter is outside of what the device takes",
+    4: "the device's memory has been written as often as it can be",
+    5: "the device could not write its memory",
+    7: "the datagrams would be too long for the rate and the bit rate",
+}
 """What the errors E001 to E007 mean."""
 
 _ERROR = re.compile(r"E(\d{3})\b *(.*)")
