@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from drivers.exchange import Framed, Token
 from drivers.flags import flag
+from drivers.packaged import packaged_codes
 
 LONGEST_LINE = 80
 
@@ -22,67 +23,12 @@ AT_TARGET, STOPPED, ABORTED, OFF_ON_ERROR, HOMED, AMPLIFIER_FAULT = 1, 4, 7, 8, 
 FATAL_STOPS = frozenset({6, OFF_ON_ERROR, 11, 12, AMPLIFIER_FAULT, 16})
 LIMIT_STOPS = frozenset({FORWARD_LIMIT, REVERSE_LIMIT})
 
-STOP_CODES = {
-    0: "running",
-    1: "at its target",
-    2: "stopped by the forward limit",
-    3: "stopped by the reverse limit",
-    4: "stopped by command",
-    6: "stopped by the abort input",
-    7: "aborted by command",
-    8: "switched off because its following error was too large",
-    9: "has found its edge",
-    10: "has found home or index",
-    11: "stopped by the axis's abort input",
-    12: "stopped because its encoder failed",
-    15: "amplifier fault",
-    16: "step position lost",
-    30: "running PVT",
-    31: "PVT done",
-    32: "PVT buffer empty",
-    50: "contour running",
-    51: "contour done",
-    99: "motion did not complete in time",
-    100: "vector motion running",
-    101: "vector motion done",
-}
+STOP_CODES = packaged_codes("drivers", "galil", "stop")
 
 UNRECOGNIZED, OUT_OF_RANGE, NOT_WHILE_RUNNING, NOT_JOGGING = 1, 6, 7, 13
 MOTOR_OFF, RUNNING, ON_LIMIT = 20, 21, 22
 
-ERROR_CODES = {
-    1: "command not known",
-    2: "only valid in a program",
-    3: "not valid in a program",
-    4: "wrong operand",
-    5: "line too long",
-    6: "number out of range",
-    7: "not valid while the axis moves",
-    8: "not valid while the axis stands",
-    9: "wrong variable",
-    13: "the axis moves, but does not jog",
-    14: "EEPROM checksum wrong",
-    15: "EEPROM cannot be written",
-    18: "not valid while contouring",
-    20: "cannot begin with the motor off",
-    21: "cannot begin, the axis moves",
-    22: "cannot begin on a limit switch",
-    24: "no sequence to begin",
-    29: "not valid during a coordinated move",
-    50: "fields missing",
-    51: "question mark not valid",
-    53: "wrong braces",
-    58: "wrong operand of an interrogation",
-    83: "not a number",
-    106: "privilege violation",
-    123: "TCP lost step",
-    131: "serial port timed out",
-    133: "not valid while locked",
-    134: "every motor must be off",
-    135: "the motor must be off",
-    140: "serial encoder error",
-    141: "not supported by this controller",
-}
+ERROR_CODES = packaged_codes("drivers", "galil", "error")
 
 NOTHING = re.compile("")
 NUMBER = re.compile(r"-?\d+(\.\d+)?")

@@ -114,8 +114,7 @@ class AceinnaImu(OneSource[FrameLink]):
                 "bit rate and address right?",
             )
         raise DeviceRefused(
-            self._device,
-            f"setting {group:04X}: asked for {values.hex(' ')}, the device keeps {answer[1:].hex(' ')}",
+            self._device, f"setting {group:04X}: asked for {values.hex(' ')}, the device keeps {answer[1:].hex(' ')}"
         )
 
     async def _ask(self, group: int) -> bytes | None:

@@ -15,6 +15,7 @@ from pymodbus.transport import NULLMODEM_HOST
 
 from drivers.errors import BadReply, DeviceRefused, LinkLost
 from drivers.modbus_order import READ, WRITE_ONE, LineCounts, Pending, Request, RtuGate, TcpGate
+from drivers.packaged import packaged_codes
 
 # pymodbus dumps its recent frames at ERROR for every time-out; the station says it in one line of its own.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
@@ -23,16 +24,7 @@ _HEARD_OUT = 0.25  # of a time-out, for the reply to a request that was cancelle
 _LISTEN = 0.0025
 _FORGOTTEN = 50  # time-outs, after which nothing on the way holds a reply back any more
 
-_EXCEPTIONS = {
-    1: "illegal function",
-    2: "illegal register address",
-    3: "illegal value",
-    4: "device failure",
-    5: "acknowledge, still busy",
-    6: "device busy",
-    10: "gateway path unavailable",
-    11: "gateway target does not answer",
-}
+_EXCEPTIONS = packaged_codes("drivers", "modbus", "exception")
 
 
 @dataclass(frozen=True, slots=True)

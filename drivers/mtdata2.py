@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Floats, Ints
+from drivers.packaged import packaged_toml
 from drivers.xbus import Bytes, Mid, frame
 
 FLOAT32, FP12_20, FP16_32, FLOAT64 = range(4)
@@ -24,18 +25,10 @@ UTC_TIME = 0x1010
 PACKET_COUNTER = 0x1020
 SAMPLE_TIME_FINE = 0x1060
 SAMPLE_TIME_COARSE = 0x1070
-QUATERNION = 0x2010
-ROTATION_MATRIX = 0x2020
-EULER_ANGLES = 0x2030
 PRESSURE = 0x3010
-DELTA_V = 0x4010
 ACCELERATION = 0x4020
-FREE_ACCELERATION = 0x4030
-ACCELERATION_HR = 0x4040
 RATE_OF_TURN = 0x8020
-DELTA_Q = 0x8030
 RATE_OF_TURN_HR = 0x8040
-MAGNETIC_FIELD = 0xC020
 STATUS_BYTE = 0xE010
 STATUS_WORD = 0xE020
 
@@ -66,50 +59,16 @@ class Kind:
         return more == 0 or (self.repeated > 0 and more > 0 and more % self.repeated == 0)
 
 
-def _numbers(name: str, unit: str, fields: str) -> Kind:
-    return Kind(name, unit, tuple(fields.split()))
-
-
-def _integers(name: str, unit: str, fields: str, repeated: int = 0) -> Kind:
-    """Fields are given as type:name, the types as numpy writes them."""
+def _kind(name: str, unit: str, fields: str, repeated: int = 0) -> Kind:
+    """Fields that are integers are given as type:name, the types as numpy writes them."""
+    if ":" not in fields:
+        return Kind(name, unit, tuple(fields.split()))
     parts = [field.split(":") for field in fields.split()]
     types = np.dtype([(field, ">" + kind) for kind, field in parts])
     return Kind(name, unit, tuple(field for _, field in parts), types, repeated)
 
 
-KINDS = {
-    TEMPERATURE: _numbers("Temperature", "degC", "t"),
-    UTC_TIME: _integers("UTCTime", "", "u4:ns u2:year u1:month u1:day u1:hour u1:minute u1:second u1:flags"),
-    PACKET_COUNTER: _integers("PacketCounter", "", "u2:count"),
-    SAMPLE_TIME_FINE: _integers("SampleTimeFine", "100 us", "u4:ticks"),
-    SAMPLE_TIME_COARSE: _integers("SampleTimeCoarse", "s", "u4:s"),
-    QUATERNION: _numbers("Quaternion", "", "q0 q1 q2 q3"),
-    ROTATION_MATRIX: _numbers("RotationMatrix", "", "a b c d e f g h i"),
-    EULER_ANGLES: _numbers("EulerAngles", "deg", "roll pitch yaw"),
-    PRESSURE: _integers("BaroPressure", "Pa", "u4:p"),
-    DELTA_V: _numbers("DeltaV", "m/s", "x y z"),
-    ACCELERATION: _numbers("Acceleration", "m/s2", "x y z"),
-    FREE_ACCELERATION: _numbers("FreeAcceleration", "m/s2", "x y z"),
-    ACCELERATION_HR: _numbers("AccelerationHR", "m/s2", "x y z"),
-    0x5020: _numbers("AltitudeEllipsoid", "m", "h"),
-    0x5030: _numbers("PositionECEF", "m", "x y z"),
-    0x5040: _numbers("LatLon", "deg", "lat lon"),
-    0x7010: _integers(
-        "GNSSPVTData",
-        "",
-        "u4:itow u2:year u1:month u1:day u1:hour u1:min u1:sec u1:valid u4:tacc i4:nano u1:fixtype u1:flags u1:numsv "
-        "u1:reserved1 i4:lon i4:lat i4:height i4:hmsl u4:hacc u4:vacc i4:veln i4:vele i4:veld i4:gspeed i4:headmot "
-        "u4:sacc u4:headacc i4:headveh u2:gdop u2:pdop u2:tdop u2:vdop u2:hdop u2:ndop u2:edop",
-    ),
-    0x7020: _integers("GNSSSatInfo", "", "u4:itow u1:numsvs u1:res1 u1:res2 u1:res3", repeated=4),
-    RATE_OF_TURN: _numbers("RateOfTurn", "rad/s", "x y z"),
-    DELTA_Q: _numbers("DeltaQ", "", "q0 q1 q2 q3"),
-    RATE_OF_TURN_HR: _numbers("RateOfTurnHR", "rad/s", "x y z"),
-    MAGNETIC_FIELD: _numbers("MagneticField", "a.u.", "x y z"),
-    0xD010: _numbers("VelocityXYZ", "m/s", "x y z"),
-    STATUS_BYTE: _integers("StatusByte", "", "u1:bits"),
-    STATUS_WORD: _integers("StatusWord", "", "u4:bits"),
-}
+KINDS = {int(kind, 16): _kind(*stated) for kind, stated in packaged_toml("drivers", "layouts.toml")["mtdata2"].items()}
 """Kinds of packets by their data identifier without its lowest four bits, which are number format and axes."""
 
 

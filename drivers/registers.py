@@ -117,16 +117,7 @@ REQUIRED_REGISTERS = (
     "homing_rate_2",
     "target_rate",
 )
-REQUIRED_COMMANDS = (
-    "shutdown",
-    "switch_on",
-    "enable",
-    "quick_stop",
-    "fault_reset",
-    "home",
-    "move_arm",
-    "move_go",
-)
+REQUIRED_COMMANDS = ("shutdown", "switch_on", "enable", "quick_stop", "fault_reset", "home", "move_arm", "move_go")
 
 
 def load_profile(name_or_path: str) -> DriveProfile:

@@ -30,9 +30,7 @@ class BackOff:
 
 
 async def reopen(
-    lost: Openable,
-    back_off: BackOff | None = None,
-    on_failure: Callable[[LinkLost, float], None] | None = None,
+    lost: Openable, back_off: BackOff | None = None, on_failure: Callable[[LinkLost, float], None] | None = None
 ) -> int:
     """Close and open until it opens; return how many tries it took, LinkLost when the limit is over.
 

@@ -37,14 +37,7 @@ class SerialLink:
     """
 
     def __init__(
-        self,
-        device: str,
-        url: str,
-        baud: int,
-        *,
-        parity: str = "N",
-        stop_bits: float = 1,
-        gather_s: float = 0.0,
+        self, device: str, url: str, baud: int, *, parity: str = "N", stop_bits: float = 1, gather_s: float = 0.0
     ) -> None:
         """Name the port; it is opened by ``open``. Eight data bits; ``parity`` N, E, O, M or S.
 
@@ -108,12 +101,7 @@ class _Reader:
     """One opening of a port: its thread, from opening to closing it."""
 
     def __init__(
-        self,
-        url: str,
-        settings: dict[str, Any],
-        gather_s: float,
-        loop: asyncio.AbstractEventLoop,
-        inbox: Inbox,
+        self, url: str, settings: dict[str, Any], gather_s: float, loop: asyncio.AbstractEventLoop, inbox: Inbox
     ) -> None:
         self._url, self._settings, self._gather_s, self._loop = url, settings, gather_s, loop
         self._inbox = inbox

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from drivers.flags import flag
+from drivers.packaged import packaged_codes
 
 RATES_HZ = (125, 250, 500, 1000, 2000)
 """Datagram rates, by their code."""
@@ -246,34 +247,7 @@ SPECIAL_LAYOUTS = {
 }
 SPECIAL_IDS = {(layout.kind, layout.line_termination): identifier for identifier, layout in SPECIAL_LAYOUTS.items()}
 
-_ERRORS = {
-    16: "start-up phase is active",
-    17: "reference voltage 1 is wrong",
-    18: "reference voltage 2 is wrong",
-    19: "reference voltage 3 is wrong",
-    20: "supply voltage is wrong",
-    21: "regulated voltage 1 is wrong",
-    22: "regulated voltage 2 is wrong",
-    23: "regulated voltage 3 is wrong",
-    56: "RAM check failed",
-    57: "flash check failed",
-    58: "internal DAC failed",
-    59: "supply voltage is too high",
-    68: "the line is too slow for the datagrams",
-    85: "self-test is not running",
-    97: "temperature of the controller cannot be read",
-    101: "gyro X is overloaded",
-    102: "gyro Y is overloaded",
-    103: "gyro Z is overloaded",
-    104: "accelerometer X is overloaded",
-    105: "accelerometer Y is overloaded",
-    106: "accelerometer Z is overloaded",
-    107: "inclinometer X is overloaded",
-    108: "inclinometer Y is overloaded",
-    109: "inclinometer Z is overloaded",
-    111: "reference voltage 4 is wrong",
-    112: "time since PPS overflowed",
-}
+_ERRORS = packaged_codes("drivers", "stim300", "failure")
 
 
 def _digit(character: str) -> int:

@@ -5,17 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-STATUS_TEXTS = {
-    0: "done",
-    1: "this is no command of utility mode",
-    2: "the command arrived damaged (wrong CRC)",
-    3: "the device does not know this command",
-    4: "wrong number of parameters",
-    5: "a parameter is outside of what the device takes",
-    6: "the device's memory has been written as often as it can be",
-    7: "the device could not write its memory",
-    8: "the value was cut to the limit of the device",
-}
+from drivers.packaged import packaged_codes
+
+STATUS_TEXTS = packaged_codes("drivers", "stim300", "utility")
 """What the status of a reply means (table 10-2)."""
 
 _IDENTIFIERS = (0x90, 0x91, 0x92, 0x93, 0x94, 0xA5, 0xA6, 0xA7, 0xF0, 0xF1, 0xF2, 0xF3, 0xF4, 0xF5, 0xF6, 0xF7)

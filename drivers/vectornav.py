@@ -15,6 +15,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.packaged import packaged_codes, packaged_toml
+
 IMU_RATE_HZ = 800
 """Binary output comes at this rate over a whole number."""
 ASCII_RATES_HZ = (1, 2, 4, 5, 10, 20, 25, 40, 50, 100, 200)
@@ -29,21 +31,7 @@ RATES_HZ: Mapping[str, tuple[int, ...]] = {
 COMMON, TIME, IMU, GPS, ATTITUDE, INS, GPS2 = range(7)
 """Output groups by their bit."""
 
-ERRORS = {
-    1: "hard fault",
-    2: "serial buffer overflow",
-    3: "wrong checksum",
-    4: "unknown command",
-    5: "too few parameters",
-    6: "too many parameters",
-    7: "invalid parameter",
-    8: "no such register",
-    9: "not allowed",
-    10: "restarted by its watchdog",
-    11: "output buffer overflow",
-    12: "baud rate too low for the output asked for",
-    255: "error buffer overflow",
-}
+ERRORS = packaged_codes("drivers", "vectornav", "error")
 
 _SYNC = 0xFA
 _CRC_SIZE = 2
@@ -61,55 +49,8 @@ def _fields(text: str) -> tuple[tuple[str, np.dtype[Any]], ...]:
     return tuple((name, np.dtype(kind)) for name, kind in (entry.split() for entry in text.split(", ")))
 
 
-# Name and type of every field, from bit 0 up, of the groups by number. All little-endian; rates in rad/s,
-# accelerations in m/s2, magnetic field in gauss, pressure in kPa, angles in deg, times in ns since power-on.
-_GNSS = _fields(
-    "time_utc 8u1, tow <u8, week <u2, satellites u1, fix u1, position_lla 3<f8, position_ecef 3<f8, velocity_ned 3<f4, "
-    "velocity_ecef 3<f4, position_sigma 3<f4, velocity_sigma <f4, time_sigma <f4, time_info 2u1, dop 7<f4"
-)
-_GROUPS = (
-    (
-        "common",
-        _fields(
-            "time_startup <u8, time_gps <u8, time_sync_in <u8, yaw_pitch_roll 3<f4, quaternion 4<f4, "
-            "angular_rate 3<f4, position_lla 3<f8, velocity_ned 3<f4, accel 3<f4, uncomp_accel_gyro 6<f4, "
-            "mag_temp_pres 5<f4, delta_time_theta_vel 7<f4, ins_status <u2, sync_in_count <u4, time_gps_pps <u8"
-        ),
-    ),
-    (
-        "time",
-        _fields(
-            "time_startup <u8, time_gps <u8, gps_tow <u8, gps_week <u2, time_sync_in <u8, time_gps_pps <u8, "
-            "time_utc 8u1, sync_in_count <u4, sync_out_count <u4, time_status u1"
-        ),
-    ),
-    (
-        "imu",
-        _fields(
-            "status <u2, uncomp_mag 3<f4, uncomp_accel 3<f4, uncomp_gyro 3<f4, temperature <f4, pressure <f4, "
-            "delta_time_theta 4<f4, delta_vel 3<f4, mag 3<f4, accel 3<f4, angular_rate 3<f4, saturation <u2, "
-            "reserved_12 V40"
-        ),
-    ),
-    ("gps", _GNSS),
-    (
-        "attitude",
-        _fields(
-            "vpe_status <u2, yaw_pitch_roll 3<f4, quaternion 4<f4, dcm 9<f4, mag_ned 3<f4, accel_ned 3<f4, "
-            "linear_accel_body 3<f4, linear_accel_ned 3<f4, yaw_pitch_roll_sigma 3<f4, reserved_9 V12, "
-            "reserved_10 V28, reserved_11 V24, heave 3<f4"
-        ),
-    ),
-    (
-        "ins",
-        _fields(
-            "status <u2, position_lla 3<f8, position_ecef 3<f8, velocity_body 3<f4, velocity_ned 3<f4, "
-            "velocity_ecef 3<f4, mag_ecef 3<f4, accel_ecef 3<f4, linear_accel_ecef 3<f4, position_sigma <f4, "
-            "velocity_sigma <f4, reserved_11 V68, reserved_12 V64"
-        ),
-    ),
-    ("gps2", _GNSS),
-)
+_GROUPS = tuple((name, _fields(text)) for name, text in packaged_toml("drivers", "layouts.toml")["vectornav"].items())
+"""Groups by number: the name, and name and type of every field from bit 0 up."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from enum import IntEnum
 import numpy as np
 
 from drivers.arrays import Octets
+from drivers.packaged import packaged_codes
 
 Bytes = Octets
 
@@ -47,18 +48,7 @@ class Mid(IntEnum):
 _LABELS = {Mid.REQ_DEVICE_ID: "ReqDID", Mid.REQ_FIRMWARE: "ReqFirmwareRev", Mid.REQ_HARDWARE: "ReqHardwareVersion"}
 
 
-ERRORS = {
-    3: "the period is not valid",
-    4: "the message is not known, or not valid in this mode",
-    30: "its timer overflowed during the measurement",
-    32: "the baud rate is not valid",
-    33: "a parameter is not valid",
-    35: "its transmit buffer is full",
-    36: "its transmit buffer overflowed",
-    40: "an error of the device itself; newer firmware may help",
-    41: "it makes more data than the line carries: raise the baud rate or lower the sample rate",
-    42: "its sample buffer was full while the line was down",
-}
+ERRORS = packaged_codes("drivers", "xbus", "error")
 ERROR_DATA_OVERFLOW = 41
 """Comes by itself while measuring, never as the answer to a request."""
 

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from estimator.arrays import Floats
 from estimator.errors import GeometryError
-
-Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-3
 """How far printed axes (four digits) may be from unit length and from right angles."""

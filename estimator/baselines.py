@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array import SensorArray
+from estimator.arrays import Floats
 from estimator.errors import EstimatorError
 from estimator.model import Prior, decode, regressor_maps
-
-Floats = NDArray[np.float64]
 
 _NULL_SHARE = 1e-9  # of the greatest eigenvalue: below it a direction carries no information
 _SEEN = 1e-6  # share of a state that may lie in directions without information

@@ -11,14 +11,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.array import SensorArray
+from estimator.arrays import Floats
 from estimator.kinematics import AXES, Site, body_rate, into_body
 from estimator.model import Prior, regressor_maps
 from estimator.reference import TableReadings
-
-Floats = NDArray[np.float64]
 
 KINDS = ("rate", "wobble", "orthogonality", "timing")
 """Names of the contributions of a table."""

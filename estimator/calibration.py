@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.budget import Contribution
 from estimator.health import Excluded
 from estimator.model import Prior
 from estimator.noise import NoiseFound
 from estimator.parity import GyroParity
 from estimator.rests import RestNoise
-
-Floats = NDArray[np.float64]
 
 _UNSEEN = 0.5  # a posterior sigma above this share of the prior's: the run did not show the state
 

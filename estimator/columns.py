@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.errors import RecordingError
 from estimator.mapping import FileFormat
 from estimator.mapping_columns import Columns
 from estimator.text_rows import Wanted, read_rows
-
-Floats = NDArray[np.float64]
 
 _HUGE = 1e25  # no measured number is larger, nor smaller than one in it, if its bytes are read as they were written
 _ABSURD_SHARE = 0.1

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.recording import Recording
 from estimator.reference import AttitudeReadings, TableReadings, Turns, rates_from_attitude
-
-Floats = NDArray[np.float64]
 
 _STILL_DPS = 0.5
 

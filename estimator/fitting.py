@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.array import SensorArray, sensor_array
+from estimator.arrays import Floats
 from estimator.errors import RecordingError
 from estimator.gains import Gain, gain_notes, gains
 from estimator.mapping import GyroColumns
 from estimator.mapping_columns import axis_text
 from estimator.model import Prior
 from estimator.recording import ImuData, Recording
-
-Floats = NDArray[np.float64]
 
 _WIDER = 2.0  # a prior from the data is this many times what they show
 _NARROW = 0.1  # factors nearer to 1 are scale factor errors, left to k and its usual prior

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.recording import Recording
 from estimator.reference import AttitudeReadings, RateReadings, Reference, rates_from_attitude
 from estimator.rests import REST_RPS
-
-Floats = NDArray[np.float64]
 
 CLUSTER_S = 5.0
 """Length over which residuals against a foreign reference may hang together without the sigma being wrong."""

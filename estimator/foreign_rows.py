@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Floats, Stamps
 from estimator.columns import Table
 from estimator.errors import RecordingError
 from estimator.mapping import Mapping
 from estimator.mapping_reference import AngleColumn, AttitudeColumns, ForeignReference, RateColumns
 from estimator.reference import AttitudeReadings, RateReadings, Reference, TableReadings
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 _NORM_OFF = 0.05  # an attitude whose length is this far from 1 is a lost one
 _LOST_STEPS = 3  # blanks over more than this many usual steps: what happened there is not known

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.gram import Gram
 from estimator.mapping_columns import axis_text
 from estimator.recording import Recording
 from estimator.rows import rows_of
-
-Floats = NDArray[np.float64]
 
 FAR_OFF = 0.2
 """A factor this far from 1 is no scale factor error of a gyro but a wrong unit, count or sign."""

@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.array import SensorArray
+from estimator.arrays import Floats
 from estimator.model import Prior, regressor_maps
-
-Floats = NDArray[np.float64]
 
 _LEAST_NOISE_RPS = 1e-9  # below any gyro; without noise at all the information has no inverse
 _CHUNK_ROWS = 8192  # 8192 x 8 columns stay in the second-level cache while they are multiplied

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.recording import ImuData
-
-Floats = NDArray[np.float64]
 
 _RUN_S = 0.25  # equal extreme values for longer than this are a limit, not a coincidence
 _UNUSUAL = 5  # a limit holds a value so much longer than values repeat by chance

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from estimator.arrays import Floats
 
 _FEWEST_UPDATES = 20
 _SHORT_SHARE = 0.05  # of the runs of equal rows, how many may be one row long all the same

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.columns import Table, read_table
 from estimator.errors import RecordingError
 from estimator.fitting import fitted
@@ -24,8 +25,6 @@ from estimator.rest_import import PartRests, earth_note, part_rests, rests_text
 from estimator.spans import Refused, Span, turn_spans
 from estimator.text_rows import Wanted
 from estimator.timefit import TimeFit, fit_times, regular_times
-
-Floats = NDArray[np.float64]
 
 SOURCE = "imu"
 """Name of the one source of an imported recording."""

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.errors import RecordingError
-
-Floats = NDArray[np.float64]
 
 EARTH_RATE_RPS = 7.292115e-5
 """Rotation rate of the Earth, 15.041 deg/h (WGS 84)."""

@@ -14,11 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.array import SensorArray
-
-Floats = NDArray[np.float64]
+from estimator.arrays import Floats
 
 STATES = ("k", "b_rps", "sigma_j_rad", "sigma_k_rad")
 """Names of the decoded states, in the order of every vector and matrix of states."""

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from estimator.arrays import Floats
 
 _STEPS_A_DECADE = 2
 _SHORTEST_S = 1.0

@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.array import SensorArray
+from estimator.arrays import Floats
 from estimator.blocks import Blocks
 from estimator.noise import NoiseModel
-
-Floats = NDArray[np.float64]
 
 _MOST_BLOCKS, _FINEST_S = 200, 1.0
 _SUSPECT = 5.0  # sigmas of a mean over one block: chance gives it in one of a million

@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array import SensorArray
+from estimator.arrays import Floats
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.kinematics import body_rate
 from estimator.model import Prior, regressor_maps
 from estimator.noise import MeansCovariance, NoiseModel
 from estimator.rows import BLOCK_S
-
-Floats = NDArray[np.float64]
 
 POWER_SIGMAS = 2.576 + 1.645
 """An effect of so many sigmas is found in 95 % of runs by a test with 1 % of false alarms, two-sided."""

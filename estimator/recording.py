@@ -19,23 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array import SensorArray, sensor_array
+from estimator.arrays import Floats, Stamps
 from estimator.ballast import Ballast
 from estimator.errors import GeometryError, RecordingError
 from estimator.kinematics import Site, check_gimbals
 from estimator.model import Prior
 from estimator.noise import NoiseModel
 from estimator.prober import probe
-from estimator.reference import (
-    AttitudeReadings,
-    RateReadings,
-    Reference,
-    TableReadings,
-    TableUncertainty,
-    Turns,
-)
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
+from estimator.reference import AttitudeReadings, RateReadings, Reference, TableReadings, TableUncertainty, Turns
 
 FORMAT = "turntable-recording"
 FORMAT_VERSION = 1
@@ -224,10 +215,7 @@ def write_recording(path: Path, recording: Recording) -> None:
     try:
         if recording.site is not None:
             writer.set_attributes(
-                {
-                    "site_latitude_rad": recording.site.latitude_rad,
-                    "site_heading_rad": recording.site.heading_rad,
-                }
+                {"site_latitude_rad": recording.site.latitude_rad, "site_heading_rad": recording.site.heading_rad}
             )
         reference = recording.reference
         names: tuple[str, ...]

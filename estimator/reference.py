@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Flags, Floats, Stamps
 from estimator.errors import RecordingError
 from estimator.kinematics import Site, body_rate, check_gimbals
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 GAP_NS = 150_000_000
 GAP_ANGLE_RAD = float(np.radians(0.02))

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.budget import TYPE_A
 from estimator.calibration import GyroCalibration
-
-Floats = NDArray[np.float64]
 
 _BY_CHANCE = 0.001
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.columns import Table
 from estimator.errors import RecordingError
 from estimator.kinematics import EARTH_RATE_RPS
@@ -16,8 +17,6 @@ from estimator.mapping_reference import Rests
 from estimator.resting import Rest, found_rests, gravity_note, stated_rest
 from estimator.spans import Refused, section_rows
 from estimator.timefit import TimeFit
-
-Floats = NDArray[np.float64]
 
 _LEVEL = 0.05  # part of a sense axis that is horizontal and so feels the unknown part of Earth rate
 

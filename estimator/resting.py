@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Flags, Floats
 from estimator.kinematics import EARTH_RATE_RPS, Site
 from estimator.mapping_reference import Pose, Rests
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _WINDOW_S = 0.25
 _FEWEST_ROWS = 10  # a window of fewer does not tell its scatter

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Floats, Stamps
 from estimator.blocks import Blocks, BlockSums
 from estimator.errors import RecordingError
 from estimator.gram import Gram
 from estimator.recording import ImuData, Recording
 from estimator.reference import AttitudeReadings, BodyRates, RateReadings, TableReadings, Turns, rates_from_attitude
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 BLOCK_S = 0.2
 """Length of a block of the live filter."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.array import SensorArray
+from estimator.arrays import Floats, Stamps
 from estimator.effects.conditions import Conditions
 from estimator.effects.constructed import NAME as CONSTRUCTED
 from estimator.effects.constructed import readable
@@ -17,9 +17,6 @@ from estimator.kinematics import Site
 from estimator.model import Prior, regressor_maps
 from estimator.recording import ImuData, Recording
 from estimator.reference import BodyRates, TableReadings
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 _ON_A_TABLE = frozenset({"gimbals", "specific force", "temperature"})
 _NOT_LIVE = {

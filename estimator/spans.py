@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.columns import Table
 from estimator.errors import RecordingError
 from estimator.mapping import Mapping
 from estimator.mapping_reference import Cuts, FileTurns, SectionTurns, Turn, TurnChecks, turn_about
 from estimator.timefit import TimeFit
-
-Floats = NDArray[np.float64]
 
 _EDGE_ROWS = 3  # least number of samples that show rest at an end
 _WRONG_BY = 0.5  # a gyro whose output turns by this share more or less than stated: wrong axis, unit or angle

@@ -7,8 +7,8 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.budget import Contribution
 from estimator.calibration import Calibration, EffectValue, GyroCalibration
 from estimator.error_model import ErrorModel
@@ -16,8 +16,6 @@ from estimator.errors import RecordingError
 from estimator.health import Excluded
 from estimator.noise import NoiseFound, NoiseModel
 from estimator.prober import probe
-
-Floats = NDArray[np.float64]
 
 
 def read_calibration(path: Path, *, trusted: bool = False) -> Calibration:

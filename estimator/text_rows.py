@@ -11,10 +11,10 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.errors import RecordingError
 from estimator.mapping import FileFormat
 
-Floats = NDArray[np.float64]
 Lines = list[tuple[int, str]]
 
 BROKEN_SHARE = 0.1

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.errors import RecordingError
-
-Floats = NDArray[np.float64]
 
 REGULAR_WITHIN = 0.3
 """Median distance, in sample periods, of stamps from an even grid below which the sampling is called regular."""

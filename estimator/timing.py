@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.array import SensorArray
+from estimator.arrays import Floats
 from estimator.blocks import Blocks
 from estimator.model import Prior, regressor_maps
-
-Floats = NDArray[np.float64]
 
 _EXPECTED_S = 0.1  # no offset is expected beyond this
 _WORST_SD_S = 0.01  # a run that tells no better has no ramps to tell by

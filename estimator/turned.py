@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.kinematics import AXES, Site, into_body
 from estimator.reference import AttitudeReadings, RateReadings, Reference, TableReadings, rates_from_attitude
-
-Floats = NDArray[np.float64]
 
 REST_RPS = 2e-3
 """Several times Earth rate: what turns no faster rests."""

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.budget import UNSEEN
 from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import Conditions
@@ -26,8 +26,6 @@ from estimator.joint import Law
 from estimator.kinematics import GRAVITY_MPS2
 from estimator.reference import TableReadings
 from estimator.tracing.runs import Run
-
-Floats = NDArray[np.float64]
 
 _SHARE = 1 / 3  # of the largest plausible size of a parameter is its expected standard deviation
 _STEPS = 8  # a step at an unknown instant is as good as several that share its variance

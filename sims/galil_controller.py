@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Mapping
 
 from drivers.galil import LONGEST_LINE, UNRECOGNIZED
+from drivers.packaged import packaged_codes
 from sims.galil_axis import GalilAxisTwin, Refusal
 from sims.table import TableModel
 from sims.watchdog import Watchdog
@@ -21,18 +22,7 @@ _COMMAND = re.compile(r"([A-Z]{2}) ?(.*)")
 _ONE_AXIS = re.compile(r"([A-HW-Z])=(.+)")
 _REVISION = "\x12\x16"
 
-_WORDS = {
-    1: "Unrecognized command",
-    4: "Operand error",
-    5: "Input buffer full",
-    6: "Number out of range",
-    7: "Command not valid while running",
-    8: "Command not valid while not running",
-    13: "JG only valid when running in jog mode",
-    20: "Begin not valid with motor off",
-    21: "Begin not valid while running",
-    22: "Begin not possible due to Limit Switch",
-}
+_WORDS = packaged_codes("sims", "galil", "error")
 _TELL = ("TP", "TV", "TE", "TS", "SC")
 _SETTINGS = ("JG", "PA", "PR", "SP", "AC", "DC", "ER", "OE", "FL", "BL", "DP")
 

@@ -19,10 +19,7 @@ class SocketcandSession:
     """What one client sees: bytes in by ``received``, bytes out by ``write``."""
 
     def __init__(
-        self,
-        write: Callable[[bytes], None],
-        channel: str,
-        on_message: Callable[[can.Message], None] | None = None,
+        self, write: Callable[[bytes], None], channel: str, on_message: Callable[[can.Message], None] | None = None
     ) -> None:
         """Greet the client; it may open the bus named ``channel``, and no other."""
         self._write, self._channel, self._on_message = write, channel, on_message

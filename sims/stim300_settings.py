@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from drivers.packaged import packaged_codes
 from drivers.stim300 import LAYOUTS
 from drivers.stim300_special import RATES_HZ, Configuration
 from drivers.stim300_utility import DATAGRAM_CODES, UtilityDecoder, UtilityMessage
 
-_ERRORS = {
-    1: "E001 UNKNOWN COMMAND",
-    2: "E002 INCORRECT NUMBER OF PARAMETERS",
-    3: "E003 INVALID PARAMETER",
-    7: "E007 DATAGRAM WILL BE TOO LONG TO TRANSMIT",
-}
+_ERRORS = packaged_codes("sims", "stim300", "service")
 _UNIT_NAMES = {0: "ANGULAR RATE", 1: "INCREMENTAL ANGLE", 2: "AVERAGE ANGULAR RATE", 3: "INTEGRATED ANGLE"}
 _BITS_A_BYTE = 10
 _MARGIN = 1.1

@@ -7,9 +7,9 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
-from importlib import resources
 from pathlib import Path
 
+from drivers.packaged import packaged_text
 from estimator.effects.entries import Kind, entries
 from estimator.kinematics import Site
 from station.bench_imu import ImuConfig, read_imu
@@ -87,7 +87,7 @@ class Bench:
 
 def default_bench_text() -> str:
     """Return the bench file that ships with the station."""
-    return resources.files("station").joinpath("default_bench.toml").read_text(encoding="utf-8")
+    return packaged_text("station", "default_bench.toml")
 
 
 def load_bench(path: Path | None) -> Bench:

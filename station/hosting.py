@@ -306,11 +306,7 @@ class _Client(asyncio.Protocol):
 
 
 def introduction(
-    bench: Bench,
-    bench_file: str | None,
-    script: Script,
-    recording: Path,
-    gyros: tuple[str, ...],
+    bench: Bench, bench_file: str | None, script: Script, recording: Path, gyros: tuple[str, ...]
 ) -> dict[str, Any]:
     """Return what a client is told of a bench and its run; times in s, limits in SI, null for none."""
     steps, end_s = [], 0.0

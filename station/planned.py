@@ -84,9 +84,7 @@ def _trapezoid(since_s: Floats, way_rad: float, step: Move | Rotate) -> tuple[Fl
     sign = math.copysign(1.0, way_rad)
     # From whichever end is nearer: the last ramp then ends on the target, whatever the sum of the digits.
     way = np.where(
-        up,
-        0.5 * limit * since**2,
-        np.where(down, abs(way_rad) - 0.5 * limit * left**2, peak * (since - 0.5 * ramp_s)),
+        up, 0.5 * limit * since**2, np.where(down, abs(way_rad) - 0.5 * limit * left**2, peak * (since - 0.5 * ramp_s))
     )
     rate = np.where(up, limit * since, np.where(down, limit * left, peak))
     push = np.where(up & (since > 0), limit, np.where(down & (left > 0), -limit, 0.0))

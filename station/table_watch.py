@@ -203,6 +203,5 @@ async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
             raise DeviceFault("table", status.fault)
         if not status.enabled:
             raise DeviceFault(
-                "table",
-                f"axis {axis} has left operation by itself (now {status.text}): its watchdog or an interlock",
+                "table", f"axis {axis} has left operation by itself (now {status.text}): its watchdog or an interlock"
             )

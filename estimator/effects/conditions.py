@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.kinematics import AXES, Site, body_rate, check_gimbals, into_body, specific_force
-
-Floats = NDArray[np.float64]
 
 SLOPE_S = 10.0
 """Time constant over which a causal slope of the temperature is taken: readings are too coarse for differences."""

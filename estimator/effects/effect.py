@@ -11,13 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from estimator.array import SensorArray
+from estimator.arrays import Floats
 from estimator.effects.conditions import Conditions
-
-Floats = NDArray[np.float64]
 
 
 class Axes(NamedTuple):

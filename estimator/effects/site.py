@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Axes, Effect, Parameter
 from estimator.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2, into_body
-
-Floats = NDArray[np.float64]
 
 
 def earth_rate() -> Effect:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Axes, Effect, Parameter
 from estimator.kinematics import AXES, into_body
-
-Floats = NDArray[np.float64]
 
 
 def table_harmonic(gimbals: Sequence[str], order: int, of: Sequence[str] | None = None) -> Effect:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Axes, Effect, Parameter
-
-Floats = NDArray[np.float64]
 
 _NEEDS = frozenset({"temperature"})
 REFERENCE_C = 25.0

@@ -82,11 +82,7 @@ def _axes(protocol: str, names: Sequence[str]) -> dict[str, AxisAnswer]:
 
 
 def _ask_axis(
-    dialogue: Dialogue,
-    table: TableAnswer,
-    name: str,
-    axis: AxisAnswer,
-    checked: Callable[[TableAnswer], object],
+    dialogue: Dialogue, table: TableAnswer, name: str, axis: AxisAnswer, checked: Callable[[TableAnswer], object]
 ) -> AxisAnswer:
     """Return one axis, beside those that the table has already; ``axis`` is what is proposed."""
 

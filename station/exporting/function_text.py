@@ -7,6 +7,7 @@ from string import Template
 
 import numpy as np
 
+from drivers.packaged import packaged_text
 from estimator.compensation import MOST_ITERATIONS, TOLERANCE_RPS, Acts
 from estimator.effects.conditions import SLOPE_S
 from estimator.effects.constructed import LAST_SHARE, readable
@@ -56,7 +57,7 @@ def cautions(exported: Exported, terms: Terms) -> list[str]:
 
 
 def function_text(
-    template: str,
+    templates: Iterable[str],
     exported: Exported,
     terms: Terms,
     name_of: Callable[[Term], str],
@@ -64,7 +65,7 @@ def function_text(
     given: Mapping[str, Iterable[str]],
     **values: object,
 ) -> str:
-    """Return the source code of a template, whose margin ends with a bar; ``name_of`` names the table of a term,
+    """Return the source code of templates, whose margin ends with a bar; ``name_of`` names the table of a term,
     ``helpers`` are how the language writes what stands in braces in its expression.
 
     A name in the margin says when a line comes: where the function uses it, or once for each text of it, which
@@ -99,7 +100,8 @@ def function_text(
         "share": number(LAST_SHARE),
     }
     lines = []
-    for line in template.strip("\n").splitlines():
+    template = "".join(packaged_text("station.exporting", f"{name}.template") for name in templates)
+    for line in template.splitlines():
         name, _, text = line.partition("|")
         each = texts.get(name.strip()) or [""] * used.get(name.strip(), not name.strip())
         lines += [Template(text).substitute(values, it=it).rstrip() for it in each]

@@ -60,12 +60,7 @@ class StationApp(App[None]):
     TITLE = "turntable station"
     CSS_PATH = Path(__file__).with_name("station.tcss")
     ENABLE_COMMAND_PALETTE = False
-    MODES: ClassVar = {
-        "prepare": PrepareScreen,
-        "run": RunScreen,
-        "result": ResultScreen,
-        "history": HistoryScreen,
-    }
+    MODES: ClassVar = {"prepare": PrepareScreen, "run": RunScreen, "result": ResultScreen, "history": HistoryScreen}
     DEFAULT_MODE: str = "prepare"  # type: ignore[misc]  # it depends on how the app is begun
     BINDINGS: ClassVar = [
         Binding("f2", "switch_mode('prepare')", "Prepare", show=False),

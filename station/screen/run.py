@@ -27,10 +27,7 @@ _REASON_ROWS = 4
 _NIS_OFF = 0.25
 _WHITE_OFF = 0.2
 _DEG = math.degrees(1)
-_STAGE_WORDS = {
-    Stage.STARTING: "the session is starting",
-    Stage.RUNNING: "connected, waiting for the first figures",
-}
+_STAGE_WORDS = {Stage.STARTING: "the session is starting", Stage.RUNNING: "connected, waiting for the first figures"}
 
 
 class RunScreen(StationScreen):

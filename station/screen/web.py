@@ -60,13 +60,7 @@ def serve(port: int, words: Sequence[str]) -> int:
             await asyncio.wait(open_pages, timeout=_END_S)
 
     app = web.Application()
-    app.add_routes(
-        [
-            web.get(f"{path}/", show),
-            web.get(f"{path}/ws", draw),
-            web.static("/static", server.statics_path),
-        ]
-    )
+    app.add_routes([web.get(f"{path}/", show), web.get(f"{path}/ws", draw), web.static("/static", server.statics_path)])
     app.on_startup.append(announce)
     app.on_shutdown.append(end_pages)
     logging.disable(logging.WARNING)

@@ -134,10 +134,7 @@ def direct_blind_spots(array: SensorArray) -> list[str]:
     A state x of the sum may grow by its coefficient times any number, all at once, and the rates stay as they are.
     """
     directions = baselines.unseen_directions(array, baselines.table_rates(array))
-    labels = (
-        "biases",
-        *(f"sensitivity of all gyros along body {axis}" for axis in "xyz"),
-    )
+    labels = ("biases", *(f"sensitivity of all gyros along body {axis}" for axis in "xyz"))
     return [f"{labels[i % 4]}: {_combination(direction)}" for i, direction in enumerate(directions)]
 
 
@@ -180,10 +177,7 @@ def _outcome(method: Method, recording: Recording) -> Outcome:
     estimate = method(recording)
     seconds = time.perf_counter() - begun
     return Outcome(
-        from_si(estimate.states) - TABLE_1,
-        from_si(estimate.sd),
-        seconds,
-        estimate.operations / (_TOTAL_S * SAMPLE_HZ),
+        from_si(estimate.states) - TABLE_1, from_si(estimate.sd), seconds, estimate.operations / (_TOTAL_S * SAMPLE_HZ)
     )
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 from types import TracebackType
 
+from stim300_service import ServiceReader, ServiceReply
+
 from drivers.errors import BadReply, DeviceRefused, LinkLost
 from drivers.seams import ByteLink, Identity
 from drivers.stim300 import SERVICE_MODE, UTILITY_MODE
-from drivers.stim300_service import ServiceReader, ServiceReply
 from drivers.stim300_special import RATES_HZ
 from drivers.stim300_units import UNITS
 from drivers.stim300_utility import DATAGRAM_CODES, STATUS_TEXTS, UtilityDecoder, UtilityMessage, encode_message

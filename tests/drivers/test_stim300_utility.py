@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stim300_service import ServiceReader
 
-from drivers.stim300_service import ServiceReader
 from drivers.stim300_utility import UtilityDecoder, UtilityMessage, crc8, encode_message
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "stim300_utility.json").read_text())["vectors"]

@@ -64,6 +64,6 @@ def test_what_is_no_law_is_refused(text: str) -> None:
 
 
 def test_a_law_says_in_words_what_it_is_and_what_it_depends_on() -> None:
-    assert in_words("lag(T, 58)") == "a bias in proportion to temperature above 25 degC lagged by 58 s"
+    assert in_words("lag(T, 58)") == "bias proportional to temperature above 25 degC lagged by 58 s"
     assert depends_on("last(rate_z)") == ("direction", "rate")
     assert set(depends_on("lag(T, 58)*gx")) == {"temperature", "gravity"}

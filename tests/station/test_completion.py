@@ -55,7 +55,7 @@ def test_help_lists_every_command_once_under_a_heading_with_what_it_does(capsys:
         main(["--help"])
     assert ended.value.code == 0
     said = capsys.readouterr().out
-    commands = {name: line for name, (line, _, _) in COMMANDS.items()}
+    commands = {name: said["line"] for name, said in COMMANDS.items()}
     listed = re.findall(r"^  ([a-z]+) {2,}(\S.*)$", said, re.MULTILINE)
     assert dict(listed) == commands
     assert len(listed) == len(commands)

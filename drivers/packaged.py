@@ -1,0 +1,24 @@
+"""Texts and tables that ship beside the modules."""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from importlib import resources
+from typing import Any
+
+
+def packaged_text(package: str, name: str) -> str:
+    """Return the text of a file that ships in a package."""
+    return resources.files(package).joinpath(name).read_text(encoding="utf-8")
+
+
+@cache
+def packaged_toml(package: str, name: str) -> dict[str, Any]:
+    """Return what a TOML file that ships in a package holds; it is read once and must not be changed."""
+    return tomllib.loads(packaged_text(package, name))
+
+
+def packaged_codes(package: str, device: str, kind: str) -> dict[int, str]:
+    """Return what the numbers mean that a device answers with, from the codes.toml of a package."""
+    return {int(code): text for code, text in packaged_toml(package, "codes.toml")[device][kind].items()}
