@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 
 from drivers.arrays import Floats
+from estimator.compensation import Acts
 from station.exporting.exported import Exported
-from station.exporting.function_text import argument_names, arguments_said, cautions, function_text
-from station.exporting.terms import Terms, terms_of
+from station.exporting.function_text import argument_names, arguments_said, cautions, function_text, tables
+from station.exporting.terms import terms_of
 from station.exporting.written import Written, head, number
 
 
@@ -34,14 +35,14 @@ def write_c(exported: Exported) -> Written:
         | {name: f"{prefix}_{name}(state, " for name in ("follow", "last")},
         {
             "head": map(_said_line, head(exported, what, not_held, " *")),
-            "tables": _tables(exported, terms, prefix),
+            "tables": tables(exported, terms, "/* {} */".format, f"{prefix}_{{}}".format, _table),
             "said": map(_said, arguments_said(exported, terms)),
         },
         p=prefix,
         upper=prefix.upper(),
         arguments=", ".join(arguments),
         beside="".join(_GIVEN[name] for name in terms.given_to_the_rate),
-        simple=f"void {prefix}_solve" if terms.of_the_rate else f"int {prefix}_invert",
+        simple=f"void {prefix}_solve" if terms.of(Acts.RATE) else f"int {prefix}_invert",
     )
     return Written(text, tuple(not_held))
 
@@ -67,7 +68,6 @@ state     |typedef struct {
 state     |    int started;
 time_s    |    double time_s; /* since the gyros were switched on; set it if they run already */
 bandwidth |    double rate_rps[${p}_gyros]; /* of the sample before, as all that follows */
-slope     |    double smooth_c;
 wdot      |    double w_rps[3];
 memory    |    double kept[$places][${p}_gyros]; /* what functions with memory hold */
 state     |} ${p}_state;
@@ -155,15 +155,12 @@ no rate   | * Returns 0.
 warmth    |    const double warmth = temperature_c - $reference_c;
 time_s    |    const double time_s = state->started ? state->time_s + dt_s : state->time_s;
 step      |    const double step = state->started && dt_s > 0.0 ? dt_s : 0.0;
-slope     |    double slope;
+slope     |    const double share = $slope_s / ($slope_s + step);
+slope     |    const double smooth = ${p}_follow(state, $places - 1, 0, temperature_c, share, 1e300);
+slope     |    const double slope = (temperature_c - smooth) / $slope_s;
 motion    |    double w[3];
 wdot      |    double wdot[3] = {0.0, 0.0, 0.0};
 wdot      |    int r;
-slope     |    if (!state->started || isnan(state->smooth_c))
-slope     |        state->smooth_c = temperature_c;
-slope     |    else if (!isnan(temperature_c))
-slope     |        state->smooth_c += (temperature_c - state->smooth_c) * step / ($slope_s + step);
-slope     |    slope = (temperature_c - state->smooth_c) / $slope_s;
           |    for (i = 0; i < ${p}_gyros; i++) {
           |        left[i] = rate_rps[i] + ${p}_bias[i];
 bandwidth |        if (state->started && dt_s > 0.0 && isfinite(rate_rps[i] - state->rate_rps[i]))
@@ -204,20 +201,6 @@ def _said_line(line: str) -> str:
 def _said(text: str) -> str:
     """Return a text that may stand in a comment."""
     return text.replace("*/", "* /").replace("/*", "/ *").replace("??/", "?? /")
-
-
-def _tables(exported: Exported, terms: Terms, prefix: str) -> list[str]:
-    lines = [
-        "/* Body rate per output: the inverse of the sensitivity, rows x, y, z. */",
-        *_table(f"{prefix}_solution", exported.compensation.solution),
-        "/* Biases, to be added to the outputs, in rad/s. */",
-        *_table(f"{prefix}_bias", exported.compensation.bias_rps),
-    ]
-    if terms.uses_axes:
-        lines += ["/* Nominal sense axes. */", *_table(f"{prefix}_axis", exported.compensation.array.p)]
-    for term in terms.all:
-        lines += [f"/* {term.effect.replace('_', ' ')}: {term.unit} */", *_table(f"{prefix}_{term.table}", term.values)]
-    return lines
 
 
 def _table(name: str, values: Floats) -> list[str]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 from drivers.arrays import Floats
+from estimator.compensation import Acts
 from station.exporting.exported import Exported
-from station.exporting.function_text import argument_names, arguments_said, cautions, function_text
+from station.exporting.function_text import argument_names, arguments_said, cautions, function_text, tables
 from station.exporting.terms import Terms, terms_of
 from station.exporting.written import Written, head, number
 
@@ -15,17 +18,6 @@ def write_python(exported: Exported) -> Written:
     not_held = cautions(exported, terms)
     call = "Correction().correct" if terms.keeps_state else "correct"
     what = f"{call}(...): outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s)."
-    keeps = any(terms.uses(name) for name in ("wdot", "follow", "last"))
-    needed = {
-        **{name: terms.uses(name) for name in ("cos", "exp", "expm1")},
-        "fabs": bool(terms.of_the_rate) or terms.uses("fabs") or terms.uses("last"),
-        "isfinite": terms.lag is not None or keeps,
-        "isnan": terms.uses("slope") or terms.uses("sign"),
-        **{name: terms.uses(name) for name in ("log1p", "sin", "sqrt", "tanh")},
-        "nan": bool(terms.of_the_rate) or terms.has_law,
-    }
-    functions = [name for name, used in needed.items() if used]
-
     text = function_text(
         _MODULE + (_CLASS if terms.keeps_state else _FUNCTION),
         exported,
@@ -35,22 +27,27 @@ def write_python(exported: Exported) -> Written:
         | {name: f"self._{name}(" for name in ("follow", "last")},
         {
             "head": head(exported, what, not_held, "#"),
-            "import": [f"from math import {', '.join(functions)}", ""] if functions else [],
-            "tables": _tables(exported, terms),
+            "tables": [*tables(exported, terms, "# {}".format, str.upper, _table), ""],
             "docstring": _docstring(exported, terms),
         },
         names=list(exported.compensation.array.names),
-        simple="_solve" if terms.of_the_rate else "_invert",
+        simple="_solve" if terms.of(Acts.RATE) else "_invert",
         arguments=", ".join(argument_names(terms)),
         beside="".join(f", {name}" for name in terms.given_to_the_rate),
     )
-    return Written(text, tuple(not_held))
+    used = [name for name in _MATH if re.search(rf"\b{name}\b", text)]
+    imported = f"from math import {', '.join(used)}\n\n" if used else ""
+    return Written(text.replace("from math import _\n\n", imported), tuple(not_held))
+
+
+_MATH = ("cos", "exp", "expm1", "fabs", "isfinite", "isnan", "log1p", "nan", "sin", "sqrt", "tanh")
 
 
 _MODULE = """
 head      |$it
           |
-import    |$it
+          |from math import _
+          |
           |GYROS = $names
           |
           |# A sample stamped t shows the rate at t less this, in s.
@@ -119,11 +116,8 @@ warmth    |        warmth = temperature_c - $reference_c
 time_s    |        if self.started:
 time_s    |            self.time_s += dt_s
 time_s    |        time_s = self.time_s
-slope     |        if not self.started or isnan(self.smooth_c):
-slope     |            self.smooth_c = temperature_c
-slope     |        elif not isnan(temperature_c):
-slope     |            self.smooth_c += (temperature_c - self.smooth_c) * step / ($slope_s + step)
-slope     |        slope = (temperature_c - self.smooth_c) / $slope_s
+slope     |        smooth = self._follow($places - 1, 0, temperature_c, $slope_s / ($slope_s + step), 1e300)
+slope     |        slope = (temperature_c - smooth) / $slope_s
           |        left = [output + bias for output, bias in zip(rate_rps, BIAS, strict=True)]
 bandwidth |        if step:
 bandwidth |            for i in range(len(left)):
@@ -162,20 +156,6 @@ last      |        return sign[i]
 """
 
 
-def _tables(exported: Exported, terms: Terms) -> list[str]:
-    lines = [
-        "# Body rate per output: the inverse of the sensitivity, rows x, y, z.",
-        *_table("SOLUTION", exported.compensation.solution),
-        "# Biases, to be added to the outputs, in rad/s.",
-        *_table("BIAS", exported.compensation.bias_rps),
-    ]
-    if terms.uses_axes:
-        lines += ["# Nominal sense axes.", *_table("AXIS", exported.compensation.array.p)]
-    for term in terms.all:
-        lines += [f"# {term.effect.replace('_', ' ')}: {term.unit}", *_table(term.table.upper(), term.values)]
-    return [*lines, ""]
-
-
 def _table(name: str, values: Floats) -> list[str]:
     if values.ndim == 1:
         return [f"{name} = ({', '.join(map(number, values))},)"]
@@ -188,6 +168,6 @@ def _docstring(exported: Exported, terms: Terms) -> list[str]:
         "",
         *(line.replace("\\", "/").replace('"""', "'''") for line in arguments_said(exported, terms)),
     ]
-    if terms.of_the_rate:
+    if terms.of(Acts.RATE):
         lines.append("It is nan where effects of the rate cannot be undone: far beyond the rates of the calibration.")
     return [*lines, '"""']
