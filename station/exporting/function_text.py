@@ -118,7 +118,7 @@ def tables(
     listed = [
         ("Body rate per output: the inverse of the sensitivity, rows x, y, z.", "solution", held.solution),
         ("Biases, to be added to the outputs, in rad/s.", "bias", held.bias_rps),
-        *([("Nominal sense axes.", "axis", held.array.p)] if terms.uses_axes else []),
+        *([("Nominal sense axes.", "axis", held.array.p)] if terms.uses("u") or terms.uses("axis") else []),
         *((f"{term.effect.replace('_', ' ')}: {term.unit}", term.table, term.values) for term in terms.all),
     ]
     return [line for said, name, values in listed for line in (comment(said), *table(name_of(name), values))]

@@ -112,11 +112,6 @@ class Terms:
         return [name for name in ("warmth", "time_s", "accel") if self.uses(name, Acts.RATE)]
 
     @property
-    def uses_axes(self) -> bool:
-        """Whether nominal sense axes are needed."""
-        return any(self.uses(name) for name in ("u", "axis"))
-
-    @property
     def keeps_state(self) -> bool:
         """Whether samples before are needed."""
         return self.timed or bool(self.places)
