@@ -54,9 +54,8 @@ _LEFT_OUT = {
 
 
 _OF_THAT_TABLE = "it goes with the axes of the table that it was found on: away from that table it is not there"
-_TIMED = frozenset({"warm_up", "thermal_gradient", *OF_THE_PAST})
-_MEMORY = frozenset({"lag", "play", "last"})
-_UNSTEADY = _MEMORY | {"sign", "sqrt", "/"}
+_TIMED = frozenset({"warm_up", "thermal_gradient", *OF_THE_PAST, "lag", "t", "Tdot", "a", "jolt"})
+_UNSTEADY = frozenset({"lag", "play", "last", "sign", "sqrt", "/"})
 """Functions of the rate that no iteration undoes: with memory, or of a slope without limit."""
 
 
@@ -93,14 +92,6 @@ class HeldEffect:
         if self.name in ADDED:
             return Acts.ADDED
         return Acts.RATE if self.name in OF_THE_RATE else Acts.LAG if self.name == "bandwidth" else Acts.MOTION
-
-    @property
-    def timed(self) -> bool:
-        """Whether it needs to know when samples were taken."""
-        law = self.known.law
-        if not law:
-            return self.name in _TIMED
-        return bool(_MEMORY & functions_of(law) or {"t", "Tdot", "a", "jolt"} & {*variables_of(law)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,7 +161,9 @@ class Compensation:
     def needs(self) -> frozenset[str]:
         """What samples must come with: "temperature", "specific force", "time"."""
         needed = set().union(*(effect.known.effect(()).needs for effect in self.effects))
-        if any(effect.timed for effect in self.effects):
+        laws = [held.known.law for held in self.effects if held.known.law]
+        told = {held.name for held in self.effects}.union(*map(functions_of, laws), *map(variables_of, laws))
+        if told & _TIMED:
             needed.add("time")
         return frozenset(needed)
 

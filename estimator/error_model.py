@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.effects.constructed import NAME as CONSTRUCTED
-from estimator.effects.constructed import axes_of, constructed, parsed
+from estimator.effects.constructed import axes_of, constructed
 from estimator.effects.drift import bias_drift, warm_up
 from estimator.effects.dynamics import acceleration_sensitivity, bandwidth, latency, tone
 from estimator.effects.effect import Effect
@@ -319,7 +318,7 @@ def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
     settings: dict[str, float | int | str] = {}
     for key in _SETTINGS.get(name, ()):
         value = entry[key]
-        settings[key] = _READ.get(key, partial(_positive, key))(value)
+        settings[key] = _READ[key](value) if key in _READ else _positive(key, value)
     sizes = tuple(
         Size(str(p["name"]), str(p["unit"]), _finite("mean", p["mean"]), _positive("sd", p["sd"]))
         for p in entry["parameters"]
@@ -336,12 +335,7 @@ def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
     return known
 
 
-def _law(value: object) -> str:
-    parsed(str(value))
-    return str(value)
-
-
-_READ: Mapping[str, Callable[[Any], float | int | str]] = {"axis": str, "order": int, "law": _law}
+_READ: Mapping[str, Callable[[Any], float | int | str]] = {"axis": str, "order": int, "law": str}
 _OF_GIMBALS = ("table_axes", "table_rate")  # the number of their parameters follows the table
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -104,16 +105,21 @@ def smoothed_slope(t_s: Floats, temperature_c: Floats) -> Floats:
 
     A reading that is no number makes its own slope NaN, and those after it only go by the others.
     """
-    slopes = np.zeros(len(t_s))
-    smooth = np.nan
-    for row, (now, step) in enumerate(zip(temperature_c, np.diff(t_s, prepend=t_s[:1]), strict=True)):
-        if np.isnan(smooth):
-            smooth = now
-        elif not np.isnan(now):
-            step = max(step, 0.0)
-            smooth += (now - smooth) * step / (SLOPE_S + step)
-        slopes[row] = (now - smooth) / SLOPE_S
-    return slopes
+    step_s = np.maximum(np.diff(t_s, prepend=t_s[:1]), 0.0)
+    return (temperature_c - follow(temperature_c, SLOPE_S / (SLOPE_S + step_s))) / SLOPE_S
+
+
+def follow(values: Floats, shares: Floats, width: float = math.inf) -> Floats:
+    """Return what follows values (N,): at each by a share (N,) of how far behind it was, which is no more than a width.
+
+    It begins at the first that is finite. What is not finite stays as it is, and is passed over.
+    """
+    out = np.array(values, dtype=np.float64)
+    held = math.nan
+    for row, (x, share) in enumerate(zip(out.tolist(), shares.tolist(), strict=True)):
+        if math.isfinite(x):
+            held = out[row] = x + share * min(max(held - x, -width), width) if math.isfinite(held) else x
+    return out
 
 
 def body_acceleration(

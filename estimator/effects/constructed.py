@@ -10,7 +10,6 @@ one law are separated by semicolons, each with a coefficient of its own. Memory 
 from __future__ import annotations
 
 import ast
-import math
 import re
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.effects.conditions import Conditions
+from estimator.effects.conditions import Conditions, follow
 from estimator.effects.effect import Axes, Effect, Parameter
 from estimator.kinematics import AXES, GRAVITY_MPS2, into_body
 
@@ -253,23 +252,12 @@ def lagged(values: Floats, t_s: Floats, lag_s: float) -> Floats:
         keep = np.exp(-steps[0] / lag_s)
         slow, _ = lfilter([1 - keep], [1, -keep], values - values[0], zi=[0.0])
         return np.asarray(slow + values[0])
-    return _remembered(values, np.exp(-np.maximum(steps, 0.0) / lag_s), lambda held, x, keep: x + (held - x) * keep)
+    return follow(values, np.exp(-np.maximum(np.diff(t_s, prepend=t_s[:1]), 0.0) / lag_s))
 
 
 def played(values: Floats, width: float) -> Floats:
     """Return what follows values (N,) with a play of ``width`` in all, beginning in its middle."""
-    half = 0.5 * width
-    return _remembered(values, np.zeros(len(values)), lambda held, x, _: min(max(held, x - half), x + half))
-
-
-def _remembered(values: Floats, steps: Floats, follow: Callable[[float, float, float], float]) -> Floats:
-    """Return what follows values (N,), from the first that is finite; what is not finite stays, and is passed over."""
-    out = np.array(values, dtype=np.float64)
-    held = float("nan")
-    for row, (x, step) in enumerate(zip(out.tolist(), [0.0, *steps.tolist()], strict=False)):
-        if math.isfinite(x):
-            held = out[row] = follow(held, x, step) if math.isfinite(held) else x
-    return out
+    return follow(values, np.ones(len(values)), 0.5 * width)
 
 
 def last_sign(values: Floats, limit: Floats | None = None) -> Floats:

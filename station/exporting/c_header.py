@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 
 from drivers.arrays import Floats
+from estimator.compensation import Acts
 from station.exporting.exported import Exported
-from station.exporting.function_text import argument_names, arguments_said, cautions, function_text
-from station.exporting.terms import Terms, terms_of
+from station.exporting.function_text import argument_names, arguments_said, cautions, function_text, tables
+from station.exporting.terms import terms_of
 from station.exporting.written import Written, head, number
 
 
@@ -34,14 +35,14 @@ def write_c(exported: Exported) -> Written:
         | {name: f"{prefix}_{name}(state, " for name in ("follow", "last")},
         {
             "head": map(_said_line, head(exported, what, not_held, " *")),
-            "tables": _tables(exported, terms, prefix),
+            "tables": tables(exported, terms, "/* {} */".format, f"{prefix}_{{}}".format, _table),
             "said": map(_said, arguments_said(exported, terms)),
         },
         p=prefix,
         upper=prefix.upper(),
         arguments=", ".join(arguments),
         beside="".join(_GIVEN[name] for name in terms.given_to_the_rate),
-        simple=f"void {prefix}_solve" if terms.of_the_rate else f"int {prefix}_invert",
+        simple=f"void {prefix}_solve" if terms.of(Acts.RATE) else f"int {prefix}_invert",
     )
     return Written(text, tuple(not_held))
 
@@ -62,20 +63,6 @@ def _said_line(line: str) -> str:
 def _said(text: str) -> str:
     """Return a text that may stand in a comment."""
     return text.replace("*/", "* /").replace("/*", "/ *").replace("??/", "?? /")
-
-
-def _tables(exported: Exported, terms: Terms, prefix: str) -> list[str]:
-    lines = [
-        "/* Body rate per output: the inverse of the sensitivity, rows x, y, z. */",
-        *_table(f"{prefix}_solution", exported.compensation.solution),
-        "/* Biases, to be added to the outputs, in rad/s. */",
-        *_table(f"{prefix}_bias", exported.compensation.bias_rps),
-    ]
-    if terms.uses_axes:
-        lines += ["/* Nominal sense axes. */", *_table(f"{prefix}_axis", exported.compensation.array.p)]
-    for term in terms.all:
-        lines += [f"/* {term.effect.replace('_', ' ')}: {term.unit} */", *_table(f"{prefix}_{term.table}", term.values)]
-    return lines
 
 
 def _table(name: str, values: Floats) -> list[str]:

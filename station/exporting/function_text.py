@@ -7,10 +7,11 @@ from string import Template
 
 import numpy as np
 
+from drivers.arrays import Floats
 from drivers.packaged import packaged_text
 from estimator.compensation import MOST_ITERATIONS, TOLERANCE_RPS, Acts
 from estimator.effects.conditions import SLOPE_S
-from estimator.effects.constructed import LAST_SHARE, readable
+from estimator.effects.constructed import LAST_SHARE
 from estimator.effects.thermal import REFERENCE_C
 from station.exporting.exported import Exported
 from station.exporting.terms import Term, Terms
@@ -33,12 +34,11 @@ def arguments_said(exported: Exported, terms: Terms) -> list[str]:
         "dt_s": "time since the sample before, in s",
     }
     lines = [f"{name}: {said[name]}" for name in argument_names(terms)]
-    if terms.of_the_rate:
+    if terms.of(Acts.RATE):
         largest = np.degrees(exported.seen.largest_rps)
         lines.append(f"Effects of the rate were found up to {largest:.4g} deg/s; beyond they are extrapolated.")
     if terms.uses("slope"):
         lines.append(f"The slope of the temperature is taken over {SLOPE_S:g} s.")
-    lines += [f"{readable(t.effect)}: found on one type of gyro, not in the catalogue." for t in terms.all if t.of_law]
     if terms.uses("wdot"):
         lines.append("Angular accelerations are differences of two samples, half a period late.")
     return lines
@@ -81,11 +81,11 @@ def function_text(
         "of motion": written(Acts.MOTION),
         **given,
     }
-    used = {name: terms.uses(name) for name in ("warmth", "time_s", "slope", "wdot", "follow", "last", "sign")}
-    used |= {"state": terms.keeps_state, "rate": bool(terms.of_the_rate), "bandwidth": terms.lag is not None}
-    used |= {"u rate": terms.uses("u", Acts.RATE), "u motion": terms.uses("u", Acts.MOTION), "law": terms.has_law}
-    used |= {"motion": bool(terms.of(Acts.MOTION)), "memory": bool(terms.places)}
-    used |= {"step": used["slope"] or terms.uses("step"), "dt_s": terms.timed}
+    used = {name: terms.uses(name) for name in ("warmth", "time_s", "slope", "wdot", "last", "sign")}
+    used |= {"state": terms.keeps_state, "dt_s": terms.timed, "memory": bool(terms.places), "law": terms.uses("value")}
+    used |= {name: used["slope"] or terms.uses(name) for name in ("step", "follow")}
+    used |= {"rate": bool(terms.of(Acts.RATE)), "motion": bool(terms.of(Acts.MOTION)), "bandwidth": bool(terms.lag)}
+    used |= {"u rate": terms.uses("u", Acts.RATE), "u motion": terms.uses("u", Acts.MOTION)}
     used |= {"adds": bool(terms.of(Acts.ADDED))} | {f"no {name}": not there for name, there in used.items()}
     values |= {
         "gyros": len(exported.gyros),
@@ -106,3 +106,21 @@ def function_text(
         each = texts.get(name.strip()) or [""] * used.get(name.strip(), not name.strip())
         lines += [Template(text).substitute(values, it=it).rstrip() for it in each]
     return "\n".join(lines) + "\n"
+
+
+def tables(
+    exported: Exported,
+    terms: Terms,
+    comment: Callable[[str], str],
+    name_of: Callable[[str], str],
+    table: Callable[[str, Floats], list[str]],
+) -> list[str]:
+    """Return all numbers of the correction, each table below what it is."""
+    held = exported.compensation
+    listed = [
+        ("Body rate per output: the inverse of the sensitivity, rows x, y, z.", "solution", held.solution),
+        ("Biases, to be added to the outputs, in rad/s.", "bias", held.bias_rps),
+        *([("Nominal sense axes.", "axis", held.array.p)] if terms.uses("u") or terms.uses("axis") else []),
+        *((f"{term.effect.replace('_', ' ')}: {term.unit}", term.table, term.values) for term in terms.all),
+    ]
+    return [line for said, name, values in listed for line in (comment(said), *table(name_of(name), values))]

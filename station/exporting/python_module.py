@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 from drivers.arrays import Floats
+from estimator.compensation import Acts
 from station.exporting.exported import Exported
-from station.exporting.function_text import argument_names, arguments_said, cautions, function_text
+from station.exporting.function_text import argument_names, arguments_said, cautions, function_text, tables
 from station.exporting.terms import Terms, terms_of
 from station.exporting.written import Written, head, number
 
@@ -15,17 +18,6 @@ def write_python(exported: Exported) -> Written:
     not_held = cautions(exported, terms)
     call = "Correction().correct" if terms.keeps_state else "correct"
     what = f"{call}(...): outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s)."
-    keeps = any(terms.uses(name) for name in ("wdot", "follow", "last"))
-    needed = {
-        **{name: terms.uses(name) for name in ("cos", "exp", "expm1")},
-        "fabs": bool(terms.of_the_rate) or terms.uses("fabs") or terms.uses("last"),
-        "isfinite": terms.lag is not None or keeps,
-        "isnan": terms.uses("slope") or terms.uses("sign"),
-        **{name: terms.uses(name) for name in ("log1p", "sin", "sqrt", "tanh")},
-        "nan": bool(terms.of_the_rate) or terms.has_law,
-    }
-    functions = [name for name, used in needed.items() if used]
-
     text = function_text(
         ["module", "class" if terms.keeps_state else "function"],
         exported,
@@ -35,30 +27,20 @@ def write_python(exported: Exported) -> Written:
         | {name: f"self._{name}(" for name in ("follow", "last")},
         {
             "head": head(exported, what, not_held, "#"),
-            "import": [f"from math import {', '.join(functions)}", ""] if functions else [],
-            "tables": _tables(exported, terms),
+            "tables": [*tables(exported, terms, "# {}".format, str.upper, _table), ""],
             "docstring": _docstring(exported, terms),
         },
         names=list(exported.compensation.array.names),
-        simple="_solve" if terms.of_the_rate else "_invert",
+        simple="_solve" if terms.of(Acts.RATE) else "_invert",
         arguments=", ".join(argument_names(terms)),
         beside="".join(f", {name}" for name in terms.given_to_the_rate),
     )
-    return Written(text, tuple(not_held))
+    used = [name for name in _MATH if re.search(rf"\b{name}\b", text)]
+    imported = f"from math import {', '.join(used)}\n\n" if used else ""
+    return Written(text.replace("from math import _\n\n", imported), tuple(not_held))
 
 
-def _tables(exported: Exported, terms: Terms) -> list[str]:
-    lines = [
-        "# Body rate per output: the inverse of the sensitivity, rows x, y, z.",
-        *_table("SOLUTION", exported.compensation.solution),
-        "# Biases, to be added to the outputs, in rad/s.",
-        *_table("BIAS", exported.compensation.bias_rps),
-    ]
-    if terms.uses_axes:
-        lines += ["# Nominal sense axes.", *_table("AXIS", exported.compensation.array.p)]
-    for term in terms.all:
-        lines += [f"# {term.effect.replace('_', ' ')}: {term.unit}", *_table(term.table.upper(), term.values)]
-    return [*lines, ""]
+_MATH = ("cos", "exp", "expm1", "fabs", "isfinite", "isnan", "log1p", "nan", "sin", "sqrt", "tanh")
 
 
 def _table(name: str, values: Floats) -> list[str]:
@@ -73,6 +55,6 @@ def _docstring(exported: Exported, terms: Terms) -> list[str]:
         "",
         *(line.replace("\\", "/").replace('"""', "'''") for line in arguments_said(exported, terms)),
     ]
-    if terms.of_the_rate:
+    if terms.of(Acts.RATE):
         lines.append("It is nan where effects of the rate cannot be undone: far beyond the rates of the calibration.")
     return [*lines, '"""']

@@ -77,11 +77,6 @@ class Term:
     expression: str
     acts: Acts
 
-    @property
-    def of_law(self) -> bool:
-        """Whether it is of a constructed law, not of the catalogue."""
-        return self.effect.startswith(CONSTRUCTED)
-
     def written(self, table: str, helpers: Mapping[str, str]) -> str:
         """Return the expression with the name of the table, and the helpers as a language writes them."""
         text = self.expression.replace("{table}", table)
@@ -92,7 +87,7 @@ class Term:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Terms:
-    """All of them, in the order in which they are undone; ``places`` numbers a gyro are kept for functions of laws."""
+    """All of them, in the order in which they are undone; ``places``: numbers that are kept for each gyro."""
 
     all: tuple[Term, ...]
     places: int
@@ -100,11 +95,6 @@ class Terms:
     def of(self, acts: Acts) -> tuple[Term, ...]:
         """Return those that come in like this."""
         return tuple(term for term in self.all if term.acts is acts)
-
-    @property
-    def of_the_rate(self) -> tuple[Term, ...]:
-        """Those that are undone by iteration."""
-        return self.of(Acts.RATE)
 
     @property
     def lag(self) -> Term | None:
@@ -117,19 +107,9 @@ class Terms:
         return any(re.search(rf"\b{name}\b", term.expression) for term in some)
 
     @property
-    def has_law(self) -> bool:
-        """Whether one is of a constructed law."""
-        return any(term.of_law for term in self.all)
-
-    @property
     def given_to_the_rate(self) -> list[str]:
         """What effects of the rate depend on beside it."""
         return [name for name in ("warmth", "time_s", "accel") if self.uses(name, Acts.RATE)]
-
-    @property
-    def uses_axes(self) -> bool:
-        """Whether nominal sense axes are needed."""
-        return bool(self.of_the_rate) or any(self.uses(name) for name in ("u", "axis"))
 
     @property
     def keeps_state(self) -> bool:
@@ -156,7 +136,8 @@ def terms_of(compensation: Compensation) -> Terms:
         else:
             terms.append(_term(compensation, held, table))
     terms.sort(key=lambda term: order.index(term.effect) if term.effect in order else len(order))
-    return Terms(tuple(terms), places)
+    slope = any("slope" in term.expression for term in terms)
+    return Terms(tuple(terms), places + slope)
 
 
 def _of_law(law: str, places: int) -> tuple[str, int]:

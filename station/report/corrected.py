@@ -47,10 +47,6 @@ FORMULAS: Mapping[str, str] = {
     ),
 }
 """What each effect adds to the outputs, as HTML."""
-_LAW = (
-    "lag is a first-order lag of so many seconds, play a play of that width, last the last sign beyond a limit, or "
-    "beyond a twentieth of the largest size so far"
-)
 _SYMBOLS = (
     ("<var>u</var> = <b>p</b> · <var>ω</var>, found by iteration", OF_THE_RATE),
     ("<var>T</var> is the temperature of the gyros", ("thermal_bias", "thermal_bias_quadratic", "thermal_scale")),
@@ -141,11 +137,9 @@ def _formula(effect: HeldEffect) -> Content:
     """Return what an effect adds to the outputs: as mathematics, or the text of its law."""
     if not effect.known.law:
         return Markup(FORMULAS[effect.name])
-    terms = effect.known.law.split(";")
-    coefficients = [f"<sub>{n}</sub>" if len(terms) > 1 else "" for n in range(1, len(terms) + 1)]
-    pairs = zip(coefficients, terms, strict=True)
-    parts = [(Markup(f"<var>a</var>{n} "), element("code", term.strip())) for n, term in pairs]
-    return joined(part for n, both in enumerate(parts) for part in (Markup(" + " if n else ""), *both))
+    terms = [element("code", term.strip()) for term in effect.known.law.split(";")]
+    heads = [Markup("<var>a</var> "), *(Markup(f" + <var>a</var><sub>{n}</sub> ") for n in range(2, len(terms) + 1))]
+    return joined(part for pair in zip(heads, terms, strict=True) for part in pair)
 
 
 def _numbers(one: Correction) -> Markup:
@@ -177,5 +171,5 @@ def _effects(one: Correction) -> Markup:
     )
     if laws:
         said = ", ".join(f"{name}: {VARIABLES[name][2]} in {VARIABLES[name][1]}" for name in sorted(laws))
-        note = joined([note, f" In laws that were constructed, {said}; {_LAW}."])
+        note = joined([note, f" In laws that were constructed, {said}."])
     return table("Effects that are undone", heads, rows, align="lllr", notes=note)

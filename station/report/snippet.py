@@ -18,12 +18,14 @@ from station.exporting.law_text import law_terms
 from station.report.correction import Correction
 
 _WARMTH = f"(t - {REFERENCE_C:g})"
+_STEPS = "np.maximum(np.diff(t_s, prepend=t_s[:1]), 0)"
+_WARMING = f"(t - follow(t, {SLOPE_S:g} / ({SLOPE_S:g} + {_STEPS}), np.inf)) / {SLOPE_S:g}"
 _CODE: Mapping[str, str] = {
     "thermal_bias": f"{{a}}[:, 0] * {_WARMTH}",
     "thermal_bias_quadratic": f"{{a}}[:, 0] * {_WARMTH} ** 2",
     "warm_up": "{a}[:, 0] * (1 - np.exp(-since / {tau}))",
     "g_sensitivity": f"(np.asarray(accel_mps2) / {GRAVITY_MPS2}) @ {{a}}.T",
-    "thermal_gradient": "{a}[:, 0] * warming(t, t_s)",
+    "thermal_gradient": f"{{a}}[:, 0] * {_WARMING}",
     "bandwidth": "{a}[:, 0] * slope(left, t_s)",
     "thermal_scale": f"{{a}}[:, 0] * {_WARMTH} * u",
     "scale_asymmetry": "{a}[:, 0] * np.abs(u)",
@@ -40,7 +42,7 @@ _VARIABLES: Mapping[str, str] = {
     "a": "(slope(w, t_s) @ SENSE_AXES.T)",
     "jolt": "np.linalg.norm(slope(w, t_s), axis=1, keepdims=True)",
     "T": _WARMTH,
-    "Tdot": "warming(t, t_s)",
+    "Tdot": f"({_WARMING})",
     "t": "(since - since[0])",
     **{f"g{axis}": f"{_FORCE}[:, [{r}]]" for r, axis in enumerate("xyz")},
     "gs": f"({_FORCE} @ SENSE_AXES.T)",
@@ -63,21 +65,6 @@ def slope(values, t_s):
     np.divide(change, step, out=rates[1:], where=(step > 0) & np.isfinite(change))
     return rates
 '''
-_WARMING = f'''
-
-def warming(t, t_s):
-    """Return the slope of temperatures (N, 1), K/s, smoothed over {SLOPE_S:g} s."""
-    smooth, slopes = np.nan, []
-    for now, step in zip(t[:, 0], np.maximum(np.diff(t_s, prepend=t_s[:1]), 0)):
-        if np.isnan(smooth):
-            smooth = now
-        elif not np.isnan(now):
-            smooth += (now - smooth) * step / ({SLOPE_S:g} + step)
-        slopes.append((now - smooth) / {SLOPE_S:g})
-    return np.array(slopes)[:, None]
-'''
-
-
 _FOLLOW = '''
 
 def follow(x, shares, width):
@@ -99,7 +86,7 @@ def last(x, limit=None):
     rows = np.maximum.accumulate(np.where(beyond, np.arange(len(x))[:, None], -1))
     return np.where(rows < 0, 0.0, np.take_along_axis(np.sign(x), np.maximum(rows, 0), 0))
 '''
-_HELPERS = {"slope(": _SLOPE, "warming(": _WARMING, "follow(": _FOLLOW, "last(": _LAST}
+_HELPERS = {"slope(": _SLOPE, "follow(": _FOLLOW, "last(": _LAST}
 
 
 def snippet(correction: Correction, origin: str) -> str:
@@ -160,7 +147,7 @@ def _called(name: str, inner: str, constant: str) -> str:
     if name == "pow":
         return f"({inner} ** {constant})"
     if name == "lag":
-        return f"follow({inner}, np.exp(-np.maximum(np.diff(t_s, prepend=t_s[:1]), 0) / {constant}), np.inf)"
+        return f"follow({inner}, np.exp(-{_STEPS} / {constant}), np.inf)"
     if name == "play":
         return f"follow({inner}, np.ones(len(left)), 0.5 * {constant})"
     return f"last({inner}, {constant or None})" if name == "last" else f"np.{name}({inner})"
