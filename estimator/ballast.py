@@ -26,10 +26,11 @@ class Ballast:
                 self.held_bytes += self._file.write(piece) or 0
         return self.held_bytes >= self._size_bytes
 
-    def drop(self, keep_bytes: int) -> None:
-        """Give room back to the disk for what is written next, all but so much."""
-        self.held_bytes = self._file.seek(min(keep_bytes, self.held_bytes))
+    def drop(self) -> None:
+        """Give the room back to the disk, for what is written next."""
+        self._file.seek(0)
         self._file.truncate()
+        self.held_bytes = 0
 
     def close(self) -> None:
         """Give the room back for good."""

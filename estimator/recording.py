@@ -102,7 +102,7 @@ class RecordingWriter:
         with ExitStack() as undone:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                self._ballast = Ballast(path.parent, 2 * _RESERVE_BYTES)
+                self._ballast = Ballast(path.parent, _RESERVE_BYTES)
                 undone.callback(self._ballast.close)
                 if not self._ballast.hold():
                     raise self._full()
@@ -165,7 +165,7 @@ class RecordingWriter:
         if free + self._ballast.held_bytes < wanted + _CLOSING_BYTES:
             self._pending.clear()
             raise self._full()
-        self._ballast.drop(_RESERVE_BYTES)
+        self._ballast.drop()
         self._write()
         if not self._ballast.hold():
             raise self._full()

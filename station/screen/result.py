@@ -228,7 +228,7 @@ class ResultScreen(StationScreen):
 
     def _not_to_accept(self, entry: Entry) -> str:
         outcome = entry.texts.get("outcome", "")
-        if outcome != "PASS":
+        if outcome not in ("PASS", "ESTIMATED"):
             return f"only a PASS can be accepted, this is {outcome or 'without an outcome'}: repeat it, or investigate"
         if entry.texts.get("accepted_by"):
             return f"it was accepted by {entry.texts['accepted_by']}"
