@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.arrays import Floats
-from estimator.recording import ImuData
+from estimator.arrays import Flags, Floats, runs_of
+from estimator.recording import ImuData, columns_of
 
 _RUN_S = 0.25  # equal extreme values for longer than this are a limit, not a coincidence
 _UNUSUAL = 5  # a limit holds a value so much longer than values repeat by chance
@@ -81,28 +78,17 @@ def _in_order(data: ImuData) -> ImuData:
     if np.all(data.t_ns[1:] > data.t_ns[:-1]):
         return data
     order = np.argsort(data.t_ns, kind="stable")
-
-    def ordered(values: NDArray[Any] | None) -> NDArray[Any] | None:
-        return None if values is None else values[order]
-
-    return replace(
-        data,
-        t_ns=data.t_ns[order],
-        rate_rps=data.rate_rps[order],
-        temperature_c=ordered(data.temperature_c),
-        accel_mps2=ordered(data.accel_mps2),
-        counter=ordered(data.counter),
-    )
+    return replace(data, **{key: values[order] for key, values in columns_of(data).items()})
 
 
-def _only(data: ImuData, channels: list[int], cut: NDArray[np.bool_] | None) -> ImuData:
+def _only(data: ImuData, channels: list[int], cut: Flags | None) -> ImuData:
     rate = data.rate_rps[:, channels]
     if cut is not None:
         rate = np.where(cut[:, None], np.nan, rate)
     return replace(data, array=data.array.select(channels), rate_rps=rate)
 
 
-def _at_limits(data: ImuData, column: Floats, low: float, high: float) -> NDArray[np.bool_]:
+def _at_limits(data: ImuData, column: Floats, low: float, high: float) -> Flags:
     """Return which samples (n,) lie in or beside a run of one extreme value."""
     limited = np.zeros(len(column), dtype=bool)
     if len(column) < 3 or not (_repeats(column, low) or _repeats(column, high)):
@@ -112,7 +98,7 @@ def _at_limits(data: ImuData, column: Floats, low: float, high: float) -> NDArra
     usual = float(np.quantile(np.diff(np.flatnonzero(np.diff(column, prepend=np.nan, append=np.nan) != 0)), 0.99))
     least, margin = max(round(_RUN_S / period_s), 5, round(_UNUSUAL * usual)), max(round(_MARGIN_S / period_s), 1)
     for extreme in (low, high):
-        for start, stop in _runs(column == extreme):
+        for start, stop in runs_of(column == extreme):
             if stop - start >= least:
                 limited[max(start - margin, 0) : stop + margin] = True
     return limited
@@ -123,11 +109,5 @@ def _repeats(column: Floats, extreme: float) -> bool:
     return bool(np.count_nonzero(at) > 5 and (at[1:] & at[:-1]).any())
 
 
-def _runs(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """Yield where each run of true values starts and ends."""
-    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
-    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-
-
-def _levels(column: Floats, limited: NDArray[np.bool_], low: float, high: float) -> list[str]:
+def _levels(column: Floats, limited: Flags, low: float, high: float) -> list[str]:
     return [f"{level * _DEG:.4g} deg/s" for level in (low, high) if (limited & (column == level)).any()]

@@ -229,26 +229,27 @@ def _rests(section: StrictTable) -> Rests:
     limit_rps = math.radians(section.number("rest_limit_dps", 2.0, positive=True))
     least_s = section.number("rest_s", 2.0, positive=True)
     earth_rate = section.flag("earth_rate", False)
-    cuts, sections = Cuts(), {}
-    everywhere = False
+    cuts, everywhere = Cuts(), False
+    sections: dict[str, Pose] = {}
     if section.has("sections"):
         for key in ("where", "up", "north"):
             if section.has(key):
                 raise section.fail(key, "is not for a mapping with sections: they say where, each with its own up")
         cuts, tables = _sections(section)
-        for name, table in tables.items():
-            sections[name] = _pose(table)
-            table.done()
+        sections = _poses(tables)
     else:
         everywhere = section.string("where", "found", one_of=("found", "everywhere")) == "everywhere"
-    files: dict[str, Pose] = {}
-    if section.has("files"):
-        listed = section.table("files")
-        for name in listed.remaining():
-            table = listed.table(name)
-            files[name] = _pose(table)
-            table.done()
+    listed = section.table("files", optional=True)
+    files = _poses({name: listed.table(name) for name in listed.remaining()})
     return Rests(everywhere, _pose(section), files, cuts, sections, limit_rps, least_s, earth_rate)
+
+
+def _poses(tables: dict[str, StrictTable]) -> dict[str, Pose]:
+    poses = {}
+    for name, table in tables.items():
+        poses[name] = _pose(table)
+        table.done()
+    return poses
 
 
 def _pose(section: StrictTable) -> Pose:

@@ -37,20 +37,12 @@ _PLENTY_BYTES = 100_000_000  # more than another program takes while one block i
 TEXT_BYTES = 240
 
 UNITS = {
-    "t_ns": "ns",
-    "arrival_ns": "ns",
-    "half_width_ns": "ns",
-    "t_start_ns": "ns",
-    "t_end_ns": "ns",
-    "angle_rad": "rad",
-    "turn_rad": "rad",
-    "sd_rad": "rad",
-    "rate_rps": "rad/s",
-    "noise_rps": "rad/s",
+    **dict.fromkeys(("t_ns", "arrival_ns", "half_width_ns", "t_start_ns", "t_end_ns"), "ns"),
+    **dict.fromkeys(("angle_rad", "turn_rad", "sd_rad"), "rad"),
+    **dict.fromkeys(("rate_rps", "noise_rps"), "rad/s"),
+    **dict.fromkeys(("states", "sd"), "1, rad/s, rad, rad"),
     "temperature_c": "degC",
     "accel_mps2": "m/s2",
-    "states": "1, rad/s, rad, rad",
-    "sd": "1, rad/s, rad, rad",
 }
 
 
@@ -218,28 +210,23 @@ def write_recording(path: Path, recording: Recording) -> None:
                 {"site_latitude_rad": recording.site.latitude_rad, "site_heading_rad": recording.site.heading_rad}
             )
         reference = recording.reference
-        names: tuple[str, ...]
         if isinstance(reference, TableReadings):
             writer.add_table(reference.gimbals, reference.uncertainty)
-            root, names = "table", ("t_ns", "angle_rad", "rate_rps")
-            if reference.half_width_ns is not None:
-                names = (*names, "half_width_ns")
-        elif isinstance(reference, RateReadings):
-            root, names = "reference", ("t_ns", "rate_rps")
-        elif isinstance(reference, AttitudeReadings):
-            root, names = "reference", ("t_ns", "attitude_wxyz")
-        else:
-            root, names = "reference", ("t_start_ns", "t_end_ns", "turn_rad", "sd_rad")
-        for name in names:
-            writer.append(f"{root}/{name}", getattr(reference, name))
+        root = "table" if isinstance(reference, TableReadings) else "reference"
+        for name, values in columns_of(reference).items():
+            writer.append(f"{root}/{name}", values)
         for source, data in recording.sources.items():
             writer.add_source(source, data.array, data.prior, _stated(data))
-            for name in ("t_ns", "rate_rps", "temperature_c", "accel_mps2", "counter"):
-                values = getattr(data, name)
-                if values is not None:
-                    writer.append(f"imu/{source}/{name}", values)
+            for name, values in columns_of(data).items():
+                writer.append(f"imu/{source}/{name}", values)
     finally:
         writer.close()
+
+
+def columns_of(readings: ImuData | Reference) -> dict[str, Any]:
+    """Return the arrays of a source or a reference by name, those that are there."""
+    values = {column.name: getattr(readings, column.name) for column in fields(readings)}
+    return {name: column for name, column in values.items() if isinstance(column, np.ndarray)}
 
 
 def _stated(data: ImuData) -> dict[str, Any]:

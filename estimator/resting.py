@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.arrays import Flags, Floats
+from estimator.arrays import Floats, runs_of
 from estimator.kinematics import EARTH_RATE_RPS, Site
 from estimator.mapping_reference import Pose, Rests
 
@@ -89,7 +89,7 @@ def found_rests(t_s: Floats, rate: Floats, accel: Floats | None, pose: Pose, sta
         quiet &= (np.abs(gyros - np.median(gyros[slow], axis=0)) <= stated.limit_rps).all(axis=1)
     tilt = max(_TILT_RAD, 6 * float(least[rate.shape[1] :].max(initial=0.0)) / np.sqrt(rows) / _GRAVITY_MPS2)
     rests = []
-    for start, stop in _runs(quiet):
+    for start, stop in runs_of(quiet):
         a, b = start + (start > 0), stop - (stop < len(quiet))  # its ends may hold the beginning of a motion
         for c, d in _level(mean[:, rate.shape[1] :], a, b, tilt) if accel is not None else [(a, b)]:
             first, last = c * rows, len(rate) if d == len(quiet) else d * rows
@@ -167,11 +167,6 @@ def _level(mean: Floats, first: int, stop: int, tilt_rad: float) -> list[tuple[i
             start = at
     parts.append((start, stop))
     return parts
-
-
-def _runs(flags: Flags) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _rounded(direction: Floats) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats, runs_of
 from estimator.noise import NoiseModel, allan_deviation_of_parts, identify
 from estimator.recording import ImuData, Recording
 from estimator.reference import RateReadings, TableReadings
@@ -23,8 +23,8 @@ class RestNoise:
     """What ``span_s`` of rest show of one gyro: Allan deviation (t,) at ``tau_s`` (t,), and the noise it tells of."""
 
     span_s: float
-    tau_s: NDArray[np.float64]
-    deviation_rps: NDArray[np.float64]
+    tau_s: Floats
+    deviation_rps: Floats
     noise: NoiseModel
 
 
@@ -55,10 +55,8 @@ def rest_noise(data: ImuData, reference: TableReadings | RateReadings) -> list[R
 
 def rest_spans(reference: TableReadings | RateReadings) -> list[tuple[int, int]]:
     """Return the spans (first, last) in ns of five seconds and more in which no axis of the table moves."""
-    still = (np.abs(reference.rate_rps) < REST_RPS).all(axis=1)
-    edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))
-    spans = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    found = [(int(reference.t_ns[a]), int(reference.t_ns[b - 1])) for a, b in spans]
+    still = np.asarray((np.abs(reference.rate_rps) < REST_RPS).all(axis=1))
+    found = [(int(reference.t_ns[a]), int(reference.t_ns[b - 1])) for a, b in runs_of(still)]
     return [(a, b) for a, b in found if b - a >= REST_S * 1e9]
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.arrays import Floats, Stamps
 from estimator.blocks import Blocks, BlockSums
@@ -67,15 +66,22 @@ def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
     if not isinstance(reference, TableReadings):
         raise TypeError("rows against a table need one")
     rates = BodyRates.of(reference, recording.site)
-    t_ns, rate = _inside(data, rates.starts_ns, rates.final_until_ns)
-    for start, stop in _chunks(data, len(t_ns)):
-        t = t_ns[start:stop]
-        w = rates.at(t)
+    yield from _sampled(data, rates.starts_ns, rates.final_until_ns, rates.at)
+
+
+def _sampled(data: ImuData, first_ns: int, last_ns: int, at: Callable[[Stamps], Floats]) -> Iterator[Observations]:
+    """Yield rows of the samples between two instants at which the body rate is a number."""
+    t_ns, rate = _in_order(data)
+    start, stop = np.searchsorted(t_ns, first_ns, side="left"), np.searchsorted(t_ns, last_ns, side="right")
+    t_ns, rate = t_ns[start:stop], rate[start:stop]
+    # Parts of whole blocks, so that a replay is cut as the live run was.
+    block = block_rows(data)
+    chunk = max(_CHUNK_ROWS // block, 1) * block
+    for first in range(0, len(t_ns), chunk):
+        t, y = t_ns[first : first + chunk], rate[first : first + chunk]
+        w = at(t)
         known = np.isfinite(w).all(axis=1)
-        if known.all():
-            yield Observations(w, rate[start:stop], None, t)
-        else:
-            yield Observations(w[known], rate[start:stop][known], None, t[known])
+        yield Observations(w, y, None, t) if known.all() else Observations(w[known], y[known], None, t[known])
 
 
 def source_blocks(recording: Recording, data: ImuData, length_s: float = BLOCK_S) -> Blocks:
@@ -99,13 +105,12 @@ def _rate_rows(reference: RateReadings, data: ImuData) -> Iterator[Observations]
     if length_s:
         yield from _means(data, reference, length_s)
         return
-    at, rates = reference.t_ns, reference.rate_rps  # not a number where nothing is known: nor is what lies beside it
-    t_ns, rate = _inside(data, int(at[known][0]), int(at[known][-1]))
-    for start, stop in _chunks(data, len(t_ns)):
-        t, y = t_ns[start:stop], rate[start:stop]
-        w = np.column_stack([np.interp(t, at, rates[:, c]) for c in range(3)])
-        whole = np.isfinite(w).all(axis=1)
-        yield Observations(w, y, None, t) if whole.all() else Observations(w[whole], y[whole], None, t[whole])
+    at = reference.t_ns[known]  # rates beside a lack of knowledge are not known either
+    yield from _sampled(data, int(at[0]), int(at[-1]), lambda t_ns: _between(reference, t_ns))
+
+
+def _between(reference: RateReadings, t_ns: Stamps) -> Floats:
+    return np.column_stack([np.interp(t_ns, reference.t_ns, reference.rate_rps[:, c]) for c in range(3)])
 
 
 def mean_length_s(reference: RateReadings) -> float:
@@ -137,20 +142,6 @@ def row_length_s(recording: Recording, data: ImuData) -> float:
     return float(np.median(np.diff(data.t_ns))) * 1e-9
 
 
-def _inside(data: ImuData, first_ns: int, last_ns: int) -> tuple[Stamps, Floats]:
-    t_ns, rate = _in_order(data)
-    start, stop = np.searchsorted(t_ns, first_ns, side="left"), np.searchsorted(t_ns, last_ns, side="right")
-    return t_ns[start:stop], rate[start:stop]
-
-
-def _chunks(data: ImuData, rows: int) -> Iterator[tuple[int, int]]:
-    """Yield bounds of parts of whole blocks, so that a replay is cut as the live run was."""
-    block = block_rows(data)
-    chunk = max(_CHUNK_ROWS // block, 1) * block
-    for start in range(0, rows, chunk):
-        yield start, min(start + chunk, rows)
-
-
 def sample_noise(data: ImuData) -> Floats:
     """Return the white noise of one sample of each channel (m,), from differences of neighbours."""
     # Median of |N(0, 2 s^2)| is 0.954 s; the quantum is the floor for data rounded so that most do not differ.
@@ -167,7 +158,7 @@ def _quantum(rate_rps: Floats) -> Floats:
     return np.array([float(column[column > 1e-9].min(initial=np.inf)) for column in steps.T])
 
 
-def _in_order(data: ImuData) -> tuple[NDArray[np.int64], Floats]:
+def _in_order(data: ImuData) -> tuple[Stamps, Floats]:
     t_ns, rate = data.t_ns, data.rate_rps
     finite = np.isfinite(rate).all(axis=1)
     if not finite.all():
@@ -181,7 +172,7 @@ def _in_order(data: ImuData) -> tuple[NDArray[np.int64], Floats]:
 def _means(data: ImuData, reference: RateReadings, length_s: float) -> Iterator[Observations]:
     """Yield means of both sides over blocks: a reference that is too noisy to compare by sample."""
     t_ns, rate = _in_order(data)
-    w = np.column_stack([np.interp(t_ns, reference.t_ns, reference.rate_rps[:, c]) for c in range(3)])
+    w = _between(reference, t_ns)
     rows = block_rows(data, length_s)
     inside = (t_ns >= reference.t_ns[0]) & (t_ns <= reference.t_ns[-1])
     first = int(np.argmax(inside)) if inside.any() else 0
@@ -221,15 +212,6 @@ def _segments(data: ImuData, turns: Turns) -> Observations:
     return Observations(np.array(w), np.array(y), np.array(weight))
 
 
-def enough(recording: Recording, source: str, data: ImuData, rows: int) -> None:
-    """Raise RecordingError if so few rows of a source are within the reference that nothing can be estimated."""
-    if rows < 8:
-        raise RecordingError(
-            f"{recording.name}: source {source} has {len(data.t_ns)} samples, of which {rows} lie within the "
-            "reference: too few to estimate four states a gyro"
-        )
-
-
 def gram_of(recording: Recording, source: str, data: ImuData) -> Gram:
     """Return the Gram matrix of one source over all rows that the reference covers."""
     gram = Gram.empty(len(data.array))
@@ -240,6 +222,9 @@ def gram_of(recording: Recording, source: str, data: ImuData) -> Gram:
             f"{recording.name}: {gram.rows} of {len(recording.reference.sd_rad)} turns hold samples of {source}: "
             "four states a gyro need four turns or rests at the least"
         )
-    if not isinstance(recording.reference, Turns):
-        enough(recording, source, data, gram.rows)
+    if not isinstance(recording.reference, Turns) and gram.rows < 8:
+        raise RecordingError(
+            f"{recording.name}: source {source} has {len(data.t_ns)} samples, of which {gram.rows} lie within the "
+            "reference: too few to estimate four states a gyro"
+        )
     return gram

@@ -51,7 +51,8 @@ def turn_spans(
     if isinstance(reference, FileTurns):
         rows = [(path.name, 0, len(time.rows), _turn_of_file(mapping, reference, path))]
     elif isinstance(reference, SectionTurns):
-        rows = _sections(mapping, reference, path, table, time)
+        limits = section_rows(mapping, reference.cuts, tuple(reference.sections), path, table, time)
+        rows = [(f"{path.name}, section {name}", first, stop, reference.sections[name]) for name, first, stop in limits]
     else:
         return None, []
     spans: list[Span] = []
@@ -77,14 +78,6 @@ def _turn_of_file(mapping: Mapping, reference: FileTurns, path: Path) -> Turn:
         raise RecordingError(f"{path.name}: its name states no turn: {error}") from None
 
 
-def _sections(
-    mapping: Mapping, reference: SectionTurns, path: Path, table: Table, time: TimeFit
-) -> list[tuple[str, int, int, Turn]]:
-    """Return name, first and one past the last of the kept rows, and turn of every section."""
-    limits = section_rows(mapping, reference.cuts, tuple(reference.sections), path, table, time)
-    return [(f"{path.name}, section {name}", first, stop, reference.sections[name]) for name, first, stop in limits]
-
-
 def section_rows(
     mapping: Mapping,
     cuts: Cuts,
@@ -108,8 +101,8 @@ def section_rows(
     else:
         assert cuts.list_name is not None
         limits = _listed(path.parent / cuts.list_name.replace("{stem}", path.stem), table)
-    present = [name for name, _, _ in limits]
-    unknown = [name for name in dict.fromkeys(present) if name not in names]
+    present = dict.fromkeys(name for name, _, _ in limits)
+    unknown = [name for name in present if name not in names]
     if unknown and all_named:
         raise RecordingError(
             f"{path.name}: nothing says how section {', '.join(unknown)} turned: add it to [reference.sections] of "
@@ -119,23 +112,17 @@ def section_rows(
     if missing:
         has = f"; it has {', '.join(unknown)}" if unknown else ""
         raise RecordingError(f"{path.name} has no section {', '.join(missing)}, which {mapping.name} names{has}")
-    found = []
-    for name, start, end in limits:
-        if name in names:
-            first, stop = np.searchsorted(time.rows, [start, end])
-            found.append((name, int(first), int(stop)))
-    return found
+    return [(name, *np.searchsorted(time.rows, [start, end]).tolist()) for name, start, end in limits if name in names]
 
 
 def _timed(cuts: Cuts, path: Path, time: TimeFit) -> list[tuple[str, int, int]]:
     found = []
     for name, (start_s, end_s) in cuts.limits_s.items():
-        first, stop = np.searchsorted(time.t_s, [start_s, end_s])
         if start_s > time.t_s[-1]:
             raise RecordingError(
                 f"{path.name}: section {name} begins at {start_s:g} s, but the file lasts {time.t_s[-1]:.6g} s"
             )
-        found.append((name, int(first), int(stop)))
+        found.append((name, *np.searchsorted(time.t_s, [start_s, end_s]).tolist()))
     return found
 
 

@@ -6,7 +6,6 @@ import math
 import re
 
 _DEG = math.pi / 180
-_G = 9.80665
 
 UNITS: dict[str, dict[str, float]] = {
     "angle": {

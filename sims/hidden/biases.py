@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from dataclasses import field, replace
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Floats
-from sims.hidden.fields import Each, each, given, whole
+from sims.hidden.fields import Each, each, given, hidden, whole
 from sims.hidden.scene import Scene
+
+KINDS: dict[str, type[Any]] = {}
 
 _KNOT_S = 0.1
 _KNOTS_AT_ONCE = 4096
@@ -28,11 +30,10 @@ class Added(ABC):
         """Return what it adds (n, m), rad/s."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "thermal_bias")
 class ThermalBias(Added):
     """A bias that follows the temperature; ``linear`` in rad/s/K, ``quadratic`` in rad/s/K2."""
 
-    name: ClassVar[str] = "thermal_bias"
     linear: Each = field(default=0.0, metadata=each("deg/s/degC"))
     quadratic: Each = field(default=0.0, metadata=each("deg/s/degC2"))
 
@@ -40,22 +41,20 @@ class ThermalBias(Added):
         return np.asarray(self.linear * scene.warmth + self.quadratic * scene.warmth**2)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "thermal_gradient")
 class ThermalGradient(Added):
     """A bias that follows the rate of change of the temperature; ``size`` in rad/s per K/s."""
 
-    name: ClassVar[str] = "thermal_gradient"
     size: Each = field(metadata=each("deg/s/(degC/s)"))
 
     def output(self, scene: Scene) -> Floats:
         return np.asarray(self.size * scene.world.temperature.slope(scene.clock_s)[:, None])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "thermal_lag")
 class ThermalLag(Added):
     """A bias that follows the temperature of a gyro which lags behind the one that is reported."""
 
-    name: ClassVar[str] = "thermal_lag"
     linear: Each = field(metadata=each("deg/s/degC"))
     lag_s: float = field(default=40.0, metadata=given("s", least=1e-3))
 
@@ -64,11 +63,10 @@ class ThermalLag(Added):
         return np.asarray(self.linear * (profile.lagged(scene.clock_s, self.lag_s) - profile.reference_c)[:, None])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "bias_drift")
 class BiasDrift(Added):
     """A bias that grows evenly, by ``size_rps`` in ``over_s``, and goes on."""
 
-    name: ClassVar[str] = "bias_drift"
     size_rps: Each = field(metadata=each("deg/s"))
     over_s: float = field(default=3600.0, metadata=given("s", least=1e-3))
 
@@ -76,11 +74,10 @@ class BiasDrift(Added):
         return np.asarray(self.size_rps * (scene.clock_s / self.over_s)[:, None])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "warm_up")
 class WarmUp(Added):
     """A bias that comes to ``size_rps`` with a time constant."""
 
-    name: ClassVar[str] = "warm_up"
     size_rps: Each = field(metadata=each("deg/s"))
     time_constant_s: float = field(metadata=given("s", least=1e-3))
 
@@ -88,11 +85,10 @@ class WarmUp(Added):
         return np.asarray(self.size_rps * -np.expm1(-np.maximum(scene.clock_s, 0.0) / self.time_constant_s)[:, None])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "bias_step")
 class BiasStep(Added):
     """A bias that is there from an instant on."""
 
-    name: ClassVar[str] = "bias_step"
     size_rps: Each = field(metadata=each("deg/s"))
     at_s: float = field(metadata=given("s"))
 
@@ -100,29 +96,13 @@ class BiasStep(Added):
         return np.asarray(self.size_rps * (scene.clock_s >= self.at_s)[:, None])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Tone(Added):
-    """A sine of the bench clock."""
-
-    name: ClassVar[str] = "tone"
-    size_rps: Each = field(metadata=each("deg/s"))
-    frequency_hz: float = field(metadata=given("Hz", least=1e-6))
-    phase_rad: Each = field(default=0.0, metadata=each("deg"))
-
-    def output(self, scene: Scene) -> Floats:
-        return np.asarray(
-            self.size_rps * np.sin(2 * math.pi * self.frequency_hz * scene.clock_s[:, None] + self.phase_rad)
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "bias_walk")
 class BiasWalk(Added):
     """A rate random walk from the bench clock's 0 on; ``size`` in rad/s/rts.
 
     The same ``seed`` is the same walk, over all runs of a bench clock; without one each run has its own.
     """
 
-    name: ClassVar[str] = "bias_walk"
     size: Each = field(metadata=each("deg/h/rth"))
     seed: int = field(default=0, metadata=whole())
     path: WalkPath | None = None
@@ -135,6 +115,20 @@ class BiasWalk(Added):
         if self.path is None:
             raise ValueError("a walk needs a path: for_run gives it one")
         return np.asarray(self.size * self.path.at(scene.clock_s))
+
+
+@hidden(KINDS, "tone")
+class Tone(Added):
+    """A sine of the bench clock."""
+
+    size_rps: Each = field(metadata=each("deg/s"))
+    frequency_hz: float = field(metadata=given("Hz", least=1e-6))
+    phase_rad: Each = field(default=0.0, metadata=each("deg"))
+
+    def output(self, scene: Scene) -> Floats:
+        return np.asarray(
+            self.size_rps * np.sin(2 * math.pi * self.frequency_hz * scene.clock_s[:, None] + self.phase_rad)
+        )
 
 
 class WalkPath:

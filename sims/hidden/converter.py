@@ -3,44 +3,42 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Floats
 from sims.hidden.errors import HiddenError
-from sims.hidden.fields import Each, each, given, whole
+from sims.hidden.fields import Each, each, given, hidden, whole
+
+KINDS: dict[str, type[Any]] = {}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "dead_band")
 class DeadBand:
     """A gyro shows no rate while its rate is within ``size_rps``; what else it shows goes on."""
 
-    name: ClassVar[str] = "dead_band"
     size_rps: Each = field(metadata=each("deg/s"))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "saturation")
 class Saturation:
     """An output that goes no further than ``limit_rps`` to each side."""
 
-    name: ClassVar[str] = "saturation"
     limit_rps: Each = field(metadata=each("deg/s", least=0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "sample_hold")
 class SampleHold:
     """A new output only every ``samples`` samples, beginning with the first."""
 
-    name: ClassVar[str] = "sample_hold"
     samples: int = field(metadata=whole())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "stuck")
 class Stuck:
     """An output of one gyro, counted from 1, that stays what it was between two instants of the bench clock."""
 
-    name: ClassVar[str] = "stuck"
     gyro: int = field(metadata=whole())
     from_s: float = field(metadata=given("s"))
     until_s: float = field(metadata=given("s"))

@@ -6,7 +6,6 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from sims.hidden import biases, converter, sensed, table, timing
 from sims.hidden.errors import HiddenError
@@ -14,38 +13,7 @@ from sims.hidden.fields import check, read, refuse_unknown
 from sims.hidden.table import OfTable, TableFaults
 from sims.hidden.temperature import Temperature
 
-KINDS: dict[str, type[Any]] = {
-    kind.name: kind
-    for kind in (
-        biases.ThermalBias,
-        biases.ThermalGradient,
-        biases.ThermalLag,
-        biases.BiasDrift,
-        biases.WarmUp,
-        biases.BiasStep,
-        biases.BiasWalk,
-        biases.Tone,
-        sensed.ThermalScale,
-        sensed.ScaleAsymmetry,
-        sensed.ScaleQuadratic,
-        sensed.ScaleCubic,
-        sensed.GSensitivity,
-        sensed.AccelerationSensitivity,
-        sensed.TableHarmonic,
-        sensed.MotorCurrentGain,
-        timing.Latency,
-        timing.RateDependentDelay,
-        timing.Bandwidth,
-        timing.Hysteresis,
-        converter.DeadBand,
-        converter.Saturation,
-        converter.SampleHold,
-        converter.Stuck,
-        table.TableAxes,
-        table.TableRate,
-        table.EncoderEccentricity,
-    )
-}
+KINDS = biases.KINDS | sensed.KINDS | timing.KINDS | converter.KINDS | table.KINDS
 """Effects by the name of their table in the file."""
 
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, Field, fields, replace
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
 
@@ -23,6 +23,18 @@ Each = float | Sequence[float] | Floats
 T = TypeVar("T")
 
 _SUFFIX = re.compile(r"_(rps|rps2|rad|s|c|hz|rps_rts)$")
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
+def hidden(kinds: dict[str, type[Any]], name: str) -> Callable[[type[T]], type[T]]:
+    """Return a decorator that makes an effect of a class and enters it among its kind by its name in the file."""
+
+    def entered(described: type[T]) -> type[T]:
+        kinds[name] = dataclass(frozen=True, slots=True, eq=False)(described)
+        kinds[name].name = name
+        return kinds[name]
+
+    return entered
 
 
 def given(like: str, *, least: float | None = None) -> dict[str, object]:

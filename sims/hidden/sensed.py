@@ -6,14 +6,16 @@ Each gives what it adds to the output, (n, m) in rad/s, before the gyro's own lo
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import field
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Floats
-from sims.hidden.fields import Each, choice, each, given, whole
+from sims.hidden.fields import Each, choice, each, given, hidden, whole
 from sims.hidden.scene import Scene
+
+KINDS: dict[str, type[Any]] = {}
 
 AXES = ("x", "y", "z")
 _STILL_RPS = 1e-6  # rates come from differences of angles
@@ -27,74 +29,50 @@ class Sensed(ABC):
         """Return what it adds (n, m), rad/s."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ScaleAsymmetry(Sensed):
-    """A scale factor that differs between the directions by twice ``size``."""
-
-    name: ClassVar[str] = "scale_asymmetry"
-    size: Each = field(metadata=each("ppm"))
-
-    def output(self, scene: Scene) -> Floats:
-        return np.asarray(self.size * np.abs(scene.u))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScaleQuadratic(Sensed):
-    """An output that grows with the square of the rate; ``size`` in s/rad."""
-
-    name: ClassVar[str] = "scale_quadratic"
-    size: Each = field(metadata=each("ppm/(deg/s)"))
-
-    def output(self, scene: Scene) -> Floats:
-        return np.asarray(self.size * scene.u**2)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScaleCubic(Sensed):
-    """An output that grows with the cube of the rate; ``size`` in (s/rad)^2."""
-
-    name: ClassVar[str] = "scale_cubic"
-    size: Each = field(metadata=each("ppm/(deg/s)2"))
-
-    def output(self, scene: Scene) -> Floats:
-        return np.asarray(self.size * scene.u**3)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "thermal_scale")
 class ThermalScale(Sensed):
     """A scale factor in proportion to temperature; ``linear`` in 1/K."""
 
-    name: ClassVar[str] = "thermal_scale"
     linear: Each = field(metadata=each("ppm/degC"))
 
     def output(self, scene: Scene) -> Floats:
         return np.asarray(self.linear * scene.warmth * scene.u)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MotorCurrentGain(Sensed):
-    """A scale factor that follows the current of all motors: the supply gives way to it.
+@hidden(KINDS, "scale_asymmetry")
+class ScaleAsymmetry(Sensed):
+    """A scale factor that differs between the directions by twice ``size``."""
 
-    A motor's current is that of its acceleration and of its friction, stated as the acceleration (rad/s2) that
-    would need as much. ``size`` is the share per rad/s2.
-    """
-
-    name: ClassVar[str] = "motor_current_gain"
-    size: Each = field(metadata=each("ppm/(deg/s2)"))
-    friction: float = field(default=0.0, metadata=given("deg/s2"))
+    size: Each = field(metadata=each("ppm"))
 
     def output(self, scene: Scene) -> Floats:
-        rate, acceleration = scene.axes
-        turning = np.where(np.abs(rate) > _STILL_RPS, np.sign(rate), 0.0)
-        current = np.abs(acceleration + self.friction * turning).sum(axis=1, keepdims=True)
-        return np.asarray(self.size * current * scene.u)
+        return np.asarray(self.size * np.abs(scene.u))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "scale_quadratic")
+class ScaleQuadratic(Sensed):
+    """An output that grows with the square of the rate; ``size`` in s/rad."""
+
+    size: Each = field(metadata=each("ppm/(deg/s)"))
+
+    def output(self, scene: Scene) -> Floats:
+        return np.asarray(self.size * scene.u**2)
+
+
+@hidden(KINDS, "scale_cubic")
+class ScaleCubic(Sensed):
+    """An output that grows with the cube of the rate; ``size`` in (s/rad)^2."""
+
+    size: Each = field(metadata=each("ppm/(deg/s)2"))
+
+    def output(self, scene: Scene) -> Floats:
+        return np.asarray(self.size * scene.u**3)
+
+
+@hidden(KINDS, "g_sensitivity")
 class GSensitivity(Sensed):
     """A bias from gravity along the axes of the body; rad/s per g."""
 
-    name: ClassVar[str] = "g_sensitivity"
     x: Each = field(default=0.0, metadata=each("deg/s/g"))
     y: Each = field(default=0.0, metadata=each("deg/s/g"))
     z: Each = field(default=0.0, metadata=each("deg/s/g"))
@@ -103,11 +81,10 @@ class GSensitivity(Sensed):
         return np.asarray(scene.up @ np.array([self.x, self.y, self.z]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "acceleration_sensitivity")
 class AccelerationSensitivity(Sensed):
     """What angular acceleration about the tilt axes j and k adds; rad/s per rad/s2."""
 
-    name: ClassVar[str] = "acceleration_sensitivity"
     j: Each = field(default=0.0, metadata=each("deg/s/(deg/s2)"))
     k: Each = field(default=0.0, metadata=each("deg/s/(deg/s2)"))
 
@@ -116,11 +93,10 @@ class AccelerationSensitivity(Sensed):
         return np.asarray(self.j * (scene.acceleration @ mounting.j.T) + self.k * (scene.acceleration @ mounting.k.T))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "table_harmonic")
 class TableHarmonic(Sensed):
     """What goes round with an axis of the table: cosine and sine (rad/s) of ``order`` times its angle."""
 
-    name: ClassVar[str] = "table_harmonic"
     axis: str = field(metadata=choice(AXES))
     order: int = field(default=1, metadata=whole())
     cosine: Each = field(default=0.0, metadata=each("deg/s"))
@@ -129,3 +105,21 @@ class TableHarmonic(Sensed):
     def output(self, scene: Scene) -> Floats:
         angle = self.order * scene.angle(self.axis)
         return np.asarray(self.cosine * np.cos(angle) + self.sine * np.sin(angle))
+
+
+@hidden(KINDS, "motor_current_gain")
+class MotorCurrentGain(Sensed):
+    """A scale factor that follows the current of all motors: the supply gives way to it.
+
+    A motor's current is that of its acceleration and of its friction, stated as the acceleration (rad/s2) that
+    would need as much. ``size`` is the share per rad/s2.
+    """
+
+    size: Each = field(metadata=each("ppm/(deg/s2)"))
+    friction: float = field(default=0.0, metadata=given("deg/s2"))
+
+    def output(self, scene: Scene) -> Floats:
+        rate, acceleration = scene.axes
+        turning = np.where(np.abs(rate) > _STILL_RPS, np.sign(rate), 0.0)
+        current = np.abs(acceleration + self.friction * turning).sum(axis=1, keepdims=True)
+        return np.asarray(self.size * current * scene.u)

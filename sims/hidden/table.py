@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Floats
 from sims.hidden.errors import HiddenError
-from sims.hidden.fields import choice, given, whole
+from sims.hidden.fields import choice, given, hidden, whole
+
+KINDS: dict[str, type[Any]] = {}
 
 ALL = "all"
 _NEWTON_STEPS = 3
@@ -32,11 +34,10 @@ class OfTable:
         return np.zeros(3)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "table_axes")
 class TableAxes(OfTable):
     """Axes tilted towards others, as they stand at home; rad."""
 
-    name: ClassVar[str] = "table_axes"
     x_towards_y: float = field(default=0.0, metadata=given("arcsec"))
     x_towards_z: float = field(default=0.0, metadata=given("arcsec"))
     y_towards_x: float = field(default=0.0, metadata=given("arcsec"))
@@ -49,11 +50,10 @@ class TableAxes(OfTable):
         return np.asarray(np.sum(tilts, axis=0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "table_rate")
 class TableRate(OfTable):
     """Axes that turn further than their encoders say, by a share: gears, counts a turn."""
 
-    name: ClassVar[str] = "table_rate"
     x: float = field(default=0.0, metadata=given("ppm"))
     y: float = field(default=0.0, metadata=given("ppm"))
     z: float = field(default=0.0, metadata=given("ppm"))
@@ -62,14 +62,13 @@ class TableRate(OfTable):
         return np.asarray((1 + getattr(self, axis)) * angle_rad)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "encoder_eccentricity")
 class EncoderEccentricity(OfTable):
     """An encoder that says ``size_rad`` sin(order times the true angle + phase) more than the true angle.
 
     It is zeroed at home, so it says that much less what it would say there.
     """
 
-    name: ClassVar[str] = "encoder_eccentricity"
     size_rad: float = field(metadata=given("deg"))
     order: int = field(default=3, metadata=whole())
     phase_rad: float = field(default=0.0, metadata=given("deg"))

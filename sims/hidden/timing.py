@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Floats
 from sims.hidden.errors import HiddenError
-from sims.hidden.fields import Each, each, given
+from sims.hidden.fields import Each, each, given, hidden
+
+KINDS: dict[str, type[Any]] = {}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "latency")
 class Latency:
     """All gyros show what was ``delay_s`` ago."""
 
-    name: ClassVar[str] = "latency"
     delay_s: float = field(metadata=given("s", least=0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "rate_dependent_delay")
 class RateDependentDelay:
     """A gyro shows what was ``size`` times its rate ago; s per rad/s."""
 
-    name: ClassVar[str] = "rate_dependent_delay"
     size: Each = field(metadata=each("us/(deg/s)", least=0))
 
     def delay_s(self, u: Floats) -> Floats:
@@ -33,11 +33,10 @@ class RateDependentDelay:
         return np.asarray(self.size * np.abs(u))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "bandwidth")
 class Bandwidth:
     """A first-order low pass of what is sensed, stated by its cutoff or by its time constant."""
 
-    name: ClassVar[str] = "bandwidth"
     cutoff_hz: Each = field(default=0.0, metadata=each("Hz", least=0))
     time_constant_s: Each = field(default=0.0, metadata=each("s", least=0))
 
@@ -53,11 +52,10 @@ class Bandwidth:
             return np.asarray(np.where(cutoff > 0, 1 / (2 * math.pi * cutoff), self.time_constant_s))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@hidden(KINDS, "hysteresis")
 class Hysteresis:
     """A bias whose sign is that of the last rotation about the sense axis above ``threshold_rps``; 0 before any."""
 
-    name: ClassVar[str] = "hysteresis"
     size_rps: Each = field(metadata=each("deg/s"))
     threshold_rps: float = field(default=math.radians(1.0), metadata=given("deg/s"))
 

@@ -16,29 +16,17 @@ _DEG = math.pi / 180
 _NONE = (0.0, 0.0, 0.0, 0.0)
 _ANGLE, _TIME, _TEMPERATURE, _G = (1.0, 0, 0, 0), (0, 1.0, 0, 0), (0, 0, 1.0, 0), (0, 0, 0, 1.0)
 _RATE, _ROOT_TIME = (1.0, -1.0, 0, 0), (0, 0.5, 0, 0)
-_UNITS: dict[str, tuple[float, Powers]] = {
-    "1": (1.0, _NONE),
-    "ppm": (1e-6, _NONE),
-    "%": (1e-2, _NONE),
-    "rad": (1.0, _ANGLE),
-    "mrad": (1e-3, _ANGLE),
-    "urad": (1e-6, _ANGLE),
-    "deg": (_DEG, _ANGLE),
-    "arcmin": (_DEG / 60, _ANGLE),
-    "arcsec": (_DEG / 3600, _ANGLE),
-    "rpm": (2 * math.pi / 60, _RATE),
-    "s": (1.0, _TIME),
-    "ms": (1e-3, _TIME),
-    "us": (1e-6, _TIME),
-    "min": (60.0, _TIME),
-    "h": (3600.0, _TIME),
-    "rts": (1.0, _ROOT_TIME),
-    "rth": (60.0, _ROOT_TIME),
-    "Hz": (1.0, (0, -1.0, 0, 0)),
-    "kHz": (1e3, (0, -1.0, 0, 0)),
-    "degC": (1.0, _TEMPERATURE),
-    "g": (1.0, _G),
+_BY_POWERS: dict[Powers, dict[str, float]] = {
+    _NONE: {"1": 1.0, "ppm": 1e-6, "%": 1e-2},
+    _ANGLE: {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": _DEG, "arcmin": _DEG / 60, "arcsec": _DEG / 3600},
+    _RATE: {"rpm": 2 * math.pi / 60},
+    _TIME: {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
+    _ROOT_TIME: {"rts": 1.0, "rth": 60.0},
+    (0, -1.0, 0, 0): {"Hz": 1.0, "kHz": 1e3},
+    _TEMPERATURE: {"degC": 1.0},
+    _G: {"g": 1.0},
 }
+_UNITS = {unit: (factor, powers) for powers, units in _BY_POWERS.items() for unit, factor in units.items()}
 _NUMBER = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 _WORD = re.compile(r"\s*([A-Za-z%]+|\d|[()/*])")
 
