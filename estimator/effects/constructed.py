@@ -102,6 +102,11 @@ def axes_of(law: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name.partition("_")[2] for name in variables_of(law) if "_" in name))
 
 
+def of_each_gyro(law: str) -> bool:
+    """Return whether a law differs from gyro to gyro: it names something along or about the sense axis."""
+    return any(name in ("u", "a", "gs") or name.startswith("u_") for name in variables_of(law))
+
+
 def depends_on(law: str) -> tuple[str, ...]:
     """Return what a law depends on: rate, direction, acceleration, temperature, time, gravity, angle."""
     found = [VARIABLES[name][0] for name in variables_of(law)]

@@ -165,7 +165,7 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
     late = partial(_by_size, sensed=_sensed(runs))
     found.append(late("latency", latency, np.concatenate([[0.0], far_s])))
     if not len(far_s):
-        found.append(late("bandwidth", bandwidth, np.array([_LAG_S])))
+        found.append(Candidate("bandwidth", bandwidth(_LAG_S), 0.0))
     if any(run.held > 1 for run in runs):
 
         def hold(delay_s: float) -> Effect:

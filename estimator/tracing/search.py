@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.effects.constructed import NAME
+from estimator.effects.constructed import NAME, of_each_gyro
 from estimator.effects.dynamics import tone as tone_at
 from estimator.tracing.candidates import OF_TIME, Candidate
 from estimator.tracing.evidence import SCALES, Base, Evidence, Term
@@ -47,6 +47,7 @@ _CHANCE = 3.0  # natural logarithm by which functions without a name may be the 
 _IMPLAUSIBLE = 2.0  # of the largest plausible size: larger, it is something else
 _MOST_SETS = 40
 _MOST_LAWS, _LAWS_TRIED = 2, 12
+_BETWEEN = 1.3  # by so much more a law may explain with a constant between those that it is tried with
 _CLEARLY = 3.0  # natural logarithm by which a law must be the more probable
 _MOST_TONES = 3
 _NEAR_S = 0.005  # about where its size seems to be an effect is looked for that is exact for its size only
@@ -198,7 +199,7 @@ class Search:
             tried = []
             for n, base in enumerate(bases):
                 if base not in bases[:n] and len(base) + len(tones) < most:
-                    tried.append([*base, *self._best_law(base, laws)])
+                    tried.append([*base, *self._best_law(base, laws, best + _CLEARLY)])
             worths = [self._worth(one) for one in tried]
             if not worths or max(worths) < best + _CLEARLY:
                 break
@@ -217,17 +218,21 @@ class Search:
         return self.evidence.of([term for _, term in model]) + expected
 
     def _best_law(
-        self, base: Sequence[tuple[Candidate, Term]], laws: Sequence[Candidate]
+        self, base: Sequence[tuple[Candidate, Term]], laws: Sequence[Candidate], least: float
     ) -> list[tuple[Candidate, Term]]:
-        """Return the law that explains most beside a model; none if there is none."""
+        """Return the law that explains most beside a model; none if none can make it worth ``least``."""
         terms = [term for _, term in base]
         scan = _Scan(self._coarse, self._spectra, self.evidence, terms, self._turned)
         taken = {candidate.name for candidate, _ in base}
-        ranked = []
+        ranked, missing = [], least - self._worth(base)
         for law in (law for law in laws if law.name not in taken):
             options = [law] if law.start is None else [_at(law, theta) for theta in law.start.tolist()]
             gains = [scan.gain(option) for option in options]
-            ranked.append((max(gains) + law.log_prior, options[int(np.argmax(gains))]))
+            reach = max(gains) * (1.0 if law.start is None else _BETWEEN)
+            if reach + law.log_prior > missing:  # by no more can it be the more probable
+                ranked.append((max(gains) + law.log_prior, options[int(np.argmax(gains))]))
+        if not ranked:
+            return []
         ranked.sort(key=lambda pair: -pair[0])
         chosen = [self._tuned(law, scan) if law.start is not None else law for _, law in ranked[:_LAWS_TRIED]]
         for name in [n for n, (c, _) in self._known.items() if c.called == NAME and n not in self._laws_kept]:
@@ -659,7 +664,7 @@ class _Scan:
             self._rest.append(z - basis @ (basis.T @ z))
 
     def _turn(self, candidate: Candidate, gyro: GyroSpectra) -> Floats:
-        alike = candidate.called in OF_TIME  # the same for all gyros of a source
+        alike = candidate.called in OF_TIME or (candidate.law and not of_each_gyro(candidate.law))
         source = str([s.run for s in gyro.stretches])
         key = candidate.name, float(candidate.theta or 0.0), source if alike else gyro.name
         if key not in self._kept:
@@ -677,6 +682,9 @@ class _Scan:
         It is not fitted to its own column, which noise of the reference makes too large.
         """
         assert candidate.start is not None
+        if len(candidate.start) == 1:  # a table's own rates have next to no noise
+            size = self._first_size(candidate)
+            return self._first_size(_at(candidate, size)) if size else size
 
         def gain(size: float) -> float:
             return self._gain_of(candidate, size)
@@ -692,7 +700,8 @@ class _Scan:
     def _first_size(self, candidate: Candidate) -> float:
         """Return the size by the candidate as it is: right where it is small."""
         own, right = np.sum(self._products(candidate), axis=0)
-        return float(np.clip(right / max(own, 1e-30) * candidate.largest[0], -_LONGEST_S, _LONGEST_S))
+        sign = -1.0 if candidate.theta and candidate.theta < 0 else 1.0  # a lag of the reference is a size of its own
+        return float(np.clip(sign * right / max(own, 1e-30) * candidate.largest[0], -_LONGEST_S, _LONGEST_S))
 
     def _gain_of(self, candidate: Candidate, size: float) -> float:
         """Return how much more probable a size makes what is left, each gyro under as much noise as then is left."""

@@ -22,7 +22,7 @@ from estimator.tracing.runs import Run
 
 Floats = NDArray[np.float64]
 
-_PIECE_S = 5.0  # without a table: phases of this length
+_PIECE_S, _FEWEST_IN_PIECE = 5.0, 5  # without a table: phases of this length, and no fewer blocks than these
 _RAMP_SHARE = 0.02  # of the steepest acceleration of a run: what counts as a ramp
 _FEWEST = 2
 _DRAWN = 400
@@ -81,7 +81,7 @@ def phases_of(run: Run) -> list[Phase]:
         key = np.column_stack([kind, np.where((kind == 2)[:, None], rates, 0), run.stretch])
         edges = np.flatnonzero(np.any(np.diff(key, axis=0) != 0, axis=1)) + 1
     else:
-        count = max(round(_PIECE_S / run.length_s), 1)
+        count = max(round(_PIECE_S / run.length_s), _FEWEST_IN_PIECE)
         edges = np.arange(count, len(run.t_s), count)
         kind = np.full(len(run.t_s), 3)
     bounds = [0, *edges.tolist(), len(run.t_s)]
