@@ -7,7 +7,7 @@ with the rate of sampling. A delay between the two is a look at the same turn ea
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +19,23 @@ from estimator.reference import AttitudeReadings, RateReadings, Reference, Table
 REST_RPS = 2e-3
 """Several times Earth rate: what turns no faster rests."""
 _GAP_STEPS, _GAP_S = 3.5, 0.15  # between readings further apart than both nobody knows what happened
+_BOX, _BOXES = 9, 3  # steps of the finer grid in a mean over two periods, and how often one is taken
 _SLOPE_S = 0.02  # to each side of an instant, over which a turn gives its rate; never less than one reading
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turned:
-    """Integrals (k, c) of some rates at increasing instants ``t_s`` (k,); ``gaps`` (k,) counts unknown intervals."""
+    """Integrals (k, c) of some rates at increasing instants ``t_s`` (k,); ``gaps`` (k,) counts unknown intervals.
+
+    Between instants they are linear, or on a finer even grid ``smooth``: its start, its step, and integrals (f, c)
+    there, each of which is a mean over what lies within ``reach_s`` to each side.
+    """
 
     t_s: Floats
     integral: Floats
     gaps: Floats
+    smooth: tuple[float, float, Floats] | None = None
+    reach_s: float = 0.0
 
     @classmethod
     def of_increments(cls, t_s: Floats, increments: Floats, longest_s: float | None = None) -> Turned:
@@ -72,10 +79,27 @@ class Turned:
             turn += into_body(site.earth_rate_rps(), middle[:, None], reference.gimbals) * np.diff(t_s)[:, None]
         return cls.of_increments(t_s, turn)
 
+    def smoothed(self, period_s: float) -> Turned:
+        """Return the same through three means over two periods each.
+
+        Between two noisy readings linear interpolation has half their noise, so that any delay of half a period would
+        seem to fit. Means over whole periods have the same noise wherever they lie.
+        """
+        from scipy.ndimage import uniform_filter1d
+
+        step_s = 2 * period_s / _BOX
+        at_s = np.arange(self.t_s[0], self.t_s[-1], step_s)
+        columns = [np.interp(at_s, self.t_s, column) for column in self.integral.T]
+        for _ in range(_BOXES):
+            columns = [uniform_filter1d(column, _BOX, mode="nearest") for column in columns]
+        grid = float(at_s[0]), step_s, np.column_stack(columns)
+        return replace(self, smooth=grid, reach_s=_BOXES * period_s)
+
     def means(self, first_s: Floats, last_s: Floats) -> Floats:
         """Return the mean rates (n, c) from each of some instants (n,) to another, NaN where they are not known."""
-        gaps = self._gaps(last_s, 1) - self._gaps(first_s, -1)
-        known = (gaps == 0) & (first_s >= self.t_s[0]) & (last_s <= self.t_s[-1])
+        begin, end = first_s - self.reach_s, last_s + self.reach_s
+        gaps = self._gaps(end, 1) - self._gaps(begin, -1)
+        known = (gaps == 0) & (begin >= self.t_s[0]) & (end <= self.t_s[-1])
         mean = (self._at(last_s) - self._at(first_s)) / (last_s - first_s)[:, None]
         return np.where(known[:, None], mean, np.nan)
 
@@ -85,6 +109,12 @@ class Turned:
         return self.means(np.maximum(at_s - half_s, self.t_s[0]), np.minimum(at_s + half_s, self.t_s[-1]))
 
     def _at(self, at_s: Floats) -> Floats:
+        if self.smooth is not None:
+            start_s, step_s, values = self.smooth
+            place = np.clip((at_s - start_s) / step_s, 0, len(values) - 1.000001)
+            before = place.astype(np.intp)
+            share = (place - before)[:, None]
+            return np.asarray(values[before] * (1 - share) + values[before + 1] * share)
         return np.column_stack([np.interp(at_s, self.t_s, column) for column in self.integral.T])
 
     def _gaps(self, at_s: Floats, side: int) -> Floats:

@@ -269,9 +269,11 @@ def _by_turns(recording: Recording, data: ImuData, block_s: float) -> _Measured 
     if np.abs(body.integral).max() > _TURNS_RAD:  # of a body at rest a few readings tell all
         block_s = min(block_s, _MOVED_S)
         stamps.append(body.t_s)
+        period_s = max(float(np.median(np.diff(t))) for t in stamps)
+        gyros, body = gyros.smoothed(period_s), body.smoothed(period_s)
     length_s = _length_s(recording, data, block_s, 2 * max(float(np.median(np.diff(t))) for t in stamps))
-    origin_s = max(gyros.t_s[0], body.t_s[0])
-    count = int((min(gyros.t_s[-1], body.t_s[-1]) - origin_s) / length_s)
+    origin_s = max(gyros.t_s[0], body.t_s[0]) + body.reach_s
+    count = int((min(gyros.t_s[-1], body.t_s[-1]) - body.reach_s - origin_s) / length_s)
     edges = origin_s + np.arange(count + 1) * length_s
     w, y = body.means(edges[:-1], edges[1:]), gyros.means(edges[:-1], edges[1:])
     index = np.flatnonzero(np.isfinite(w).all(axis=1) & np.isfinite(y).all(axis=1))
