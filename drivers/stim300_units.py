@@ -7,17 +7,9 @@ import math
 import numpy as np
 
 from drivers.arrays import Floats, Ints
+from drivers.packaged import packaged_codes
 
-UNITS = {
-    0: "rate",
-    1: "increment",
-    2: "average",
-    3: "integrated",
-    8: "delayed rate",
-    9: "delayed increment",
-    10: "delayed average",
-    11: "delayed integrated",
-}
+UNITS = packaged_codes("drivers", "stim300", "unit")
 """Output units by their code in the configuration datagram; of accelerometers, the rate is the acceleration."""
 
 GYRO_LSB_DPS = 2.0**-14

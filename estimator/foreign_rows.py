@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,12 +18,8 @@ _LOST_NS = 150_000_000
 _SLOPE_S = 0.05  # to each side, over which an encoder's angle gives its rate
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ForeignRows:
-    """Rows of the reference of one file: instants (rows,) from its first sample, and values (rows, c)."""
-
-    t_s: Floats
-    values: Floats
+ForeignRows = tuple[Floats, Floats]
+"""Rows of the reference of one file: instants (rows,) from its first sample, and values (rows, c)."""
 
 
 def reference_rows(mapping: Mapping, table: Table) -> Floats | None:

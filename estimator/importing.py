@@ -124,16 +124,16 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
         notes.extend(rests.notes)
     if spans == [] or (rests is not None and not rests.rests):
         return None, refused
-    known = None
+    known: ForeignRows | None = None
     if rests is not None:
-        known = ForeignRows(t_s, rests.rate_rps)
+        known = t_s, rests.rate_rps
     elif mapping.reference_file is not None:
         known = _rows_beside(mapping, mapping.reference_file, path, time, notes)
     elif told is not None:
-        known = ForeignRows(time.t_s, told[time.rows])
-    if rests is None and known is not None and (fresh := updates(known.values)) is not None:
-        notes.append(_held_note("the reference", fresh, known.t_s))
-        known = ForeignRows(known.t_s[fresh], known.values[fresh])
+        known = time.t_s, told[time.rows]
+    if rests is None and known is not None and (fresh := updates(known[1])) is not None:
+        notes.append(_held_note("the reference", fresh, known[0]))
+        known = known[0][fresh], known[1][fresh]
     warm = None if warmth is None else warmth[:, 0]
     measured = (time, table.skipped_lines, t_s, rate[rows], accel, warm)
     return _Part(path.name, *measured, known, tuple(spans or ()), rests, tuple(notes)), refused
@@ -166,7 +166,7 @@ def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeF
     missing = max(t_s[0] - first, 0.0) + max(last - t_s[-1], 0.0)
     if missing > _BESIDE_S:
         notes.append(f"{name} does not cover {missing:.3g} of {last - first:.6g} s")
-    return ForeignRows(t_s, values[fit.rows[shared]])
+    return t_s, values[fit.rows[shared]]
 
 
 def _wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ()) -> Wanted:
@@ -299,8 +299,8 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) 
 def _reference(mapping: Mapping, placed: list[tuple[_Part, float]]) -> Reference:
     rows = [(part.reference, start) for part, start in placed if part.reference]
     if rows:
-        t_ns = np.concatenate([_ns(own.t_s + start) for own, start in rows])
-        return foreign_reference(mapping.reference, t_ns, np.vstack([own.values for own, _ in rows]))
+        t_ns = np.concatenate([_ns(t_s + start) for (t_s, _), start in rows])
+        return foreign_reference(mapping.reference, t_ns, np.vstack([values for (_, values), _ in rows]))
     spans = [(span, start) for part, start in placed for span in part.spans]
     return Turns(
         _ns(np.array([start + span.start_s for span, start in spans])),

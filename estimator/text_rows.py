@@ -176,7 +176,7 @@ def _careful(body: Lines, header: list[str], where: list[int], file_format: File
     label_at = [header.index(key) for key in wanted.labels]
     comma = file_format.decimal == ","
     needed = [_calendar_s if wanted.calendar else float] * len(wanted.needed)
-    convert: list[Callable[[str], float]] = [*needed, *[_or_blank] * len(wanted.may_be_blank)]
+    convert: list[Callable[[str], float]] = [*needed, *[lambda field: float(field or "nan")] * len(wanted.may_be_blank)]
     rows: list[list[float]] = []
     texts: list[list[str]] = []
     position: list[int] = []
@@ -199,10 +199,6 @@ def _careful(body: Lines, header: list[str], where: list[int], file_format: File
         at += 1
     values = np.array(rows).reshape(len(rows), len(where))
     return TextRows(values, texts, np.array(position, dtype=np.int64), skipped, first_skipped, ())
-
-
-def _or_blank(field: str) -> float:
-    return float(field) if field else float("nan")
 
 
 def _calendar_s(field: str) -> float:

@@ -15,6 +15,7 @@ from estimator.effects.thermal import REFERENCE_C
 from estimator.planning import ALIKE, EffectForecast, Forecast
 from station.axis_profile import profile_lines
 from station.figures import STATE_UNITS
+from station.investigation_printed import words
 from station.plan import WARMING_TIME_S, Plan
 from station.rich_table import rich_table
 
@@ -145,7 +146,7 @@ def _print_effects(found: Forecast, console: Console) -> None:
             own = [i for i, parameter in enumerate(forecast.effect.parameters) if parameter.unit == unit]
             shown, factor = _UNITS[unit]
             table.add_row(
-                _words(forecast.effect.name),
+                words(forecast.effect.name),
                 _smallest(forecast, own, factor),
                 _number(float(forecast.largest[own].max()) * factor),
                 shown,
@@ -188,7 +189,7 @@ def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
     more = f" (and {others} more of its parameters)" if others > 0 else ""
     size = f"{_number(parameter.largest * factor)} {unit}"
     lines = [
-        f"[bold]{_words(forecast.effect.name)}[/], {parameter.name}, {size}{more}; "
+        f"[bold]{words(forecast.effect.name)}[/], {parameter.name}, {size}{more}; "
         f"needed to see it: {forecast.effect.shown_by}"
     ]
     for state, (name, state_unit, scale) in enumerate(STATE_UNITS):
@@ -212,7 +213,7 @@ def _print_pairs(found: Forecast, console: Console) -> None:
     heads = ("effect", "parameter", "is copied by", "correlation")
     table = rich_table("Effects that this script cannot tell apart", heads, "lllr")
     for pair in found.pairs:
-        table.add_row(_words(pair.first), pair.parameter, _words(pair.second), f"{min(pair.correlation, 0.9999):.4f}")
+        table.add_row(words(pair.first), pair.parameter, words(pair.second), f"{min(pair.correlation, 0.9999):.4f}")
     console.print(table)
 
 
@@ -236,10 +237,6 @@ def _assumptions(plan: Plan) -> list[str]:
     else:
         notes.append("a perfect table: the bench file states no uncertainty of it")
     return notes
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _signed(value: float) -> str:

@@ -60,17 +60,15 @@ def bandwidth(tau_s: float = 0.004) -> Effect:
 
 def acceleration_sensitivity() -> Effect:
     """Return what angular acceleration about the tilt axes adds: wdot along j and k. About p it looks like latency."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return np.column_stack([conditions.wdot_rps2 @ axes.j, conditions.wdot_rps2 @ axes.k])
-
     return Effect(
         "acceleration_sensitivity",
         (Parameter("about j", "s", 2e-3), Parameter("about k", "s", 2e-3)),
         shared=False,
         shown_by="ramps about axes across the sense axis",
         confused_with=("latency",),
-        regressors=columns,
+        regressors=lambda conditions, axes: np.column_stack(
+            [conditions.wdot_rps2 @ axes.j, conditions.wdot_rps2 @ axes.k]
+        ),
     )
 
 

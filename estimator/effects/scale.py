@@ -14,49 +14,37 @@ def scale_asymmetry() -> Effect:
 
     Some 100 ppm in tactical, some 1000 ppm in automotive MEMS gyros.
     """
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return np.abs(conditions.w_rps @ axes.p)
-
     return Effect(
         "scale_asymmetry",
         (Parameter("each direction", "1", 5e-3),),
         shared=False,
         shown_by="turns in both directions about each axis",
         confused_with=("scale_quadratic",),
-        regressors=columns,
+        regressors=lambda conditions, axes: np.abs(conditions.w_rps @ axes.p),
     )
 
 
 def scale_quadratic() -> Effect:
     """Return what grows with the square of the rate: u^2, up to 1 % of full scale at 30 deg/s."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return np.asarray((conditions.w_rps @ axes.p) ** 2)
-
     return Effect(
         "scale_quadratic",
         (Parameter("u^2", "1/(rad/s)", 2e-2),),
         shared=False,
         shown_by="three rates and more in each direction",
         confused_with=("scale_asymmetry", "scale_cubic"),
-        regressors=columns,
+        regressors=lambda conditions, axes: np.asarray((conditions.w_rps @ axes.p) ** 2),
     )
 
 
 def scale_cubic() -> Effect:
     """Return what grows with the cube of the rate: u^3, up to 1 % of full scale at 30 deg/s."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return np.asarray((conditions.w_rps @ axes.p) ** 3)
-
     return Effect(
         "scale_cubic",
         (Parameter("u^3", "1/(rad/s)2", 3e-2),),
         shared=False,
         shown_by="three rates and more in each direction",
         confused_with=("scale_quadratic",),
-        regressors=columns,
+        regressors=lambda conditions, axes: np.asarray((conditions.w_rps @ axes.p) ** 3),
     )
 
 

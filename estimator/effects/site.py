@@ -33,17 +33,13 @@ def earth_rate() -> Effect:
 
 def earth_rate_upward() -> Effect:
     """Return the part of Earth rate along the upward direction: all that rests tell whose headings are not known."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return np.asarray(conditions.specific_force_mps2 @ axes.p / GRAVITY_MPS2)
-
     return Effect(
         "earth_rate",
         (Parameter("upward", "rad/s", EARTH_RATE_RPS),),
         shared=True,
         shown_by="rests with other sides up",
         confused_with=("g_sensitivity",),
-        regressors=columns,
+        regressors=lambda conditions, axes: np.asarray(conditions.specific_force_mps2 @ axes.p / GRAVITY_MPS2),
         needs=frozenset({"specific force"}),
     )
 
@@ -54,16 +50,12 @@ def g_sensitivity() -> Effect:
     Up to 0.1 deg/s/g for automotive MEMS gyros (Analog Devices ADXRS6xx data sheets), 1 to 10 deg/h/g for tactical ones
     (Sensonor STIM300).
     """
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return conditions.specific_force_mps2 / GRAVITY_MPS2
-
     return Effect(
         "g_sensitivity",
         tuple(Parameter(f"along body {axis}", "rad/s/g", float(np.radians(0.1))) for axis in "xyz"),
         shared=False,
         shown_by="turns about horizontal axes, tilted rests",
         confused_with=("earth_rate", "table_harmonic_1"),
-        regressors=columns,
+        regressors=lambda conditions, axes: conditions.specific_force_mps2 / GRAVITY_MPS2,
         needs=frozenset({"specific force"}),
     )

@@ -65,18 +65,15 @@ def table_axes(gimbals: Sequence[str]) -> Effect:
 
 def table_rate(gimbals: Sequence[str]) -> Effect:
     """Return rates of the table that are larger than reported, by a share for each axis, up to 1000 ppm."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        rates = [_rate_of(conditions, column) @ axes.p for column in range(len(gimbals))]
-        return np.stack(rates, axis=1)
-
     return Effect(
         "table_rate",
         tuple(Parameter(f"of {axis}", "1", 1e-3) for axis in gimbals),
         shared=True,
         shown_by="another table, counted turns",
         confused_with=(),
-        regressors=columns,
+        regressors=lambda conditions, axes: np.stack(
+            [_rate_of(conditions, column) @ axes.p for column in range(len(gimbals))], axis=1
+        ),
         needs=frozenset({"gimbals"}),
     )
 

@@ -15,51 +15,39 @@ REFERENCE_C = 25.0
 
 def thermal_bias(reference_c: float = REFERENCE_C) -> Effect:
     """Return a bias in proportion to temperature: up to 20 deg/s over 125 K (InvenSense MPU-6050)."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return _above(conditions, reference_c)
-
     return Effect(
         "thermal_bias",
         (Parameter("linear", "rad/s/K", float(np.radians(0.16))),),
         shared=False,
         shown_by="a temperature that rises and falls",
         confused_with=("warm_up", "bias_drift", "thermal_gradient"),
-        regressors=columns,
+        regressors=lambda conditions, axes: _above(conditions, reference_c),
         needs=_NEEDS,
     )
 
 
 def thermal_bias_quadratic(reference_c: float = REFERENCE_C) -> Effect:
     """Return what the bias grows by with the square of temperature: up to 8 deg/s at 65 K from the reference."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return np.asarray(_above(conditions, reference_c) ** 2)
-
     return Effect(
         "thermal_bias_quadratic",
         (Parameter("quadratic", "rad/s/K2", float(np.radians(0.002))),),
         shared=False,
         shown_by="three temperatures and more, far apart",
         confused_with=("thermal_bias", "warm_up"),
-        regressors=columns,
+        regressors=lambda conditions, axes: np.asarray(_above(conditions, reference_c) ** 2),
         needs=_NEEDS,
     )
 
 
 def thermal_scale(reference_c: float = REFERENCE_C) -> Effect:
     """Return the scale factor over temperature: up to 500 ppm/K for uncompensated MEMS gyros."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return _above(conditions, reference_c) * (conditions.w_rps @ axes.p)
-
     return Effect(
         "thermal_scale",
         (Parameter("linear", "1/K", 5e-4),),
         shared=False,
         shown_by="one rate at several temperatures",
         confused_with=("scale_asymmetry",),
-        regressors=columns,
+        regressors=lambda conditions, axes: _above(conditions, reference_c) * (conditions.w_rps @ axes.p),
         needs=_NEEDS,
     )
 

@@ -17,7 +17,6 @@ from sims.hidden.fields import Each, each, given, hidden, whole
 from sims.hidden.scene import Scene
 
 KINDS: dict[str, type[Any]] = {}
-
 _KNOT_S = 0.1
 _KNOTS_AT_ONCE = 4096
 

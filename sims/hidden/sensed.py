@@ -16,7 +16,6 @@ from sims.hidden.fields import Each, choice, each, given, hidden, whole
 from sims.hidden.scene import Scene
 
 KINDS: dict[str, type[Any]] = {}
-
 AXES = ("x", "y", "z")
 _STILL_RPS = 1e-6  # rates come from differences of angles
 

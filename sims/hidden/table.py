@@ -16,7 +16,6 @@ from sims.hidden.errors import HiddenError
 from sims.hidden.fields import choice, given, hidden, whole
 
 KINDS: dict[str, type[Any]] = {}
-
 ALL = "all"
 _NEWTON_STEPS = 3
 _UNIT = dict(zip("xyz", np.eye(3), strict=True))
