@@ -48,7 +48,6 @@ _CONFIRMED = 2.0
 _VISIBLE = 3.0
 _SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
-_MAY_BE = 0.5  # probability of something without a name from which laws are composed for it
 _NEAR_EARTH = 1.3
 _MATTERS = 1e-2  # share of the probability below which what may act is not averaged over
 _OF_THETA = {"warm_up": "time constant", "bias_step": "instant", "dead_band": "width"}
@@ -152,8 +151,7 @@ def _trace(
 ) -> tuple[Traced, dict[str, str]]:
     traced, left_out = _prepared(runs)
     found = traced.search.run(most, tell)
-    named = [c.term for c in found.choices if c.tone is None]
-    if _lawful(runs) and (named or traced.search.open_world(named).probability > _MAY_BE):
+    if _lawful(runs):
         found = traced.search.composed(found, _laws(runs), most)
     return replace(traced, found=found), left_out
 

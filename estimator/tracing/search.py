@@ -238,6 +238,7 @@ class Search:
         for name in [n for n, (c, _) in self._known.items() if c.called == NAME and n not in self._laws_kept]:
             del self._known[name]
         self.add([law for law in chosen if law.name not in self._laws_kept])
+        self._scored.clear()
         scores = self._scores(terms, [*taken])
         found = [law.name for law in chosen if self._sensible(law.name, scores[law.name][1], terms)]
         best = max(found, key=lambda name: scores[name][0], default=None)

@@ -33,7 +33,7 @@ _GAP_S = 1.0  # between samples: means of both sides are not those of one piece
 _CYCLES_A_PIECE = 3.0  # fewer within a piece without a gap are no line, but what the bias does from piece to piece
 _FEWEST = 256
 _RAMP = 0.02  # share of the steepest acceleration
-_COHERENT = 0.5  # of what parts of a run show each by itself, a tone shows as much with one phase
+_COHERENT = 0.75  # of what parts of a run show each by itself, a tone shows as much with one phase
 
 
 @dataclass(frozen=True, slots=True, eq=False)
