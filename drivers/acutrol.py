@@ -5,8 +5,6 @@ between colons, the axis first among the arguments; every answer has a prefix of
 text. What they do not show is not used: the format of the prefix, the texts of errors, a flag for "in position".
 """
 
-from __future__ import annotations
-
 import random
 import re
 from collections import deque

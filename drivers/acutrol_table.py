@@ -5,8 +5,6 @@ So angles are counted on here, and a long way is made in rate mode, watched over
 position. While an axis turns, a task reads it often enough to count its turns.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import re

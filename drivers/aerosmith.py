@@ -8,8 +8,6 @@ turn, whether a move's prompt comes before or after it. So a fault is only seen 
 of STA tell one, and angles are counted on over the turns while the table is read often enough.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import re

@@ -5,8 +5,6 @@ its socketcand takes a server that has hung up for one that is silent, and tries
 seconds at full speed. These two are put right here; all other interfaces are python-can's as they are.
 """
 
-from __future__ import annotations
-
 import select
 import socket
 import time

@@ -1,7 +1,5 @@
 """A CAN bus through python-can, with any of its interfaces."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 import time

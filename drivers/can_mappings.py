@@ -1,7 +1,5 @@
 """Mapping files: which signals of a DBC are the channels of an IMU."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

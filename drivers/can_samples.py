@@ -5,8 +5,6 @@ time) may be in that message or in others. Frames of one instant win the bus in 
 a message of a smaller one is looked for just before the leading frame, a message of a larger one just after it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 cantools reads the DBC; its own decoding works frame by frame and takes a hundred times as long.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The CiA 402 drive state machine (IEC 61800-7-201): statusword masks and controlword commands."""
 
-from __future__ import annotations
-
 from enum import Enum
 
 MODE_PROFILE_POSITION = 1

@@ -1,7 +1,5 @@
 """Times of samples that carry the device's own count."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """What can go wrong with a device, by whose fault it is."""
 
-from __future__ import annotations
-
 
 class DeviceError(Exception):
     """Something about a device: ``device`` is its name on the bench, ``message`` what is said without that name."""

@@ -7,8 +7,6 @@ by a token, a request whose answer cannot be anything else's. A controller answe
 before the answer to the token is old: it is discarded and counted.
 """
 
-from __future__ import annotations
-
 import asyncio
 import re
 from collections.abc import Callable

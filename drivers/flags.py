@@ -1,7 +1,5 @@
 """Flags within a word of a device."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A turntable on a Galil DMC motion controller: up to eight axes on one controller, told apart by letter."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import re

@@ -7,8 +7,6 @@ edge. Delays without an edge (a sum of many small ones, to both sides of their m
 scatter more than the mean does: then the line keeps its distance from the mean of each second instead.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Chunks that have arrived on a byte link and wait to be taken."""
 
-from __future__ import annotations
-
 import asyncio
 from collections import deque
 

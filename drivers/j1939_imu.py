@@ -1,7 +1,5 @@
 """An Aceinna OpenIMU300RI or MTLT305D on CAN: set up and asked over SAE J1939, its rates as blocks."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Iterable
 

@@ -1,7 +1,5 @@
 """How late samples come, learned from those that have come, and what it says of samples that were lost."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

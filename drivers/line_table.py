@@ -1,7 +1,5 @@
 """What drivers of tables have in common."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """How fast the loop's clock runs, and how threads reach the loop."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """One Modbus wire, TCP or RTU on a serial line, behind a stock pymodbus client."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections import defaultdict

@@ -7,8 +7,6 @@ the earliest to the first of those that it fits; what was asked before that one 
 still come. A reply can be believed when it leaves nothing that may still come.
 """
 
-from __future__ import annotations
-
 import struct
 from collections import deque
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A turntable of CiA 402 servo drives on Modbus, TCP or RTU: one drive an axis, told apart by unit id."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """What drivers of devices that are one source have in common."""
 
-from __future__ import annotations
-
 from typing import Generic, Protocol, TypeVar
 
 

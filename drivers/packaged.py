@@ -1,7 +1,5 @@
 """Texts and tables that ship beside the modules."""
 
-from __future__ import annotations
-
 import tomllib
 from functools import cache
 from importlib import resources

@@ -1,7 +1,5 @@
 """A drive's Modbus register map, read from a profile file: address, width, sign, word order, scale, unit."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Opening again what was lost, with more and more patience."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass

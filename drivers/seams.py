@@ -1,7 +1,5 @@
 """The four seams to hardware, and the values that cross them. Nothing inherits from these to plug in."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol

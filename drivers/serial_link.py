@@ -4,8 +4,6 @@ The port is opened, read and closed by a thread of its own: opening and closing 
 sockets connect), and stamps must not wait for the loop.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import select

@@ -1,7 +1,5 @@
 """STIM300 datagrams on the line (Sensonor TS1524 rev. 31): a pure codec, bytes to blocks and back."""
 
-from __future__ import annotations
-
 import re
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """A STIM300 in normal mode on a byte link: its datagrams as blocks of rates with true sample times."""
 
-from __future__ import annotations
-
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator

@@ -1,7 +1,5 @@
 """STIM300 output units (TS1524 rev. 31, section 7.5.2): raw numbers of a cluster to rates of change."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """STIM300 utility mode (TS1524 rev. 31, section 10): a pure codec of ``$command,..,crc`` and ``#reply,..,crc``."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

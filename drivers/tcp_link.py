@@ -1,7 +1,5 @@
 """A TCP stream, for instance to a serial-to-Ethernet converter or a motion controller."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 

@@ -1,7 +1,5 @@
 """Angles of a table that tells them within one turn, counted on over the turns."""
 
-from __future__ import annotations
-
 
 class Unwrapper:
     """Puts each reading on the turn where the axis must be by its rate.

@@ -1,7 +1,5 @@
 """A VectorNav VN-100, 200 or 300 on a byte link: identity, configuration, and its output as blocks of rates."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from typing import Literal

@@ -3,8 +3,6 @@
 Facts from the maker's low-level communication protocol, as public drivers and real captures show them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 

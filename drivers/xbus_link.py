@@ -1,7 +1,5 @@
 """Messages to and from one Xbus device on a byte link: requests with their answers, and what comes by itself."""
 
-from __future__ import annotations
-
 import asyncio
 from collections import deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Room on a disk that no other program can take: what a file needs to be closed whole when the disk is full."""
 
-from __future__ import annotations
-
 import tempfile
 from contextlib import suppress
 from pathlib import Path

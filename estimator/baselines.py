@@ -7,8 +7,6 @@ Operations are counted from the dimensions, one multiplication, addition or divi
 upper half; work that does not grow with the rows is left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -5,8 +5,6 @@ uncertainty, and what the states move by is its contribution (GUM 5.1.3: sensiti
 Imperfections of different axes and kinds are independent; their contributions add in squares.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

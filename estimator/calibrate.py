@@ -1,7 +1,5 @@
 """From a recording to the calibration of its gyros."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

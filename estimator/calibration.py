@@ -1,7 +1,5 @@
 """What a recording says of its gyros: values, without the way they were found."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Foreign files as named columns: delimited text and MATLAB files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

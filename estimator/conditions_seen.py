@@ -1,7 +1,5 @@
 """Under which conditions a recording was made, in words: states hold for these."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.arrays import Floats

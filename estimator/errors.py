@@ -1,7 +1,5 @@
 """The two ways in which numbers can be refused."""
 
-from __future__ import annotations
-
 
 class EstimatorError(Exception):
     """Data that cannot be used; the message says why and what to do."""

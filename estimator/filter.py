@@ -1,7 +1,5 @@
 """The live Kalman filter: filterpy, fed one orthogonally compressed block at a time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sign and scale of foreign gyros, taken from the data where the mapping asks for it and told where it does not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

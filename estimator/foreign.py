@@ -1,7 +1,5 @@
 """What is told of a calibration against another instrument: an attitude, a rate, an encoder."""
 
-from __future__ import annotations
-
 from typing import TypeGuard
 
 import numpy as np

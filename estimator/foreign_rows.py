@@ -1,7 +1,5 @@
 """Rows of a foreign reference: attitudes, rates or angles in SI and body axes, and the reference they become."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

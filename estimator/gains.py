@@ -1,7 +1,5 @@
 """How far each gyro's output follows the reference: its factor, and an axis, a sign or a scale that is wrong."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Channels that cannot be trusted, seen in their samples alone: constant, saturated, not a number."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

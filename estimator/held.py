@@ -1,7 +1,5 @@
 """Held samples: a source that updates more slowly than the rows are written repeats its last values."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

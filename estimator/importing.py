@@ -1,7 +1,5 @@
 """Recordings made elsewhere: foreign files and a mapping become one recording, or are refused with a reason."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Body rate, Earth rate and gravity in body axes for a chain of gimbals (frames: see the package docstring)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

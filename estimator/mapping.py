@@ -3,8 +3,6 @@
 Units are those of the foreign file here and only here; what leaves this module is SI.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

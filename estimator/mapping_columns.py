@@ -1,7 +1,5 @@
 """Columns of a foreign file, their units and their axes, as a mapping file states them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

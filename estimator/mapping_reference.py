@@ -1,7 +1,5 @@
 """The table [reference] of a mapping file: what says how the body turned, or that it did not."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping as Dict

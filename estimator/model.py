@@ -9,8 +9,6 @@ because ``(1 - k) pbar = p - k p - s_k j + s_j k`` exactly. Decoding ``sigma = s
 the product of scale factor error and misalignment that the paper drops (0.5 % of sigma at 5000 ppm).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ All are estimated jointly (``estimator.joint``). What an effect could do that th
 it typically is, and the sigmas of the states hold it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

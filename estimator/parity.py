@@ -5,8 +5,6 @@ calibrated sense axes). A gyro that fails shows there at once. With four gyros t
 tells that one of the four is wrong, not which; from five on it tells which (Potter and Suman 1977).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ A line of JSON for each file: its path comes in, and why it cannot be read goes 
 input.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

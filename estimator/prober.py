@@ -1,7 +1,5 @@
 """Files are read through by another process before this one opens them: a damaged one can hang or kill its reader."""
 
-from __future__ import annotations
-
 import atexit
 import json
 import subprocess

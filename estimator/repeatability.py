@@ -5,8 +5,6 @@ the method of moments (DerSimonian, Laird 1986). Only noise is compared: what is
 every run alike.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Rests of foreign files: where they are, what is known of the body rate there, and what is to be told."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

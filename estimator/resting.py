@@ -1,7 +1,5 @@
 """Where a body is at rest, stated or found from quiet samples, and the Earth rate that it has there."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

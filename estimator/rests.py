@@ -1,7 +1,5 @@
 """Rests of a recording, and what its motion leaves unseen."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

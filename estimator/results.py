@@ -1,7 +1,5 @@
 """Results kept in the recording they were drawn from: the group /calibration."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

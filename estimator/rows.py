@@ -1,7 +1,5 @@
 """Rows of body rate and output, which everything is estimated from: of a table, a rate, an attitude or turns."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Regressors of an error model's effects sample by sample, for the live filter and for what it is compared with."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Spans of foreign samples with a stated turn: whole files or sections of them, each checked before it counts."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from itertools import groupby

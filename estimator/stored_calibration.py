@@ -1,7 +1,5 @@
 """The calibration that a recording holds, read back: the inverse of ``results.write_calibration``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Tables of a TOML file, read strictly: every key known, every value of its type, every complaint with its line."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import re

@@ -1,7 +1,5 @@
 """Instants of foreign samples from the stamps they came with, which may jump, repeat or be out of order."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

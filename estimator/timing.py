@@ -1,7 +1,5 @@
 """When samples were taken against when the table was read: the offset between the two, from a run's own ramps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

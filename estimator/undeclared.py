@@ -7,8 +7,6 @@ thus three sigmas. Where the motion shows an effect the data decide; where it do
 Powers of the rate are as large at the fastest rate of a recording as they plausibly are at 30 deg/s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Twin of an Aceinna OpenIMU300RI or MTLT305D: its data messages on SAE J1939, and its answers to requests."""
 
-from __future__ import annotations
-
 import asyncio
 
 import can

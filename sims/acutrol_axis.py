@@ -1,7 +1,5 @@
 """One axis of the twin of an ACUTROL controller: interlock, mode, demands, limits."""
 
-from __future__ import annotations
-
 import math
 
 from sims.table import TableModel

@@ -5,8 +5,6 @@ angles are told within one turn, a position demand is reached on the shorter way
 a rate demand of long ago still holds when rate mode is entered. The prefix of an answer is true in its length only.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping

@@ -3,8 +3,6 @@
 The bits of STA are its own, since nobody tells the real ones.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

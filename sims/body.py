@@ -1,7 +1,5 @@
 """What the body really does: its attitude as a quaternion, and its inertial rate as the change of attitude."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """How a stream of samples reaches a host: in bursts, as an operating system hands them over."""
 
-from __future__ import annotations
-
 import asyncio
 
 from drivers.loop_scale import loop_scale

@@ -1,7 +1,5 @@
 """Twin of any IMU on CAN that a DBC describes: nodes of one gyro each, or one device with several."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Runs made straight from the physics, without a wire: for campaigns over hundreds of seeds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A CiA 402 servo drive over one axis of the table model: state machine, modes, set-points, watchdog."""
 
-from __future__ import annotations
-
 import math
 
 from drivers import cia402

@@ -1,7 +1,5 @@
 """What twins on CAN share: where their frames go, and what can be wrong with their gyros and clocks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol

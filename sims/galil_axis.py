@@ -1,7 +1,5 @@
 """One axis of the twin of a Galil controller: its settings, its motion, its switches and stop code."""
 
-from __future__ import annotations
-
 import math
 
 from drivers import galil

@@ -4,8 +4,6 @@ It is what the manuals and public code tables say; where they are silent it does
 what a program on a real controller has to do: a DMC has none of its own.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """How gyros are mounted: each by the polar angle and azimuth of its sense axis."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Physics of an array of rate gyros: true input, deterministic errors, noise, temperature."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

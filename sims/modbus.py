@@ -1,7 +1,5 @@
 """The protocol side of the table twin: drives behind a stock pymodbus server, on TCP or RTU."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

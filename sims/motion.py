@@ -1,7 +1,5 @@
 """One axis of a table: a rotor that follows trapezoids of rate within its limits, exactly, at any instant."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Source: Lawicel's CAN232 and CANUSB manuals; the FD commands d, D, b, B and Y ar
 Every command ends with CR; CR says done, BELL says refused.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 

@@ -3,8 +3,6 @@
 Source: the protocol description of the socketcand project.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from contextlib import suppress

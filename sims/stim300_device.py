@@ -1,7 +1,5 @@
 """Twin of a STIM300: its gyros as normal datagrams on a byte link, and its answers to commands."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 

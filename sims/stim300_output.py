@@ -1,7 +1,5 @@
 """What the gyros of a STIM300 put out in each of its units, as raw numbers at its own ticks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How a simulated STIM300 is set, and how it is asked and told: its service and utility modes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The table as a thing of metal: axes, encoders, a fault input; one model under every protocol."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Twin of a VectorNav VN-100: its registers, and its gyros as ASCII sentences and binary frames on a byte link."""
 
-from __future__ import annotations
-
 import asyncio
 import random
 from collections.abc import Callable

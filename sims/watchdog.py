@@ -1,7 +1,5 @@
 """What stops a controller's axes when its master falls silent."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 

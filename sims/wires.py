@@ -4,8 +4,6 @@ What nobody reads is dropped, as the buffer of a serial port would. Wires work b
 threads. Each can be unplugged by its ``Plug``, and plugged in again.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import os

@@ -1,7 +1,5 @@
 """Twin of an Xsens MTi: its gyros as MTData2 messages on a byte link, and its answers to requests."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Callable

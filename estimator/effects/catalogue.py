@@ -1,7 +1,5 @@
 """The catalogue: every effect that is looked for, with nominal values of what is not linear."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from estimator.effects.drift import bias_drift, bias_step, warm_up

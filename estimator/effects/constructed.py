@@ -7,8 +7,6 @@ play of c follows its drive (Krasnosel'skii, Pokrovskii 1989); ``last(x, c)`` is
 one law are separated by semicolons, each with a coefficient of its own. Memory passes over what is not finite.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Callable, Mapping

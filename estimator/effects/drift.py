@@ -1,7 +1,5 @@
 """Biases that change with time by a law."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.effects.effect import Effect, Parameter

@@ -1,7 +1,5 @@
 """Effects of changing rates: delay, limited bandwidth, angular acceleration; and tones."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.arrays import Floats

@@ -5,8 +5,6 @@ effect depends on in a non-linear way (a time constant, an instant, a frequency)
 makes it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple

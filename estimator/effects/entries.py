@@ -4,8 +4,6 @@ Most are laws with regressors (``catalogue``). A random walk of the bias is no l
 estimated with the noise, and nothing to take off. Faults of the data are seen in the samples, which are left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """Scale factors that depend on the rate itself; u = p . w is the rate about the sense axis."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.arrays import Floats

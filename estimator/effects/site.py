@@ -1,7 +1,5 @@
 """Effects of where the table stands: the turning Earth and its gravity."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.arrays import Floats

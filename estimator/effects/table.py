@@ -1,7 +1,5 @@
 """Effects of the table: its axes, its rates, what goes round with it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Effects of temperature. Without a temperature they are nothing: their columns are zero."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.arrays import Floats

@@ -1,7 +1,5 @@
 """What is tried: the effects of the catalogue, and general dependences that stand for what is not in it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

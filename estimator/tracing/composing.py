@@ -5,8 +5,6 @@ a lag, or a play, each with one constant to be found; the product of two. Longer
 length together are expected as often as a shorter one less some (Rissanen 1983).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from functools import partial
 

@@ -1,7 +1,5 @@
 """What a residual depends on: how much of its power functions of time, rate, angle and so on take up."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Faults of the data themselves: values that stick, samples that are held, limits that are reached."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

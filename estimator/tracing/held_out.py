@@ -1,7 +1,5 @@
 """What runs and steps that are left out say of models fitted to the others."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Closing the loop on recordings: residual, cause, better model, and the error before and after."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

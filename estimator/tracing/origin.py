@@ -6,8 +6,6 @@ the mean a share of rank(P) / n of them looks common. One slow error of its own 
 chance look common to all but a little.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum

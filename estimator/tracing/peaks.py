@@ -1,7 +1,5 @@
 """Where a function of one number is largest."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 _SHARE = 1e-4  # of the bracket: how closely the place is found

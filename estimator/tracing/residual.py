@@ -4,8 +4,6 @@ All is worked out in the cosine domain, where bias instability and random walk a
 (``spectra``). The mean of each stretch is left out: it holds the bias since power-on, of which nothing is known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Tones: vibrations and aliases of unknown frequency, looked for in the samples themselves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

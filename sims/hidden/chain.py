@@ -1,7 +1,5 @@
 """The gyros of one device with what is wrong with them: from the motion to what is put out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import TypeVar
 

@@ -1,7 +1,5 @@
 """Effects of the converter, on the output with its noise: limits, values that are held."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

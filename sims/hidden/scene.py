@@ -1,7 +1,5 @@
 """What there is to sense: the motion of the body, seen by gyros at the instants at which they look."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -3,8 +3,6 @@
 Each gives what it adds to the output, (n, m) in rad/s, before the gyro's own low pass.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import field
 from typing import Any

@@ -3,8 +3,6 @@
 A servo follows its encoder, so what the drives report is what they were told, and the body is what is off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

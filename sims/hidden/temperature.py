@@ -1,7 +1,5 @@
 """The temperature of the gyros over time, and what follows it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Numbers with units made of other units: "0.005 deg/s/degC", "200 ppm/(deg/s)2", to SI."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator
