@@ -53,11 +53,14 @@ class Turned:
 
     @classmethod
     def of_rates(cls, t_ns: NDArray[np.int64], rate_rps: Floats, longest_s: float | None = None) -> Turned:
-        """Return the integral of rates (k, c) that are samples, by trapezoids; NaN where they are not known."""
+        """Return the integral of rates (k, c) that are samples, by cubics; NaN where they are not known."""
         order = np.argsort(t_ns, kind="stable")
         order = order[np.concatenate([[True], np.diff(t_ns[order]) > 0])]
         t_s, rate = np.asarray(t_ns[order] * 1e-9, dtype=np.float64), rate_rps[order]
-        return cls.of_increments(t_s, 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)[:, None], longest_s)
+        step_s = np.diff(t_s)[:, None]
+        bend = np.diff(np.gradient(rate, t_s, axis=0), axis=0) if len(t_s) > 2 else 0.0  # what trapezoids cut off
+        bend = np.where(np.isfinite(bend), bend, 0.0)
+        return cls.of_increments(t_s, 0.5 * (rate[1:] + rate[:-1]) * step_s - bend * step_s**2 / 12, longest_s)
 
     @classmethod
     def of_reference(cls, reference: Reference, site: Site | None) -> Turned:
@@ -85,11 +88,13 @@ class Turned:
         Between two noisy readings linear interpolation has half their noise, so that any delay of half a period would
         seem to fit. Means over whole periods have the same noise wherever they lie.
         """
+        from scipy.interpolate import CubicHermiteSpline
         from scipy.ndimage import uniform_filter1d
 
         step_s = 2 * period_s / _BOX
         at_s = np.arange(self.t_s[0], self.t_s[-1], step_s)
-        columns = [np.interp(at_s, self.t_s, column) for column in self.integral.T]
+        slopes = np.gradient(self.integral, self.t_s, axis=0)
+        columns = list(CubicHermiteSpline(self.t_s, self.integral, slopes)(at_s).T)
         for _ in range(_BOXES):
             columns = [uniform_filter1d(column, _BOX, mode="nearest") for column in columns]
         grid = float(at_s[0]), step_s, np.column_stack(columns)

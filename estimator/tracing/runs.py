@@ -31,6 +31,7 @@ BLOCK_S = 0.2
 """Shortest block: ramps of half a second still show their shape."""
 _MOVED_S = 0.1  # where no table makes the motion: hands and shafts turn about within a second
 _TURNS_RAD = 0.5
+_SMOOTH_PERIODS = 10  # in a block: fewer would show what turns are smoothed by
 _MOST_BLOCKS = 8000
 _GRID_S = 0.02  # instants at which conditions are worked out, within blocks
 _FINE_S = 0.005  # samples closer than this are taken together where the rate of before is looked up
@@ -85,6 +86,12 @@ class Run:
         """Return the regressors (m, b, 4) of the states of every gyro."""
         one = np.column_stack([np.ones(len(self.t_s)), self.w_rps])
         return np.asarray(np.einsum("bj,mij->mbi", one, regressor_maps(self.array)))
+
+    @property
+    def step_s(self) -> float:
+        """Return the usual time between readings of the reference."""
+        reference = self.recording.reference
+        return 0.0 if isinstance(reference, Turns) else float(np.median(np.diff(reference.t_ns))) * 1e-9
 
     @property
     def turns(self) -> bool:
@@ -265,15 +272,14 @@ def _by_turns(recording: Recording, data: ImuData, block_s: float) -> _Measured 
     if len(data.t_ns) < 2:
         return None
     gyros, body = Turned.of_rates(data.t_ns, data.rate_rps), Turned.of_reference(recording.reference, recording.site)
-    stamps = [gyros.t_s]
+    least_s = 2 * _step_s(gyros)
     if np.abs(body.integral).max() > _TURNS_RAD:  # of a body at rest a few readings tell all
-        block_s = min(block_s, _MOVED_S)
-        stamps.append(body.t_s)
-        period_s = max(float(np.median(np.diff(t))) for t in stamps)
+        period_s = max(_step_s(gyros), _step_s(body))
         gyros, body = gyros.smoothed(period_s), body.smoothed(period_s)
-    length_s = _length_s(recording, data, block_s, 2 * max(float(np.median(np.diff(t))) for t in stamps))
-    origin_s = max(gyros.t_s[0], body.t_s[0]) + body.reach_s
-    count = int((min(gyros.t_s[-1], body.t_s[-1]) - body.reach_s - origin_s) / length_s)
+        block_s, least_s = min(block_s, _MOVED_S), _SMOOTH_PERIODS * period_s
+    length_s = _length_s(recording, data, block_s, least_s)
+    origin_s = max(gyros.t_s[0], body.t_s[0]) + np.ceil(body.reach_s / length_s) * length_s
+    count = int((min(gyros.t_s[-1], body.t_s[-1]) - body.reach_s - origin_s) / length_s + 1e-6)
     edges = origin_s + np.arange(count + 1) * length_s
     w, y = body.means(edges[:-1], edges[1:]), gyros.means(edges[:-1], edges[1:])
     index = np.flatnonzero(np.isfinite(w).all(axis=1) & np.isfinite(y).all(axis=1))
@@ -287,6 +293,10 @@ def _by_turns(recording: Recording, data: ImuData, block_s: float) -> _Measured 
         np.ones(len(index), dtype=np.bool_),
         lambda delay_s: body.means(first - delay_s, last - delay_s),
     )
+
+
+def _step_s(turned: Turned) -> float:
+    return float(np.median(np.diff(turned.t_s)))
 
 
 def _length_s(recording: Recording, data: ImuData, block_s: float, least_s: float) -> float:

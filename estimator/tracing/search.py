@@ -44,6 +44,7 @@ _RICH = 0.1  # scale of all effects at once, when it is asked what the noise may
 _NOT_OPEN = frozenset({"bias_step", "warm_up", "dead_band", "table_rate", NAME})  # of them one of many is in the model
 _LIKE = 0.1  # share of a function's squares that an effect puts out: from then on they are of a kind
 _CHANCE = 3.0  # natural logarithm by which functions without a name may be the more probable by chance
+_RESOLVED = 0.1  # of the time between readings: shorter delays are not told from how they are interpolated
 _IMPLAUSIBLE = 2.0  # of the largest plausible size: larger, it is something else
 _MOST_SETS = 40
 _MOST_LAWS, _LAWS_TRIED = 2, 12
@@ -423,6 +424,9 @@ class Search:
         Within a dead band a gyro loses all rates; a lag is as long as the lag that it was worked out for.
         """
         candidate = self._known[name][0]
+        steps_s = [run.step_s for run in self._runs if by_turns(run.recording.reference)]
+        if candidate.by_size and steps_s and abs(candidate.theta or 0.0) < _RESOLVED * max(steps_s):
+            return False  # what happens between two readings of another instrument is not known as well as that
         if candidate.called == "dead_band":
             lost = self._sizes(candidate, term, model)
             return bool(np.any(np.abs(lost - 1) < _LOST)) and bool(np.all(lost > -_LOST))

@@ -36,7 +36,7 @@ def accepted(folder: Path) -> bool:
     """Return whether one recording of a folder is accepted, with its certificate beside it."""
     (recording,) = (folder / "recordings").glob("run-*.h5")
     with h5py.File(recording) as file:
-        assert file.attrs["outcome"] == "PASS"
+        assert file.attrs["outcome"] == "ESTIMATED"  # the bench states no limits
         assert file.attrs["device_serial"] == "SN-0042"
         by = file.attrs["accepted_by"]
     certificate = recording.with_suffix(".html").read_text()
