@@ -1,7 +1,5 @@
 """A bench file made of answers: TOML with comments, as the built-in one has."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Checks of answers, made by the readers of the bench file themselves."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Questions to a person, each answered, checked and if need be asked again."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping
 

@@ -1,7 +1,5 @@
 """What is asked about gyros on CAN: how they lie, and which signals they are."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """What this machine has to reach devices by: serial ports and CAN interfaces."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is asked about a device under test."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Where devices are: what this machine offers, and whether an answer is a link at all."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from station.asking.dialogue import Dialogue

@@ -1,7 +1,5 @@
 """What is asked about the lab: where it is, what counts as a pass, what names look like."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

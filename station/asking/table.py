@@ -1,7 +1,5 @@
 """What is asked about the table."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -13,8 +13,6 @@ P(T - 35 degC) - P(INS_GYRn_CALTEMP - 35 degC), P of INS_TCALn_GYRm_AXIS in 1e-6
 AP_InertialSensor_tempcal.cpp).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Floats

@@ -1,7 +1,5 @@
 """A C99 header with the function that turns outputs of the gyros into the rate of their body, in double."""
 
-from __future__ import annotations
-
 import re
 
 from drivers.arrays import Floats

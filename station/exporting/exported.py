@@ -1,7 +1,5 @@
 """What is exported of a recording: its calibration, the compensation of some of its gyros, where they come from."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The forms that a calibration can be exported in."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What C and Python have in common: the arguments of the correction function, what is left to its user, its text."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from string import Template
 

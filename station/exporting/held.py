@@ -1,7 +1,5 @@
 """What each form of an export holds, for people: read by the command line, so nothing is imported here."""
 
-from __future__ import annotations
-
 HELD: dict[str, tuple[str, str]] = {
     "json": ("everything that the calibration has", "nothing left out"),
     "yaml": ("the same", "nothing left out"),

@@ -1,7 +1,5 @@
 """Laws of constructed effects as expressions of another language."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable, Mapping
 

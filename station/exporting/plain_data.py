@@ -1,7 +1,5 @@
 """All of a calibration as JSON and YAML, and its states as CSV."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

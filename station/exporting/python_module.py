@@ -1,7 +1,5 @@
 """A Python module with the function that turns outputs of the gyros into the rate of their body, in plain Python."""
 
-from __future__ import annotations
-
 import re
 
 from drivers.arrays import Floats

@@ -8,8 +8,6 @@ reader asks for the noise of both sensors (github.com/ethz-asl/kalibr, kalibr_im
 kalibr_common/ConfigReader.py).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Floats

@@ -6,8 +6,6 @@ force, ``w`` the body rate, ``wdot`` its rate of change, ``step`` the time since
 write differently stands in braces: names of tables, helpers that laws call.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

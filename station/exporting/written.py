@@ -1,7 +1,5 @@
 """One calibration in one form: the text of the file, and what the file cannot hold."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

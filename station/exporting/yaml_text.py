@@ -1,7 +1,5 @@
 """Plain values as YAML: mappings in blocks, rows of numbers in one line, texts always quoted."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence

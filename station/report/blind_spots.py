@@ -1,7 +1,5 @@
 """The chapter on what the run could not see."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

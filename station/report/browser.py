@@ -1,7 +1,5 @@
 """Prints a report: a browser that is on the machine makes the PDF of the HTML."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

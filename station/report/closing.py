@@ -1,7 +1,5 @@
 """What stands at the end: software, hashes, signatures."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import platform
 from collections.abc import Iterator

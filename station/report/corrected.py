@@ -1,7 +1,5 @@
 """The chapter on the correction: formula, numbers, Python."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 
 from estimator.compensation import OF_THE_RATE, HeldEffect

@@ -1,7 +1,5 @@
 """The correction of each device, by ``estimator.compensation``: what is undone, and what is not."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

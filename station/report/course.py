@@ -1,7 +1,5 @@
 """How the run went: convergence, innovations, noise, clocks and losses, events."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

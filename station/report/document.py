@@ -1,7 +1,5 @@
 """The whole document: one HTML file that needs nothing beside itself."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from station.report import course, front, results

@@ -1,7 +1,5 @@
 """Figures as people read them, each with its full precision beside it."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What was calibrated, by whom, when and under what conditions, and what the table did."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """SHA-256 of a file, and of the samples in a recording whatever else is written into it later."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """HTML put together from elements: text is escaped, tables have the headers that a screen reader wants."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
 from html import escape

@@ -1,7 +1,5 @@
 """The chapter on the residual: what an investigation traced in it, and the error before and after."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

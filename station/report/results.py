@@ -1,7 +1,5 @@
 """What was found: states with their uncertainties, the comparison with the limits, the budget, traceability."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

@@ -4,8 +4,6 @@ They undo what ``estimator.compensation`` undoes, in its order. ``station export
 the other.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 

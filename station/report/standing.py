@@ -1,7 +1,5 @@
 """What a document may call itself: every limit compared with what was found, and a certificate only of a pass."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Sequence

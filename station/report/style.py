@@ -1,7 +1,5 @@
 """The style sheet of a report: for paper first, readable on a screen."""
 
-from __future__ import annotations
-
 import re
 
 from drivers.packaged import packaged_text

@@ -1,7 +1,5 @@
 """What a run could not see: its motion as it was driven, and what such a motion shows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Least squares, the two observations of the table rates, the covariance filter an
 six-position methods need their own positions, and get scripts of the same 360 s.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

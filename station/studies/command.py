@@ -1,7 +1,5 @@
 """The command `station study`: which study, what is checked before the long work, what is printed."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

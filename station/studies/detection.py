@@ -4,8 +4,6 @@ Each case is three recordings of one device, made from the physics (the 360 s sc
 an effect that only the twin knows. Signs and sizes vary by gyro and seed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 Where it contradicts itself is worked out from these numbers, so that a note can never say more than they do.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Floats

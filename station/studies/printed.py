@@ -1,7 +1,5 @@
 """The studies as people read them, and as --json gives them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any

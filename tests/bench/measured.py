@@ -102,7 +102,9 @@ def mpu_lines(data: Path) -> None:
         states = []
         for name, run in runs.items():
             if name.startswith(plane):
-                gyro = next(g for g in calibrate(run, excluded=frozenset()).gyros if g.name == ("z" if plane == "yaw" else "y"))
+                gyro = next(
+                    g for g in calibrate(run, excluded=frozenset()).gyros if g.name == ("z" if plane == "yaw" else "y")
+                )
                 states.append((1e6 * gyro.states[0], 1e6 * float(np.sqrt(gyro.covariance[0, 0]))))
                 print(f"  calibrate {name}: k {states[-1][0]:+.0f} +- {states[-1][1]:.0f} ppm")
         apart = [abs(a[0] - b[0]) for a, b in permutations(states, 2)]
