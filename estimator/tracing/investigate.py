@@ -200,7 +200,9 @@ def _conclude(
     judged = replace(judged, gyros=_owned_up(traced, judged.gyros, after, [*certain, *doubtful], opened))
     residuals_of = _left(traced.runs, 0, before, after), _left(held_back, len(traced.runs), before, after)
     unexplained = _unexplained(residuals_of[0][1]) if opened.probability > CERTAIN else None
-    rivals = [names for names in _rivals([c for c in doubtful if c.share < CERTAIN]) if len(names) > 1]
+    # What leaves as much of its kind as it explains is a part of what is unexplained, and no rival of anything.
+    open_ones = [c for c in doubtful if c.share < CERTAIN <= c.probability / c.share]
+    rivals = [names for names in _rivals(open_ones) if len(names) > 1]
     faulty = _faulty(faults)
     added = [a.effect for a in faulty] + [_called(c) for c in certain]
     if rivals or (doubtful and not unexplained):
