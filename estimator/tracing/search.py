@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.effects.constructed import NAME, of_each_gyro
+from estimator.effects.constructed import NAME
 from estimator.effects.dynamics import tone as tone_at
-from estimator.tracing.candidates import OF_TIME, Candidate
+from estimator.tracing.candidates import Candidate
 from estimator.tracing.evidence import SCALES, Base, Evidence, Term
 from estimator.tracing.investigation import InvestigationError
 from estimator.tracing.open_world import OpenWorld
 from estimator.tracing.peaks import highest
 from estimator.tracing.runs import Run
-from estimator.tracing.spectra import GyroSpectra, cosines
+from estimator.tracing.scan import Scan, at
+from estimator.tracing.spectra import GyroSpectra
 from estimator.tracing.tones import (
     TONE,
     ToneFit,
@@ -51,9 +51,6 @@ _MOST_LAWS, _LAWS_TRIED = 2, 12
 _BETWEEN = 1.3  # by so much more a law may explain with a constant between those that it is tried with
 _CLEARLY = 3.0  # natural logarithm by which a law must be the more probable
 _MOST_TONES = 3
-_NEAR_S = 0.005  # about where its size seems to be an effect is looked for that is exact for its size only
-_SHORTEST_S = 1e-4  # of a time constant, which is not negative
-_LONGEST_S = 0.3  # of a delay or a time constant: what is slower than this is no such
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,11 +220,11 @@ class Search:
     ) -> list[tuple[Candidate, Term]]:
         """Return the law that explains most beside a model; none if none can make it worth ``least``."""
         terms = [term for _, term in base]
-        scan = _Scan(self._coarse, self._spectra, self.evidence, terms, self._turned)
+        scan = Scan(self._coarse, self._spectra, self.evidence, terms, self._turned)
         taken = {candidate.name for candidate, _ in base}
         ranked, missing = [], least - self._worth(base)
         for law in (law for law in laws if law.name not in taken):
-            options = [law] if law.start is None else [_at(law, theta) for theta in law.start.tolist()]
+            options = [law] if law.start is None else [at(law, theta) for theta in law.start.tolist()]
             gains = [scan.gain(option) for option in options]
             reach = max(gains) * (1.0 if law.start is None else _BETWEEN)
             if reach + law.log_prior > missing:  # by no more can it be the more probable
@@ -533,15 +530,15 @@ class Search:
         if candidate.of is None or candidate.theta is None or candidate.start is None:
             return 0.0
         others = [t for t in terms if t.name != candidate.name]
-        return self._width(candidate, _Scan(self._runs, self._spectra, self.evidence, others, {}))
+        return self._width(candidate, Scan(self._runs, self._spectra, self.evidence, others, {}))
 
-    def _width(self, candidate: Candidate, scan: _Scan) -> float:
+    def _width(self, candidate: Candidate, scan: Scan) -> float:
         """Return by how much what is not linear may move before half a natural logarithm is lost."""
         assert candidate.theta is not None
         top = scan.gain(candidate)
         step = 0.02 * candidate.theta
         while step < candidate.theta:
-            sides = [scan.gain(_at(candidate, candidate.theta + sign * step)) for sign in (-1, 1)]
+            sides = [scan.gain(at(candidate, candidate.theta + sign * step)) for sign in (-1, 1)]
             fall = top - 0.5 * sum(sides)
             if fall > 0.5:
                 return float(step / np.sqrt(2 * fall))
@@ -588,17 +585,17 @@ class Search:
             parts.append(whole[stretch.run][stretch.blocks])
         return parts
 
-    def _tuned(self, candidate: Candidate, scan: _Scan) -> Candidate:
+    def _tuned(self, candidate: Candidate, scan: Scan) -> Candidate:
         """Return a candidate with the most telling value of what is not linear in it."""
         assert candidate.start is not None
-        gains = [scan.gain(_at(candidate, theta)) for theta in candidate.start.tolist()]
+        gains = [scan.gain(at(candidate, theta)) for theta in candidate.start.tolist()]
         best = int(np.argmax(gains))
         low = candidate.start[max(best - 1, 0)]
         high = candidate.start[min(best + 1, len(candidate.start) - 1)]
-        theta = highest(partial(_gain_at, scan, candidate), float(low), float(high))
-        if scan.gain(_at(candidate, theta)) < gains[best]:
+        theta = highest(lambda theta: scan.gain(at(candidate, theta)), float(low), float(high))
+        if scan.gain(at(candidate, theta)) < gains[best]:
             theta = float(candidate.start[best])
-        tuned = _at(candidate, theta)
+        tuned = at(candidate, theta)
         # What it costs that the value was looked for: the share of its range that would do as well.
         width = np.sqrt(2 * np.pi) * self._width(tuned, scan)
         spread = float(candidate.start[-1] - candidate.start[0])
@@ -612,127 +609,13 @@ class Search:
         ]
         if not open_ones:
             return
-        scan = _Scan(self._runs, self._spectra, self.evidence, terms, self._turned)
+        scan = Scan(self._runs, self._spectra, self.evidence, terms, self._turned)
         renewed = []
         for candidate in open_ones:
             if candidate.start is None or candidate.of is None:
                 continue
             if candidate.by_size:
-                renewed.append(_at(candidate, scan.size(candidate)))
+                renewed.append(at(candidate, scan.size(candidate)))
                 continue
             renewed.append(self._tuned(candidate, scan))
         self.add(renewed)
-
-
-def _at(candidate: Candidate, theta: float) -> Candidate:
-    assert candidate.of is not None
-    return replace(candidate, effect=candidate.of(theta), theta=theta)
-
-
-def _gain_at(scan: _Scan, candidate: Candidate, theta: float) -> float:
-    return scan.gain(_at(candidate, theta))
-
-
-class _Scan:
-    """What is left of each gyro beside a model, whitened: how much an effect would take of it."""
-
-    def __init__(
-        self,
-        runs: Sequence[Run],
-        spectra: Sequence[GyroSpectra],
-        evidence: Evidence,
-        terms: Sequence[Term],
-        turned: dict[tuple[str, float, str], Floats],
-    ) -> None:
-        """``turned`` keeps the cosines of columns from one scan to the next."""
-        self._kept = turned
-        weight = evidence.by_noise(terms) + evidence.shapes.log_prior
-        best = int(np.argmax(weight))
-        columns = [*range(4), *(c for t in terms for c in t.columns)]
-        self._runs, self._spectra = runs, spectra
-        self._roots, self._bases, self._rest = [], [], []
-        for gyro, excess in zip(spectra, evidence.excess, strict=True):
-            density = [
-                (evidence.shapes.density(s)[best] * more)[s.band]
-                for s, more in zip(gyro.stretches, excess, strict=True)
-            ]
-            root = (
-                np.concatenate([np.sqrt(s.length_s / d) for s, d in zip(gyro.stretches, density, strict=True)])
-                / gyro.arw
-            )
-            lengths = np.concatenate([np.full(len(s.band), s.length_s) for s in gyro.stretches])
-            whole = np.vstack(gyro.columns) * (root * gyro.arw / np.sqrt(lengths))[:, None]
-            basis, _ = np.linalg.qr(whole[:, columns])
-            z = whole[:, 4]
-            self._roots.append(root)
-            self._bases.append(basis)
-            self._rest.append(z - basis @ (basis.T @ z))
-
-    def _turn(self, candidate: Candidate, gyro: GyroSpectra) -> Floats:
-        alike = candidate.called in OF_TIME or (candidate.law and not of_each_gyro(candidate.law))
-        source = str([s.run for s in gyro.stretches])
-        key = candidate.name, float(candidate.theta or 0.0), source if alike else gyro.name
-        if key not in self._kept:
-            parts = []
-            for stretch in gyro.stretches:
-                run = self._runs[stretch.run]
-                columns = candidate.columns(run, run.array.names.index(gyro.name))
-                parts.append(cosines((columns * run.weight[:, None])[stretch.blocks]))
-            self._kept[key] = np.vstack(parts)
-        return self._kept[key]
-
-    def size(self, candidate: Candidate) -> float:
-        """Return the size of an effect, exact for its size, that leaves least: its first parameter, all gyros alike.
-
-        It is not fitted to its own column, which noise of the reference makes too large.
-        """
-        assert candidate.start is not None
-        if len(candidate.start) == 1:  # a table's own rates have next to no noise
-            size = self._first_size(candidate)
-            return self._first_size(_at(candidate, size)) if size else size
-
-        def gain(size: float) -> float:
-            return self._gain_of(candidate, size)
-
-        start = np.sort(np.append(candidate.start, self._first_size(candidate)))
-        best = int(np.argmax([gain(size) for size in start.tolist()]))
-        reach = max(abs(float(start[best])), _NEAR_S)
-        least = -_LONGEST_S if candidate.start.min() <= 0 else _SHORTEST_S
-        low = max(float(start[best - 1]) if best else -np.inf, float(start[best]) - reach, least)
-        high = min(float(start[best + 1]) if best + 1 < len(start) else np.inf, float(start[best]) + reach, _LONGEST_S)
-        return highest(gain, low, high)
-
-    def _first_size(self, candidate: Candidate) -> float:
-        """Return the size by the candidate as it is: right where it is small."""
-        own, right = np.sum(self._products(candidate), axis=0)
-        sign = -1.0 if candidate.theta and candidate.theta < 0 else 1.0  # a lag of the reference is a size of its own
-        return float(np.clip(sign * right / max(own, 1e-30) * candidate.largest[0], -_LONGEST_S, _LONGEST_S))
-
-    def _gain_of(self, candidate: Candidate, size: float) -> float:
-        """Return how much more probable a size makes what is left, each gyro under as much noise as then is left."""
-        share = abs(size) / candidate.largest[0] if size else 0.0
-        total = 0.0
-        for rest, (own, right) in zip(self._rest, self._products(_at(candidate, size)), strict=True):
-            before = float(rest @ rest)
-            total -= 0.5 * len(rest) * np.log(max(before - 2 * share * right + share**2 * own, 1e-9 * before) / before)
-        return float(total)
-
-    def _products(self, candidate: Candidate) -> list[tuple[float, float]]:
-        """Return by gyro the squares of a candidate's first column beside the model, and its product with the rest."""
-        products = []
-        for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
-            new = self._turn(candidate, gyro)[:, 0] * root
-            new = new - basis @ (basis.T @ new)
-            products.append((float(new @ new), float(new @ rest)))
-        return products
-
-    def gain(self, candidate: Candidate) -> float:
-        """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
-        total = 0.0
-        for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
-            new = self._turn(candidate, gyro) * root[:, None]
-            new = new - basis @ (basis.T @ new)
-            own = new.T @ new
-            right = new.T @ rest
-            total += 0.5 * float(right @ np.linalg.solve(own + 1e-6 * np.eye(len(own)), right))
-        return total

@@ -1,0 +1,131 @@
+"""What is left of each gyro beside a model, and how much of it a candidate would take: cheap, before it is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.arrays import Floats
+from estimator.effects.constructed import of_each_gyro
+from estimator.tracing.candidates import OF_TIME, Candidate
+from estimator.tracing.evidence import Evidence, Term
+from estimator.tracing.peaks import highest
+from estimator.tracing.runs import Run
+from estimator.tracing.spectra import GyroSpectra, cosines
+
+_NEAR_S = 0.005  # about where its size seems to be an effect is looked for that is exact for its size only
+_SHORTEST_S = 1e-4  # of a time constant, which is not negative
+_LONGEST_S = 0.3  # of a delay or a time constant: what is slower than this is no such
+
+
+def at(candidate: Candidate, theta: float) -> Candidate:
+    """Return a candidate with another value of what is not linear in it."""
+    assert candidate.of is not None
+    return replace(candidate, effect=candidate.of(theta), theta=theta)
+
+
+class Scan:
+    """What is left of each gyro beside a model, whitened: how much an effect would take of it."""
+
+    def __init__(
+        self,
+        runs: Sequence[Run],
+        spectra: Sequence[GyroSpectra],
+        evidence: Evidence,
+        terms: Sequence[Term],
+        turned: dict[tuple[str, float, str], Floats],
+    ) -> None:
+        """``turned`` keeps the cosines of columns from one scan to the next."""
+        self._kept = turned
+        weight = evidence.by_noise(terms) + evidence.shapes.log_prior
+        best = int(np.argmax(weight))
+        columns = [*range(4), *(c for t in terms for c in t.columns)]
+        self._runs, self._spectra = runs, spectra
+        self._roots, self._bases, self._rest = [], [], []
+        for gyro, excess in zip(spectra, evidence.excess, strict=True):
+            density = [
+                (evidence.shapes.density(s)[best] * more)[s.band]
+                for s, more in zip(gyro.stretches, excess, strict=True)
+            ]
+            root = (
+                np.concatenate([np.sqrt(s.length_s / d) for s, d in zip(gyro.stretches, density, strict=True)])
+                / gyro.arw
+            )
+            lengths = np.concatenate([np.full(len(s.band), s.length_s) for s in gyro.stretches])
+            whole = np.vstack(gyro.columns) * (root * gyro.arw / np.sqrt(lengths))[:, None]
+            basis, _ = np.linalg.qr(whole[:, columns])
+            z = whole[:, 4]
+            self._roots.append(root)
+            self._bases.append(basis)
+            self._rest.append(z - basis @ (basis.T @ z))
+
+    def _turn(self, candidate: Candidate, gyro: GyroSpectra) -> Floats:
+        alike = candidate.called in OF_TIME or (candidate.law and not of_each_gyro(candidate.law))
+        source = str([s.run for s in gyro.stretches])
+        key = candidate.name, float(candidate.theta or 0.0), source if alike else gyro.name
+        if key not in self._kept:
+            parts = []
+            for stretch in gyro.stretches:
+                run = self._runs[stretch.run]
+                columns = candidate.columns(run, run.array.names.index(gyro.name))
+                parts.append(cosines((columns * run.weight[:, None])[stretch.blocks]))
+            self._kept[key] = np.vstack(parts)
+        return self._kept[key]
+
+    def size(self, candidate: Candidate) -> float:
+        """Return the size of an effect, exact for its size, that leaves least: its first parameter, all gyros alike.
+
+        It is not fitted to its own column, which noise of the reference makes too large.
+        """
+        assert candidate.start is not None
+        if len(candidate.start) == 1:  # a table's own rates have next to no noise
+            size = self._first_size(candidate)
+            return self._first_size(at(candidate, size)) if size else size
+
+        def gain(size: float) -> float:
+            return self._gain_of(candidate, size)
+
+        start = np.sort(np.append(candidate.start, self._first_size(candidate)))
+        best = int(np.argmax([gain(size) for size in start.tolist()]))
+        reach = max(abs(float(start[best])), _NEAR_S)
+        least = -_LONGEST_S if candidate.start.min() <= 0 else _SHORTEST_S
+        low = max(float(start[best - 1]) if best else -np.inf, float(start[best]) - reach, least)
+        high = min(float(start[best + 1]) if best + 1 < len(start) else np.inf, float(start[best]) + reach, _LONGEST_S)
+        return highest(gain, low, high)
+
+    def _first_size(self, candidate: Candidate) -> float:
+        """Return the size by the candidate as it is: right where it is small."""
+        own, right = np.sum(self._products(candidate), axis=0)
+        sign = -1.0 if candidate.theta and candidate.theta < 0 else 1.0  # a lag of the reference is a size of its own
+        return float(np.clip(sign * right / max(own, 1e-30) * candidate.largest[0], -_LONGEST_S, _LONGEST_S))
+
+    def _gain_of(self, candidate: Candidate, size: float) -> float:
+        """Return how much more probable a size makes what is left, each gyro under as much noise as then is left."""
+        share = abs(size) / candidate.largest[0] if size else 0.0
+        total = 0.0
+        for rest, (own, right) in zip(self._rest, self._products(at(candidate, size)), strict=True):
+            before = float(rest @ rest)
+            total -= 0.5 * len(rest) * np.log(max(before - 2 * share * right + share**2 * own, 1e-9 * before) / before)
+        return float(total)
+
+    def _products(self, candidate: Candidate) -> list[tuple[float, float]]:
+        """Return by gyro the squares of a candidate's first column beside the model, and its product with the rest."""
+        products = []
+        for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
+            new = self._turn(candidate, gyro)[:, 0] * root
+            new = new - basis @ (basis.T @ new)
+            products.append((float(new @ new), float(new @ rest)))
+        return products
+
+    def gain(self, candidate: Candidate) -> float:
+        """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
+        total = 0.0
+        for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
+            new = self._turn(candidate, gyro) * root[:, None]
+            new = new - basis @ (basis.T @ new)
+            own = new.T @ new
+            right = new.T @ rest
+            total += 0.5 * float(right @ np.linalg.solve(own + 1e-6 * np.eye(len(own)), right))
+        return total
