@@ -47,6 +47,7 @@ _VISIBLE = 3.0
 _SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
 _NEAR_EARTH = 1.3
+_UNLIKE_NOISE = 0.1  # share of the residual's power beyond the noise: less is 5 % of a sigma
 _MATTERS = 1e-2  # share of the probability below which what may act is not averaged over
 _OF_THETA = {"warm_up": "time constant", "bias_step": "instant", "dead_band": "width"}
 NOTHING_MEASURED = "nothing that was measured"
@@ -199,7 +200,7 @@ def _conclude(
     judged = _judged(traced, held_back, before, after, verification, certain)
     judged = replace(judged, gyros=_owned_up(traced, judged.gyros, after, [*certain, *doubtful], opened))
     residuals_of = _left(traced.runs, 0, before, after), _left(held_back, len(traced.runs), before, after)
-    unexplained = _unexplained(residuals_of[0][1]) if opened.probability > CERTAIN else None
+    unexplained = _unexplained(residuals_of[0][1]) if opened.probability > CERTAIN else _beyond_noise(traced)
     # What leaves as much of its kind as it explains is a part of what is unexplained, and no rival of anything.
     open_ones = [c for c in doubtful if c.share < CERTAIN <= c.probability / c.share]
     rivals = [names for names in _rivals(open_ones) if len(names) > 1]
@@ -212,7 +213,8 @@ def _conclude(
     elif unexplained:
         finding = Finding.PARTLY if added else Finding.UNEXPLAINED
         reason = f"added {', '.join(added)}; " if added else ""
-        reason += f"{unexplained.share:.0%} of what is left depends on {unexplained.depends_on}, unexplained"
+        beyond = "is beyond the noise and " if unexplained.depends_on == NOTHING_MEASURED else ""
+        reason += f"{unexplained.share:.0%} of what is left {beyond}depends on {unexplained.depends_on}, unexplained"
     elif added:
         finding, reason = Finding.ADDED, "added " + ", ".join(added)
     else:
@@ -560,6 +562,23 @@ def _unexplained(residual: Residual | None) -> Unexplained:
     if not power or power[most] <= 0:
         return Unexplained(NOTHING_MEASURED, 0.0)
     return Unexplained(most, float(np.clip(power[most] / total, 0.0, 1.0)))
+
+
+def _beyond_noise(traced: Traced) -> Unexplained | None:
+    """Return what no function of what was measured can explain, such as a chirp, if it tells beside the noise found.
+
+    Beside another instrument that moves, that one's own errors are of the kind.
+    """
+    evidence = traced.search.evidence
+    best = int(np.argmax(evidence.noise_weight([c.term for c in traced.found.choices if c.tone is None])))
+    misfit = sum(map(sum, evidence.misfit))
+    noise = sum(
+        float(evidence.shapes.density(s)[best] @ s.counts) * gyro.arw**2 / s.length_s
+        for gyro in evidence.gyros
+        for s in gyro.stretches
+    )
+    share = misfit / (misfit + noise)
+    return Unexplained(NOTHING_MEASURED, share) if share > _UNLIKE_NOISE and _lawful(traced.runs) else None
 
 
 def _surprised(

@@ -105,8 +105,9 @@ class Answer:
 
     @property
     def says_what_it_depends_on(self) -> bool:
-        """Whether what was left unexplained is said to depend on one of the right things."""
-        return bool(dependences(self.depends_on) & self.case.law.depends_on)
+        """Whether the answer names one of the right things: as a law, an effect or a rival, or for what is left."""
+        names = [self.depends_on, *(f"{a.name} {a.expression}" for a in self.added), *(n for r in self.rivals for n in r)]
+        return bool(dependences(" ".join(names)) & self.case.law.depends_on)
 
     @property
     def ratio_holds(self) -> bool | None:
