@@ -36,11 +36,11 @@ class Scan:
         evidence: Evidence,
         terms: Sequence[Term],
         turned: dict[tuple[str, float, str], Floats],
+        noise: int | None = None,
     ) -> None:
-        """``turned`` keeps the cosines of columns from one scan to the next."""
+        """``turned`` keeps the cosines of columns from one scan to the next, ``noise`` is that beside the model."""
         self._kept = turned
-        weight = evidence.by_noise(terms) + evidence.shapes.log_prior
-        best = int(np.argmax(weight))
+        best = int(np.argmax(evidence.noise_weight(terms))) if noise is None else noise
         columns = [*range(4), *(c for t in terms for c in t.columns)]
         self._runs, self._spectra = runs, spectra
         self._roots, self._bases, self._rest = [], [], []

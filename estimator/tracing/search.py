@@ -197,7 +197,7 @@ class Search:
             tried = []
             for n, base in enumerate(bases):
                 if base not in bases[:n] and len(base) + len(tones) < most:
-                    tried.append([*base, *self._best_law(base, laws, best + _CLEARLY)])
+                    tried.append([*base, *self._best_law(base, laws, model)])
             worths = [self._worth(one) for one in tried]
             if not worths or max(worths) < best + _CLEARLY:
                 break
@@ -207,22 +207,34 @@ class Search:
             return found
         names, terms = [c.name for c, _ in model], {c.name: term for c, term in model}
         judged = [self._judge(name, names, terms) for name in names]
+        while judged and (least := min(judged, key=lambda c: c.share)).rivals[0] == "nothing":  # a law took its place
+            names.remove(least.candidate.name)
+            del terms[least.candidate.name]
+            judged = [self._judge(name, names, terms) for name in names]
         chain = (*found.log_evidence, self.evidence.of(list(terms.values())))
         return replace(found, choices=tuple(self._beside_open([*judged, *tones])), log_evidence=chain)
 
-    def _worth(self, model: Sequence[tuple[Candidate, Term]]) -> float:
-        """Return the log evidence of a model, and how much it was expected."""
+    def _worth(self, model: Sequence[tuple[Candidate, Term]], noise: int | None = None) -> float:
+        """Return the log evidence of a model, under all noise models or one, and how much it was expected."""
         expected = sum(candidate.log_prior - term.log_tries for candidate, term in model)
-        return self.evidence.of([term for _, term in model]) + expected
+        terms = [term for _, term in model]
+        return (self.evidence.of(terms) if noise is None else float(self.evidence.by_noise(terms)[noise])) + expected
 
     def _best_law(
-        self, base: Sequence[tuple[Candidate, Term]], laws: Sequence[Candidate], least: float
+        self,
+        base: Sequence[tuple[Candidate, Term]],
+        laws: Sequence[Candidate],
+        known: Sequence[tuple[Candidate, Term]],
     ) -> list[tuple[Candidate, Term]]:
-        """Return the law that explains most beside a model; none if none can make it worth ``least``."""
+        """Return the law that explains most beside a model; none if none can explain more than what is ``known``.
+
+        The noise is that beside what is known: beside less, it would hold what slow laws explain.
+        """
         terms = [term for _, term in base]
-        scan = Scan(self._coarse, self._spectra, self.evidence, terms, self._turned)
+        noise = int(np.argmax(self.evidence.noise_weight([term for _, term in known])))
+        scan = Scan(self._coarse, self._spectra, self.evidence, terms, self._turned, noise)
         taken = {candidate.name for candidate, _ in base}
-        ranked, missing = [], least - self._worth(base)
+        ranked, missing = [], self._worth(known, noise) + _CLEARLY - self._worth(base, noise)
         for law in (law for law in laws if law.name not in taken):
             options = [law] if law.start is None else [at(law, theta) for theta in law.start.tolist()]
             gains = [scan.gain(option) for option in options]
