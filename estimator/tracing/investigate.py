@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.effects.constructed import depends_on, in_words
+from estimator.effects.constructed import NAME, depends_on, in_words
 from estimator.kinematics import EARTH_RATE_RPS
 from estimator.model import decode
 from estimator.recording import Recording
@@ -605,7 +605,8 @@ def _surprised(
 
 def _rivals(choices: Sequence[Choice]) -> list[tuple[str, ...]]:
     """Return for each choice the effects with a name that could stand in its place, itself among them."""
-    named = [tuple(r for r in c.rivals if r != "nothing" and not r.startswith("depends")) for c in choices]
+    shown = [[r for r in c.rivals if r != "nothing" and not r.startswith("depends")] for c in choices]
+    named = [tuple("a constructed law" if r == NAME else r for r in rivals) for rivals in shown]
     return [names for names in named if names]
 
 

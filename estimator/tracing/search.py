@@ -50,6 +50,7 @@ _MOST_SETS = 40
 _MOST_LAWS, _LAWS_TRIED = 2, 12
 _BETWEEN = 1.3  # by so much more a law may explain with a constant between those that it is tried with
 _CLEARLY = 3.0  # natural logarithm by which a law must be the more probable
+_RIVAL = -6.0  # natural logarithm of how much less probable laws may be and still be rivals, a few together
 _MOST_TONES = 3
 
 
@@ -203,7 +204,10 @@ class Search:
                 break
             best = max(worths)
             model = tried[worths.index(best)]
-        if not any(candidate.called == NAME for candidate, _ in model):
+        for one in [pair for pair in model if pair[0].called != NAME]:
+            rest = [pair for pair in model if pair is not one]
+            self._laws_kept.update(self._likely(rest, laws, model, _RIVAL))
+        if not any(candidate.called == NAME for candidate, _ in self._known.values()):
             return found
         names, terms = [c.name for c, _ in model], {c.name: term for c, term in model}
         judged = [self._judge(name, names, terms) for name in names]
@@ -221,41 +225,47 @@ class Search:
         return (self.evidence.of(terms) if noise is None else float(self.evidence.by_noise(terms)[noise])) + expected
 
     def _best_law(
+        self, base: Sequence[tuple[Candidate, Term]], laws: Sequence[Candidate], known: Sequence[tuple[Candidate, Term]]
+    ) -> list[tuple[Candidate, Term]]:
+        """Return the law that explains most beside a model; none if none can explain more than what is ``known``."""
+        chosen = self._likely(base, laws, known, _CLEARLY)
+        terms = [term for _, term in base]
+        scores = self._scores(terms, [candidate.name for candidate, _ in base]) if chosen else {}
+        found = [name for name in chosen if self._sensible(name, scores[name][1], terms)]
+        best = max(found, key=lambda name: scores[name][0], default=None)
+        if best is None:
+            return []
+        self._laws_kept.add(best)
+        return [(self._known[best][0], scores[best][1])]
+
+    def _likely(
         self,
         base: Sequence[tuple[Candidate, Term]],
         laws: Sequence[Candidate],
         known: Sequence[tuple[Candidate, Term]],
-    ) -> list[tuple[Candidate, Term]]:
-        """Return the law that explains most beside a model; none if none can explain more than what is ``known``.
+        least: float,
+    ) -> list[str]:
+        """Bring in the laws that may be more probable beside a model than what is ``known``, by ``least``; name them.
 
         The noise is that beside what is known: beside less, it would hold what slow laws explain.
         """
-        terms = [term for _, term in base]
         noise = int(np.argmax(self.evidence.noise_weight([term for _, term in known])))
-        scan = Scan(self._coarse, self._spectra, self.evidence, terms, self._turned, noise)
+        scan = Scan(self._coarse, self._spectra, self.evidence, [term for _, term in base], self._turned, noise)
         taken = {candidate.name for candidate, _ in base}
-        ranked, missing = [], self._worth(known, noise) + _CLEARLY - self._worth(base, noise)
+        ranked, missing = [], self._worth(known, noise) + least - self._worth(base, noise)
         for law in (law for law in laws if law.name not in taken):
             options = [law] if law.start is None else [at(law, theta) for theta in law.start.tolist()]
             gains = [scan.gain(option) for option in options]
             reach = max(gains) * (1.0 if law.start is None else _BETWEEN)
             if reach + law.log_prior > missing:  # by no more can it be the more probable
                 ranked.append((max(gains) + law.log_prior, options[int(np.argmax(gains))]))
-        if not ranked:
-            return []
         ranked.sort(key=lambda pair: -pair[0])
         chosen = [self._tuned(law, scan) if law.start is not None else law for _, law in ranked[:_LAWS_TRIED]]
         for name in [n for n, (c, _) in self._known.items() if c.called == NAME and n not in self._laws_kept]:
             del self._known[name]
         self.add([law for law in chosen if law.name not in self._laws_kept])
         self._scored.clear()
-        scores = self._scores(terms, [*taken])
-        found = [law.name for law in chosen if self._sensible(law.name, scores[law.name][1], terms)]
-        best = max(found, key=lambda name: scores[name][0], default=None)
-        if best is None:
-            return []
-        self._laws_kept.add(best)
-        return [(self._known[best][0], scores[best][1])]
+        return [law.name for law in chosen]
 
     def open_world(self, model: Sequence[Term]) -> OpenWorld:
         """Return how probable it is beside a model that something acts that has no name."""
