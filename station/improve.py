@@ -29,12 +29,12 @@ from station.figures import STATE_UNITS
 from station.outcome import Outcome
 from station.plan import make_plan
 from station.planned import planned_motion
-from station.printing import stdout
 from station.quantities import QuantityError, parse
 from station.rich_table import rich_table
 from station.script import Move, Rest, Script, check
 from station.script_family import ways_of
 from station.script_search import LONGEST_S, Found, Needs, Search, sds_of
+from station.terminal import stdout
 from station.whole_file import free_path
 
 NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)}

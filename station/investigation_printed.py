@@ -25,8 +25,8 @@ from estimator.tracing.investigation import (
     Value,
 )
 from station.next_script import NextScript
-from station.printing import stdout
 from station.residual_printed import print_residual, residual_object
+from station.terminal import stdout
 
 _DEG = 180 / math.pi
 _UNITS = {

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from station.bench_imu import ON_CAN
 from station.bench_table import TWIN
-from station.templates import rendered
+from station.rendering import rendered
 
 ADDRESS_KEYS: Mapping[str, str] = {"modbus": "unit_id", "galil": "letter", "acutrol": "number"}
 """What the address of an axis is called, by protocol; an Aerosmith's one axis has none."""

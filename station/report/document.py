@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from drivers.packaged import packaged_text
 from station.investigation_printed import words
+from station.rendering import rendered
 from station.report import blind_spots, corrected, course, figures, front, residual, results
 from station.report.correction import corrections_of
 from station.report.hashes import RAW_RULE, file_sha256, raw_sha256
@@ -19,7 +20,6 @@ from station.report.snippet import snippet
 from station.report.standing import Standing, number_of, standing_of
 from station.report.traced import Traced
 from station.report.unseen import unseen_of
-from station.templates import rendered
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {

@@ -13,8 +13,8 @@ from estimator.effects.conditions import SLOPE_S
 from estimator.effects.constructed import LAST_SHARE, REFERENCE_C
 from estimator.kinematics import GRAVITY_MPS2
 from station.exporting.law_text import law_terms
+from station.rendering import rendered
 from station.report.correction import Correction
-from station.templates import rendered
 
 _WARMTH = f"(t - {REFERENCE_C:g})"
 _STEPS = "np.maximum(np.diff(t_s, prepend=t_s[:1]), 0)"

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from estimator.array import SensorArray
-from station.templates import rendered
+from station.rendering import rendered
 
 NAMES = ("b", "k", "sigma_j", "sigma_k")
 UNITS = ("deg/s", "ppm", "deg", "deg")

@@ -10,10 +10,9 @@ from rich.table import Table
 
 from drivers.arrays import Floats
 from estimator.array import tetrahedron_as_printed
-from station.printing import stdout
 from station.rich_table import rich_table
 from station.studies.baselines import BaselineStudy
-from station.studies.detection import DetectionStudy
+from station.studies.detection import DetectionStudy, Summary
 from station.studies.paper import BARS_PERCENT, PaperStudy
 from station.studies.paper_text import (
     NAMES,
@@ -26,6 +25,7 @@ from station.studies.paper_text import (
     relative_percent,
     sentences,
 )
+from station.terminal import stdout
 
 _GYROS = len(TABLE_2)
 _STATES = tuple(f"{name}, {unit}" for name, unit in zip(NAMES, UNITS, strict=True))
@@ -46,31 +46,27 @@ def print_paper(study: PaperStudy) -> None:
 def print_detection(study: DetectionStudy) -> None:
     """Print how often each effect was found, at each size."""
     console = stdout()
-    table = Table(title="What is found of effects that only the twin knows, % of seeds", title_style="bold")
-    table.add_column("effect")
-    for heading in (
-        "size",
-        "seeds",
-        "right",
-        "or told\nas rivals",
-        "wrong\nname",
-        "error over\noracle's",
-        "before :\nafter",
-        "coverage\nbefore",
-        "\nafter",
-    ):
-        table.add_column(heading, justify="right")
-    for line in study.lines:
-        table.add_row(
-            line.name.replace("_", " "),
-            f"{line.size:g}" if line.size else "-",
-            str(line.seeds),
-            *(_share(value) for value in (line.right, line.told, line.wrong)),
-            "-" if np.isnan(line.over_oracle) else f"{line.over_oracle:.3f}",
-            "-" if np.isnan(line.gain) else f"{line.gain:.1f}",
-            *(_share(value) for value in (line.coverage_before, line.coverage_after)),
-        )
+    heads = ("effect", "size", "seeds", "right", "or told\nas rivals", "wrong\nname", "error over\noracle's")
+    table = rich_table(
+        "What is found of effects that only the twin knows, % of seeds",
+        (*heads, "before :\nafter", "coverage\nbefore", "\nafter"),
+        "lr",
+        map(_detected, study.lines),
+    )
+    table.title_justify = "center"
     console.print(table)
+
+
+def _detected(line: Summary) -> list[str]:
+    return [
+        line.name.replace("_", " "),
+        f"{line.size:g}" if line.size else "-",
+        str(line.seeds),
+        *map(_share, (line.right, line.told, line.wrong)),
+        "-" if np.isnan(line.over_oracle) else f"{line.over_oracle:.3f}",
+        "-" if np.isnan(line.gain) else f"{line.gain:.1f}",
+        *map(_share, (line.coverage_before, line.coverage_after)),
+    ]
 
 
 def _share(value: float) -> str:
@@ -206,19 +202,16 @@ def _table_3(study: PaperStudy) -> Table:
         ("to the letter,\nEarth rate in data", earth),
         ("our default", relative_percent(study.ours)),
     )
+    rows = [(name, *(_small(values[state], 3) for _, values in columns)) for state, name in enumerate(NAMES)]
     heads = ["state", *(head for head, _ in columns)]
-    table = rich_table("Mean relative errors in percent, beside the paper's Table 3", heads, "lr")
-    for state, name in enumerate(NAMES):
-        table.add_row(name, *(_small(values[state], 3) for _, values in columns))
-    return table
+    return rich_table("Mean relative errors in percent, beside the paper's Table 3", heads, "lr", rows)
 
 
 def _headings(study: PaperStudy) -> Table:
     heads = ["heading, deg", *(f"b{gyro + 1}" for gyro in range(_GYROS)), *(f"mean {state}" for state in _STATES)]
     title = "To the letter, Earth rate at 45 deg latitude in the data and not in the model"
-    table = rich_table(title, heads, "r")
-    for heading, errors in study.headings.items():
-        table.add_row(str(heading), *_heading_cells(errors.linear))
+    rows = [(str(heading), *_heading_cells(errors.linear)) for heading, errors in study.headings.items()]
+    table = rich_table(title, heads, "r", rows)
     table.add_section()
     table.add_row("Table 2", *_heading_cells(TABLE_2))
     return table
@@ -233,10 +226,12 @@ def _heading_cells(errors: Floats) -> Iterable[str]:
 def _mems(study: PaperStudy) -> Table:
     title = f"Our default, mean relative error in percent over {study.seeds} seeds\n"
     title += "(0.005 deg/s/rtHz, bias instability 2 deg/h)"
-    table = rich_table(title, ("state", "error", "Cramer-Rao bound", "error / bound", "bar"), "lr")
-    for name, error, least, bar in zip(NAMES, study.mems_percent, study.mems_bound_percent, BARS_PERCENT, strict=True):
-        table.add_row(name, f"{error:.2f}", f"{least:.2f}", f"{error / least:.2f}", f"{bar:.1f}")
-    return table
+    results = zip(NAMES, study.mems_percent, study.mems_bound_percent, BARS_PERCENT, strict=True)
+    rows = [
+        (name, f"{error:.2f}", f"{least:.2f}", f"{error / least:.2f}", f"{bar:.1f}")
+        for name, error, least, bar in results
+    ]
+    return rich_table(title, ("state", "error", "Cramer-Rao bound", "error / bound", "bar"), "lr", rows)
 
 
 def _errors(study: BaselineStudy) -> Table:
@@ -253,10 +248,8 @@ def _errors(study: BaselineStudy) -> Table:
 
 def _cost(study: BaselineStudy) -> Table:
     title = "What it costs: 360 s of four gyros at 100 Hz, from the recording to the states"
-    table = rich_table(title, ("method", "wall time, ms", "operations a sample"), "lr")
-    for method in study.methods:
-        table.add_row(method.name, f"{1e3 * method.seconds:,.0f}", f"{method.operations_a_sample:,.0f}")
-    return table
+    rows = [(m.name, f"{1e3 * m.seconds:,.0f}", f"{m.operations_a_sample:,.0f}") for m in study.methods]
+    return rich_table(title, ("method", "wall time, ms", "operations a sample"), "lr", rows)
 
 
 def _list(console: Console, title: str, lines: Sequence[str]) -> None:
