@@ -1,22 +1,17 @@
-"""What a person sees in the terminal: progress, the table of states, the verdict; and the JSON for machines."""
+"""What a person sees in the terminal: the table of states, the verdict; and the JSON for machines."""
 
 from __future__ import annotations
 
 import json
 import math
 import sys
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, TaskID, TextColumn
-from rich.progress import Progress as RichProgress
 from rich.table import Table
 
 from estimator.budget import UNSEEN
@@ -26,13 +21,11 @@ from estimator.noise import NoiseFound
 from estimator.repeatability import Repeatability
 from estimator.rests import RestNoise
 from station.errors import EXIT_USAGE
-from station.figures import STATE_FIGURES, STATE_UNITS, clock, number
+from station.figures import STATE_FIGURES, STATE_UNITS
 from station.outcome import Outcome, Verdict
 from station.rich_table import rich_table
-from station.snapshot import Snapshot
 from station.terminal import print_rendered, stdout
 
-_REFRESH_S = 0.1  # of the wall's clock: a person watches, however fast the loop's clock runs
 _COLOURS = {
     Outcome.PASS: "bold green",
     Outcome.ESTIMATED: "bold blue",
@@ -51,53 +44,6 @@ _BUDGET_WORDS = {
 }
 _SIGMA_HEADS = tuple(f"{name} ({unit})" for name, unit, _ in STATE_UNITS)
 _SCALES = np.array([factor for _, _, factor in STATE_UNITS])
-_PLAIN_EVERY = 0.1  # without a terminal: one line each tenth of the run
-
-
-class Progress:
-    """Progress of a run on stderr: a bar in a terminal, a few lines elsewhere, nothing when quiet."""
-
-    def __init__(self, quiet: bool) -> None:
-        """Show nothing if quiet."""
-        self._quiet = quiet
-        self._console = Console(stderr=True)
-        self._bar: RichProgress | None = None
-        self._task = TaskID(0)
-        self._shown_at = 0.0
-        self._shown_share = -1.0
-
-    def __enter__(self) -> Progress:
-        if not self._quiet and self._console.is_terminal:
-            columns = (TextColumn("{task.description:<18}"), BarColumn(), TextColumn("{task.fields[detail]}"))
-            self._bar = RichProgress(*columns, console=self._console, auto_refresh=False)
-            self._bar.start()
-            self._task = self._bar.add_task("connecting", total=1.0, detail="")
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._bar is not None:
-            self._bar.refresh()
-            self._bar.stop()
-
-    def show(self, look: Callable[[], Snapshot]) -> None:
-        """Show where the run is, not more often than a person can read; ``look`` is asked only then."""
-        now = time.monotonic()
-        if self._quiet or now - self._shown_at < _REFRESH_S:
-            return
-        self._shown_at = now
-        snapshot = look()
-        detail = (
-            f"{clock(snapshot.remaining_s)} left   {snapshot.samples} samples, {snapshot.lost} lost   "
-            f"NIS {number(snapshot.nis_mean, 2)}"
-        )
-        if self._bar is not None:
-            self._bar.update(self._task, description=snapshot.phase, completed=snapshot.share, detail=detail)
-            self._bar.refresh()
-        elif snapshot.share - self._shown_share >= _PLAIN_EVERY:
-            self._shown_share = snapshot.share
-            self._console.print(f"{snapshot.share:4.0%}  {snapshot.phase:<18} {detail}", highlight=False)
 
 
 def print_calibration(calibration: Calibration) -> None:
