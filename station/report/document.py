@@ -10,6 +10,9 @@ from itertools import count
 from markupsafe import Markup
 
 from drivers.packaged import packaged_text
+from estimator.compensation import OF_THE_RATE
+from estimator.effects.conditions import SLOPE_S
+from estimator.kinematics import GRAVITY_MPS2
 from station.investigation_printed import words
 from station.rendering import rendered
 from station.report import blind_spots, corrected, course, figures, front, residual, results
@@ -29,10 +32,13 @@ _MADE_OF = {
     "course": course,
     "figures": figures,
     "front": front,
+    "gravity_mps2": GRAVITY_MPS2,
     "inf": math.inf,
+    "rate_effects": OF_THE_RATE,
     "raw_rule": RAW_RULE,
     "residual": residual,
     "results": results,
+    "slope_s": SLOPE_S,
     "snippet": snippet,
     "words": words,
 }

@@ -13,27 +13,15 @@ from estimator.effects.conditions import SLOPE_S
 from estimator.effects.constructed import LAST_SHARE, REFERENCE_C
 from estimator.kinematics import GRAVITY_MPS2
 from station.exporting.law_text import law_terms
+from station.exporting.terms import FORMULAS
 from station.rendering import rendered
 from station.report.correction import Correction
 
 _WARMTH = f"(t - {REFERENCE_C:g})"
 _STEPS = "np.maximum(np.diff(t_s, prepend=t_s[:1]), 0)"
 _WARMING = f"(t - follow(t, {SLOPE_S:g} / ({SLOPE_S:g} + {_STEPS}), np.inf)) / {SLOPE_S:g}"
-_CODE: Mapping[str, str] = {
-    "thermal_bias": f"{{a}}[:, 0] * {_WARMTH}",
-    "thermal_bias_quadratic": f"{{a}}[:, 0] * {_WARMTH} ** 2",
-    "warm_up": "{a}[:, 0] * (1 - np.exp(-since / {tau}))",
-    "g_sensitivity": f"(np.asarray(accel_mps2) / {GRAVITY_MPS2}) @ {{a}}.T",
-    "thermal_gradient": f"{{a}}[:, 0] * {_WARMING}",
-    "bandwidth": "{a}[:, 0] * slope(left, t_s)",
-    "thermal_scale": f"{{a}}[:, 0] * {_WARMTH} * u",
-    "scale_asymmetry": "{a}[:, 0] * np.abs(u)",
-    "scale_quadratic": "{a}[:, 0] * u**2",
-    "scale_cubic": "{a}[:, 0] * u**3",
-    "acceleration_sensitivity": "slope(w, t_s) @ {a}.T",
-}
-"""What each effect adds to the outputs, or a lag takes off them; ``{a}`` is its table (n, parameters)."""
 _FORCE = f"(np.asarray(accel_mps2) / {GRAVITY_MPS2})"
+_PARTS = {"warmth": _WARMTH, "warming": _WARMING, "force": _FORCE}
 _VARIABLES: Mapping[str, str] = {
     "u": "u",
     **{f"w{axis}": f"w[:, [{r}]]" for r, axis in enumerate("xyz")},
@@ -90,7 +78,7 @@ def _of(correction: Correction, acts: Acts) -> Iterator[str]:
             table, tau = _constant(correction, effect), effect.known.settings.get("time_constant_s")
             law = law_terms(effect.known.law, _VARIABLES, _called) if effect.known.law else []
             terms = " + ".join(f"{table}[:, {n}] * {term}" for n, term in enumerate(law))
-            yield f"({terms})" if terms else _CODE[effect.name].format(a=table, tau=tau)
+            yield f"({terms})" if terms else FORMULAS[effect.name]["numpy"].format(a=table, tau=tau, **_PARTS)
 
 
 def _called(name: str, inner: str, constant: str) -> str:
