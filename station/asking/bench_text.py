@@ -3,27 +3,17 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
+from drivers.packaged import packaged_toml
 from station.bench_imu import ON_CAN
 from station.bench_table import TWIN
 from station.rendering import rendered
 
-ADDRESS_KEYS: Mapping[str, str] = {"modbus": "unit_id", "galil": "letter", "acutrol": "number"}
-"""What the address of an axis is called, by protocol; an Aerosmith's one axis has none."""
-COUNTING = ("modbus", "galil")
-"""Protocols that must be told the encoder counts a turn."""
-_LINKS = {
-    "modbus": "tcp://192.168.1.10:502 or serial:///dev/ttyUSB0?baud=115200&parity=E",
-    "galil": "tcp://192.168.1.10 or serial:///dev/ttyUSB0?baud=115200",
-    "acutrol": "tcp://192.168.1.10:9888",
-    "aerosmith": "serial:///dev/ttyUSB0?baud=9600",
-    "can": "can:socketcan:can0 or can:slcan:/dev/ttyACM0",
-    "j1939": "can:socketcan:can0 or can:pcan:PCAN_USBBUS1?bitrate=250000",
-    "stim300": "serial:///dev/ttyUSB0?baud=921600",
-    "vectornav": "serial:///dev/ttyUSB0?baud=115200",
-    "xsens": "serial:///dev/ttyUSB0?baud=921600",
-}
-"""What links to hardware look like, by protocol."""
+TABLES: Mapping[str, Mapping[str, Any]] = packaged_toml("station.asking", "devices.toml")["tables"]
+"""What is known of controllers, by protocol."""
+IMUS: Mapping[str, Mapping[str, Any]] = packaged_toml("station.asking", "devices.toml")["imus"]
+"""What is known of devices under test, by protocol."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +92,7 @@ def imu_text(imu: ImuAnswer) -> str:
 
 
 def _rendered(name: str, **values: object) -> str:
-    values |= {"quoted": _quoted, "link_comment": _link_comment, "address_keys": ADDRESS_KEYS}
+    values |= {"quoted": _quoted, "link_comment": _link_comment, "tables": TABLES}
     return rendered("station.asking", name, values)
 
 
@@ -111,4 +101,5 @@ def _quoted(value: str | Sequence[str]) -> str:
 
 
 def _link_comment(device: TableAnswer | ImuAnswer) -> str:
-    return f"the twin; hardware: {_LINKS[device.protocol]}" if device.link == TWIN else ""
+    known = TABLES[device.protocol] if isinstance(device, TableAnswer) else IMUS[device.protocol]
+    return f"the twin; hardware: {known['link']}" if device.link == TWIN else ""
