@@ -6,12 +6,11 @@ import os
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from types import TracebackType
 from typing import TypeVar
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
+from station.progress import Bar
 from station.worker_pool import Ended, attempt, run_in_processes
 
 T = TypeVar("T")
@@ -74,45 +73,20 @@ def _ends(
         yield attempt(work, index, item)
 
 
-class _Bar:
-    """How far a campaign is, on stderr: a bar in a terminal, a few lines elsewhere, nothing when quiet."""
+class _Bar(Bar):
+    """How far a campaign is."""
 
     def __init__(self, label: str, total: int, quiet: bool) -> None:
         """Show nothing if quiet."""
-        self._label, self._total, self._quiet = label, total, quiet
-        self._console = Console(stderr=True)
-        self._bar: Progress | None = None
-        self._task = TaskID(0)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        super().__init__(quiet, *columns, TextColumn("{task.fields[failed]}"), begins=label, total=total, failed="")
+        self._label, self._total = label, total
         self._done = 0
-
-    def __enter__(self) -> _Bar:
-        if not self._quiet and self._console.is_terminal:
-            self._bar = Progress(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeRemainingColumn(),
-                TextColumn("{task.fields[failed]}"),
-                console=self._console,
-            )
-            self._bar.start()
-            self._task = self._bar.add_task(self._label, total=self._total, failed="")
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
 
     def advance(self, failed: int) -> None:
         """Count one item more; ``failed`` of all so far failed."""
         self._done += 1
         said = f"{failed} failed" if failed else ""
-        if self._bar is not None:
-            self._bar.update(self._task, completed=self._done, failed=said)
-        elif (
-            not self._quiet
-            and self._done * _PLAIN_LINES // self._total > (self._done - 1) * _PLAIN_LINES // self._total
-        ):
-            self._console.print(f"{self._label}: {self._done} of {self._total}  {said}".rstrip(), highlight=False)
+        line = f"{self._label}: {self._done} of {self._total}  {said}".rstrip()
+        due = self._done * _PLAIN_LINES // self._total > (self._done - 1) * _PLAIN_LINES // self._total
+        self._tell(line, 0.0, due, completed=self._done, failed=said)

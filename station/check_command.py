@@ -18,9 +18,10 @@ from station.commands import chosen_bench, clock
 from station.errors import UsageError
 from station.open_bench import open_bench
 from station.outcome import Outcome
-from station.printing import refuse, stdout
+from station.printing import refuse
 from station.rich_table import rich_table
 from station.snapshot import json_object
+from station.terminal import stdout
 
 
 def command_check(arguments: argparse.Namespace) -> int:

@@ -26,7 +26,8 @@ from station.lasting_streams import lasting_streams
 from station.loops import ScaledLoop, VirtualLoop
 from station.open_bench import needs_only_memory, open_bench, serve_twins, with_links
 from station.outcome import Outcome
-from station.printing import Progress, print_calibration, print_verdict, refuse, result_object
+from station.printing import print_calibration, print_verdict, refuse, result_object
+from station.progress import RunProgress
 from station.script import Script, check, load_script, paper_script
 from station.session import Result, RunOptions, Session
 from station.signals import ignore_hang_up
@@ -178,7 +179,7 @@ async def drive(
         if host is not None:
             await stack.enter_async_context(host)
         opened = await stack.enter_async_context(open_bench(bench, time_scale=options.time_scale))
-        progress = stack.enter_context(Progress(quiet))
+        progress = stack.enter_context(RunProgress(quiet))
         on_event = host.tell if host is not None else None
         session = Session(opened, script, path, options, on_progress=progress.show, on_event=on_event)
         if host is None:

@@ -13,8 +13,8 @@ from estimator.effects.entries import Entry, entries
 from estimator.tracing.investigation import Value
 from station.investigation_printed import human, words
 from station.outcome import Outcome
-from station.printing import stdout
 from station.rich_table import rich_table
+from station.terminal import stdout
 
 
 def command_effects(arguments: argparse.Namespace) -> int:

@@ -16,8 +16,8 @@ from station.exporting.formats import FORMATS
 from station.exporting.held import HELD
 from station.exporting.written import Written
 from station.outcome import Outcome
-from station.printing import stdout
 from station.rich_table import rich_table
+from station.terminal import stdout
 from station.whole_file import write_whole
 
 _STDOUT = "-"

@@ -29,12 +29,13 @@ from station.figures import STATE_UNITS
 from station.outcome import Outcome
 from station.plan import make_plan
 from station.planned import planned_motion
-from station.printing import stdout
 from station.quantities import QuantityError, parse
+from station.rendering import rendered
 from station.rich_table import rich_table
-from station.script import Move, Rest, Script, check
+from station.script import Move, Rest, Rotate, Script, check
 from station.script_family import ways_of
 from station.script_search import LONGEST_S, Found, Needs, Search, sds_of
+from station.terminal import print_rendered, stdout
 from station.whole_file import free_path
 
 NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)}
@@ -42,6 +43,7 @@ NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)
 DEFAULT_FILE = "improved.toml"
 _PERIOD_S = 0.05
 _MOST_ROWS = 50_000
+_KINDS = {Rest: "rest", Move: "move", Rotate: "rotate"}
 _AFTER_MOVE_S = 0.05  # the sequencer asks whether a move has arrived when it is due, and again so much later
 
 
@@ -244,23 +246,9 @@ def _refuse(reason: str, as_json: bool) -> int:
 
 def script_text(script: Script, origin: str) -> str:
     """Return a script as TOML that ``station.script.load_script`` reads back; ``origin`` becomes its first comment."""
-    lines = [*(f"# {line}" for line in origin.splitlines()), f'name = "{script.name}"']
-    for step, duration_s in zip(script.steps, script.durations_s(), strict=True):
-        lines += ["", "[[step]]"]
-        if isinstance(step, Rest):
-            lines += ['kind = "rest"', f'duration = "{duration_s:.10g} s"']
-        else:
-            kind = "move" if isinstance(step, Move) else "rotate"
-            lines += [f'kind = "{kind}"', f'axis = "{step.axis}"', f'rate = "{math.degrees(step.rate_rps):.10g} deg/s"']
-            if isinstance(step, Move):
-                note = f"# from home; takes {duration_s:.2f} s"
-                lines.append(f'angle = "{math.degrees(step.angle_rad):.10g} deg"'.ljust(44) + note)
-            else:
-                note = f"# ramps included; turns {math.degrees(step.turn_rad):.1f} deg"
-                lines.append(f'duration = "{duration_s:.10g} s"'.ljust(44) + note)
-            lines.append(f'acceleration = "{math.degrees(step.acceleration_rps2):.10g} deg/s2"')
-        lines.append(f'label = "{step.label}"')
-    return "\n".join(lines) + "\n"
+    steps = zip((_KINDS[type(step)] for step in script.steps), script.steps, script.durations_s(), strict=True)
+    values = {"origin": origin, "script": script, "steps": steps, "degrees": math.degrees}
+    return rendered("station", "script.toml", values)
 
 
 def _origin(improved: Improved, bench: Bench) -> str:
@@ -308,35 +296,27 @@ def _with_sequencer_s(script: Script) -> float:
 
 
 def _print(improved: Improved, path: Path, console: Console) -> None:
-    script, before, wanted = improved.found.script, improved.before, improved.wanted
-    console.print(
-        f"[bold]{script.duration_s:.1f} s[/] instead of {before.duration_s:.1f} s ({before.name}); "
-        f"{_with_sequencer_s(script):.1f} s with what the sequencer takes",
-        highlight=False,
-    )
-    console.print(_sigmas(improved))
-    if wanted.total_s is not None:
-        console.print("required: what is compared with; in a given time the sigmas are only made small", style="dim")
-    for number, (step, duration_s) in enumerate(zip(script.steps, script.durations_s(), strict=True), 1):
-        console.print(f"{number:3d}  {duration_s:7.2f} s  {step.label}", highlight=False)
-    console.print(
-        f"rests of {wanted.rest_s:g} s or more at both ends tell the noise from the motion; "
-        f"{improved.found.compared} ways to put turns together looked at in {improved.search_s:.1f} s",
-        style="dim",
-        highlight=False,
-    )
-    console.print(f"script: {path}   (station run --script {path})", highlight=False, soft_wrap=True)
+    script = improved.found.script
+    values = {
+        "found": improved.found,
+        "before": improved.before,
+        "wanted": improved.wanted,
+        "search_s": improved.search_s,
+        "with_sequencer_s": _with_sequencer_s(script),
+        "sigmas": _sigmas(improved),
+        "steps": list(zip(script.steps, script.durations_s(), strict=True)),
+        "path": path,
+    }
+    print_rendered(console, "station", "improved.rich", values)
 
 
 def _sigmas(improved: Improved) -> Table:
     heads = ["gyro", *(head for name, unit, _ in STATE_UNITS for head in (f"{name}\n{unit}", "\nreached"))]
-    table = rich_table("Sigmas of the states, required and reached", heads, "lr")
-    for required in table.columns[1::2]:
-        required.style = "dim"
     several = len({device for device, _ in improved.gyros}) > 1
+    rows = []
     for (device, name), needed, reached in zip(improved.gyros, improved.wanted.sd, improved.found.sd, strict=True):
         cells = [f"{device} {name}" if several else name]
         for need, value, (_, _, factor) in zip(needed, reached, STATE_UNITS, strict=True):
             cells += [f"{need * factor:.4g}" if math.isfinite(need) else "-", f"{value * factor:.4g}"]
-        table.add_row(*cells)
-    return table
+        rows.append(cells)
+    return rich_table("Sigmas of the states, required and reached", heads, "l" + "dr" * len(STATE_UNITS), rows)

@@ -9,13 +9,13 @@ import sys
 from itertools import zip_longest
 from pathlib import Path
 
-from station.asking.bench_text import BenchAnswer, ImuAnswer, bench_text
+from station.asking.bench_text import IMUS, TABLES, BenchAnswer, ImuAnswer, bench_text
 from station.asking.dialogue import Dialogue, EndedError
 from station.asking.hardware import can_interfaces, serial_ports
-from station.asking.imu import IMUS, ask_imu
+from station.asking.imu import ask_imu
 from station.asking.links import Links
 from station.asking.rest import ask_rest
-from station.asking.table import TABLES, ask_table
+from station.asking.table import ask_table
 from station.bench import Bench, load_bench
 from station.bench_table import TWIN
 from station.errors import EXIT_ABORTED, EXIT_USAGE, ScriptError, UsageError

@@ -9,11 +9,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
 from drivers.seams import AxisLimits
 from estimator.errors import EstimatorError
@@ -30,11 +27,12 @@ from station.investigation_file import check_new_file, write_investigation
 from station.investigation_pictures import draw_investigation
 from station.investigation_printed import empty_object, exit_code_of, investigation_object, print_investigation
 from station.next_script import NextScript, Past, next_script
+from station.progress import TracingProgress
 from station.studies.pictures import check_picture
 from station.tables import Table
+from station.whole_file import free_path
 
 _NEXT_FILE = "next-script.toml"
-_PLAIN_EVERY = 0.25  # without a terminal: one line each quarter
 _MOST_RIVALS = 4  # of what stays unexplained, so many suspects are told apart
 _DEPENDING = {
     "rate": ("scale_asymmetry", "scale_quadratic", "scale_cubic"),
@@ -68,7 +66,7 @@ def command_investigate(arguments: argparse.Namespace) -> int:
             found = investigate(recordings, verification, most_effects=arguments.most_effects, progress=progress.show)
             following = following_script(found, recordings, verification, limits)
         if following is not None:
-            script_file = script_file or free_path(_NEXT_FILE)
+            script_file = script_file or free_path(Path(_NEXT_FILE))
             write_script(script_file, following, limits)
         written = None if following is None else script_file
         what = investigation_object(found, written, fitted, judging)
@@ -200,49 +198,6 @@ def write_script(path: Path, following: NextScript, limits: Limits | None) -> No
             file.write(script_text(following.script, origin))
     except OSError as error:
         raise UsageError(f"cannot write {path}: {error}") from None
-
-
-def free_path(name: str) -> Path:
-    """Return a file of this name that is not there yet, numbered if need be."""
-    path, number = Path(name), 1
-    while path.exists():
-        number += 1
-        path = Path(name).with_stem(f"{Path(name).stem}-{number}")
-    return path
-
-
-class TracingProgress:
-    """How far an investigation is, on stderr: a bar in a terminal, a few lines elsewhere, nothing when quiet."""
-
-    def __init__(self, quiet: bool) -> None:
-        """Show nothing if quiet."""
-        self._quiet = quiet
-        self._console = Console(stderr=True)
-        self._bar: Progress | None = None
-        self._task = TaskID(0)
-        self._shown = 0.0
-
-    def __enter__(self) -> TracingProgress:
-        if not self._quiet and self._console.is_terminal:
-            columns = (TextColumn("{task.percentage:>3.0f} %"), BarColumn(), TextColumn("{task.description}"))
-            self._bar = Progress(*columns, console=self._console)
-            self._bar.start()
-            self._task = self._bar.add_task("tracing", total=1.0)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-
-    def show(self, share: float, text: str) -> None:
-        """Show how much is done, 0 to 1, and what is being done."""
-        if self._bar is not None:
-            self._bar.update(self._task, completed=share, description=text)
-        elif not self._quiet and share - self._shown >= _PLAIN_EVERY:
-            self._shown = share
-            self._console.print(f"{share:4.0%}  {text}", highlight=False)
 
 
 def _refuse(reason: str, fitted: Sequence[str], judging: Sequence[str], as_json: bool) -> int:

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -21,12 +22,13 @@ from estimator.tracing.investigation import (
     GyroErrors,
     Investigation,
     ModelStep,
-    Unexplained,
     Value,
 )
 from station.next_script import NextScript
-from station.printing import stdout
-from station.residual_printed import print_residual, residual_object
+from station.rendering import rendered
+from station.residual_printed import residual_object, residual_tables
+from station.rich_table import rich_table
+from station.terminal import print_rendered, stdout
 
 _DEG = 180 / math.pi
 _UNITS = {
@@ -64,65 +66,46 @@ def print_investigation(
     found: Investigation, next_script: NextScript | None, path: Path | None, console: Console | None = None
 ) -> None:
     """Print the verdict in words, the suspects, the error before and after, what was left out, and what to drive."""
-    console = console or stdout()
-    _say(console, f"[{_COLOURS[found.finding]}]{str(found.finding).upper()}[/]  {escape(found.reason)}")
-    for line in verdict_lines(found):
-        _say(console, f"  {escape(line)}")
-    if next_script is not None and path is not None:
-        _print_next(next_script, path, console)
-    if found.suspects:
-        console.print()
-        _print_suspects(found, console)
-    console.print()
-    print_residual(found, console)
-    _print_errors(found, console)
-    if len(found.models) > 1:
-        console.print(models_table(found.models))
-    for reason in dict.fromkeys(found.left_out.values()):
-        effects = [words(effect) for effect, why in found.left_out.items() if why == reason]
-        _say(console, f"left out, {escape(reason)}: {escape(', '.join(effects))}")
-    for note in found.notes:
-        _say(console, f"note: {escape(note)}")
+    left_out: dict[str, list[str]] = {}
+    for effect, reason in found.left_out.items():
+        left_out.setdefault(reason, []).append(words(effect))
+    values = {
+        "found": found,
+        "colour": Markup(_COLOURS[found.finding]),
+        "verdict": verdict_lines(found),
+        "next_script": next_script,
+        "path": path,
+        "suspects": _suspects(found) if found.suspects else None,
+        "residuals": residual_tables(found),
+        "errors": _errors_table(found),
+        "models": _models(found.models) if len(found.models) > 1 else None,
+        "left_out": left_out,
+        "dph": dph,
+    }
+    print_rendered(console or stdout(), "station", "investigation.rich", values)
 
 
 def verdict_lines(found: Investigation) -> list[str]:
     """Return what was found, in sentences: effects with their parameters, rivals, what is unexplained."""
-    lines = [line for added in found.added for line in _added_lines(added, len(found.gyros))]
-    for rivals in found.rivals:
-        said = "these recordings cannot tell apart" if len(rivals) > 1 else "these recordings do not prove"
-        lines.append(f"{said}: {' or '.join(map(words, rivals))}")
-    if found.unexplained is not None:
-        lines.append(unexplained_line(found.unexplained))
-    return lines
+    values = {
+        "found": found,
+        "called": lambda added: _constructed_line(added) if added.constructed else words(added.effect),
+        "parameters": _parameters,
+        "same": lambda added: ", ".join(map(words, added.same)),
+        "either": lambda rivals: " or ".join(map(words, rivals)),
+        "probability": probability,
+    }
+    return rendered("station", "verdict.txt", values).splitlines()
 
 
-def unexplained_line(unexplained: Unexplained) -> str:
-    """Return what is unexplained in words."""
-    return (
-        f"unexplained: {unexplained.share:.0%} of the power of what is left depends on {unexplained.depends_on}, and "
-        "neither an effect of the catalogue nor a law composed of what was measured explains it; the sigmas of the "
-        "states allow for it"
-    )
-
-
-def _added_lines(added: Added, gyros: int) -> list[str]:
-    who = "all gyros" if len(added.gyros) == gyros else ", ".join(added.gyros)
-    called = _constructed_line(added) if added.constructed else words(added.effect)
-    head = f"{called}, probability {probability(added.probability)}, shown by {who or 'no gyro alone'}"
+def _parameters(added: Added) -> dict[str, list[str]]:
+    """Return by gyro, or by the name of the parameter where that is of none, what the parameters are."""
     lines: dict[str, list[str]] = {}
     for name, value in added.parameters.items():
         own = next((gyro for gyro in added.gyros if name.startswith(f"{gyro} ")), "")
-        lines.setdefault(own or name, []).append(
-            f"{name.removeprefix(f'{own} ')} {human(value)}" if own else human(value)
-        )
-    said = [head, *(f"  {name}: {', '.join(parts)}" for name, parts in lines.items())]
-    told = added.out_of_sample
-    if told is not None:
-        by_run = "" if told.by_run is None else f"whole recordings by {told.by_run:.0f}, "
-        said.append(f"  makes what was left out of the fit more probable: {by_run}steps by {told.by_step:.0f} (log)")
-    if added.same:
-        said.append(f"  {', '.join(map(words, added.same))} could put out the same here, but is less expected")
-    return said
+        shown = f"{name.removeprefix(f'{own} ')} {human(value)}" if own else human(value)
+        lines.setdefault(own or name, []).append(shown)
+    return lines
 
 
 def _constructed_line(added: Added) -> str:
@@ -161,50 +144,32 @@ def _unit(value: Value) -> tuple[str, float]:
     return _UNITS.get(value.unit, (value.unit, 1.0))
 
 
-def _print_next(following: NextScript, path: Path, console: Console) -> None:
-    _say(console, f"  drive next: {escape(following.words())}")
-    console.print(f"  script: {path}   (station run --script {path})", highlight=False, soft_wrap=True, markup=False)
-
-
-def _print_suspects(found: Investigation, console: Console) -> None:
-    table = Table(title="What the first model may lack", title_style="bold", title_justify="left")
-    table.add_column("suspect")
-    table.add_column("probability", justify="right")
-    table.add_column("log evidence", justify="right")
+def _suspects(found: Investigation) -> Table:
+    heads = ("suspect", "probability", "log evidence")
     ranked = sorted(found.suspects, key=lambda suspect: -suspect.probability)
     shown = [s for s in ranked if s.probability >= _LEAST_SHOWN][:_MOST_SHOWN]
-    for suspect in shown:
-        table.add_row(escape(words(suspect.effect)), probability(suspect.probability), f"{suspect.log_evidence:+.1f}")
+    rows = [(escape(words(s.effect)), probability(s.probability), f"{s.log_evidence:+.1f}") for s in shown]
+    table = rich_table("What the first model may lack", heads, "lr", rows)
     rest = len(ranked) - len(shown)
     if rest:
         left = sum(s.probability for s in ranked if s not in shown)
         table.add_row(f"{rest} others together", probability(left), "", style="dim")
-    console.print(table)
+    return table
 
 
-def _print_errors(found: Investigation, console: Console) -> None:
+def _errors_table(found: Investigation) -> Table:
     where = "cross-validated by step, in-sample" if found.in_sample else "verification run"
-    table = Table(
-        title=f"Error of the compensated rate, before and after ({where})", title_style="bold", title_justify="left"
-    )
-    table.add_column("gyro")
-    for heading in ("rms\ndeg/h", "\nafter", "largest\ndeg/h", "\nafter", "in 95 %\nbefore", "\nafter"):
-        table.add_column(heading, justify="right")
-    table.add_column("states moved, in old sigmas\nk / b / sigma_j / sigma_k", justify="right")
-    for gyro in found.gyros:
-        moved = " / ".join(f"{value:+.1f}" for value in gyro.moved)
-        table.add_row(escape(gyro.name), *_both(gyro.before, gyro.after), moved)
+    heads = ("gyro", "rms\ndeg/h", "\nafter", "largest\ndeg/h", "\nafter", "in 95 %\nbefore", "\nafter")
+    moved = "states moved, in old sigmas\nk / b / sigma_j / sigma_k"
+    rows = [
+        (escape(gyro.name), *_both(gyro.before, gyro.after), " / ".join(f"{value:+.1f}" for value in gyro.moved))
+        for gyro in found.gyros
+    ]
+    table = rich_table(f"Error of the compensated rate, before and after ({where})", (*heads, moved), "lr", rows)
     if len(found.gyros) > 1:
         table.add_section()
         table.add_row("all", *_both(found.before, found.after), "")
-    console.print(table)
-    _say(console, improvement_line(found))
-    if found.in_sample:
-        _say(
-            console,
-            "[yellow]in-sample:[/] no verification run was given (--verify); these figures are cross-validated by step "
-            "of the same recordings, and say less than a run of its own would",
-        )
+    return table
 
 
 def _both(before: Errors, after: Errors) -> list[str]:
@@ -218,31 +183,22 @@ def _both(before: Errors, after: Errors) -> list[str]:
     ]
 
 
-def improvement_line(found: Investigation) -> str:
-    """Return by how much the error became smaller, and how well that is known."""
-    gain = found.improvement
-    if gain is None:
-        return f"rms error {dph(found.before.rms_rps)} deg/h; nothing was added, so nothing changed"
-    return (
-        f"rms error {dph(found.before.rms_rps)} -> {dph(found.after.rms_rps)} deg/h: {gain.ratio:.3g} times smaller "
-        f"(95 %: {gain.low:.3g} to {gain.high:.3g}), over the whole of the run, its noise taken off"
-    )
-
-
-def models_table(models: Sequence[ModelStep], title: str = "Chain of models") -> Table:
+def _models(models: Sequence[ModelStep]) -> Table:
     """Return one row a model: what it added, its evidence, its error."""
-    table = Table(title=title, title_style="bold", title_justify="left")
-    table.add_column("model", overflow="fold")
-    for heading in ("log evidence", "rms deg/h", "largest deg/h", "in 95 %"):
-        table.add_column(heading, justify="right")
-    for number, model in enumerate(models):
-        table.add_row(
+    rows = [
+        (
             " + ".join(["four states", *map(words, model.effects)]),
             f"{model.log_evidence:+.1f}" if number else "0",
             dph(model.errors.rms_rps),
             dph(model.errors.max_rps),
             f"{model.errors.coverage95:.1%}",
         )
+        for number, model in enumerate(models)
+    ]
+    table = rich_table(
+        "Chain of models", ("model", "log evidence", "rms deg/h", "largest deg/h", "in 95 %"), "lr", rows
+    )
+    table.columns[0].overflow = "fold"
     return table
 
 
@@ -328,7 +284,3 @@ def _states(values: Any) -> dict[str, float | None]:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _say(console: Console, text: str) -> None:
-    console.print(text, highlight=False)

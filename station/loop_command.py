@@ -20,12 +20,13 @@ from station.bench import Bench
 from station.closed_loop import CALIBRATION, EXPLORATION, NEXT, VERIFICATION, Driven, Loop, Round
 from station.commands import chosen_bench, clock, drive
 from station.errors import EXIT_ABORTED, EXIT_USAGE, UsageError
-from station.investigate_command import Limits, TracingProgress, following_script, write_script
+from station.investigate_command import Limits, following_script, write_script
 from station.investigation_file import write_investigation
 from station.investigation_printed import exit_code_of
 from station.loop_printed import loop_object, print_loop, runs_object
 from station.loop_scripts import exploration_script, verification_script
 from station.outcome import Outcome
+from station.progress import TracingProgress
 from station.script import Script, check, paper_script
 from station.session import RunOptions
 from station.whole_file import free_path

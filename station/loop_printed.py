@@ -10,8 +10,8 @@ from rich.table import Table
 
 from station.closed_loop import Loop, Round
 from station.investigation_printed import dph, investigation_object, print_investigation, verdict_lines
-from station.printing import stdout
 from station.rich_table import rich_table
+from station.terminal import stdout
 
 
 def print_loop(loop: Loop) -> None:

@@ -20,9 +20,10 @@ from station.open_bench import with_links
 from station.outcome import Outcome
 from station.plan import TEMPERATURE_RISE_K, WARMING_TIME_S, Plan, make_plan
 from station.plan_printed import print_plan
-from station.printing import refuse, stdout
+from station.printing import refuse
 from station.quantities import QuantityError, parse
 from station.script import Rest, Script, load_script, paper_script
+from station.terminal import stdout
 
 
 def command_plan(arguments: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
+from rich.table import Table
 
 from drivers.arrays import Flags, Floats
 from estimator.effects.catalogue import TONE_HZ
@@ -18,6 +18,7 @@ from station.figures import STATE_UNITS
 from station.investigation_printed import words
 from station.plan import WARMING_TIME_S, Plan
 from station.rich_table import rich_table
+from station.terminal import print_rendered
 
 _DEG = 180 / np.pi
 _AT_RPS = math.radians(100.0)
@@ -42,38 +43,28 @@ _MARKED = 1.0  # shifts of the states below so many of their sigmas are not wort
 
 def print_plan(plan: Plan, console: Console) -> None:
     """Print the plan: what moves, sigmas of the states, smallest effects, what looks alike, what was assumed."""
-    _say(console, _headline(plan))
-    console.print()
-    for line in profile_lines(plan.motion, console.width):
-        console.print(line, highlight=False, markup=False, no_wrap=True, overflow="crop")
-    console.print()
-    _print_states(plan, console)
-    _print_excitation(plan.forecast, console)
-    if plan.forecast.effects:
-        console.print()
-        _print_effects(plan.forecast, console)
-        _print_corrupted(plan.forecast, console)
-        _print_pairs(plan.forecast, console)
-    console.print()
-    for note in _assumptions(plan):
-        _say(console, f"[dim]assumed:[/] {note}")
-    console.print()
-    _say(console, _summary(plan))
+    found = plan.forecast
+    reached = zip(found.gyros, plan.reached, strict=True)
+    values = {
+        "plan": plan,
+        "profile": profile_lines(plan.motion, console.width),
+        "states": _states(plan),
+        "is_required": bool(np.isfinite(plan.required).any()),
+        "missed": [gyro.name for gyro, of_gyro in reached if not of_gyro.all()],
+        "combination": combination,
+        "effects": _effects(found),
+        "partly_seen": any(f.seen.any() and not f.seen.all() for f in found.effects),
+        "corrupted": [line for forecast in found.effects for line in _corrupted(forecast, found)],
+        "words": words,
+        "alike": ALIKE,
+        "reference_c": REFERENCE_C,
+        "warming_time_s": WARMING_TIME_S,
+        "tone_hz": TONE_HZ,
+    }
+    print_rendered(console, "station", "plan.rich", values)
 
 
-def _say(console: Console, text: str) -> None:
-    console.print(text, highlight=False)
-
-
-def _headline(plan: Plan) -> str:
-    minutes, seconds = divmod(round(plan.script.duration_s), 60)
-    return (
-        f"[bold]{escape(plan.script.name)}[/]: {plan.script.duration_s:g} s ({minutes}:{seconds:02d} min), "
-        f"{len(plan.script.steps)} steps, within the limits of the table"
-    )
-
-
-def _print_states(plan: Plan, console: Console) -> None:
+def _states(plan: Plan) -> Table:
     asked = bool(np.isfinite(plan.required).any())
     several = len({gyro.source for gyro in plan.forecast.gyros}) > 1
     heads = [*(["device"] if several else []), "gyro", *(f"{name}\n{unit}" for name, unit, _ in STATE_UNITS)]
@@ -90,39 +81,12 @@ def _print_states(plan: Plan, console: Console) -> None:
             _number(v * f) if np.isfinite(v) else "-" for v, (_, _, f) in zip(plan.required, STATE_UNITS, strict=True)
         ]
         table.add_row(*([""] if several else []), "required", *limits, "", style="dim")
-    console.print(table)
-
-
-def _summary(plan: Plan) -> str:
-    if not np.isfinite(plan.required).any():
-        return "The bench file requires no sigmas (sd_... of its limits), so there is nothing to reach."
-    missed = [gyro.name for gyro, reached in zip(plan.forecast.gyros, plan.reached, strict=True) if not reached.all()]
-    if missed:
-        return f"[bold red]NOT REACHED[/]  sigmas that the bench requires, for {', '.join(missed)}"
-    return "[bold green]OK[/]  every sigma that the bench requires is reached"
+    return table
 
 
 def _reached(reached: Flags) -> str:
     missed = [name for (name, _, _), ok in zip(STATE_UNITS, reached, strict=True) if not ok]
     return f"[bold red]NOT REACHED[/] {', '.join(missed)}" if missed else "[green]OK[/]"
-
-
-def _print_excitation(found: Forecast, console: Console) -> None:
-    unseen = [gyro for gyro in found.gyros if len(gyro.unseen)]
-    for gyro in unseen:
-        _say(console, f"[bold red]unobservable:[/] {gyro.name}: {'; '.join(map(combination, gyro.unseen))}")
-    if unseen:
-        _say(
-            console,
-            "Errors in these proportions change nothing that the script shows; only the data sheet limits them.",
-        )
-    if found.saturated:
-        _say(
-            console,
-            f"[bold yellow]saturated:[/] {found.steady_conditions} steady conditions (rests and rates that differ) for "
-            "4 states a gyro. Whatever is constant within each condition is taken up by the states and leaves no "
-            "residual, so the calibration can be wrong without a sign of it.",
-        )
 
 
 def combination(direction: Floats) -> str:
@@ -138,23 +102,16 @@ def combination(direction: Floats) -> str:
     return text
 
 
-def _print_effects(found: Forecast, console: Console) -> None:
+def _effects(found: Forecast) -> Table:
     heads = ("effect", "smallest", "up to*", "unit")
     table = rich_table("Smallest size of each effect that would be found", heads, "lrrl")
     for forecast in found.effects:
         for unit in dict.fromkeys(parameter.unit for parameter in forecast.effect.parameters):
             own = [i for i, parameter in enumerate(forecast.effect.parameters) if parameter.unit == unit]
             shown, factor = _UNITS[unit]
-            table.add_row(
-                words(forecast.effect.name),
-                _smallest(forecast, own, factor),
-                _number(float(forecast.largest[own].max()) * factor),
-                shown,
-            )
-    console.print(table)
-    _say(console, "[dim]Found in 95 % of runs at 1 % false alarms, each alone. * largest plausible size[/]")
-    if any(f.seen.any() and not f.seen.all() for f in found.effects):
-        _say(console, "[dim](3/4): the other parameters or gyros, here one of four, cannot be seen[/]")
+            largest = _number(float(forecast.largest[own].max()) * factor)
+            table.add_row(words(forecast.effect.name), _smallest(forecast, own, factor), largest, shown)
+    return table
 
 
 def _smallest(forecast: EffectForecast, own: Sequence[int], factor: float) -> str:
@@ -164,15 +121,6 @@ def _smallest(forecast: EffectForecast, own: Sequence[int], factor: float) -> st
     least, most = _number(float(smallest[seen].min())), _number(float(smallest[seen].max()))
     text = least if least == most else f"{least} - {most}"
     return text if seen.all() else f"{text} [red]({int(seen.sum())}/{seen.size})[/]"
-
-
-def _print_corrupted(found: Forecast, console: Console) -> None:
-    lines = [line for forecast in found.effects for line in _corrupted(forecast, found)]
-    if lines:
-        console.print()
-        _say(console, "[bold]What cannot be seen would pass as an error of these states[/] (in brackets: in sigmas)")
-    for line in lines:
-        _say(console, line)
 
 
 def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
@@ -203,40 +151,6 @@ def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
         if parts:
             lines.append(f"  {name} of {', '.join(parts)} {state_unit}")
     return lines
-
-
-def _print_pairs(found: Forecast, console: Console) -> None:
-    console.print()
-    if not found.pairs:
-        _say(console, f"No two effects that can be seen look alike (correlation above {ALIKE:g}).")
-        return
-    heads = ("effect", "parameter", "is copied by", "correlation")
-    table = rich_table("Effects that this script cannot tell apart", heads, "lllr")
-    for pair in found.pairs:
-        table.add_row(words(pair.first), pair.parameter, words(pair.second), f"{min(pair.correlation, 0.9999):.4f}")
-    console.print(table)
-
-
-def _assumptions(plan: Plan) -> list[str]:
-    bench = plan.bench
-    notes = [
-        f"a temperature that rises from {REFERENCE_C:g} degC by {plan.temperature_rise_k:g} degC with a time constant "
-        f"of {WARMING_TIME_S / 60:g} min (--temperature-rise), a tone at {TONE_HZ:g} Hz",
-        "noise and prior as the data sheets in the bench file state them; a run has to find the noise in its data, and "
-        "states sigmas up to a third larger for that doubt",
-    ]
-    unstated = [imu.name for imu in bench.imus if imu.used and not imu.noise.instability]
-    if unstated:
-        notes.append(f"a bias that does not wander: no bias instability is stated for {', '.join(unstated)}")
-    if bench.site is None:
-        notes.append("no site in the bench file, so Earth rate is not in the model, but an effect")
-    else:
-        notes.append("Earth rate is in the model; the effect of that name is what latitude and heading are wrong by")
-    if bench.table.uncertainty is not None:
-        notes.append("the sigmas hold the table's uncertainty as the bench file states it")
-    else:
-        notes.append("a perfect table: the bench file states no uncertainty of it")
-    return notes
 
 
 def _signed(value: float) -> str:

@@ -3,60 +3,51 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import Any
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from estimator.tracing.investigation import Investigation
 from estimator.tracing.origin import Origin, Split
 from estimator.tracing.residual import GyroResidual, Residual
+from station.rich_table import rich_table
 
 _MOST_SHOWN = 3
 _LEAST_SHOWN = 0.15
 _NUMBERS = ("nis", "nis_sd", "lag1", "lag1_sd", "white_p", "beyond")
-_COLUMNS: tuple[tuple[str, Literal["left", "right"]], ...] = (
-    ("NIS", "right"),
-    ("white, p", "right"),
-    ("beyond noise", "right"),
-    ("depends on", "left"),
-)
-_LEGEND = (
-    "white, p: how often white noise looks like that; beyond noise: share of the power, of which variables take up "
-    "shares that overlap"
-)
+_COLUMNS = (("NIS", "r"), ("white, p", "r"), ("beyond noise", "r"), ("depends on", "l"))
 _SPECTRUM = ("frequency_hz", "density", "noise")
 
 
-def print_residual(found: Investigation, console: Console) -> None:
-    """Print what is left of the recordings that were fitted; of the verification run only where that is not noise."""
+def residual_tables(found: Investigation) -> list[tuple[Table, str]]:
+    """Return what is left, before and after: of the recordings fitted; of the verification run where it is not noise.
+
+    Below each stands whether that is common to all gyros. Nothing if the residual was not looked at.
+    """
     before, after = found.residual_before, found.residual_after
     if before is None or after is None:
-        return
-    _print_both("recordings fitted", before, after, console)
+        return []
+    tables = [_table("recordings fitted", before, after)]
     before, after = found.verified_before, found.verified_after
     if before is not None and after is not None and not after.clean:
-        _print_both("verification run", before, after, console)
-    console.print(_LEGEND, highlight=False)
-    console.print()
+        tables.append(_table("verification run", before, after))
+    return tables
 
 
-def _print_both(runs: str, before: Residual, after: Residual, console: Console) -> None:
+def _table(runs: str, before: Residual, after: Residual) -> tuple[Table, str]:
     both = (before,) if after is before else (before, after)
     by_chance = max(gyro.nis_sd for gyro in before.gyros)
+    heads, align = ["gyro"], "l"
+    for heading, side in _COLUMNS:
+        heads += [heading] if len(both) == 1 else [f"{heading}\nbefore", "\nafter"]
+        align += side * len(both)
+    rows = [
+        (escape(gyros[0].name), *(cell(gyro) for cell in (_nis, _white, _beyond, _depends_on) for gyro in gyros))
+        for gyros in zip(*(residual.gyros for residual in both), strict=True)
+    ]
     title = f"Residual, {runs} (NIS of noise: 1 ± {by_chance:.2f})"
-    table = Table(title=title, title_style="bold", title_justify="left")
-    table.add_column("gyro")
-    for heading, justify in _COLUMNS:
-        table.add_column(heading if len(both) == 1 else f"{heading}\nbefore", justify=justify)
-        if len(both) > 1:
-            table.add_column("\nafter", justify=justify)
-    for gyros in zip(*(residual.gyros for residual in both), strict=True):
-        cells = [cell(gyro) for cell in (_nis, _white, _beyond, _depends_on) for gyro in gyros]
-        table.add_row(escape(gyros[0].name), *cells)
-    console.print(table)
-    console.print(escape(origin_line(before, after)), highlight=False)
+    return rich_table(title, heads, align, rows), origin_line(before, after)
 
 
 def origin_line(before: Residual, after: Residual) -> str:

@@ -2,11 +2,11 @@
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from station.asking.bench_text import ImuAnswer, imu_text
+from station.asking.bench_text import IMUS, ImuAnswer, imu_text
 from station.asking.checks import read_section
 from station.asking.dialogue import Dialogue
 from station.asking.gyros import GYROS, ask_gyros, built_in_channels
@@ -15,35 +15,7 @@ from station.bench_imu import read_imu
 from station.bench_table import TWIN
 from station.errors import UsageError
 
-IMUS: Mapping[str, str] = {
-    "can": "any gyros on CAN that a DBC describes",
-    "j1939": "Aceinna OpenIMU300RI, MTLT305D",
-    "stim300": "Sensonor STIM300",
-    "vectornav": "VectorNav VN-100, 200, 300",
-    "xsens": "Xsens MTi",
-}
-"""The devices by protocol."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*\Z")
-
-
-@dataclass(frozen=True, slots=True)
-class _Usual:
-    """What is proposed for a device. Noise is typical of its kind; its data sheet says what holds."""
-
-    name: str
-    array: str
-    rate: str
-    arw: str
-    bias_instability: str
-
-
-_USUAL: Mapping[str, _Usual] = {
-    "can": _Usual("array", "tetrahedron", "100 Hz", "0.005 deg/s/rtHz", "2 deg/h"),
-    "j1939": _Usual("openimu", "triad", "100 Hz", "0.005 deg/s/rtHz", "6 deg/h"),
-    "stim300": _Usual("stim300", "triad", "500 Hz", "0.0025 deg/s/rtHz", "0.5 deg/h"),
-    "vectornav": _Usual("vectornav", "triad", "200 Hz", "0.0035 deg/s/rtHz", "7 deg/h"),
-    "xsens": _Usual("mti", "triad", "400 Hz", "0.01 deg/s/rtHz", "10 deg/h"),
-}
 
 
 def ask_imu(
@@ -55,14 +27,12 @@ def ask_imu(
         read_section(imu_text(made), lambda top: read_imu(top.tables("imu")[0], folder))
 
     dialogue.say("\nA device under test. What is it?")
-    protocol = dialogue.choose("device", IMUS, protocol or "stim300")
-    usual = _USUAL[protocol]
-    channels = built_in_channels(GYROS[usual.array]) if protocol == "can" else ()
-    geometry = {"array": json.dumps(usual.array)}
-    answer = ImuAnswer(
-        _free(usual.name, names), protocol, TWIN, geometry, usual.rate, usual.arw, usual.bias_instability,
-        channels=channels,
-    )  # fmt: skip
+    protocol = dialogue.choose("device", {name: of["what"] for name, of in IMUS.items()}, protocol or "stim300")
+    usual = IMUS[protocol]
+    channels = built_in_channels(GYROS[usual["array"]]) if protocol == "can" else ()
+    geometry = {"array": json.dumps(usual["array"])}
+    noise = {key: usual[key] for key in ("rate", "arw", "bias_instability")}
+    answer = ImuAnswer(_free(usual["name"], names), protocol, TWIN, geometry, **noise, channels=channels)
 
     def check_name(text: str) -> None:
         if not _NAME.match(text) or text in names:

@@ -1,28 +1,19 @@
 """What is asked about the table."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from station.asking.bench_text import ADDRESS_KEYS, COUNTING, AxisAnswer, TableAnswer, table_text
+from station.asking.bench_text import TABLES, AxisAnswer, TableAnswer, table_text
 from station.asking.checks import read_section, whole_number
 from station.asking.dialogue import Dialogue
 from station.asking.links import Links, check_link
 from station.bench_table import TWIN, read_table
 from station.errors import UsageError
 
-TABLES: Mapping[str, str] = {
-    "modbus": "CiA 402 drives on Modbus, TCP or RTU: Kinco, Lexium 32, or by a profile of your own",
-    "galil": "Galil DMC",
-    "acutrol": "ACUTROL",
-    "aerosmith": "EXPERIMENTAL: Ideal Aerosmith, one axis",
-}
-"""The controllers by protocol."""
-_ADDRESSES: Mapping[str, Sequence[str]] = {"modbus": "123", "galil": "ABC", "acutrol": "123", "aerosmith": ("",)}
 _NUMBERS = ("address", "counts_per_turn")
 _MOST = 2**40
-_ADDRESS_WORDS = {"modbus": "Modbus unit id", "galil": "letter, A to H", "acutrol": "number, 1 to 3"}
 
 
 def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link: str) -> TableAnswer:
@@ -32,7 +23,7 @@ def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, lin
         read_section(table_text(made), lambda top: read_table(top.table("table"), folder))
 
     dialogue.say("\nThe table. Which controller turns it?")
-    protocol = dialogue.choose("controller", TABLES, protocol or "modbus")
+    protocol = dialogue.choose("controller", {name: of["what"] for name, of in TABLES.items()}, protocol or "modbus")
     link = links.ask(dialogue, protocol, "table", link)
     answer = TableAnswer(protocol, link, "kinco", _axes(protocol, "z" if protocol == "aerosmith" else "zyx"))
     if protocol == "modbus":
@@ -62,7 +53,7 @@ def _names(text: str) -> list[str]:
 def _proposed(asked: TableAnswer, usual: AxisAnswer) -> AxisAnswer:
     """Return what is proposed for the next axis: what was said of the one before, and an address that is free."""
     taken = [axis.address for axis in asked.axes.values()]
-    free = [address for address in _ADDRESSES[asked.protocol] if address not in taken]
+    free = [address for address in TABLES[asked.protocol]["addresses"] if address not in taken]
     address = free[0] if usual.address in taken and free else usual.address
     before = next(reversed(list(asked.axes.values())), usual)
     return replace(before, address=address, link="")
@@ -70,8 +61,7 @@ def _proposed(asked: TableAnswer, usual: AxisAnswer) -> AxisAnswer:
 
 def _axes(protocol: str, names: Sequence[str]) -> dict[str, AxisAnswer]:
     """Return axes as they are proposed; their addresses go by their names, that of x first."""
-    counts = "65536" if protocol in COUNTING else ""
-    addresses = _ADDRESSES[protocol]
+    counts, addresses = TABLES[protocol]["counts"], TABLES[protocol]["addresses"]
     order = sorted(names)
     return {
         name: AxisAnswer(addresses[min(order.index(name), len(addresses) - 1)], counts, "100 deg/s", "50 deg/s2")
@@ -103,8 +93,8 @@ def _ask_axis(
     if table.profile == "lexium32" and table.protocol == "modbus" and table.link != TWIN:  # each is at an address
         question = "link of this drive, if it has one of its own; - if not"
         axis = replace(axis, link=dialogue.ask(question, "", check_own_link))
-    if table.protocol in ADDRESS_KEYS:
-        axis = ask("address", f"its address at the controller ({_ADDRESS_WORDS[table.protocol]})")
+    if TABLES[table.protocol]["address_key"]:
+        axis = ask("address", f"its address at the controller ({TABLES[table.protocol]['address']})")
     if axis.counts_per_turn:
         axis = ask("counts_per_turn", "encoder counts a turn (counts per degree x 360)")
     axis = ask("max_rate", "highest rate")

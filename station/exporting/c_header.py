@@ -2,12 +2,11 @@
 
 import re
 
-from drivers.arrays import Floats
 from estimator.compensation import Acts
 from station.exporting.exported import Exported
-from station.exporting.function_text import argument_names, arguments_said, cautions, function_text, tables
+from station.exporting.function_text import argument_names, arguments_said, cautions, function_text
 from station.exporting.terms import terms_of
-from station.exporting.written import Written, head, number
+from station.exporting.written import Written, head
 
 
 def write_c(exported: Exported) -> Written:
@@ -25,17 +24,14 @@ def write_c(exported: Exported) -> Written:
     arguments = [f"{prefix}_state *state"] if terms.keeps_state else []
     arguments += [*(declared[name] for name in argument_names(terms)), "double w_rps[3]"]
     text = function_text(
-        ["header"],
+        "header.jinja",
         exported,
         terms,
         lambda term: f"{prefix}_{term.table}",
         {"axis": f"{prefix}_axis", "value": "(", "sign": f"{prefix}_sign"}
         | {name: f"{prefix}_{name}(state, " for name in ("follow", "last")},
-        {
-            "head": map(_said_line, head(exported, what, not_held, " *")),
-            "tables": tables(exported, terms, "/* {} */".format, f"{prefix}_{{}}".format, _table),
-            "said": map(_said, arguments_said(exported, terms)),
-        },
+        head=list(map(_said_line, head(exported, what, not_held, " *"))),
+        said=list(map(_said, arguments_said(exported, terms))),
         p=prefix,
         upper=prefix.upper(),
         arguments=", ".join(arguments),
@@ -61,11 +57,3 @@ def _said_line(line: str) -> str:
 def _said(text: str) -> str:
     """Return a text that may stand in a comment."""
     return text.replace("*/", "* /").replace("/*", "/ *").replace("??/", "?? /")
-
-
-def _table(name: str, values: Floats) -> list[str]:
-    if values.ndim == 1:
-        return [f"static const double {name}[{len(values)}] = {{{', '.join(map(number, values))}}};", ""]
-    rows = [f"    {{{', '.join(map(number, row))}}}," for row in values]
-    rows[-1] = rows[-1].rstrip(",")
-    return [f"static const double {name}[{len(values)}][{values.shape[1]}] = {{", *rows, "};", ""]

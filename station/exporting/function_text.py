@@ -1,12 +1,10 @@
 """What C and Python have in common: the arguments of the correction function, what is left to its user, its text."""
 
-from collections.abc import Callable, Iterable, Mapping
-from string import Template
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from drivers.arrays import Floats
-from drivers.packaged import packaged_text
 from estimator.compensation import MOST_ITERATIONS, TOLERANCE_RPS, Acts
 from estimator.effects.conditions import SLOPE_S
 from estimator.effects.constructed import LAST_SHARE
@@ -14,6 +12,7 @@ from estimator.effects.thermal import REFERENCE_C
 from station.exporting.exported import Exported
 from station.exporting.terms import Term, Terms
 from station.exporting.written import delay_line, lines_of, number
+from station.rendering import rendered
 
 
 def argument_names(terms: Terms) -> list[str]:
@@ -55,70 +54,58 @@ def cautions(exported: Exported, terms: Terms) -> list[str]:
 
 
 def function_text(
-    templates: Iterable[str],
+    template: str,
     exported: Exported,
     terms: Terms,
     name_of: Callable[[Term], str],
     helpers: Mapping[str, str],
-    given: Mapping[str, Iterable[str]],
     **values: object,
 ) -> str:
-    """Return the source code of templates, whose margin ends with a bar; ``name_of`` names the table of a term,
-    ``helpers`` are how the language writes what stands in braces in its expression.
-
-    A name in the margin says when a line comes: where the function uses it, or once for each text of it, which
-    ``$it`` stands for. Other names behind ``$`` are those of ``values``, and what the function consists of.
+    """Return the source code of a template; ``name_of`` names the table of a term, ``helpers`` are how the language
+    writes what stands in braces in its expression. ``values`` are more names that the template uses.
     """
 
     def written(acts: Acts) -> list[str]:
         return [term.written(name_of(term), helpers) for term in terms.of(acts)]
 
-    texts: dict[str, Iterable[str]] = {
-        "added": written(Acts.ADDED),
-        "of rate": written(Acts.RATE),
-        "of motion": written(Acts.MOTION),
-        **given,
-    }
     used = {name: terms.uses(name) for name in ("warmth", "time_s", "slope", "wdot", "last", "sign")}
-    used |= {"state": terms.keeps_state, "dt_s": terms.timed, "memory": bool(terms.places), "law": terms.uses("value")}
     used |= {name: used["slope"] or terms.uses(name) for name in ("step", "follow")}
-    used |= {"rate": bool(terms.of(Acts.RATE)), "motion": bool(terms.of(Acts.MOTION)), "bandwidth": bool(terms.lag)}
-    used |= {"u rate": terms.uses("u", Acts.RATE), "u motion": terms.uses("u", Acts.MOTION)}
-    used |= {"adds": bool(terms.of(Acts.ADDED))} | {f"no {name}": not there for name, there in used.items()}
     values |= {
+        **used,
+        "added": written(Acts.ADDED),
+        "of_rate": written(Acts.RATE),
+        "of_motion": written(Acts.MOTION),
+        "u_rate": terms.uses("u", Acts.RATE),
+        "u_motion": terms.uses("u", Acts.MOTION),
+        "rate": bool(terms.of(Acts.RATE)),
+        "motion": bool(terms.of(Acts.MOTION)),
+        "law": terms.uses("value"),
+        "state": terms.keeps_state,
+        "dt_s": terms.timed,
+        "bandwidth": terms.lag is not None,
+        "lag": name_of(terms.lag) if terms.lag is not None else "",
+        "tables": _tables(exported, terms),
+        "numbers": lambda row: ", ".join(map(number, row)),
         "gyros": len(exported.gyros),
         "delay_s": number(exported.compensation.delay_s),
         "iterations": MOST_ITERATIONS,
         "tolerance": number(TOLERANCE_RPS),
         "reference_c": number(REFERENCE_C),
         "slope_s": number(SLOPE_S),
-        "lag": name_of(terms.lag) if terms.lag is not None else "",
         "passed": "".join(f", {name}" for name in terms.given_to_the_rate),
         "places": terms.places,
         "share": number(LAST_SHARE),
     }
-    lines = []
-    template = "".join(packaged_text("station.exporting", f"{name}.template") for name in templates)
-    for line in template.splitlines():
-        name, _, text = line.partition("|")
-        each = texts.get(name.strip()) or [""] * used.get(name.strip(), not name.strip())
-        lines += [Template(text).substitute(values, it=it).rstrip() for it in each]
-    return "\n".join(lines) + "\n"
+    lines = rendered("station.exporting", template, values).split("\n")
+    return "\n".join(line.rstrip() for line in lines)
 
 
-def tables(
-    exported: Exported,
-    terms: Terms,
-    comment: Callable[[str], str],
-    name_of: Callable[[str], str],
-    table: Callable[[str, Floats], list[str]],
-) -> list[str]:
-    """Return all numbers of the correction, each table below what it is."""
+def _tables(exported: Exported, terms: Terms) -> list[tuple[str, str, Floats]]:
+    """Return all numbers of the correction: of each table what it is, its name, its values."""
     held = exported.compensation
-    listed = [
+    return [
         ("Body rate per output: the inverse of the sensitivity, rows x, y, z.", "solution", held.solution),
         ("Biases, to be added to the outputs, in rad/s.", "bias", held.bias_rps),
         *([("Nominal sense axes.", "axis", held.array.p)] if terms.uses("u") or terms.uses("axis") else []),
         *((f"{term.effect.replace('_', ' ')}: {term.unit}", term.table, term.values) for term in terms.all),
     ]
-    return [line for said, name, values in listed for line in (comment(said), *table(name_of(name), values))]

@@ -2,12 +2,11 @@
 
 import re
 
-from drivers.arrays import Floats
 from estimator.compensation import Acts
 from station.exporting.exported import Exported
-from station.exporting.function_text import argument_names, arguments_said, cautions, function_text, tables
-from station.exporting.terms import Terms, terms_of
-from station.exporting.written import Written, head, number
+from station.exporting.function_text import argument_names, arguments_said, cautions, function_text
+from station.exporting.terms import terms_of
+from station.exporting.written import Written, head
 
 
 def write_python(exported: Exported) -> Written:
@@ -17,17 +16,14 @@ def write_python(exported: Exported) -> Written:
     call = "Correction().correct" if terms.keeps_state else "correct"
     what = f"{call}(...): outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s)."
     text = function_text(
-        ["module", "class" if terms.keeps_state else "function"],
+        "module.jinja",
         exported,
         terms,
         lambda term: term.table.upper(),
         {"axis": "AXIS", "value": "_value(lambda: ", "sign": "_sign"}
         | {name: f"self._{name}(" for name in ("follow", "last")},
-        {
-            "head": head(exported, what, not_held, "#"),
-            "tables": [*tables(exported, terms, "# {}".format, str.upper, _table), ""],
-            "docstring": _docstring(exported, terms),
-        },
+        head=head(exported, what, not_held, "#"),
+        said=[line.replace("\\", "/").replace('"""', "'''") for line in arguments_said(exported, terms)],
         names=list(exported.compensation.array.names),
         simple="_solve" if terms.of(Acts.RATE) else "_invert",
         arguments=", ".join(argument_names(terms)),
@@ -39,20 +35,3 @@ def write_python(exported: Exported) -> Written:
 
 
 _MATH = ("cos", "exp", "expm1", "fabs", "isfinite", "isnan", "log1p", "nan", "sin", "sqrt", "tanh")
-
-
-def _table(name: str, values: Floats) -> list[str]:
-    if values.ndim == 1:
-        return [f"{name} = ({', '.join(map(number, values))},)"]
-    return [f"{name} = (", *(f"    ({', '.join(map(number, row))})," for row in values), ")"]
-
-
-def _docstring(exported: Exported, terms: Terms) -> list[str]:
-    lines = [
-        '"""Return the rate [x, y, z] of the body about its axes, in rad/s.',
-        "",
-        *(line.replace("\\", "/").replace('"""', "'''") for line in arguments_said(exported, terms)),
-    ]
-    if terms.of(Acts.RATE):
-        lines.append("It is nan where effects of the rate cannot be undone: far beyond the rates of the calibration.")
-    return [*lines, '"""']

@@ -11,38 +11,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers.arrays import Floats
+from drivers.packaged import packaged_toml
 from estimator.compensation import ADDED, OF_THE_RATE, Acts, Compensation, HeldEffect
 from estimator.effects.constructed import NAME as CONSTRUCTED
 from estimator.kinematics import GRAVITY_MPS2
 from station.exporting.law_text import law_terms
 from station.exporting.written import number
 
-_EXPRESSIONS: Mapping[str, str] = {
-    "thermal_bias": "{table}[i] * warmth",
-    "thermal_bias_quadratic": "{table}[i] * warmth * warmth",
-    "warm_up": "{table}[i] * -expm1(-time_s / {tau_s})",
-    "g_sensitivity": "({table}[i][0] * accel[0] + {table}[i][1] * accel[1] + {table}[i][2] * accel[2])",
-    "thermal_gradient": "{table}[i] * slope",
-    "thermal_scale": "{table}[i] * warmth * u",
-    "scale_asymmetry": "{table}[i] * fabs(u)",
-    "scale_quadratic": "{table}[i] * u * u",
-    "scale_cubic": "{table}[i] * u * u * u",
-    "acceleration_sensitivity": "({table}[i][0] * wdot[0] + {table}[i][1] * wdot[1] + {table}[i][2] * wdot[2])",
-}
-_UNITS: Mapping[str, str] = {
-    "thermal_bias": "rad/s per K above the reference temperature",
-    "thermal_bias_quadratic": "rad/s per K2",
-    "warm_up": "rad/s, by which the output settles",
-    "g_sensitivity": "rad/s per m/s2 along body x, y, z",
-    "thermal_gradient": "rad/s per K/s",
-    "thermal_scale": "per K, of the rate about the sense axis",
-    "scale_asymmetry": "of the size of the rate about the sense axis",
-    "scale_quadratic": "per rad/s",
-    "scale_cubic": "per (rad/s)2",
-    "acceleration_sensitivity": "s, of the angular acceleration about body x, y, z",
-    "bandwidth": "s, time constant of the lag of each gyro",
-    CONSTRUCTED: "rad/s per unit of each term",
-}
+FORMULAS: Mapping[str, Mapping[str, str]] = packaged_toml("station.exporting", "effects.toml")
+"""What each effect adds to the outputs: as ``html``, ``numpy``, ``scalar`` expression, and its ``unit``."""
 _SIZE = "sqrt({0}[0] * {0}[0] + {0}[1] * {0}[1] + {0}[2] * {0}[2])"
 _ALONG = "({{axis}}[i][0] * {0}[0] + {{axis}}[i][1] * {0}[1] + {{axis}}[i][2] * {0}[2])"
 _VARIABLES: Mapping[str, str] = {
@@ -130,7 +107,7 @@ def terms_of(compensation: Compensation) -> Terms:
         if held.name == CONSTRUCTED:
             expression, places = _of_law(held.known.law, places)
             values = held.values if held.values.shape[1] > 1 else held.values[:, 0]
-            terms.append(Term(held.known.called, table, values, _UNITS[CONSTRUCTED], expression, held.acts))
+            terms.append(Term(held.known.called, table, values, FORMULAS[CONSTRUCTED]["unit"], expression, held.acts))
         else:
             terms.append(_term(compensation, held, table))
     terms.sort(key=lambda term: order.index(term.effect) if term.effect in order else len(order))
@@ -162,7 +139,7 @@ def _term(compensation: Compensation, held: HeldEffect, table: str) -> Term:
     elif held.name == "acceleration_sensitivity":
         axes = compensation.array
         values = held.values[:, [0]] * axes.j + held.values[:, [1]] * axes.k
-    expression = _EXPRESSIONS.get(held.name, "")
+    expression = FORMULAS[held.name]["scalar"]
     if held.name == "warm_up":
         expression = expression.replace("{tau_s}", number(float(held.known.settings["time_constant_s"])))
-    return Term(held.name, table, values, _UNITS[held.name], expression, held.acts)
+    return Term(held.name, table, values, FORMULAS[held.name]["unit"], expression, held.acts)

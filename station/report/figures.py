@@ -2,12 +2,16 @@
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
+from estimator.error_model import Size
+from estimator.tracing.investigation import Value
 from station.figures import STATE_UNITS
-from station.report.html import Markup, element
+from station.investigation_printed import human
 
 COVERAGE = 2.0
 """Coverage factor of expanded uncertainties: about 95 % of a normal distribution."""
@@ -46,6 +50,7 @@ DEG_PER_S = Unit("°/s", _DEG)
 DEG = Unit("°", _DEG)
 ARCSEC = Unit('"', _DEG * 3600)
 ONE = Unit("", 1.0)
+PER_MILLION = Unit("ppm", 1.0)
 PERCENT = Unit("%", 1e2)
 CELSIUS = Unit("°C", 1.0)
 SECONDS = Unit("s", 1.0)
@@ -54,13 +59,9 @@ MICROSECONDS = Unit("µs", 1e6)
 ARW = Unit("°/s/√Hz", _DEG)
 WALK = Unit("°/h/√h", _DEG * 3600 * 60)
 
+SYMBOLS = tuple(map(Markup, ("<var>k</var>", "<var>b</var>", "<var>σ</var><sub>j</sub>", "<var>σ</var><sub>k</sub>")))
 STATES = tuple(
-    (Markup(symbol), Unit(typographic(unit), factor))
-    for symbol, (_, unit, factor) in zip(
-        ("<var>k</var>", "<var>b</var>", "<var>σ</var><sub>j</sub>", "<var>σ</var><sub>k</sub>"),
-        STATE_UNITS,
-        strict=True,
-    )
+    (symbol, Unit(typographic(unit), factor)) for symbol, (_, unit, factor) in zip(SYMBOLS, STATE_UNITS, strict=True)
 )
 """Symbol and unit of each state, in the order of every vector of states."""
 
@@ -71,9 +72,14 @@ def figure(value: float, unit: Unit, text: str, source: str | None = None, times
     ``source`` says where the recording has it: "group/dataset[row,column]" or "group@attribute"; ``times`` by what that
     was multiplied.
     """
-    return element(
-        "data", text, value=repr(float(value)), data_factor=repr(float(unit.factor)), data_h5=source, data_times=times
-    )
+    beside = {
+        "value": repr(float(value)),
+        "data-factor": repr(float(unit.factor)),
+        "data-h5": source,
+        "data-times": times,
+    }
+    named = (Markup(' {}="{}"').format(name, what) for name, what in beside.items() if what is not None)
+    return Markup("<data{}>{}</data>").format(Markup("").join(named), text)
 
 
 def plain(value: float, unit: Unit, digits: int = 3, source: str | None = None) -> Markup:
@@ -87,15 +93,37 @@ def fixed(value: float, unit: Unit, decimals: int, source: str | None = None) ->
     return figure(value, unit, text, source)
 
 
-def with_uncertainty(
-    value: float, expanded: float, unit: Unit, sources: tuple[str | None, str | None] = (None, None)
-) -> tuple[Markup, Markup]:
-    """Return a value and its expanded uncertainty to two digits of the latter (GUM 7.2.6)."""
+def count(number: int, source: str | None = None) -> Markup:
+    """Return a number of things."""
+    return figure(number, ONE, str(number), source)
+
+
+def known(value: float | None, unit: Unit) -> Markup:
+    """Return a figure from JSON, in which null stands for what is not known."""
+    return plain(math.nan if value is None else value, unit)
+
+
+def with_uncertainty(value: float, sd: float, unit: Unit, source: str, source_of_sd: str) -> list[Markup]:
+    """Return a value, its standard and its expanded uncertainty, to two digits of each of these (GUM 7.2.6)."""
+    expanded = COVERAGE * sd
     shown = [rounded(x * unit.factor, expanded * unit.factor) for x in (value, expanded)]
-    return (
-        figure(value, unit, shown[0], sources[0]),
-        figure(expanded, unit, shown[1], sources[1], COVERAGE if sources[1] else None),
-    )
+    standard = rounded(sd * unit.factor, sd * unit.factor)
+    return [
+        figure(value, unit, shown[0], source),
+        figure(sd, unit, standard, source_of_sd),
+        figure(expanded, unit, shown[1], source_of_sd, COVERAGE),
+    ]
+
+
+def worded(value: float, expanded: float, unit: str, source: str | None = None) -> Markup:
+    """Return a value of an effect and its expanded uncertainty (0: none), ``unit`` in SI, as everyday units have it."""
+    return figure(value, Unit(unit, 1.0), typographic(human(Value(value, expanded, unit))), source)
+
+
+def parameters(sizes: Iterable[Size], values: Iterable[float]) -> Markup:
+    """Return the values of the parameters of an effect on one gyro."""
+    shown = (worded(float(value), 0.0, size.unit) for value, size in zip(values, sizes, strict=True))
+    return Markup("; ").join(shown)
 
 
 def rounded(value: float, uncertainty: float) -> str:

@@ -7,15 +7,16 @@ import io
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Floats
 from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, STATES
-from station.report.html import Markup, picture
 from station.report.recorded import Course
 from station.report.traced import Residual, Spectrum
 
@@ -33,29 +34,20 @@ _RIGHT_IN = 0.06
 _MOST_POINTS = 400  # of a curve as wide as the text: more are not seen on paper
 _FEW_POINTS = 200  # of one in a small panel
 _FONTS = "Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
-_SETTINGS: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "turntable-station",
-    "font.family": "DejaVu Sans",
-    "font.size": 7,
-    "axes.titlesize": 7.5,
-    "axes.linewidth": 0.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#e4e4e4",
-    "grid.linewidth": 0.4,
-    "lines.linewidth": 0.9,
-    "xtick.major.width": 0.5,
-    "ytick.major.width": 0.5,
-    "xtick.major.size": 2,
-    "ytick.major.size": 2,
-    "axes.formatter.useoffset": False,
-    "axes.unicode_minus": True,
-}
+_STYLE = Path(__file__).with_name("report.mplstyle")
 
 
-def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str) -> Markup:
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A figure: an image as a data URI, the text in its place, a caption."""
+
+    source: str
+    alternative: str
+    caption: str
+    size_in: tuple[float, float]
+
+
+def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str) -> Picture:
     """Return the rates (N, axes) of named axes over time."""
     with _drawn((WIDTH_IN, 0.62 * len(names) + 0.42), len(names), 1, between=0.12) as (figure, panels):
         for column, (name, panel) in enumerate(zip(names, panels[:, 0], strict=True)):
@@ -74,7 +66,7 @@ def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str
         )
 
 
-def convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, turns_s: Sequence[float]) -> Markup:
+def convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, turns_s: Sequence[float]) -> Picture:
     """Return how the states of one gyro and their sigmas went, a panel a state; grey lines where steps begin."""
     t_s = np.asarray((course.t_ns - start_ns) * 1e-9, dtype=np.float64)
     each = slice((len(t_s) - 1) % _every(t_s), None, _every(t_s))  # the last among them
@@ -104,7 +96,7 @@ def convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, 
         )
 
 
-def nis_picture(courses: Sequence[tuple[str, Course]], start_ns: int) -> Markup:
+def nis_picture(courses: Sequence[tuple[str, Course]], start_ns: int) -> Picture:
     """Return the normalised innovations squared of each source over time, means of some seconds."""
     columns = min(len(courses) + 1, 6)
     bottom = 0.4 + 0.15 * -(-(len(courses) + 1) // columns)
@@ -136,7 +128,7 @@ def nis_picture(courses: Sequence[tuple[str, Course]], start_ns: int) -> Markup:
         )
 
 
-def allan_picture(names: Sequence[str], tau_s: Floats, deviation_rps: Floats) -> Markup:
+def allan_picture(names: Sequence[str], tau_s: Floats, deviation_rps: Floats) -> Picture:
     """Return the Allan deviations (n, t) of the gyros at rest."""
     with _drawn((WIDTH_IN / 2 + 0.6, 2.1), 1, 1) as (figure, panels):
         panel = panels[0, 0]
@@ -155,7 +147,7 @@ def allan_picture(names: Sequence[str], tau_s: Floats, deviation_rps: Floats) ->
         )
 
 
-def residual_picture(residual: Residual, spectrum: Spectrum | None) -> Markup:
+def residual_picture(residual: Residual, spectrum: Spectrum | None) -> Picture:
     """Return the residual of one gyro before and after: over time, against the rate, and its spectrum."""
     columns = 3 if spectrum is not None else 2
     with _drawn((WIDTH_IN, 1.75), 1, columns, bottom=0.55, widths=[1.9, 1, 1][:columns]) as (figure, panels):
@@ -227,7 +219,7 @@ def _drawn(
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_SETTINGS):
+    with mpl.rc_context(fname=_STYLE):
         figure = Figure(figsize=size)
         wide, high = size[0] - left - _RIGHT_IN, size[1] - bottom - top
         across, down = ((side - between * (n - 1)) / n for side, n in ((wide, columns), (high, rows)))
@@ -240,7 +232,7 @@ def _drawn(
         yield figure, panels
 
 
-def _done(figure: Figure, alternative: str, caption: str) -> Markup:
+def _done(figure: Figure, alternative: str, caption: str) -> Picture:
     out = io.StringIO()
     figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = out.getvalue()
@@ -250,8 +242,8 @@ def _done(figure: Figure, alternative: str, caption: str) -> Markup:
     text = re.sub(r'(?<= )(d|x|y|transform)="[^"]*"', _shortened, text)
     text = re.sub(r">\s+<", "><", text)
     data = base64.b64encode(text.encode()).decode()
-    size = figure.get_size_inches()
-    return picture(f"data:image/svg+xml;base64,{data}", alternative, caption, (float(size[0]), float(size[1])))
+    width, height = figure.get_size_inches()
+    return Picture(f"data:image/svg+xml;base64,{data}", alternative, caption, (float(width), float(height)))
 
 
 def _shortened(attribute: re.Match[str]) -> str:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from h5py import Group
 
 
+_NOTE = "note: "  # what a session writes before a note
 _MAY_LACK_ESTIMATE = (Outcome.FAIL, Outcome.ABORTED, Outcome.FAULT)
 
 
@@ -51,6 +52,16 @@ class Event:
 
     t_ns: int
     text: str
+
+    @property
+    def is_note(self) -> bool:
+        """Whether it is a note."""
+        return self.text.startswith(_NOTE)
+
+    @property
+    def words(self) -> str:
+        """What happened, or the note."""
+        return self.text.removeprefix(_NOTE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import Enum
 
+from markupsafe import Markup
+
 from estimator.calibration import Calibration
 from station.bench import Limits, read_limits
 from station.bench_table import TWIN
 from station.outcome import Outcome, Verdict, judge
 from station.report.figures import ONE, PERCENT, STATES, Unit
-from station.report.html import Markup
 from station.report.recorded import Recorded
 
 
@@ -70,6 +71,11 @@ class Standing:
     def certificate(self) -> bool:
         """Whether the document is a certificate."""
         return self.kind is Kind.CERTIFICATE
+
+    @property
+    def specimen(self) -> bool:
+        """Whether it would be one, had the devices been real."""
+        return self.kind is Kind.SPECIMEN
 
     @property
     def title(self) -> str:

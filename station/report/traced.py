@@ -14,6 +14,7 @@ from drivers.arrays import Floats
 from estimator.error_model import ErrorModel
 from estimator.errors import RecordingError
 from estimator.prober import probe
+from station.investigation_printed import words
 from station.report.recorded import Recorded, labels_of, plain
 
 if TYPE_CHECKING:
@@ -67,6 +68,11 @@ class Traced:
     def added(self) -> bool:
         """Whether effects were added."""
         return bool(self.what.get("added"))
+
+    @property
+    def added_words(self) -> list[str]:
+        """What people call these."""
+        return [words(name) for name in dict.fromkeys(str(effect["effect"]) for effect in self.what["added"])]
 
 
 def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:

@@ -49,6 +49,11 @@ class Unseen:
         found = [name for name, size in largest.items() if size >= MARKED and name not in self.budgeted]
         return sorted(found, key=lambda name: -largest[name])
 
+    @property
+    def unnoticed_words(self) -> list[str]:
+        """What people call these."""
+        return [self.words(effect) for effect in self.unnoticed]
+
     def words(self, effect: str) -> str:
         """Return what people call an effect."""
         return "wrong Earth rate" if effect == "earth_rate" and self.site_known else words(effect)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from rich.text import Text
 
 from station.figures import STATE_FIGURES
+from station.rendering import rendered
 
 OUTCOME_STYLES = {
     "PASS": "bold green",
@@ -39,6 +41,11 @@ def state_heads(first: str, beside: str = "±") -> list[list[str]]:
 def headed(lines: Sequence[str], heads: int = 1) -> list[Text]:
     """Return lines as texts, the first ``heads`` of them as a heading."""
     return [*(Text(line, "bold") for line in lines[:heads]), *map(Text, lines[heads:])]
+
+
+def templated(name: str, values: Mapping[str, Any]) -> Text:
+    """Return a text from a template of the screens, whose lines have the markup of rich."""
+    return Text.from_markup(rendered("station.screen", name, values).removesuffix("\n"), emoji=False)
 
 
 def titled(title: str, lines: Sequence[Text]) -> Text:

@@ -9,7 +9,7 @@ from typing import Any
 from rich.text import Text
 
 from station.figures import number
-from station.screen.figures import columns, headed
+from station.screen.figures import columns, templated
 
 _STYLES = {
     "nothing to add": "bold green",
@@ -28,29 +28,22 @@ def investigation_lines(found: Mapping[str, Any]) -> list[Text]:
     from station.investigation_printed import probability, words
 
     verdict = str(found.get("verdict") or "no verdict")
-    lines = [Text.assemble((verdict.upper(), _STYLES.get(verdict, "bold")), f"  {found.get('reason', '')}")]
-    for added in found.get("added", []):
-        who = ", ".join(added["gyros"]) or "no gyro alone"
-        lines.append(Text(f"{words(added['effect'])}, probability {_share(added['probability'])}, shown by {who}"))
-        lines += [Text(f"    {name}: {_value(value)}") for name, value in added["parameters"].items()]
-    for rivals in found.get("rivals", []):
-        said = "these recordings cannot tell apart" if len(rivals) > 1 else "these recordings do not prove"
-        lines.append(Text(f"{said}: {' or '.join(map(words, rivals))}", "yellow"))
-    unexplained = found.get("unexplained")
-    if unexplained:
-        lines.append(
-            Text(f"unexplained: {unexplained['share']:.0%} of what is left depends on {unexplained['depends_on']}")
-        )
-    if found.get("next_script"):
-        lines.append(Text(f"next script: {found['next_script']}   (d drives it)", "bold"))
-    suspects = sorted(found.get("suspects", []), key=lambda suspect: -(suspect["probability"] or 0))[:3]
-    if suspects:
-        told = ", ".join(f"{words(s['effect'])} {probability(s['probability'] or 0.0)}" for s in suspects)
-        lines.append(Text(f"what the four states may lack: {told}"))
-    return lines + _before_after(found) + [Text(f"note: {note}", "dim") for note in found.get("notes", [])]
+    values = {
+        "found": found,
+        "verdict": verdict,
+        "style": _STYLES.get(verdict, "bold"),
+        "words": words,
+        "either": lambda rivals: " or ".join(map(words, rivals)),
+        "probability": probability,
+        "share": lambda share: "not known" if share is None else probability(share),
+        "shown": _value,
+        "suspects": sorted(found.get("suspects", []), key=lambda suspect: -(suspect["probability"] or 0))[:3],
+        "errors": _errors(found),
+    }
+    return [templated("investigation.rich", values)]
 
 
-def _before_after(found: Mapping[str, Any]) -> list[Text]:
+def _errors(found: Mapping[str, Any]) -> list[str]:
     gyros = found.get("gyros") or {}
     if not gyros:
         return []
@@ -64,27 +57,14 @@ def _before_after(found: Mapping[str, Any]) -> list[Text]:
         most = sorted(depends.items(), key=lambda item: -item[1]["share"])[:2]
         said = ", ".join(f"{variable} {d['share']:.0%}" for variable, d in most if d["share"] >= 0.15) or "nothing"
         rows.append([name, *(_dph(error) for error in errors), *nis, said])
-    where = "in-sample, cross-validated by step" if found.get("in_sample") else "verification run"
-    lines = [Text(""), Text(f"Error of the compensated rate, before and after ({where})", "bold underline")]
-    lines += headed(columns(rows))
-    gain = found.get("improvement")
-    if gain:
-        lines.append(Text(f"{gain['ratio']:.3g} times smaller (95 %: {gain['low']:.3g} to {gain['high']:.3g})"))
-    return lines
+    return columns(rows)
 
 
-def _value(value: list[Any]) -> str:
+def _value(value: float | None, sd: float | None, unit: str) -> str:
     from estimator.tracing.investigation import Value
     from station.investigation_printed import human
 
-    number_si, sd, unit = value
-    return human(Value(math.nan if number_si is None else number_si, math.nan if sd is None else sd, str(unit)))
-
-
-def _share(share: float | None) -> str:
-    from station.investigation_printed import probability
-
-    return "not known" if share is None else probability(share)
+    return human(Value(math.nan if value is None else value, math.nan if sd is None else sd, unit))
 
 
 def _dph(rate_rps: float | None) -> str:

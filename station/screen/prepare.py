@@ -18,7 +18,7 @@ from textual.widgets import Button, Input, Label, Static
 from station.figures import STATE_UNITS, clock, number
 from station.screen.base import Field, StationScreen
 from station.screen.choices import Choices
-from station.screen.figures import columns, headed, titled
+from station.screen.figures import columns, headed, templated, titled
 from station.screen.link import sessions_on
 from station.screen.live_run import LiveRun
 from station.screen.programs import Answer, ask
@@ -246,7 +246,8 @@ class PrepareScreen(StationScreen):
         if prospect is not None and not prospect.bench_wrong:
             limits = prospect.limits or ("none: every run that comes to its end passes",)
         self.query_one("#limits", Static).update(titled("Limits of the bench", [Text(line) for line in limits]))
-        self.query_one("#check", Static).update(titled(self._bench_title(), _check_lines(self._check, self._checking)))
+        values = {"title": self._bench_title(), "check": self._check, "checking": self._checking}
+        self.query_one("#check", Static).update(templated("check.rich", {**values, "degrees": _degrees}))
         width = max(self.query_one("#plan").size.width, 40)
         self.query_one("#plan", Static).update(titled(*_plan_lines(prospect, self._plan, width)))
 
@@ -273,38 +274,8 @@ def _summary(obstacles: list[tuple[str, str]]) -> Text:
     return Text.assemble(("NOT READY", "bold red" if first[0] == "WRONG" else "bold yellow"), f"  {first[1]}{more}")
 
 
-def _check_lines(check: Answer | None, checking: str) -> list[Text]:
-    if check is None:
-        return [Text.assemble(("WAIT  ", _DOTS["WAIT"]), checking or "not asked yet")]
-    if "devices" not in check.found:
-        return [Text.assemble(("WRONG ", _DOTS["WRONG"]), check.reason)]
-    lines = []
-    for device in check.found["devices"]:
-        kind = "WRONG" if device["wrong"] else "OK"
-        lines.append(Text.assemble((f"{kind:5} ", _DOTS[kind]), (device["device"], "bold"), f"  {_device(device)}"))
-        lines += [Text(f"      {line}", "dim") for line in _found_lines(device)]
-        lines += [Text(f"      {line}", "red") for line in device["wrong"]]
-    return lines
-
-
-def _device(device: Mapping[str, Any]) -> str:
-    identity = device["identity"]
-    serial = f"serial {identity['serial']}" if identity.get("serial") else ""
-    told = [device["kind"], device["link"], identity.get("model"), serial, identity.get("firmware")]
-    return "  ".join(str(part) for part in told if part)
-
-
-def _found_lines(device: Mapping[str, Any]) -> list[str]:
-    axes = [
-        f"{axis['name']}: {axis['text']}, at {number(math.degrees(axis['angle_rad']), 3)} deg"
-        for axis in device["axes"]
-    ]
-    sources = []
-    for source in device["sources"]:
-        temperature = source["temperature_c"]
-        warm = "" if temperature is None else f", {temperature:.1f} degC"
-        sources.append(f"{source['name']}: {source['rate_hz']:.1f} Hz, {source['lost']} lost{warm}")
-    return axes + sources
+def _degrees(angle_rad: float) -> str:
+    return number(math.degrees(angle_rad), 3)
 
 
 def _plan_lines(prospect: Prospect | None, plan: Answer | None, width: int) -> tuple[str, list[Text]]:

@@ -19,7 +19,7 @@ from station.figures import STATE_FIGURES, number
 from station.screen.archive import Entry, GyroEntry, Whole, last_before
 from station.screen.base import StationScreen
 from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.figures import OUTCOME_STYLES, columns, headed, state_heads, titled
+from station.screen.figures import OUTCOME_STYLES, columns, headed, state_heads, templated, titled
 from station.screen.investigated import investigation_lines
 from station.screen.live_run import Trend
 from station.screen.plots import gyro_plots
@@ -31,6 +31,8 @@ _MANY_SIGMAS = 3.0
 _REASONS = 4
 _MOST_OFFERED = 20
 _NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
+_NAMED = {"operator": "operator", "script": "script", "station": "bench"}
+"""What identifies a run beside its device, and what it is called."""
 _BUTTONS = (
     ("accept", "Accept  A"),
     ("investigate", "Investigate  I"),
@@ -317,25 +319,18 @@ def _change(entry: Entry, last: Entry | None) -> Text:
 def _verdict(path: Path | None, whole: Whole | None, busy: str, said: str) -> Text:
     if path is None:
         return Text("No run has ended yet. F5 opens a recording, F2 prepares a run.")
-    lines = []
-    if whole is not None:
-        entry = whole.entry
-        if entry.wrong:
-            lines.append(Text.assemble(("CANNOT BE READ", "bold red"), f"  {entry.wrong}"))
-        else:
-            outcome = entry.texts.get("outcome", "") or "no outcome"
-            style = OUTCOME_STYLES.get(outcome, "bold")
-            lines.append(Text.assemble((outcome, style), f"  {_short(entry.texts.get('reason', ''))}"))
-            lines.append(Text(_identity(entry)))
-            if entry.texts.get("accepted_by"):
-                when = entry.texts.get("accepted_utc", "")
-                lines.append(Text(f"accepted by {entry.texts['accepted_by']}, {when}", "green"))
-    lines.append(Text(f"recording: {path}"))
-    if busy:
-        lines.append(Text(f"{busy} ...", "bold yellow"))
-    if said:
-        lines.append(Text(said, "bold"))
-    return Text("\n").join(lines)
+    entry = whole.entry if whole is not None else None
+    known = {"device": entry.device} | {key: entry.texts.get(key, "") for key in _NAMED} if entry is not None else {}
+    values = {
+        "entry": entry,
+        "path": path,
+        "busy": busy,
+        "said": said,
+        "style": OUTCOME_STYLES.get(entry.texts.get("outcome", ""), "bold") if entry is not None else "",
+        "short": _short,
+        "named": [f"{_NAMED.get(key, key)} {text}" for key, text in known.items() if text],
+    }
+    return templated("verdict.rich", values)
 
 
 def _run_words(entry: Entry) -> str:
@@ -349,29 +344,14 @@ def _short(reason: str) -> str:
     return reason if more <= 0 else f"{'; '.join(parts[:_REASONS])}; and {more} more, see the record below"
 
 
-def _identity(entry: Entry) -> str:
-    parts = {
-        "device": entry.device,
-        "operator": entry.texts.get("operator", ""),
-        "script": entry.texts.get("script", ""),
-        "bench": entry.texts.get("station", ""),
-    }
-    return f"{entry.when}   " + "   ".join(f"{name} {text}" for name, text in parts.items() if text)
-
-
 def _record(whole: Whole) -> Text:
-    found = whole.found
     reasons = whole.entry.texts.get("reason", "").split("; ")
-    lines = [Text(reason) for reason in reasons] if len(reasons) > _REASONS else []
-    if found.get("samples") is not None:
-        nis = number(found.get("nis_mean"), 3)
-        lines.append(
-            Text(f"mean NIS {nis} (1 = the filter's sigmas are true), {found['samples']} samples, {found['lost']} lost")
-        )
-    lines += [Text(f"excluded: {text}", "red") for text in found.get("excluded", [])]
-    lines += [Text(f"note: {text}") for text in found.get("notes", [])]
-    lines += [Text.assemble((f"{t_s:8.1f} s  ", "dim"), str(text)) for t_s, text in found.get("events", [])]
-    return titled("Record", lines)
+    values = {
+        "found": whole.found,
+        "reasons": reasons if len(reasons) > _REASONS else [],
+        "nis": number(whole.found.get("nis_mean"), 3),
+    }
+    return templated("record.rich", values)
 
 
 def _trend(curve: Mapping[str, Any]) -> Trend:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.packaged import packaged_toml
 from estimator.array import tetrahedron
 from estimator.kinematics import Site
 from estimator.recording import Recording
@@ -109,28 +110,26 @@ def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "expo
     random = np.random.default_rng([seed, 4711])
     tables: dict[str, Any] = {"temperature": {"rise": f"{RISE_C} degC", **_SHAPES[shape]}}
 
-    def each(value: float, unit: str, n: int = 4) -> list[str]:
-        sizes = value * size * random.uniform(0.5, 1.5, n) * random.choice([-1.0, 1.0], n)
-        return [f"{one:.9g} {unit}" for one in sizes]
+    def each(value: float) -> Floats:
+        return np.asarray(value * size * random.uniform(0.5, 1.5, 4) * random.choice([-1.0, 1.0], 4))
 
+    def drawn(given: Any) -> Any:
+        match given:
+            case [value, unit]:
+                return [f"{one:.9g} {unit}" for one in each(value)]
+            case {"common": value, "unit": unit}:
+                return f"{value * size * random.uniform(0.5, 1.5):.9g} {unit}"
+            case {"scaled": value, "unit": unit}:
+                return f"{value * size:.9g} {unit}"
+            case {"from": low, "to": high, "gyros": gyros, "unit": unit}:
+                return [f"{one:.9g} {unit}" for one in random.uniform(low, high, gyros)]
+            case {"from": low, "to": high, "unit": unit}:
+                return f"{random.uniform(low, high):.9g} {unit}"
+        return given
+
+    given = packaged_toml("station.studies", "detection.toml")
     for effect in effects:
         match effect:
-            case "thermal_bias":
-                tables[effect] = {"linear": each(0.005, "deg/s/degC")}
-            case "g_sensitivity":
-                tables[effect] = {axis: each(0.02, "deg/s/g") for axis in "xyz"}
-            case "scale_asymmetry":
-                tables[effect] = {"size": each(2000, "ppm")}
-            case "scale_quadratic":
-                tables[effect] = {"size": each(100, "ppm/(deg/s)")}
-            case "scale_cubic":
-                tables[effect] = {"size": each(4, "ppm/(deg/s)2")}
-            case "latency":
-                tables[effect] = {"delay": f"{4 * size * random.uniform(0.5, 1.5):.9g} ms"}
-            case "warm_up":
-                tables[effect] = {"size": each(0.03, "deg/s"), "time_constant": f"{random.uniform(45, 80):.9g} s"}
-            case "bias_drift":
-                tables[effect] = {"size": each(0.03, "deg/s"), "over": "330 s"}
             case "table_harmonic":
                 axis, order = random.choice(list(AXES)), int(random.choice([1, 2, 4]))
                 turned = random.uniform(0, 2 * math.pi, 4)
@@ -140,36 +139,14 @@ def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "expo
                     "cosine": [f"{0.02 * size * math.cos(a):.9g} deg/s" for a in turned],
                     "sine": [f"{0.02 * size * math.sin(a):.9g} deg/s" for a in turned],
                 }
-            case "tone":
-                tables[effect] = {
-                    "size": each(0.02, "deg/s"),
-                    "frequency": f"{random.uniform(0.3, 45):.9g} Hz",
-                    "phase": [f"{a:.9g} deg" for a in random.uniform(0, 360, 4)],
-                }
-            case "acceleration_sensitivity":
-                tables[effect] = {axis: each(0.003, "deg/s/(deg/s2)") for axis in "jk"}
-            case "thermal_scale":
-                tables[effect] = {"linear": each(200, "ppm/degC")}
-            case "bias_step":
-                tables[effect] = {"size": each(0.02, "deg/s"), "at": f"{random.uniform(60, 250):.9g} s"}
             case "bandwidth":
-                tables[effect] = {"time_constant": [f"{abs(float(v.split()[0])):.9g} ms" for v in each(6, "ms")]}
-            case "table_axes":
-                tables[effect] = {"x_towards_y": f"{60 * size:.9g} arcsec"}
-            case "hysteresis":
-                tables[effect] = {"size": each(0.02, "deg/s")}
-            case "rate_dependent_delay":
-                tables[effect] = {"size": f"{300 * size * random.uniform(0.5, 1.5):.9g} us/(deg/s)"}
-            case "motor_current_gain":
-                tables[effect] = {"size": each(200, "ppm/(deg/s2)"), "friction": "0 deg/s2"}
+                tables[effect] = {"time_constant": [f"{abs(one):.9g} ms" for one in each(6)]}
             case "encoder_eccentricity":
                 tables[effect] = {"size": f"{0.02 * size:.9g} deg", "order": 3, "axis": str(random.choice(list(AXES)))}
-            case "thermal_lag":
-                tables[effect] = {"linear": each(0.01, "deg/s/degC"), "lag": "40 s"}
             case "earth_rate" | "nothing":
                 pass
             case _:
-                raise ValueError(effect)
+                tables[effect] = {key: drawn(value) for key, value in given[effect].items()}
     return Hidden.of(tables)
 
 

@@ -3,10 +3,14 @@
 Where it contradicts itself is worked out from these numbers, so that a note can never say more than they do.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from drivers.arrays import Floats
 from estimator.array import SensorArray
+from station.rendering import rendered
 
 NAMES = ("b", "k", "sigma_j", "sigma_k")
 UNITS = ("deg/s", "ppm", "deg", "deg")
@@ -57,32 +61,28 @@ def relative_percent(errors: Floats) -> Floats:
 
 def contradictions(bias_sd_dps: float) -> list[str]:
     """Return where the paper's own numbers disagree; ``bias_sd_dps`` is what its noise leaves of a bias."""
-    gains = TABLE_4 - TABLE_3
-    from_table_2 = relative_percent(TABLE_2)
-    ratios = ", ".join(f"{name} {a:.3g} %" for name, a in zip(NAMES, from_table_2, strict=True))
-    printed = ", ".join(f"{name} {a:g} %" for name, a in zip(NAMES, TABLE_3, strict=True))
-    means = TABLE_2.mean(axis=0)
-    signs = _balanced_signs(TABLE_2[:, 0])
-    notes = [
-        f"Table 4 less Table 3 is {gains.mean():.3f} % on average, not {CLAIMED_GAIN} %.",
-        f"Table 2 over Table 1 gives {ratios}; Table 3 prints {printed}.",
-        f"The text has both mean misalignment errors below {CLAIMED_MEAN_MISALIGNMENT_DEG} deg; Table 2 has "
-        f"{means[2]:.4f} deg for sigma_j ({TABLE_2[1, 2]:.4f} and {TABLE_2[3, 2]:.4f} among them) and "
-        f"{means[3]:.4f} deg for sigma_k.",
-        f"Noise of {NOISE_DPH:g} deg/h a sample leaves a bias known to {bias_sd_dps:.1e} deg/s; Table 2 has "
-        f"{TABLE_2[:, 0].min():.4f} to {TABLE_2[:, 0].max():.4f} deg/s: something its model lacks was in its data.",
-        "Table 4 is from another work (its reference [11]: six gyros on a dodecahedron), so Table 3 against Table 4 "
-        "is no comparison on like data; `station study baselines` makes one.",
-    ]
-    if signs is not None:
-        marks = " ".join("+" if s > 0 else "-" for s in signs)
-        length = np.sqrt(0.75 * np.sum(TABLE_2[:, 0] ** 2))  # rows of the tetrahedron: P'P = 4/3
-        notes.append(
-            f"With signs {marks} its four bias errors add up to zero, as the shares of one constant rate on a "
-            f"tetrahedron do; that rate would be {3600 * length:.1f} deg/h (the Earth's is 15.04 deg/h). Chance can do "
-            "so too."
-        )
-    return notes
+    # Rows of the tetrahedron: P'P = 4/3.
+    common_dph = 3600 * np.sqrt(0.75 * np.sum(TABLE_2[:, 0] ** 2))
+    values = {
+        "names": NAMES,
+        "table_2": TABLE_2,
+        "table_3": TABLE_3,
+        "from_table_2": relative_percent(TABLE_2),
+        "means": TABLE_2.mean(axis=0),
+        "gain": (TABLE_4 - TABLE_3).mean(),
+        "claimed_gain": CLAIMED_GAIN,
+        "claimed_misalignment_deg": CLAIMED_MEAN_MISALIGNMENT_DEG,
+        "noise_dph": NOISE_DPH,
+        "bias_sd_dps": bias_sd_dps,
+        "signs": _balanced_signs(TABLE_2[:, 0]),
+        "common_dph": common_dph,
+    }
+    return sentences("contradictions.txt", values)
+
+
+def sentences(name: str, values: Mapping[str, Any]) -> list[str]:
+    """Return the lines of a template of the studies."""
+    return rendered("station.studies", name, {"format": format, **values}).splitlines()
 
 
 def errata(printed: SensorArray) -> list[str]:

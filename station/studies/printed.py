@@ -10,12 +10,22 @@ from rich.table import Table
 
 from drivers.arrays import Floats
 from estimator.array import tetrahedron_as_printed
-from station.printing import stdout
 from station.rich_table import rich_table
 from station.studies.baselines import BaselineStudy
-from station.studies.detection import DetectionStudy
+from station.studies.detection import DetectionStudy, Summary
 from station.studies.paper import BARS_PERCENT, PaperStudy
-from station.studies.paper_text import NAMES, TABLE_1, TABLE_2, TABLE_3, UNITS, contradictions, errata, relative_percent
+from station.studies.paper_text import (
+    NAMES,
+    TABLE_1,
+    TABLE_2,
+    TABLE_3,
+    UNITS,
+    contradictions,
+    errata,
+    relative_percent,
+    sentences,
+)
+from station.terminal import stdout
 
 _GYROS = len(TABLE_2)
 _STATES = tuple(f"{name}, {unit}" for name, unit in zip(NAMES, UNITS, strict=True))
@@ -36,31 +46,27 @@ def print_paper(study: PaperStudy) -> None:
 def print_detection(study: DetectionStudy) -> None:
     """Print how often each effect was found, at each size."""
     console = stdout()
-    table = Table(title="What is found of effects that only the twin knows, % of seeds", title_style="bold")
-    table.add_column("effect")
-    for heading in (
-        "size",
-        "seeds",
-        "right",
-        "or told\nas rivals",
-        "wrong\nname",
-        "error over\noracle's",
-        "before :\nafter",
-        "coverage\nbefore",
-        "\nafter",
-    ):
-        table.add_column(heading, justify="right")
-    for line in study.lines:
-        table.add_row(
-            line.name.replace("_", " "),
-            f"{line.size:g}" if line.size else "-",
-            str(line.seeds),
-            *(_share(value) for value in (line.right, line.told, line.wrong)),
-            "-" if np.isnan(line.over_oracle) else f"{line.over_oracle:.3f}",
-            "-" if np.isnan(line.gain) else f"{line.gain:.1f}",
-            *(_share(value) for value in (line.coverage_before, line.coverage_after)),
-        )
+    heads = ("effect", "size", "seeds", "right", "or told\nas rivals", "wrong\nname", "error over\noracle's")
+    table = rich_table(
+        "What is found of effects that only the twin knows, % of seeds",
+        (*heads, "before :\nafter", "coverage\nbefore", "\nafter"),
+        "lr",
+        map(_detected, study.lines),
+    )
+    table.title_justify = "center"
     console.print(table)
+
+
+def _detected(line: Summary) -> list[str]:
+    return [
+        line.name.replace("_", " "),
+        f"{line.size:g}" if line.size else "-",
+        str(line.seeds),
+        *map(_share, (line.right, line.told, line.wrong)),
+        "-" if np.isnan(line.over_oracle) else f"{line.over_oracle:.3f}",
+        "-" if np.isnan(line.gain) else f"{line.gain:.1f}",
+        *map(_share, (line.coverage_before, line.coverage_after)),
+    ]
 
 
 def _share(value: float) -> str:
@@ -88,53 +94,28 @@ def paper_findings(study: PaperStudy) -> list[str]:
     decoded = relative_percent(study.noise_free.decoded)[2:].mean()
     k_alone, k_noisy = (np.abs(e.linear[:, 1]).max() for e in (study.noise_free, study.clean))
     earth = np.abs(np.array([e.linear for e in study.headings.values()]))
-    b, k = earth[:, :, 0], earth.mean(axis=1)[:, 1]
-    printed_b, printed_k = TABLE_2[:, 0], TABLE_2[:, 1]
-    ours = 100 * np.abs(study.ours / TABLE_1).max()
-    return [
-        f"The linear model has a floor of its own: it estimates (1 - k) sigma, so its sigma is {floor:.2f} % small "
-        "without any noise. Dividing by (1 - k) at the end keeps the product that it drops and leaves "
-        f"{decoded:.4f} %.",
-        f"Without noise and without Earth rate its k is right to {k_alone:.1g} ppm, with its noise to {k_noisy:.1g} "
-        f"ppm: the {printed_k.min():g} to {printed_k.max():g} ppm of Table 2 come from neither its linear model nor "
-        "its noise.",
-        f"Earth rate in the data but not in the model leaves bias errors of {b.min():.4f} to {b.max():.4f} deg/s, by "
-        f"gyro and heading, {b.mean(axis=1).min():.4f} to {b.mean(axis=1).max():.4f} as the mean of four. Table 2 has "
-        f"{printed_b.min():.4f} to {printed_b.max():.4f}, {printed_b.mean():.4f} in the mean: it is of that size.",
-        f"The same Earth rate puts k wrong by {k.min():.0f} to {k.max():.0f} ppm in the mean of four, where Table 2 "
-        f"has {printed_k.mean():.1f}. So it can explain the bias errors, but not them and the scale factors together.",
-        f"The paper's filter ends within {study.filter_apart_sd:.0e} of its sigmas of the batch form of the same "
-        "estimate, which stands for it with Earth rate and without noise.",
-        f"Our default at the paper's noise is within {ours:.4f} % of every state of every gyro. What is left comes "
-        "from the counts of the table's encoders, not from the gyros.",
-    ]
+    values = {
+        "study": study,
+        "floor": floor,
+        "decoded": decoded,
+        "k_alone": k_alone,
+        "k_noisy": k_noisy,
+        "b": earth[:, :, 0],
+        "k": earth.mean(axis=1)[:, 1],
+        "printed_b": TABLE_2[:, 0],
+        "printed_k": TABLE_2[:, 1],
+        "ours": 100 * np.abs(study.ours / TABLE_1).max(),
+    }
+    return sentences("paper_findings.txt", values)
 
 
 def baseline_findings(study: BaselineStudy) -> list[str]:
     """Return what the comparison says, in sentences."""
-    static, rotating, _, augmented, squares, kalman, ours = study.methods
-    alike = np.abs(augmented.rms / squares.rms - 1).max()
-    return [
-        f"With Earth rate as the only input the rms error of k is {static.rms[1]:,.0f} ppm for a set value of 5000, of "
-        f"sigma_j {static.rms[2]:.1f} deg for 0.1: hopeless with MEMS gyros. Their bias it finds as well as the "
-        "others.",
-        f"Null-space augmentation and least squares agree to {alike:.0e} of their error: an invertible transform of "
-        "the outputs holds the same information.",
-        f"The covariance filter needs {kalman.operations_a_sample:,.0f} operations a sample where the sums of this "
-        f"station need {ours.operations_a_sample:,.0f}.",
-        f"In b, where bias instability tells most, the error is {squares.ratio[0]:.1f} times what least squares "
-        f"states, {kalman.ratio[0]:.1f} times what the filter states and {rotating.ratio[0]:.1f} times what the "
-        f"rotations state: they take the noise for white. It is {ours.ratio[0]:.1f} times what this "
-        "station states, which finds the noise first; that is where its time goes.",
-        f"Rotation both ways and the 360 s script are two experiments: k {rotating.rms[1]:.0f} and {ours.rms[1]:.0f} "
-        f"ppm, sigma_j {rotating.rms[2]:.4f} and {ours.rms[2]:.4f} deg. Where the rotations do better, that is the "
-        "script: the paper's stands still for 135 of its 360 s and turns each axis one way only.",
-        f"The table rates alone determine {4 * _GYROS - len(study.unseen)} of {4 * _GYROS} combinations, and no single "
-        "state.",
-        "Operations are counted from the dimensions: one multiplication, addition or division each, sums of products "
-        "by their upper half, the filter's equations dense as they stand; what does not grow with the samples is left "
-        "out.",
-    ]
+    names = ("static", "rotating", "direct", "augmented", "squares", "kalman", "ours")
+    methods = dict(zip(names, study.methods, strict=True))
+    alike = np.abs(methods["augmented"].rms / methods["squares"].rms - 1).max()
+    values = {**methods, "alike": alike, "states": 4 * _GYROS, "unseen": study.unseen}
+    return sentences("baseline_findings.txt", values)
 
 
 def paper_object(study: PaperStudy) -> dict[str, Any]:
@@ -221,19 +202,16 @@ def _table_3(study: PaperStudy) -> Table:
         ("to the letter,\nEarth rate in data", earth),
         ("our default", relative_percent(study.ours)),
     )
+    rows = [(name, *(_small(values[state], 3) for _, values in columns)) for state, name in enumerate(NAMES)]
     heads = ["state", *(head for head, _ in columns)]
-    table = rich_table("Mean relative errors in percent, beside the paper's Table 3", heads, "lr")
-    for state, name in enumerate(NAMES):
-        table.add_row(name, *(_small(values[state], 3) for _, values in columns))
-    return table
+    return rich_table("Mean relative errors in percent, beside the paper's Table 3", heads, "lr", rows)
 
 
 def _headings(study: PaperStudy) -> Table:
     heads = ["heading, deg", *(f"b{gyro + 1}" for gyro in range(_GYROS)), *(f"mean {state}" for state in _STATES)]
     title = "To the letter, Earth rate at 45 deg latitude in the data and not in the model"
-    table = rich_table(title, heads, "r")
-    for heading, errors in study.headings.items():
-        table.add_row(str(heading), *_heading_cells(errors.linear))
+    rows = [(str(heading), *_heading_cells(errors.linear)) for heading, errors in study.headings.items()]
+    table = rich_table(title, heads, "r", rows)
     table.add_section()
     table.add_row("Table 2", *_heading_cells(TABLE_2))
     return table
@@ -248,10 +226,12 @@ def _heading_cells(errors: Floats) -> Iterable[str]:
 def _mems(study: PaperStudy) -> Table:
     title = f"Our default, mean relative error in percent over {study.seeds} seeds\n"
     title += "(0.005 deg/s/rtHz, bias instability 2 deg/h)"
-    table = rich_table(title, ("state", "error", "Cramer-Rao bound", "error / bound", "bar"), "lr")
-    for name, error, least, bar in zip(NAMES, study.mems_percent, study.mems_bound_percent, BARS_PERCENT, strict=True):
-        table.add_row(name, f"{error:.2f}", f"{least:.2f}", f"{error / least:.2f}", f"{bar:.1f}")
-    return table
+    results = zip(NAMES, study.mems_percent, study.mems_bound_percent, BARS_PERCENT, strict=True)
+    rows = [
+        (name, f"{error:.2f}", f"{least:.2f}", f"{error / least:.2f}", f"{bar:.1f}")
+        for name, error, least, bar in results
+    ]
+    return rich_table(title, ("state", "error", "Cramer-Rao bound", "error / bound", "bar"), "lr", rows)
 
 
 def _errors(study: BaselineStudy) -> Table:
@@ -268,10 +248,8 @@ def _errors(study: BaselineStudy) -> Table:
 
 def _cost(study: BaselineStudy) -> Table:
     title = "What it costs: 360 s of four gyros at 100 Hz, from the recording to the states"
-    table = rich_table(title, ("method", "wall time, ms", "operations a sample"), "lr")
-    for method in study.methods:
-        table.add_row(method.name, f"{1e3 * method.seconds:,.0f}", f"{method.operations_a_sample:,.0f}")
-    return table
+    rows = [(m.name, f"{1e3 * m.seconds:,.0f}", f"{m.operations_a_sample:,.0f}") for m in study.methods]
+    return rich_table(title, ("method", "wall time, ms", "operations a sample"), "lr", rows)
 
 
 def _list(console: Console, title: str, lines: Sequence[str]) -> None:

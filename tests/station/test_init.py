@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 from support import command
 
-from station.asking.imu import IMUS
-from station.asking.table import TABLES
+from station.asking.bench_text import IMUS, TABLES
 from station.bench import load_bench
 from station.bench_imu import PROTOCOLS as IMU_PROTOCOLS
 from station.bench_table import PROTOCOLS as TABLE_PROTOCOLS

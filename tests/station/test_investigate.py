@@ -37,8 +37,8 @@ from station.investigation_printed import human, investigation_object, print_inv
 from station.loop_scripts import candidates, exploration_script, there_and_back, verification_script
 from station.next_script import NextScript, Past, next_script
 from station.open_bench import DeviceTruth, simulate
-from station.printing import stdout
 from station.script import Rest, Script, check, load_script, paper_script
+from station.terminal import stdout
 
 DEG = np.pi / 180
 ASYMMETRY = {"scale_asymmetry": {"size": ["2000 ppm", "-2000 ppm", "1500 ppm", "2000 ppm"]}}

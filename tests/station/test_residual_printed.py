@@ -18,9 +18,9 @@ from estimator.tracing.residual import GyroResidual, Residual, Spectrum
 from station.investigation_file import write_investigation
 from station.investigation_pictures import draw_investigation
 from station.investigation_printed import investigation_object, print_investigation
-from station.printing import stdout
 from station.residual_printed import origin_line
 from station.studies.detection import Case, recordings_of
+from station.terminal import stdout
 
 
 @pytest.fixture(scope="module")

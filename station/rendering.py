@@ -1,0 +1,40 @@
+"""Texts made of templates that ship beside the modules: what is for people stands there, values are made in Python."""
+
+from collections.abc import Mapping
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+
+def rendered(package: str, name: str, values: Mapping[str, Any]) -> str:
+    """Return the text of a template in the folder templates of a package.
+
+    In .html and in .rich every text is escaped but markupsafe.Markup; None is nothing; a name that is not given raises
+    jinja2.UndefinedError.
+    """
+    return _environment(package, name.endswith(".rich")).get_template(name).render(values)
+
+
+@cache
+def _environment(package: str, rich: bool) -> "Environment":
+    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
+    return Environment(
+        loader=PackageLoader(package),
+        autoescape=select_autoescape(),
+        undefined=StrictUndefined,
+        finalize=_for_rich if rich else lambda value: "" if value is None else value,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+
+
+def _for_rich(value: Any) -> str:
+    """Return a value as a console of rich prints it as it stands; markup is what is Markup already."""
+    from markupsafe import Markup
+    from rich.markup import escape
+
+    return "" if value is None else value if isinstance(value, Markup) else escape(str(value))
