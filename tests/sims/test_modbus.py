@@ -142,7 +142,9 @@ def test_a_frame_of_another_protocol_is_discarded() -> None:
     virtually("tcp", main)
 
 
-@pytest.mark.parametrize("nonsense", [b"GET / HTTP/1.1\r\n\r\n", bytes(20), b"\xff" * 300])
+@pytest.mark.parametrize(
+    "nonsense", [b"GET / HTTP/1.1\r\n\r\n", bytes(20), b"\xff" * 300], ids=["text", "zeros", "ones"]
+)
 def test_nonsense_ends_a_connection_and_the_next_one_is_served(nonsense: bytes) -> None:
     async def main(master: Master, _: TableModel) -> None:
         assert await master.ask(nonsense) == []
@@ -190,7 +192,7 @@ def test_silence_of_three_and_a_half_characters_ends_a_frame() -> None:
     virtually("rtu", main)
 
 
-@pytest.mark.parametrize("before", [b"\x00", b"\xff" * 3, bytes(range(64))])
+@pytest.mark.parametrize("before", [b"\x55", b"\xff" * 3, bytes(range(64))], ids=["one", "three", "many"])
 def test_a_frame_needs_silence_before_and_after_it(before: bytes) -> None:
     async def main(master: Master, _: TableModel) -> None:
         whole = master.request(1, pdu(STATUS))
