@@ -8,7 +8,7 @@ import numpy as np
 from drivers import stim300
 from drivers.arrays import Flags, Floats, Ints
 from drivers.stim300_special import BiasTrim, ExtendedError, PartNumber, SerialNumber, Special
-from drivers.stim300_units import ACCEL_LSB_G, UNITS
+from drivers.stim300_units import ACCEL_LSB_G, GYRO_LSB_DEG, GYRO_LSB_DPS, UNITS
 from drivers.stim300_utility import DATAGRAM_CODES, UtilityMessage, encode_message
 from sims.burst import burst_of
 from sims.gyro import GyroArray
@@ -242,7 +242,8 @@ class Stim300Device:
     def _service(self, line: bytes) -> None:
         self._write(line + b"\r")
         try:
-            lines = service_lines(self.settings, line.decode("latin-1").strip()) if line.strip() else []
+            command = line.decode("latin-1").strip()
+            lines = service_lines(self.settings, command, self._readings()) if command else []
         except Refused as refusal:
             lines = [str(refusal)]
         if lines and lines[0].startswith("SYSTEM RETURNING"):
@@ -252,6 +253,16 @@ class Stim300Device:
                 self.reset()
         else:
             self._print(lines)
+
+    def _readings(self) -> dict[str, list[str]]:
+        """Return what a single shot, the bias trim and the diagnostics of service mode print, in the twin's words."""
+        angle = self.settings.gyro_unit & 1
+        shot = self._held * (GYRO_LSB_DEG if angle else GYRO_LSB_DPS)
+        return {
+            "a": [f"GYRO [{'deg' if angle else 'deg/s'}] = {', '.join(f'{value:.5f}' for value in shot)}"],
+            "b": ["BIAS TRIM OFFSET GYRO [deg/s] = 0.00000, 0.00000, 0.00000"],
+            "c": list(ExtendedError(self._errors).texts) or ["NO ERRORS"],
+        }
 
     def _print(self, lines: list[str]) -> None:
         self._write("\r".join([*lines, ">"]).encode("ascii") if lines else b"\r>")
