@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -176,6 +177,23 @@ def test_dropped_and_doubled_samples_are_as_many_as_asked_for() -> None:
 
 def test_a_clock_that_runs_fast_sends_more() -> None:
     assert len(run(4.0, 500, clock_ppm=5000).joined("counter")) - len(run(4.0, 500).joined("counter")) == 10
+
+
+def test_samples_that_a_busy_computer_sends_late_say_how_late() -> None:
+    sent = Sent()
+
+    async def scene() -> None:
+        device = Stim300Device(array_of(500), lambda data: setattr(sent, "raw", sent.raw + data), 500)
+        task = asyncio.ensure_future(device.serve())
+        await asyncio.sleep(0.03)
+        time.sleep(0.04)  # the computer does something else
+        await asyncio.sleep(0.03)
+        task.cancel()
+
+    asyncio.run(scene())
+    sent.parts = list(Stim300Decoder().feed(sent.raw))
+    assert 25_000 < sent.joined("latency_us").max() < 60_000
+    assert not run(0.1).joined("latency_us").any()
 
 
 def typed(*lines: bytes) -> Sent:
