@@ -17,6 +17,7 @@ from sims.stim300_settings import Refused, Settings, banner, service_lines, util
 
 _START_UP_TICKS = stim300.INTERNAL_RATE_HZ // 2
 _LONGEST_LINE = 200
+_LONGEST_LATENCY_US = 65_535
 _GYRO_OVERLOAD_BIT = 101  # of x in the extended error register
 
 
@@ -127,12 +128,15 @@ class Stim300Device:
             sent += burst
             ticks = self._ticks + tick * np.arange(1, burst + 1)
             self._ticks = int(ticks[-1])
-            data = self._burst(at, ticks)
+            data = self._burst(at, ticks, max(loop.time() - float(at[-1]), 0.0))
             if data:
                 self._write(data)
 
-    def _burst(self, at: Floats, ticks: Ints) -> bytes:
-        """Return what is sent for these instants: answers first, then the samples they did not take the place of."""
+    def _burst(self, at: Floats, ticks: Ints, late_s: float) -> bytes:
+        """Return what is sent for these instants: answers first, then the samples they did not take the place of.
+
+        Each is sent ``late_s`` later than it would be one by one, as the host's loop is late; its latency says so.
+        """
         own = self.settings
         step = stim300.INTERNAL_RATE_HZ // own.rate_hz
         first = int(ticks[0]) - stim300.INTERNAL_RATE_HZ // self._base_hz
@@ -152,7 +156,7 @@ class Stim300Device:
             return answers
         status = self._status(wanted, over)[rows]
         force = self._force_g(at)[np.minimum(np.searchsorted(ticks, wanted[rows]), len(ticks) - 1)]
-        return answers + self._datagrams(raw[rows], status, wanted[rows], force, float(at[-1]))
+        return answers + self._datagrams(raw[rows], status, wanted[rows], force, float(at[-1]), late_s)
 
     def _copies(self, count: int) -> Ints:
         """Return how often each of so many samples is sent."""
@@ -176,10 +180,10 @@ class Stim300Device:
             self._errors |= sum(1 << (_GYRO_OVERLOAD_BIT + axis) for axis in np.flatnonzero(over.any(axis=0)).tolist())
         return status
 
-    def _datagrams(self, raw: Ints, status: Ints, ticks: Ints, force_g: Floats, t_s: float) -> bytes:
+    def _datagrams(self, raw: Ints, status: Ints, ticks: Ints, force_g: Floats, t_s: float, late_s: float) -> bytes:
         own = self.settings
         layout = stim300.LAYOUTS[own.identifier]
-        n, zeros = len(raw), np.zeros(len(raw), dtype=np.int64)
+        n = len(raw)
         temperature = round(self._temperature_c(t_s) / stim300.TEMPERATURE_LSB_C)
         start_up = status & stim300.STATUS_START_UP
         accel = np.round(force_g / ACCEL_LSB_G[own.accel_range_g]).astype(np.int64)
@@ -192,7 +196,7 @@ class Stim300Device:
                 gyro=raw,
                 gyro_status=status,
                 counter=ticks,
-                latency_us=zeros,
+                latency_us=np.full(n, min(round(late_s * 1e6), _LONGEST_LATENCY_US)),
                 accelerometer=accel,
                 accelerometer_status=start_up,
                 inclinometer=incl,
