@@ -93,6 +93,7 @@ class ModbusTable:
                 ("switch_on", cia402.DriveState.SWITCHED_ON),
                 ("enable", cia402.DriveState.OPERATION_ENABLED),
             )
+            await self._leave_quick_stop(axis)
             for command, state in steps:
                 if await self._state(axis) is cia402.DriveState.OPERATION_ENABLED:
                     break
@@ -224,6 +225,7 @@ class ModbusTable:
     async def disable(self) -> None:
         """Take power off every drive."""
         for axis in self._axes:
+            await self._leave_quick_stop(axis)
             await self._command(axis, "shutdown")
 
     def close(self) -> None:
@@ -233,6 +235,12 @@ class ModbusTable:
 
     async def _state(self, axis: str) -> cia402.DriveState | None:
         return cia402.state_of(int(await self._read(axis, "statusword")))
+
+    async def _leave_quick_stop(self, axis: str) -> None:
+        """Disable the voltage of an axis that a quick stop holds: from there shutdown and switch on lead nowhere."""
+        if await self._state(axis) is cia402.DriveState.QUICK_STOP_ACTIVE:
+            await self._write(axis, "controlword", 0)
+            await self._wait_for_state(axis, cia402.DriveState.SWITCH_ON_DISABLED)
 
     async def _wait_for_state(self, axis: str, wanted: cia402.DriveState) -> None:
         deadline = asyncio.get_running_loop().time() + _STATE_LIMIT_S

@@ -11,10 +11,10 @@ from drivers.packaged import packaged_codes
 
 RATES_HZ = (125, 250, 500, 1000, 2000)
 """Datagram rates, by their code."""
+BIT_RATES = (374400, 460800, 921600, 1843200)
 
 _DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _EXTERNAL_TRIGGER = 5
-_BIT_RATES = (374400, 460800, 921600, 1843200)
 _USER_BIT_RATE = 0xF
 _ACCEL_RANGES_G = {0: 10, 3: 5, 4: 30, 6: 80}
 _ALL_AXES = 0x70
@@ -97,7 +97,7 @@ class Configuration:
         data[0], data[1] = ord(revision), firmware
         flags = (pps << 4) | (temperature << 3) | (inclinometer << 2) | (accelerometer << 1) | line_termination
         data[2] = RATES_HZ.index(rate_hz) << 5 | flags
-        data[3] = (_BIT_RATES.index(bit_rate) if bit_rate in _BIT_RATES else _USER_BIT_RATE) << 4
+        data[3] = (BIT_RATES.index(bit_rate) if bit_rate in BIT_RATES else _USER_BIT_RATE) << 4
         data[4], data[7], data[10] = _ALL_AXES | gyro_unit, _ALL_AXES | accel_unit, _ALL_AXES
         data[5] = data[8] = data[11] = 0x44
         data[6] = data[9] = data[12] = 0x40
@@ -141,7 +141,7 @@ class Configuration:
     def bit_rate(self) -> int | None:
         """Bits a second on the line; None for a rate of the user's own."""
         code = self.data[3] >> 4
-        return _BIT_RATES[code] if code < len(_BIT_RATES) else None
+        return BIT_RATES[code] if code < len(BIT_RATES) else None
 
     @property
     def gyros_on(self) -> tuple[bool, bool, bool]:

@@ -60,7 +60,7 @@ class AceinnaDevice:
         group, data = parameter_group(msg.arbitration_id), bytes(msg.data)
         destination = msg.arbitration_id >> 8 & 0xFF
         if group == aceinna.REQUEST and destination in (self._address, aceinna.EVERYBODY) and len(data) == 3:
-            self._answer(data[1] << 8 | data[2])
+            self._answer(data, destination, msg.arbitration_id & 0xFF)
         elif group in (aceinna.RESET_ALGORITHM, aceinna.SAVE) and data[:2] == bytes([0, self._address]):
             self.saved += group == aceinna.SAVE
             self._send(group, bytes([1, self._address, 1]))
@@ -94,10 +94,20 @@ class AceinnaDevice:
         if packets & aceinna.PACKETS["ari"]:
             self._send(aceinna.ARI, aceinna.encode_rates(np.clip(rates_dps, -1e9, 1e9), self._order))
 
-    def _answer(self, group: int) -> None:
-        """Answer a request in Aceinna's way of writing it; what it does not know it ignores."""
-        if group in self._held and not self.faults.silent:
-            self._send(group, self._held[group])
+    def _answer(self, wanted: bytes, destination: int, host: int) -> None:
+        """Answer a request, written by the standard (low byte first) or in Aceinna's way, or refuse it.
+
+        Nobody refuses what everybody was asked (SAE J1939-21, 5.4.4); data messages come by themselves.
+        """
+        groups = int.from_bytes(wanted, "little"), int.from_bytes(wanted)
+        if self.faults.silent:
+            return
+        for group in groups:
+            if group in self._held:
+                self._send(group, self._held[group])
+                return
+        if destination == self._address and not set(groups) & {aceinna.SSI2, aceinna.ACCS, aceinna.ARI}:
+            self._send(aceinna.ACKNOWLEDGEMENT, bytes([1, 0xFF, 0xFF, 0xFF, host]) + wanted)
 
     def _set(self, group: int, values: bytes) -> None:
         """Take a setting if it is one that the device has."""

@@ -10,10 +10,9 @@ import re
 from collections.abc import Callable, Mapping
 
 from sims.acutrol_axis import LIMITED_MODES, AclError, AcutrolAxisTwin
+from sims.line_controller import LineController
 from sims.table import TableModel
-from sims.watchdog import Watchdog
 
-_LONGEST_LINE = 256
 _VTRIP = 1.1
 _JERK_DPS3 = 100_000.0
 
@@ -27,8 +26,10 @@ _WORDS = {
 }
 
 
-class AcutrolController:
-    """Takes bytes from the host as they come and writes the answers at once, in order."""
+class AcutrolController(LineController):
+    """A line ends with LF; an empty one is none."""
+
+    ends, skipped, longest = b"\n", b"", 256
 
     def __init__(
         self,
@@ -42,26 +43,21 @@ class AcutrolController:
         identity: str = "Acutronic,ACUTROL3000,3117,2.4",
     ) -> None:
         """``axes`` gives each axis of the table its number; ``watchdog_s`` of silence stops them (0: never)."""
-        self._write, self._prefix_length, self._identity = write, prefix_length, identity
+        super().__init__(table, write, watchdog_s)
+        self._prefix_length, self._identity = prefix_length, identity
         self._axes = {number: AcutrolAxisTwin(table, axis, wrapped) for axis, number in axes.items()}
-        self._line = b""
         self._answers = 0
-        self._watchdog = Watchdog(table.clock, watchdog_s, self._master_is_silent)
 
-    def received(self, data: bytes) -> None:
-        """Take bytes from the host, cut anywhere; an empty line is none."""
-        *lines, self._line = (self._line + data).split(b"\n")
-        for line in lines:
-            if line.strip():
-                self._answer(line.decode("ascii", "replace").strip().lower())
-        self._line = self._line[-_LONGEST_LINE:]
-        self._watchdog.heard(any(axis.powered for axis in self._axes.values()))
+    def _is_powered(self) -> bool:
+        return any(axis.powered for axis in self._axes.values())
 
     def _answer(self, line: str) -> None:
+        if not line.strip():
+            return
         for axis in self._axes.values():
             axis.update()
         try:
-            text = self._carry_out(line)
+            text = self._carry_out(line.strip().lower())
         except AclError as error:
             text = str(error)
         self._answers += 1

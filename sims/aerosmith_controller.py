@@ -7,24 +7,23 @@ import math
 import re
 from collections.abc import Callable
 
+from sims.line_controller import LineController
 from sims.table import TableModel
-from sims.watchdog import Watchdog
 
 STA_MOVING, STA_FAULT, STA_SERVO_OFF, STA_FORWARD_LIMIT, STA_REVERSE_LIMIT = 1, 2, 4, 8, 16
 
-_LONGEST_LINE = 80
 _COMMAND = re.compile(r"([A-Z]{3})([-+]?\d+(?:\.\d*)?)?")
 
 
-class AerosmithController:
-    """Takes bytes from the host as they come and writes the answers at once, in order."""
+class AerosmithController(LineController):
+    """One axis; a line ends with CR."""
 
     def __init__(
         self, table: TableModel, write: Callable[[bytes], None], axis: str, *, watchdog_s: float = 0.0
     ) -> None:
         """Start with the servo off; ``watchdog_s`` of silence stops the axis (0: never)."""
-        self._table, self._write, self._axis = table, write, axis
-        self._line = b""
+        super().__init__(table, write, watchdog_s)
+        self._table, self._axis = table, axis
         self._servo_on = False
         self._faulty = False
         self._held_prompt = False
@@ -32,22 +31,16 @@ class AerosmithController:
         data = table.data[axis]
         self._most_dps, self._most_dps2 = math.degrees(data.max_rate_rps), math.degrees(data.max_acceleration_rps2)
         self._velocity_dps, self._acceleration_dps2 = self._most_dps, self._most_dps2
-        self._watchdog = Watchdog(table.clock, watchdog_s, self._master_is_silent)
 
-    def received(self, data: bytes) -> None:
-        """Take bytes from the host, cut anywhere."""
-        *lines, self._line = (self._line + data).replace(b"\n", b"").split(b"\r")
-        for line in lines:
-            self._answer(line.decode("ascii", "replace").strip())
-        self._line = self._line[-_LONGEST_LINE:]
-        self._watchdog.heard(self._servo_on)
+    def _is_powered(self) -> bool:
+        return self._servo_on
 
     def _answer(self, line: str) -> None:
         self._update()
         if self._held_prompt:
             self._held_prompt = False
             self._write(b">\r\n")
-        found = _COMMAND.fullmatch(line)
+        found = _COMMAND.fullmatch(line.strip())
         text = self._carry_out(found[1], float(found[2] or 0.0)) if found else "?"
         if text is None:
             self._held_prompt = True

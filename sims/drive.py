@@ -8,6 +8,7 @@ from sims.table import TableModel
 from sims.watchdog import Watchdog
 
 TURN = 2 * math.pi
+_RELATIVE, _HALT = 0x40, 0x100  # bits 6 and 8 of the controlword
 _READ_ONLY = ("statusword", "position", "rate", "error_code", "serial_number", "firmware")
 
 
@@ -30,6 +31,7 @@ class Drive:
         self._acknowledged = False
         self._homed = False
         self._homing = False
+        self._goal: float | None = None  # where the last move was to end, in turns
         self.values: dict[str, float] = dict.fromkeys(profile.registers, 0.0)
         self.values |= {"mode": cia402.MODE_PROFILE_VELOCITY, "serial_number": 1.0, "firmware": 1.0}
 
@@ -59,6 +61,8 @@ class Drive:
             self._control(int(value))
         elif register in self.values:
             self.values[register] = value
+            if register == "mode":
+                self._goal = None
             if register == "target_rate" and self.values["mode"] == cia402.MODE_PROFILE_VELOCITY:
                 self._follow_rate()
 
@@ -85,7 +89,7 @@ class Drive:
             return
         self._walk(word)
         if self._state is cia402.DriveState.OPERATION_ENABLED:
-            self._operate(word, rising)
+            self._operate(word, rising, (word ^ before) & _HALT)
 
     def _walk(self, word: int) -> None:
         """Carry out the device-control bits 0 to 3 (CiA 402 transitions 2 to 12 and 16)."""
@@ -105,21 +109,23 @@ class Drive:
                 cia402.DriveState.QUICK_STOP_ACTIVE,
             ):
                 self._enter_operation()
+        elif state is cia402.DriveState.QUICK_STOP_ACTIVE:
+            pass  # as with the quick stop options 5 to 8 (605Ah): neither shutdown nor switch on leads out of it
         elif word & 0x07 == 0x07:
             if state is cia402.DriveState.READY_TO_SWITCH_ON:
                 self._state = cia402.DriveState.SWITCHED_ON
             elif state is cia402.DriveState.OPERATION_ENABLED:
                 self._release(cia402.DriveState.SWITCHED_ON)
-        elif state is not cia402.DriveState.QUICK_STOP_ACTIVE or self._table.rate_rps(self._axis) == 0.0:
+        else:
             self._release(cia402.DriveState.READY_TO_SWITCH_ON)
 
     def _enter_operation(self) -> None:
         self._state = cia402.DriveState.OPERATION_ENABLED
         self.values["target_rate"] = 0.0
-        self._acknowledged = False
+        self._acknowledged, self._goal = False, None
         self.heard()
 
-    def _operate(self, word: int, rising: int) -> None:
+    def _operate(self, word: int, rising: int, halt_changed: int) -> None:
         mode = self.values["mode"]
         if mode == cia402.MODE_PROFILE_VELOCITY:
             self._follow_rate()
@@ -129,19 +135,32 @@ class Drive:
         elif mode == cia402.MODE_PROFILE_POSITION:
             if rising & 0x10:
                 self._acknowledged = True
-                self._table.move_encoder(
-                    self._axis,
-                    self.values["target_position"],
-                    self.values["profile_rate"] * TURN,
-                    self.values["acceleration"] * TURN,
-                )
+                self._goal = self._start_of_move(word) + self.values["target_position"]
             elif not word & 0x10:
                 self._acknowledged = False
+            if rising & 0x10 or halt_changed:
+                self._follow_goal()
+
+    def _start_of_move(self, word: int) -> float:
+        """Return from where a target position counts: a relative one from the target before it (60F2h: 0)."""
+        if not word & _RELATIVE:
+            return 0.0
+        return self._table.encoder_turns(self._axis) if self._goal is None else self._goal
+
+    def _follow_goal(self) -> None:
+        if self._controlword & _HALT:
+            self._jog(0.0)
+        elif self._goal is not None:
+            rate, acceleration = self.values["profile_rate"] * TURN, self.values["acceleration"] * TURN
+            self._table.move_encoder(self._axis, self._goal, rate, acceleration)
 
     def _follow_rate(self) -> None:
         if self._state is cia402.DriveState.OPERATION_ENABLED:
-            motion = self._table.motion[self._axis]
-            motion.jog(self._table.clock(), self.values["target_rate"] * TURN, self.values["acceleration"] * TURN)
+            self._jog(self.values["target_rate"])
+
+    def _jog(self, rate: float) -> None:
+        rate, ramp = (0.0, "deceleration") if self._controlword & _HALT else (rate, "acceleration")
+        self._table.motion[self._axis].jog(self._table.clock(), rate * TURN, self.values[ramp] * TURN)
 
     def _release(self, state: cia402.DriveState) -> None:
         """Leave operation: an axis that turns brakes along its ramp."""

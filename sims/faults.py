@@ -203,7 +203,8 @@ def faulty_device(
     def made(write: Write) -> ByteDevice:
         device = make(FaultyBytes(write, faults, int(seeds[0])))
         plug.schedule(faults.unplug_s, faults.replug_s)
-        return _Behind(FaultyBytes(device.received, faults, int(seeds[1])))
+        hear = FaultyBytes(device.received, faults, int(seeds[1]))
+        return _Behind(hear, getattr(device, "hung_up", lambda: None))
 
     return made
 
@@ -211,11 +212,8 @@ def faulty_device(
 class _Behind:
     """A device as it is heard through a faulty wire."""
 
-    def __init__(self, hear: Write) -> None:
-        self._hear = hear
-
-    def received(self, data: bytes) -> None:
-        self._hear(data)
+    def __init__(self, received: Write, hung_up: Callable[[], None]) -> None:
+        self.received, self.hung_up = received, hung_up
 
 
 class Line(Generic[T]):

@@ -9,6 +9,7 @@ TURN = 2 * math.pi
 _LARGEST_COUNT = 2**31 - 1
 _LARGEST_RATE = 12_000_000
 _LARGEST_ACCELERATION = 67_107_840
+_MOST_TORQUE_V = 9.9982
 
 
 class Refusal(Exception):
@@ -37,6 +38,7 @@ class GalilAxisTwin:
         self._settings: dict[str, float] = {
             "JG": 25000, "PA": 0, "PR": 0, "SP": 25000, "AC": 256000, "DC": 256000,
             "ER": 16384, "OE": 0, "FL": _LARGEST_COUNT, "BL": -_LARGEST_COUNT - 1,
+            "TL": _MOST_TORQUE_V,
         }  # fmt: skip
 
     def update(self) -> None:
@@ -68,7 +70,13 @@ class GalilAxisTwin:
         if word == "TE":
             lost = self._table.tripped.get(self._axis) == FOLLOWING_ERROR
             return self._settings["ER"] + 1 if lost else 0
-        state = {"TS": self._switches(), "SC": self._stop_code, "BG": int(self._moving), "MO": int(self.motor_off)}
+        state: dict[str, float] = {
+            "TS": self._switches(),
+            "SC": self._stop_code,
+            "BG": int(self._moving),
+            "MO": int(self.motor_off),
+        }
+        state |= {"TD": 0, "TT": 0.0}  # no dual encoders; torque is not simulated
         if word in state:
             return state[word]
         if word not in self._settings:
@@ -221,6 +229,7 @@ class GalilAxisTwin:
             "DC": (1024, _LARGEST_ACCELERATION),
             "ER": (-1, _LARGEST_COUNT),
             "OE": (0, 3),
+            "TL": (0, _MOST_TORQUE_V),
         }.get(word, (-_LARGEST_COUNT - 1, _LARGEST_COUNT))
         if not low <= value <= high:
             raise Refusal(galil.OUT_OF_RANGE)

@@ -9,10 +9,10 @@ import re
 from collections.abc import Callable, Mapping
 
 from drivers.galil import LONGEST_LINE, UNRECOGNIZED
-from drivers.packaged import packaged_codes
+from drivers.packaged import packaged_codes, packaged_toml
 from sims.galil_axis import GalilAxisTwin, Refusal
+from sims.line_controller import LineController
 from sims.table import TableModel
-from sims.watchdog import Watchdog
 
 _LETTERS = "ABCDEFGH"
 _SYNONYMS = str.maketrans("XYZW", "ABCD")
@@ -21,12 +21,16 @@ _ONE_AXIS = re.compile(r"([A-HW-Z])=(.+)")
 _REVISION = "\x12\x16"
 
 _WORDS = packaged_codes("sims", "galil", "error")
-_TELL = ("TP", "TV", "TE", "TS", "SC")
-_SETTINGS = ("JG", "PA", "PR", "SP", "AC", "DC", "ER", "OE", "FL", "BL", "DP")
+_KNOWN = packaged_toml("sims", "codes.toml")["galil"]
+_TELL = ("TP", "TV", "TE", "TS", "SC", "TD", "TT")
+_SETTINGS = ("JG", "PA", "PR", "SP", "AC", "DC", "ER", "OE", "FL", "BL", "DP", "TL")
+_IN_VOLTS = ("TT", "TL")
 
 
-class GalilController:
-    """Takes bytes from the host as they come and writes the answers at once, in order."""
+class GalilController(LineController):
+    """A carriage return or a semicolon ends a command."""
+
+    ends, longest = b"\r;", LONGEST_LINE
 
     def __init__(
         self,
@@ -44,47 +48,40 @@ class GalilController:
 
         Velocities are means of ``velocity_window_s``.
         """
-        self._table, self._write = table, write
+        super().__init__(table, write, watchdog_s)
         self._axes = {
             letter: GalilAxisTwin(table, axis, velocity_window_s)
             for axis, letter in sorted(axes.items(), key=lambda a: a[1])
         }
         self._echo, self._revision, self._serial = echo, revision, serial
-        self._line = b""
-        self._too_long = False
         self._error = 0
         self._leading_zeros = False
-        self._watchdog = Watchdog(table.clock, watchdog_s, self._master_is_silent)
+        self._own: dict[str, list[float]] = {word: list(values) for word, values in _KNOWN["setting"].items()}
 
     def received(self, data: bytes) -> None:
-        """Take bytes from the host, cut anywhere."""
+        """Take bytes from the host, cut anywhere; with echo on each is said again before it is obeyed."""
+        if not self._echo:
+            super().received(data)
+            return
         for byte in data:
-            if self._echo:
-                self._write(b"\r\n" if byte == 13 else bytes([byte]))
-            if byte == 13:
-                line, self._line = self._line, b""
-                if self._too_long:
-                    self._too_long, self._error = False, 5
-                    self._write(b"?")
-                else:
-                    self._carry_out(line.decode("ascii", "replace"))
-            elif byte != 10:
-                self._too_long |= len(self._line) >= LONGEST_LINE
-                if not self._too_long:
-                    self._line += bytes([byte])
-        self._watchdog.heard(any(not axis.motor_off for axis in self._axes.values()))
+            self._write(b"\r\n" if byte == 13 else bytes([byte]))
+            super().received(bytes([byte]))
 
-    def _carry_out(self, line: str) -> None:
-        for command in line.split(";"):
-            for axis in self._axes.values():
-                axis.update()
-            try:
-                text = self._command(command.strip(" "))
-            except Refusal as refusal:
-                self._error = refusal.code
-                self._write(b"?")
-                continue
-            self._write(f"{text}\r\n:".encode() if text else b":")
+    def _is_powered(self) -> bool:
+        return any(not axis.motor_off for axis in self._axes.values())
+
+    def _answer(self, line: str) -> None:
+        for axis in self._axes.values():
+            axis.update()
+        try:
+            if self._too_long:
+                raise Refusal(5)
+            text = self._command(line.strip(" "))
+        except Refusal as refusal:
+            self._error = refusal.code
+            self._write(b"?")
+            return
+        self._write(f"{text}\r\n:".encode() if text else b":")
 
     def _command(self, command: str) -> str:
         if not command:
@@ -99,8 +96,12 @@ class GalilController:
             return self._message(operand)
         if word in _SETTINGS:
             return self._setting(word, operand)
+        if word in self._own:
+            return self._own_setting(word, operand)
+        if word in _KNOWN["tell"]:
+            return str(_KNOWN["tell"][word])
         if word in _TELL:
-            return ", ".join(self._number(axis.get(word), word) for axis in self._each(operand))
+            return ",".join(self._number(axis.get(word), word) for axis in self._each(operand))
         return self._act(word, operand)
 
     def _act(self, word: str, operand: str) -> str:
@@ -109,6 +110,8 @@ class GalilController:
             return f" {code}" if operand in ("", "0") else f"{code} {_WORDS.get(code, '')}".rstrip()
         if word == "ID":
             return f"FW, {self._revision}"
+        if word == "TB":
+            return f" {int(self._echo)}"
         if word == "AB":
             for axis in self._axes.values():
                 axis.abort()
@@ -139,14 +142,25 @@ class GalilController:
                 raise Refusal(4)
             given = {self._axis(_LETTERS[i]): value for i, value in enumerate(values) if value.strip()}
         if given and all(value.strip() == "?" for value in given.values()):
-            return ", ".join(self._number(axis.get(word), word) for axis in given)
+            return ",".join(self._number(axis.get(word), word) for axis in given)
         for axis, value in given.items():
             axis.set(word, _parsed(value))
         return ""
 
+    def _own_setting(self, word: str, operand: str) -> str:
+        """Set or tell what the controller has once, not for each axis."""
+        own, values = self._own[word], [value.strip() for value in operand.split(",")]
+        if len(values) > len(own):
+            raise Refusal(4)
+        for i, value in enumerate(values):
+            if value not in ("", "?"):
+                own[i] = _parsed(value)
+        return ",".join(f"{own[i]: g}" for i, value in enumerate(values) if value == "?")
+
     def _message(self, operand: str) -> str:
         """Tell texts in quotation marks, numbers, and what the controller knows (``_TPA``)."""
         parts = []
+        decimals = round(self._own["VF"][0] % 1 * 10)
         for part in re.findall(r'"[^"]*"|[^,"]+', operand):
             if part.startswith('"'):
                 parts.append(part[1:-1])
@@ -154,9 +168,9 @@ class GalilController:
                 parts.append(f" {self._serial}.0000")
             elif part.strip().startswith("_"):
                 name = part.strip()
-                parts.append(f" {self._axis(name[3:]).get(name[1:3]):.4f}".replace(" -", "-"))
+                parts.append(f"{self._axis(name[3:]).get(name[1:3]): .{decimals}f}")
             else:
-                parts.append(f" {_parsed(part):.4f}".replace(" -", "-"))
+                parts.append(f"{_parsed(part): .{decimals}f}")
         if not parts:
             raise Refusal(4)
         return "".join(parts)
@@ -171,9 +185,11 @@ class GalilController:
         return axis
 
     def _number(self, value: float, word: str) -> str:
+        if word in _IN_VOLTS:
+            return f"{value: .4f}"
         whole = round(value)
         if self._leading_zeros:
-            return f"{'-' if whole < 0 else ''}{abs(whole):0{3 if word in ('TS', 'SC') else 10}d}"
+            return f"{'-' if whole < 0 else ''}{abs(whole):0{3 if word in ('TS', 'SC') else int(self._own['PF'][0])}d}"
         return f"{'' if whole < 0 else ' '}{whole}"
 
     def _master_is_silent(self) -> None:

@@ -1,18 +1,36 @@
-"""The protocol side of the table twin: drives behind a stock pymodbus server, on TCP or RTU."""
+"""The protocol side of the table twin: drives on Modbus, TCP or RTU, at the connections of a stock pymodbus server.
 
-from collections.abc import Mapping
+Requests are read by the letter of the MODBUS Application Protocol Specification V1.1b3, the Messaging on TCP/IP
+Implementation Guide V1.0b and MODBUS over Serial Line V1.02: a stock server passes what a drive would not.
+"""
+
+import asyncio
+import struct
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from pymodbus.constants import ExcCodes
+from pymodbus.framer import FramerRTU
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
+from pymodbus.transport import ModbusProtocol
 
 from drivers.modbus_line import Address, SerialPort
+from drivers.modbus_order import READ, WRITE_MORE, WRITE_ONE
 from drivers.registers import DriveProfile, Register
 from sims.drive import Drive
 from sims.faults import Line, Silence, WireFaults, damaged
 from sims.table import TableModel
+
+_BROADCAST = 0
+_MOST_READ, _MOST_WRITTEN = 125, 123  # registers a request
+_HEADER = struct.Struct(">HHH")  # on TCP: transaction, protocol, length
+_LENGTHS = range(2, 255)  # of unit id and PDU
+_LONGEST_FRAME = 256  # on RTU
 
 
 class FaultyModbus:
@@ -51,6 +69,14 @@ def pull_plug(server: ModbusTcpServer | ModbusSerialServer) -> None:
     server.close()
 
 
+class _Refused(Exception):
+    """A request that gets an exception reply."""
+
+    def __init__(self, code: ExcCodes) -> None:
+        super().__init__(code)
+        self.code = code
+
+
 class DriveRegisters:
     """Translates Modbus requests into reads and writes of one drive."""
 
@@ -60,29 +86,133 @@ class DriveRegisters:
         self._counts = counts_per_turn
         self._by_address: dict[int, Register] = {r.address: r for r in profile.registers.values()}
 
-    async def act(
-        self, _function: int, start: int, address: int, count: int, words: list[int], new: list[int] | list[bool] | None
-    ) -> ExcCodes | None:
-        """Serve one request; a register that is not there, or only half of one, is an illegal address."""
+    def answer(self, pdu: bytes) -> bytes:
+        """Return the reply to a request, both from the function code on."""
         self._drive.heard()
-        done = 0
-        while done < count:
-            register = self._by_address.get(address + done)
-            if register is None or done + register.words > count:
-                return ExcCodes.ILLEGAL_ADDRESS
-            if new is None:
-                offset = address + done - start
-                value = self._drive.read(register.name)
-                words[offset : offset + register.words] = register.encode(value, self._counts)
-            else:
-                value = register.decode([int(w) for w in new[done : done + register.words]], self._counts)
-                if not self._drive.commanded_by_us(register.name):
-                    return ExcCodes.DEVICE_FAILURE
-                if not self._drive.accepts(register.name, value):
-                    return ExcCodes.ILLEGAL_VALUE
-                self._drive.write(register.name, value)
-            done += register.words
-        return None
+        try:
+            return pdu[:1] + self._carry_out(pdu[0], pdu[1:])
+        except _Refused as refusal:
+            return _exception(pdu, refusal.code)
+        except ValueError:  # what the drive has to say fits no register
+            return _exception(pdu, ExcCodes.DEVICE_FAILURE)
+
+    def _carry_out(self, function: int, data: bytes) -> bytes:
+        """Check in the order of the specification: function code, quantity, address, value."""
+        if function == READ:
+            address, count = _unpacked(">HH", data)
+            if not 1 <= count <= _MOST_READ:
+                raise _Refused(ExcCodes.ILLEGAL_VALUE)
+            registers = self._at(address, count)
+            words = [word for r in registers for word in r.encode(self._drive.read(r.name), self._counts)]
+            return bytes([2 * count]) + struct.pack(f">{count}H", *words)
+        if function == WRITE_ONE:
+            address, word = _unpacked(">HH", data)
+            self._write(address, [word])
+        elif function == WRITE_MORE:
+            address, count, size = _unpacked(">HHB", data[:5])
+            if not 1 <= count <= _MOST_WRITTEN or size != 2 * count:
+                raise _Refused(ExcCodes.ILLEGAL_VALUE)
+            self._write(address, _unpacked(f">{count}H", data[5:]))
+        else:
+            raise _Refused(ExcCodes.ILLEGAL_FUNCTION)
+        return data[:4]
+
+    def _write(self, address: int, words: Sequence[int]) -> None:
+        for register in self._at(address, len(words)):
+            value = register.decode(words[: register.words], self._counts)
+            words = words[register.words :]
+            if not self._drive.commanded_by_us(register.name):
+                raise _Refused(ExcCodes.DEVICE_FAILURE)
+            if not self._drive.accepts(register.name, value):
+                raise _Refused(ExcCodes.ILLEGAL_VALUE)
+            self._drive.write(register.name, value)
+
+    def _at(self, address: int, count: int) -> list[Register]:
+        """Return what lies at these addresses; a register that is not there, or only half of one, is refused."""
+        found: list[Register] = []
+        while count:
+            register = self._by_address.get(address)
+            if register is None or register.words > count:
+                raise _Refused(ExcCodes.ILLEGAL_ADDRESS)
+            found.append(register)
+            address, count = address + register.words, count - register.words
+        return found
+
+
+class _Connection(ServerRequestHandler):
+    """One master's connection: the transport is the stock server's, frames and answers are ours."""
+
+    def __init__(self, server: Any, drives: Mapping[int, DriveRegisters]) -> None:
+        super().__init__(server, server.trace_packet, None, server.trace_connect)  # type: ignore[no-untyped-call]
+        self._drives = drives
+        self._buffer = b""
+
+    def data_received(self, data: bytes) -> None:
+        self._buffer += self.trace_packet(False, data)
+        self._hear()
+
+    def _hear(self) -> None:
+        """Serve what is complete."""
+        raise NotImplementedError
+
+    def _say(self, frame: bytes) -> None:
+        if frame := self.trace_packet(True, frame):
+            self.send(frame)
+
+
+class _TcpConnection(_Connection):
+    """Requests follow each other; what a unit that is not there is asked, a gateway refuses (exception 0Bh)."""
+
+    def _hear(self) -> None:
+        while len(self._buffer) >= _HEADER.size:
+            number, protocol, length = _HEADER.unpack_from(self._buffer)
+            if length not in _LENGTHS:
+                self.close()  # no telling where the next request begins
+                return
+            end = _HEADER.size + length
+            if len(self._buffer) < end:
+                return
+            unit, pdu, self._buffer = self._buffer[6], self._buffer[7:end], self._buffer[end:]
+            if protocol:
+                continue  # discarded, says the implementation guide (4.4.2.1)
+            drive = self._drives.get(unit)
+            reply = drive.answer(pdu) if drive else _exception(pdu, ExcCodes.GATEWAY_NO_RESPONSE)
+            self._say(_HEADER.pack(number, 0, len(reply) + 1) + bytes([unit]) + reply)
+
+
+class _RtuConnection(_Connection):
+    """A frame ends with 3.5 characters of silence; one that is whole by its length is answered at once.
+
+    Units that are not there are silent; a broadcast is carried out by all and answered by none (2.1, 2.5.1).
+    """
+
+    def __init__(self, server: Any, drives: Mapping[int, DriveRegisters], silence_s: float) -> None:
+        super().__init__(server, drives)
+        self._silence_s = silence_s
+        self._silence: asyncio.TimerHandle | None = None
+
+    def _hear(self) -> None:
+        if self._silence is not None:
+            self._silence.cancel()
+        self._buffer = self._buffer[-_LONGEST_FRAME - 1 :]
+        function = self._buffer[1] if len(self._buffer) > 1 else 0
+        more = self._buffer[6] + 1 if function == WRITE_MORE and len(self._buffer) > 6 else 0
+        if len(self._buffer) == 8 + more and function in (READ, WRITE_ONE, WRITE_MORE) and _is_sound(self._buffer):
+            self._serve()
+        else:
+            self._silence = self.loop.call_later(self._silence_s, self._serve)
+
+    def _serve(self) -> None:
+        frame, self._buffer = self._buffer, b""
+        if not _is_sound(frame):
+            return
+        unit, pdu = frame[0], frame[1:-2]
+        if unit == _BROADCAST:
+            for drive in self._drives.values():
+                drive.answer(pdu)
+        elif unit in self._drives:
+            reply = frame[:1] + self._drives[unit].answer(pdu)
+            self._say(reply + FramerRTU.compute_CRC(reply).to_bytes(2))
 
 
 def modbus_server(
@@ -94,27 +224,44 @@ def modbus_server(
     faults: FaultyModbus | None = None,
 ) -> ModbusTcpServer | ModbusSerialServer:
     """Return a server, not yet listening, with one unit id an axis; at a host and port, or on a serial line."""
-    devices = []
-    low = min(r.address for r in profile.registers.values())
-    high = max(r.address + r.words for r in profile.registers.values())
-    for axis, unit_id in unit_ids.items():
-        drive = Drive(table, axis, profile, watchdog_s)
-        registers = DriveRegisters(drive, profile, table.data[axis].counts_per_turn)
-        block = SimData(low, count=high - low, datatype=DataType.REGISTERS)
-        devices.append(SimDevice(unit_id, simdata=[block], action=registers.act))
+    drives = {
+        unit_id: DriveRegisters(Drive(table, axis, profile, watchdog_s), profile, table.data[axis].counts_per_turn)
+        for axis, unit_id in unit_ids.items()
+    }
     trace = None if faults is None else faults.trace
+    nobody = [SimDevice(1, simdata=[SimData(0, datatype=DataType.REGISTERS)])]  # the stock server wants to be given one
     server: ModbusTcpServer | ModbusSerialServer
+    welcome: Callable[[], ModbusProtocol]
     if not isinstance(address, SerialPort):
-        server = ModbusTcpServer(devices, address=address, trace_packet=trace)
+        server = ModbusTcpServer(nobody, address=address, trace_packet=trace)
+        welcome = partial(_TcpConnection, server, drives)
     else:
         server = ModbusSerialServer(
-            devices,
+            nobody,
             trace_packet=trace,
             port=address.port,
             baudrate=address.baud,
             parity=address.parity,
             stopbits=address.stop_bits,
         )
+        welcome = partial(_RtuConnection, server, drives, address.silence_s)
+    server.callback_new_connection = welcome  # type: ignore[method-assign]
     if faults is not None:
         faults.server = server
     return server
+
+
+def _exception(pdu: bytes, code: ExcCodes) -> bytes:
+    return bytes((pdu[0] | 0x80, code))
+
+
+def _unpacked(layout: str, data: bytes) -> tuple[int, ...]:
+    """Return the numbers of a request; a length that contradicts it is an illegal value."""
+    try:
+        return struct.unpack(layout, data)
+    except struct.error:
+        raise _Refused(ExcCodes.ILLEGAL_VALUE) from None
+
+
+def _is_sound(frame: bytes) -> bool:
+    return len(frame) >= 4 and FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:]))

@@ -8,7 +8,7 @@ import numpy as np
 from drivers import stim300
 from drivers.arrays import Flags, Floats, Ints
 from drivers.stim300_special import BiasTrim, ExtendedError, PartNumber, SerialNumber, Special
-from drivers.stim300_units import ACCEL_LSB_G, UNITS
+from drivers.stim300_units import ACCEL_LSB_G, GYRO_LSB_DEG, GYRO_LSB_DPS, UNITS
 from drivers.stim300_utility import DATAGRAM_CODES, UtilityMessage, encode_message
 from sims.burst import burst_of
 from sims.gyro import GyroArray
@@ -17,6 +17,7 @@ from sims.stim300_settings import Refused, Settings, banner, service_lines, util
 
 _START_UP_TICKS = stim300.INTERNAL_RATE_HZ // 2
 _LONGEST_LINE = 200
+_LONGEST_LATENCY_US = 65_535
 _GYRO_OVERLOAD_BIT = 101  # of x in the extended error register
 
 
@@ -127,12 +128,15 @@ class Stim300Device:
             sent += burst
             ticks = self._ticks + tick * np.arange(1, burst + 1)
             self._ticks = int(ticks[-1])
-            data = self._burst(at, ticks)
+            data = self._burst(at, ticks, max(loop.time() - float(at[-1]), 0.0))
             if data:
                 self._write(data)
 
-    def _burst(self, at: Floats, ticks: Ints) -> bytes:
-        """Return what is sent for these instants: answers first, then the samples they did not take the place of."""
+    def _burst(self, at: Floats, ticks: Ints, late_s: float) -> bytes:
+        """Return what is sent for these instants: answers first, then the samples they did not take the place of.
+
+        Each is sent ``late_s`` later than it would be one by one, as the host's loop is late; its latency says so.
+        """
         own = self.settings
         step = stim300.INTERNAL_RATE_HZ // own.rate_hz
         first = int(ticks[0]) - stim300.INTERNAL_RATE_HZ // self._base_hz
@@ -152,7 +156,7 @@ class Stim300Device:
             return answers
         status = self._status(wanted, over)[rows]
         force = self._force_g(at)[np.minimum(np.searchsorted(ticks, wanted[rows]), len(ticks) - 1)]
-        return answers + self._datagrams(raw[rows], status, wanted[rows], force, float(at[-1]))
+        return answers + self._datagrams(raw[rows], status, wanted[rows], force, float(at[-1]), late_s)
 
     def _copies(self, count: int) -> Ints:
         """Return how often each of so many samples is sent."""
@@ -176,10 +180,10 @@ class Stim300Device:
             self._errors |= sum(1 << (_GYRO_OVERLOAD_BIT + axis) for axis in np.flatnonzero(over.any(axis=0)).tolist())
         return status
 
-    def _datagrams(self, raw: Ints, status: Ints, ticks: Ints, force_g: Floats, t_s: float) -> bytes:
+    def _datagrams(self, raw: Ints, status: Ints, ticks: Ints, force_g: Floats, t_s: float, late_s: float) -> bytes:
         own = self.settings
         layout = stim300.LAYOUTS[own.identifier]
-        n, zeros = len(raw), np.zeros(len(raw), dtype=np.int64)
+        n = len(raw)
         temperature = round(self._temperature_c(t_s) / stim300.TEMPERATURE_LSB_C)
         start_up = status & stim300.STATUS_START_UP
         accel = np.round(force_g / ACCEL_LSB_G[own.accel_range_g]).astype(np.int64)
@@ -192,7 +196,7 @@ class Stim300Device:
                 gyro=raw,
                 gyro_status=status,
                 counter=ticks,
-                latency_us=zeros,
+                latency_us=np.full(n, min(round(late_s * 1e6), _LONGEST_LATENCY_US)),
                 accelerometer=accel,
                 accelerometer_status=start_up,
                 inclinometer=incl,
@@ -242,7 +246,8 @@ class Stim300Device:
     def _service(self, line: bytes) -> None:
         self._write(line + b"\r")
         try:
-            lines = service_lines(self.settings, line.decode("latin-1").strip()) if line.strip() else []
+            command = line.decode("latin-1").strip()
+            lines = service_lines(self.settings, command, self._readings()) if command else []
         except Refused as refusal:
             lines = [str(refusal)]
         if lines and lines[0].startswith("SYSTEM RETURNING"):
@@ -252,6 +257,16 @@ class Stim300Device:
                 self.reset()
         else:
             self._print(lines)
+
+    def _readings(self) -> dict[str, list[str]]:
+        """Return what a single shot, the bias trim and the diagnostics of service mode print, in the twin's words."""
+        angle = self.settings.gyro_unit & 1
+        shot = self._held * (GYRO_LSB_DEG if angle else GYRO_LSB_DPS)
+        return {
+            "a": [f"GYRO [{'deg' if angle else 'deg/s'}] = {', '.join(f'{value:.5f}' for value in shot)}"],
+            "b": ["BIAS TRIM OFFSET GYRO [deg/s] = 0.00000, 0.00000, 0.00000"],
+            "c": list(ExtendedError(self._errors).texts) or ["NO ERRORS"],
+        }
 
     def _print(self, lines: list[str]) -> None:
         self._write("\r".join([*lines, ">"]).encode("ascii") if lines else b"\r>")

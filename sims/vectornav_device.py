@@ -2,13 +2,16 @@
 
 import asyncio
 import random
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import vectornav
 from drivers.arrays import Floats, Ints
+from drivers.packaged import packaged_codes
 from sims.burst import burst_of
 from sims.gyro import GyroArray
 
@@ -17,14 +20,19 @@ BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 128000, 230400, 460800, 921600)
 
 _TICK_NS = 1_000_000_000 // vectornav.IMU_RATE_HZ
 _ON_SINCE_NS = 30_000_000_000
+_DECIMAL = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]{1,2})?")
 _GYRO_RANGE_RPS = np.radians(2000.0)
 _BITS_PER_BYTE = 10
 
 # What is measured at an instant, as columns; and how each is printed.
 _YPR, _MAG, _ACCEL, _GYRO, _TEMPERATURE, _PRESSURE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), 12, 13
-_FORMATS = ("+08.3f",) * 3 + ("+08.4f",) * 3 + ("+07.3f",) * 3 + ("+010.6f",) * 3 + ("+05.1f", "+08.3f")
+_RAW_GYRO = slice(14, 17)
+_FORMATS = (
+    *("+08.3f",) * 3, *("+08.4f",) * 3, *("+07.3f",) * 3, *("+010.6f",) * 3, "+05.1f", "+08.3f", *("+010.6f",) * 3
+)  # fmt: skip
 _MAG_GAUSS, _PRESSURE_KPA = (0.22, 0.0, 0.43), 101.325
-_COLUMNS = {8: range(3), 17: range(3, 6), 18: range(6, 9), 19: range(9, 12), 27: range(12), 54: range(3, 14)}
+_COLUMNS: dict[int, Sequence[int]] = {8: range(3), 17: range(3, 6), 18: range(6, 9), 19: range(9, 12), 27: range(12)}
+_COLUMNS |= {54: (*range(3, 9), *range(14, 17), _TEMPERATURE, _PRESSURE)}
 _MEASURED: dict[str, int | slice | list[int]] = {
     "yaw_pitch_roll": _YPR,
     "mag": _MAG,
@@ -32,10 +40,10 @@ _MEASURED: dict[str, int | slice | list[int]] = {
     "accel": _ACCEL,
     "uncomp_accel": _ACCEL,
     "angular_rate": _GYRO,
-    "uncomp_gyro": _GYRO,
+    "uncomp_gyro": _RAW_GYRO,
     "temperature": _TEMPERATURE,
     "pressure": _PRESSURE,
-    "uncomp_accel_gyro": slice(_ACCEL.start, _GYRO.stop),
+    "uncomp_accel_gyro": [*range(6, 9), *range(14, 17)],
     "mag_temp_pres": [3, 4, 5, _TEMPERATURE, _PRESSURE],
 }
 _ASYNC = {
@@ -48,6 +56,8 @@ _ASYNC = {
 }
 
 _BINARY = (75, 76, 77)
+_GYRO_COMPENSATION = 84
+_MORE = packaged_codes("sims", "vectornav", "register")
 _GROUPS = {vectornav.COMMON, vectornav.TIME, vectornav.IMU, vectornav.ATTITUDE}  # a VN-100 has no others
 _CHECKSUM, _COMMAND, _TOO_FEW, _TOO_MANY, _PARAMETER, _REGISTER, _NOT_ALLOWED, _BAUD = 3, 4, 5, 6, 7, 8, 9, 12
 
@@ -101,6 +111,7 @@ class VectorNavDevice:
         self._identity = {1: ("VN-100S-CR",), 2: ("7",), 3: (serial,), 4: ("2.1.0.0",)}
         off = ("0", "1", "01", "0001")
         self._factory = {5: (str(baud),), 6: ("14",), 7: ("40",), **dict.fromkeys(_BINARY, off)}
+        self._factory |= {register: tuple(values.split(",")) for register, values in _MORE.items()}
         self._flash = dict(self._factory)
         self._tick, self._zero_ns = 0, -_ON_SINCE_NS
         self._last = np.zeros(len(_FORMATS))
@@ -125,7 +136,8 @@ class VectorNavDevice:
         damaged = self._decoder.bad_sentences
         for command in self._decoder.feed(data):
             if isinstance(command, vectornav.Sentence):
-                self._write(vectornav.encode_sentence(self._reply(command)))
+                reply = self._reply(command)
+                self._write(reply if isinstance(reply, bytes) else vectornav.encode_sentence(reply))
         for _ in range(self._decoder.bad_sentences - damaged):
             self._write(vectornav.encode_sentence(_error(_CHECKSUM)))
 
@@ -140,15 +152,17 @@ class VectorNavDevice:
         self._wake_up()
 
     def _measured(self, at: Floats) -> Floats:
-        """Return what is measured at these instants, (n, 14)."""
+        """Return what is measured at these instants, (n, 17)."""
         rows = np.empty((len(at), len(_FORMATS)))
         up = self._up(at)
         rows[:, _YPR] = _attitude_deg(up)
         rows[:, _MAG] = _MAG_GAUSS
         rows[:, _ACCEL] = up * STANDARD_GRAVITY_MPS2
-        rows[:, _GYRO] = np.clip(self._gyros.sample(at), -self.range_rps, self.range_rps)
+        rows[:, _RAW_GYRO] = np.clip(self._gyros.sample(at), -self.range_rps, self.range_rps)
         for gyro in self.stuck_gyros:
-            rows[:, _GYRO.start + gyro] = self._last[_GYRO.start + gyro]
+            rows[:, _RAW_GYRO.start + gyro] = self._last[_RAW_GYRO.start + gyro]
+        *matrix, bx, by, bz = map(float, self._registers[_GYRO_COMPENSATION])
+        rows[:, _GYRO] = (rows[:, _RAW_GYRO] - (bx, by, bz)) @ np.reshape(matrix, (3, 3)).T
         rows[:, _TEMPERATURE] = self._gyros.temperatures_c(at)
         rows[:, _PRESSURE] = _PRESSURE_KPA
         return rows
@@ -175,13 +189,8 @@ class VectorNavDevice:
         outputs: list[tuple[int, Callable[[Floats, Ints], list[bytes]]]] = []
         for register, layout in self._layouts.items():
             mode, divisor = map(int, self._registers[register][:2])
-            if mode & 1 and divisor:  # at serial port 1
-
-                def frames(rows: Floats, time_ns: Ints, layout: vectornav.Layout = layout) -> list[bytes]:
-                    data = vectornav.encode_frames(layout, _values(layout, rows, time_ns))
-                    return [data[at : at + layout.size] for at in range(0, len(data), layout.size)]
-
-                outputs.append((divisor, frames))
+            if layout is not None and mode & 1 and divisor:  # at serial port 1
+                outputs.append((divisor, partial(_frames, layout)))
         kind = int(self._registers[6][0])
         if kind:
             header, register = _ASYNC[kind]
@@ -192,17 +201,22 @@ class VectorNavDevice:
             outputs.append((vectornav.IMU_RATE_HZ // int(self._registers[7][0]), sentences))
         return outputs
 
-    def _reply(self, command: vectornav.Sentence) -> vectornav.Sentence:
+    def _reply(self, command: vectornav.Sentence) -> vectornav.Sentence | bytes:
         try:
             if command.header == "VNRRG":
                 return self._read(command)
             if command.header == "VNWRG":
                 return self._store(command)
-            if command.header == "VNASY":
-                (choice,) = _parameters(command, 1)
-                self._paused = {"0": True, "1": False}.get(choice, self._paused)
-                return command if choice in ("0", "1") else _error(_PARAMETER)
-            _parameters(command, 0)
+            if command.header == "VNBOM":
+                return self._polled(_number(_exactly(1, command.fields)[0]))
+            if command.header in ("VNASY", "VNKMD", "VNKAD"):
+                (choice,) = _exactly(1, command.fields)
+                if choice not in ("0", "1"):
+                    raise _Refused(_PARAMETER)
+                if command.header == "VNASY":
+                    self._paused = choice == "0"
+                return command
+            _exactly(0, command.fields)
             if command.header == "VNWNV":
                 self._flash = dict(self._registers)
             elif command.header == "VNRFS":
@@ -210,14 +224,21 @@ class VectorNavDevice:
                 self._restart()
             elif command.header == "VNRST":
                 self._restart()
-            else:
-                return _error(_COMMAND)
+            elif command.header != "VNTAR":
+                raise _Refused(_COMMAND)
         except _Refused as refusal:
             return _error(refusal.code)
         return command
 
+    def _polled(self, output: int) -> bytes:
+        """Return the frame of a binary output, 1 to 3, as it is now; one that is off is a wrong parameter."""
+        layout = self._layouts.get(_BINARY[0] - 1 + output)
+        if layout is None:
+            raise _Refused(_PARAMETER)
+        return _frames(layout, self._last[None], np.array([self._tick * _TICK_NS - self._zero_ns]))[0]
+
     def _read(self, command: vectornav.Sentence) -> vectornav.Sentence:
-        register = _number(_parameters(command, 1)[0])
+        register = _number(_exactly(1, command.fields)[0])
         if register in _COLUMNS:
             values = _printed(self._last, register)
         else:
@@ -232,15 +253,13 @@ class VectorNavDevice:
         register, values = _number(command.fields[0]), command.fields[1:]
         if register not in self._registers:
             raise _Refused(_NOT_ALLOWED if register in self._identity or register in _COLUMNS else _REGISTER)
-        if not values:
-            raise _Refused(_TOO_FEW)
         if register in _BINARY:
+            if not values:
+                raise _Refused(_TOO_FEW)
             values = (*(str(_number(value)) for value in values[:2]), *values[2:])
             self._set_binary(register, values)
-        elif len(values) > 1:
-            raise _Refused(_TOO_MANY)
-        elif _number(values[0]) not in {5: BAUD_RATES, 6: (0, *_ASYNC), 7: vectornav.ASCII_RATES_HZ}[register]:
-            raise _Refused(_PARAMETER)
+        else:
+            self._check(register, _exactly(len(self._factory[register]), values))
         before, self._registers[register] = self._registers[register], values
         if self._busy_bps() > int(self._registers[5][0]):
             self._registers[register] = before
@@ -248,6 +267,13 @@ class VectorNavDevice:
                 self._layouts[register] = _layout(before)
             raise _Refused(_BAUD)
         return vectornav.Sentence("VNWRG", (f"{register:02d}", *values))
+
+    def _check(self, register: int, values: tuple[str, ...]) -> None:
+        one_of = {5: BAUD_RATES, 6: (0, *_ASYNC), 7: vectornav.ASCII_RATES_HZ}.get(register)
+        if one_of is not None and _number(values[0]) not in one_of:
+            raise _Refused(_PARAMETER)
+        if register and not all(map(_DECIMAL.fullmatch, values)):
+            raise _Refused(_PARAMETER)
 
     def _set_binary(self, register: int, values: tuple[str, ...]) -> None:
         if len(values) < 3:
@@ -267,10 +293,10 @@ def _error(code: int) -> vectornav.Sentence:
     return vectornav.Sentence("VNERR", (f"{code:02X}",))
 
 
-def _parameters(command: vectornav.Sentence, count: int) -> tuple[str, ...]:
-    if len(command.fields) != count:
-        raise _Refused(_TOO_FEW if len(command.fields) < count else _TOO_MANY)
-    return command.fields
+def _exactly(count: int, values: tuple[str, ...]) -> tuple[str, ...]:
+    if len(values) != count:
+        raise _Refused(_TOO_FEW if len(values) < count else _TOO_MANY)
+    return values
 
 
 def _number(text: str) -> int:
@@ -279,8 +305,8 @@ def _number(text: str) -> int:
     return int(text)
 
 
-def _layout(values: tuple[str, ...]) -> vectornav.Layout:
-    """Return the frame that registers 75 to 77 set: after mode and divisor groups and fields, in hex."""
+def _layout(values: tuple[str, ...]) -> vectornav.Layout | None:
+    """Return the frame that registers 75 to 77 set: after mode and divisor groups and fields, in hex; None is off."""
     try:
         words = [int(text, 16) for text in values[2:]]
         groups, fields = words[0], words[1:]
@@ -289,6 +315,8 @@ def _layout(values: tuple[str, ...]) -> vectornav.Layout:
         raise _Refused(_PARAMETER) from None
     if len(fields) != groups.bit_count():
         raise _Refused(_TOO_FEW if len(fields) < groups.bit_count() else _TOO_MANY)
+    if not groups:
+        return None
     try:
         layout = vectornav.layout_of_header(header)
     except ValueError:
@@ -296,6 +324,11 @@ def _layout(values: tuple[str, ...]) -> vectornav.Layout:
     if not {group for group, _ in layout.masks} <= _GROUPS:
         raise _Refused(_PARAMETER)
     return layout
+
+
+def _frames(layout: vectornav.Layout, rows: Floats, time_ns: Ints) -> list[bytes]:
+    data = vectornav.encode_frames(layout, _values(layout, rows, time_ns))
+    return [data[at : at + layout.size] for at in range(0, len(data), layout.size)]
 
 
 def _values(layout: vectornav.Layout, rows: Floats, time_ns: Ints) -> NDArray[np.void]:

@@ -1,29 +1,40 @@
 """Wires at whose far end a twin of a byte device sits: in memory, a pseudo-terminal, a TCP port.
 
-What nobody reads is dropped, as the buffer of a serial port would. Wires work by the loop alone, without
-threads. Each can be unplugged by its ``Plug``, and plugged in again.
+Wires work by the loop alone, without threads. Each can be unplugged by its ``Plug``, and plugged in again. A serial
+port that is not open hears nothing, and is empty when it is opened; an open one keeps 4 kB that nobody reads and loses
+what comes thereafter, as the buffer of a UART's driver.
 """
 
 import asyncio
+import fcntl
 import math
 import os
+import select
 import socket
+import struct
 import tempfile
+import termios
 import tty
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
+from drivers.loop_scale import loop_scale
 from drivers.memory_link import MemoryLink
 
 Write = Callable[[bytes], None]
 _MOST_WAITING = 65536
 _READ = 4096
+_KEPT = 4095  # what Linux keeps of a terminal that nobody reads, and so what goes there at once
+_AGAIN_S = 0.001
 
 
 class ByteDevice(Protocol):
-    """A device at the far end of a byte link."""
+    """A device at the far end of a byte link.
+
+    One with a ``hung_up`` as well is told when a TCP connection has ended: what it was cut in the middle of is past.
+    """
 
     def received(self, data: bytes) -> None:
         """Take bytes from the host, cut anywhere."""
@@ -106,7 +117,7 @@ async def pty_joint(plug: Plug | None = None) -> AsyncIterator[tuple[str, str]]:
     """Join two pseudo-terminals like two serial ports by a cable; yield their names. ``plug`` is that of the second."""
     with ExitStack() as stack:
         ours, first = _open_pty(stack)
-        end = _PtyEnd(ours)
+        end = _PtyEnd(ours, first)
         stack.callback(end.close)
 
         def joined(write: Write) -> ByteDevice:
@@ -132,7 +143,7 @@ class _Pty:
 
     def plug_in(self, received: Write) -> None:
         ours, theirs = _open_pty(self._terminal)
-        self._end = _PtyEnd(ours)
+        self._end = _PtyEnd(ours, theirs)
         self._terminal.callback(self._end.close)
         self._end.hear(received)
         self.name = theirs
@@ -148,25 +159,36 @@ class _Pty:
 
 
 class _PtyEnd:
-    """Our end of a pseudo-terminal, read and written by the loop."""
+    """Our end of a pseudo-terminal, read and written by the loop.
 
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
+    Its other end is open only while a station has it open: that is how the two are told apart.
+    """
+
+    def __init__(self, descriptor: int, name: str) -> None:
+        self._descriptor, self._name = descriptor, name
         self._waiting = bytearray()
         self._loop = asyncio.get_running_loop()
+        self._scale = max(loop_scale(self._loop), 1.0)
         self._soon: asyncio.Handle | None = None
+        self._holds_some = False
+        # By its edges: a terminal without a station is hung up all the time.
+        self._events = select.epoll()
+        self._events.register(descriptor, select.EPOLLIN | select.EPOLLET)
+        self._hung_up = select.poll()
+        self._hung_up.register(descriptor, 0)
 
     def hear(self, received: Write) -> None:
         def read() -> None:
-            with suppress(BlockingIOError):
-                received(os.read(self._descriptor, _READ))
+            self._events.poll(0)
+            with suppress(OSError):  # nothing more, or nobody there
+                while data := os.read(self._descriptor, _READ):
+                    received(data)
+            self._is_open()
 
-        self._loop.add_reader(self._descriptor, read)
+        self._loop.add_reader(self._events.fileno(), read)
 
     def write(self, data: bytes) -> None:
         self._waiting.extend(data)
-        if len(self._waiting) > _MOST_WAITING:
-            del self._waiting[: len(self._waiting) - _MOST_WAITING]
         if self._soon is None:  # what is written at one instant goes out in one piece
             self._soon = self._loop.call_soon(self._send)
 
@@ -174,30 +196,57 @@ class _PtyEnd:
 
     def _send(self) -> None:
         self._soon = None
+        if not self._is_open():
+            self._waiting.clear()
+            return
+        unread = 0
+        with suppress(OSError), self._other_end() as port:
+            (unread,) = struct.unpack("i", fcntl.ioctl(port, termios.FIONREAD, bytes(4)))
+        now = self._waiting[: max(_KEPT - unread, 0)]
         with suppress(BlockingIOError):
-            while self._waiting:
-                del self._waiting[: os.write(self._descriptor, self._waiting)]
+            del self._waiting[: os.write(self._descriptor, now)]
+            self._holds_some = True
+        # At a multiple of real time as many times the bytes come at one instant, and are no more than 4 kB of the line.
+        del self._waiting[max(round(_KEPT * self._scale) - unread - len(now), 0) :]
         if self._waiting:
-            self._loop.add_writer(self._descriptor, self._send)
-        else:
-            self._loop.remove_writer(self._descriptor)
+            self._soon = self._loop.call_later(_AGAIN_S * self._scale, self._send)
+
+    def _is_open(self) -> bool:
+        """Return whether a station has the port open; what one that has left did not read is flushed."""
+        if not self._hung_up.poll(0):
+            return True
+        if self._holds_some:
+            self._holds_some = False
+            with suppress(OSError), self._other_end() as port:
+                termios.tcflush(port, termios.TCIFLUSH)
+        return False
+
+    @contextmanager
+    def _other_end(self) -> Iterator[int]:
+        """Open the end of the stations for a moment; OSError if one wants it for itself."""
+        port = os.open(self._name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            yield port
+        finally:
+            os.close(port)
 
     def close(self) -> None:
         if self._soon is not None:
             self._soon.cancel()
-        self._loop.remove_reader(self._descriptor)
-        self._loop.remove_writer(self._descriptor)
+        self._loop.remove_reader(self._events.fileno())
+        self._events.close()
 
 
 def _open_pty(stack: ExitStack) -> tuple[int, str]:
-    """Return our end of a new raw pseudo-terminal and the other's name; both are closed with the stack."""
+    """Return our end of a new raw pseudo-terminal, closed with the stack, and the other's name."""
     ours, theirs = os.openpty()
     stack.callback(os.close, ours)
-    stack.callback(os.close, theirs)  # kept open till then, so that ours sees no error when a station leaves
     tty.setraw(ours)
     tty.setraw(theirs)
+    name = os.ttyname(theirs)
+    os.close(theirs)
     os.set_blocking(ours, False)
-    return ours, os.ttyname(theirs)
+    return ours, name
 
 
 @asynccontextmanager
@@ -206,7 +255,8 @@ async def on_tcp(
 ) -> AsyncIterator[tuple[str, int]]:
     """Put a device on a TCP port, for one station at a time; yield host and port. OSError if the port is taken."""
     wire = _Tcp()
-    wire.received = make(wire.write).received
+    device = make(wire.write)
+    wire.received, wire.hung_up = device.received, getattr(device, "hung_up", _nothing)
     bound = await wire.listen(host, port)
     plug = plug or Plug()
     plug.attach(wire.unplug, lambda: wire.plug_in(bound))
@@ -222,6 +272,7 @@ class _Tcp:
 
     def __init__(self) -> None:
         self.received: Write = _ignore
+        self.hung_up: Callable[[], None] = _nothing
         self._server: asyncio.Server | None = None
         self._client: asyncio.StreamWriter | None = None
         self._tasks: set[asyncio.Task[object]] = set()
@@ -245,6 +296,7 @@ class _Tcp:
         if self._client is not None:
             self._client.transport.abort()
             self._client = None
+            self.hung_up()
 
     def plug_in(self, bound: tuple[str, int]) -> None:
         self._keep(asyncio.get_running_loop().create_task(self.listen(*bound)))
@@ -264,6 +316,7 @@ class _Tcp:
         before, self._client = self._client, writer
         if before is not None:
             before.transport.abort()  # it may never take what is left for it
+            self.hung_up()
         writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._keep(asyncio.get_running_loop().create_task(self._serve(reader, writer)))
 
@@ -273,6 +326,7 @@ class _Tcp:
                 self.received(data)
         if self._client is writer:
             self._client = None
+            self.hung_up()
         writer.close()
         with suppress(OSError):
             await writer.wait_closed()

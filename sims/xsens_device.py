@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers import mtdata2
 from drivers.arrays import Flags, Floats, Ints
+from drivers.packaged import packaged_codes
 from drivers.xbus import Mid, XbusDecoder, encode
 from sims.burst import burst_of
 from sims.gyro import GyroArray
@@ -25,7 +26,10 @@ _COUNTS_AND_STATUS = (
     mtdata2.STATUS_BYTE,
     mtdata2.STATUS_WORD,
 )
-_VALUES = (mtdata2.RATE_OF_TURN, mtdata2.ACCELERATION, mtdata2.TEMPERATURE)
+_FROM_FORCE = (mtdata2.ACCELERATION, mtdata2.EULER_ANGLES)
+_VALUES = (mtdata2.RATE_OF_TURN, mtdata2.TEMPERATURE, *_FROM_FORCE)
+_MORE_ANSWERS = {mid: bytes.fromhex(text) for mid, text in packaged_codes("sims", "xsens", "answer").items()}
+_CLOCK_HZ = 115_200  # of which sampling periods are told
 _FIRMWARE = bytes([1, 8, 2]) + (37).to_bytes(4, "big") + (70964).to_bytes(4, "big")
 _HARDWARE = bytes([2, 0])
 
@@ -72,8 +76,13 @@ class XsensDevice:
         )
         """Output configuration, which it keeps when it is switched off."""
         self.measuring = True
-        self._answers = {
-            Mid.REQ_DEVICE_ID: bytes.fromhex(serial),
+        own, period = bytes.fromhex(serial), _CLOCK_HZ // rate_hz
+        self._answers: dict[int, bytes] = {
+            **_MORE_ANSWERS,
+            Mid.REQ_DEVICE_ID: own,
+            Mid.INIT: own,
+            # Of one device, at byte 98; trigger, dates and what it was once set to are left at 0.
+            Mid.REQ_CONFIGURATION: own + period.to_bytes(2) + bytes(90) + (1).to_bytes(2) + own + bytes(16),
             Mid.REQ_PRODUCT_CODE: product.ljust(20).encode("ascii"),
             Mid.REQ_FIRMWARE: _FIRMWARE,
             Mid.REQ_HARDWARE: _HARDWARE,
@@ -139,8 +148,11 @@ class XsensDevice:
             self._write(encode(mid + 1))
         elif mid == Mid.OUTPUT_CONFIGURATION:
             self._configure(data)
+        elif data and mid in _MORE_ANSWERS:
+            self._answers[mid] = data
+            self._write(encode(mid + 1))
         elif mid in self._answers:
-            self._write(encode(mid + 1, self._answers[Mid(mid)]))
+            self._write(encode(mid + 1, self._answers[mid]))
         else:
             self.report(_INVALID_MESSAGE)
 
@@ -155,7 +167,7 @@ class XsensDevice:
         self._write(encode(Mid.OUTPUT_CONFIGURATION + 1, mtdata2.encode_outputs(self.outputs)))
 
     def _has(self, output: mtdata2.Output) -> bool:
-        return mtdata2.kind_of(output.data_id) != mtdata2.ACCELERATION or self._force_g is not None
+        return mtdata2.kind_of(output.data_id) not in _FROM_FORCE or self._force_g is not None
 
     def _granted(self, wanted: mtdata2.Output) -> mtdata2.Output:
         if mtdata2.kind_of(wanted.data_id) in _COUNTS_AND_STATUS:
@@ -216,6 +228,8 @@ class XsensDevice:
                 return rate
             if kind == mtdata2.ACCELERATION and self._force_g is not None:
                 return self._force_g(at) * _STANDARD_GRAVITY_MPS2
+            if kind == mtdata2.EULER_ANGLES and self._force_g is not None:
+                return _tilt_deg(self._force_g(at))
             if kind == mtdata2.TEMPERATURE:
                 return np.full((len(at), 1), self._gyros.temperature_c(float(at[-1])))
             if kind == mtdata2.PACKET_COUNTER:
@@ -233,3 +247,9 @@ class XsensDevice:
         dropped = self._random.random(count) < self.drop_share
         doubled = self._random.random(count) < self.double_share
         return np.where(dropped, 0, np.where(doubled, 2, 1))
+
+
+def _tilt_deg(up: Floats) -> Floats:
+    """Return roll, pitch, yaw (n, 3) from east, north, up to body axes; no magnetic heading, so yaw is 0."""
+    roll, pitch = np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1.0, 1.0))
+    return np.asarray(np.degrees(np.column_stack([roll, pitch, np.zeros(len(up))])))

@@ -23,6 +23,7 @@ from pymodbus.client import AsyncModbusTcpClient
 from support import TwinProcess, command
 
 from estimator.prober import probe
+from station.bench import default_bench_text
 
 SCRIPT = """
 [[step]]
@@ -79,6 +80,13 @@ def kill_once(twin: TwinProcess, path: Path, script: Path, after_s: float) -> Ki
     return Kill(after_s, turning, outcome, missing, table_at_rest(twin.links["table"]))
 
 
+def watched_bench(folder: Path) -> Path:
+    """Write the built-in bench, with drives that watch for their master's silence."""
+    path = folder / "bench.toml"
+    path.write_text(default_bench_text().replace('watchdog = "0 s"', 'watchdog = "1 s"'))
+    return path
+
+
 def table_at_rest(link: str) -> bool:
     """Ask the table's drives by a client of our own whether they turn."""
     host, port = link.removeprefix("tcp://").split(":")
@@ -100,7 +108,7 @@ def main() -> None:
     arguments = parser.parse_args()
     chance = random.Random(arguments.seed)
     kills = []
-    with TwinProcess() as twin, tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, TwinProcess("--bench", watched_bench(Path(folder))) as twin:
         script = Path(folder) / "script.toml"
         script.write_text(SCRIPT)
         for number in range(arguments.times):

@@ -168,14 +168,14 @@ def test_much_noise_does_not_trouble_the_twin() -> None:
 def test_the_twin_takes_every_form_of_a_setting() -> None:
     controller, written, _ = twin_at_rest()
     assert say(controller, written, "JG 1000,-2000,500") == ":"
-    assert say(controller, written, "JG ?,?,?") == " 1000, -2000,  500\r\n:"
+    assert say(controller, written, "JG ?,?,?") == " 1000,-2000, 500\r\n:"  # no blank but those of the numbers
     assert say(controller, written, "JGB=?") == "-2000\r\n:"
     assert say(controller, written, "MG _JGA") == " 1000.0000\r\n:"
     assert say(controller, written, 'MG "pos",_TPA') == "pos 0.0000\r\n:"
     assert say(controller, written, "ACX=5000;MG _ACA") == ": 4096.0000\r\n:"
     assert say(controller, written, "SP ,3001") == ":"
     assert say(controller, written, "SPB=?") == " 3000\r\n:"
-    assert say(controller, written, "TP") == " 0,  0,  0\r\n:"
+    assert say(controller, written, "TP") == " 0, 0, 0\r\n:"
     assert say(controller, written, "ID") == "FW, DMC4030 Rev 1.2c\r\n:"
     assert say(controller, written, "DPA=123;TPA") == ": 123\r\n:"
 

@@ -387,7 +387,7 @@ def test_the_twin_answers_only_what_is_asked_of_it() -> None:
 
     assert ask(request(SOFTWARE_VERSION, DEVICE, HOST)) == ["18FEDA80 1301330201"]
     assert ask(request(SOFTWARE_VERSION, 0x81, HOST)) == []
-    assert ask(request(0xFECA, DEVICE, HOST)) == []
+    assert ask(request(0xFECA, DEVICE, HOST)) == [f"18E8FF80 01ffffff{HOST:02x}00feca"]  # refused by the standard
     assert ask(command(RATE_DIVIDER, DEVICE, bytes([3]), HOST)) == []  # no divider: refused without a word
     assert ask(request(RATE_DIVIDER, DEVICE, HOST)) == ["18FF5580 8001"]
     assert ask(command(RATE_DIVIDER, DEVICE, bytes([4]), HOST)) == []

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from sims.gyro import GyroArray, GyroTruth
 from sims.vectornav_device import VectorNavDevice
 from station.loops import VirtualLoop
 
+REQUESTS = json.loads((Path(__file__).parents[1] / "vectors" / "vectornav_requests.json").read_text())["vectors"]
 RATES_RPS = np.array([0.1, -0.2, 0.3])
 UP = np.array([0.0, -0.6, -0.8])  # it hangs, turned about x
 
@@ -191,3 +194,49 @@ def test_commands_may_come_byte_by_byte() -> None:
     for byte in encode_sentence(Sentence("VNRRG", ("03",)), "crc"):
         talk.device.received(bytes([byte]))
     assert talk.heard() == [Sentence("VNRRG", ("03", "0100012345"))]
+
+
+@pytest.mark.parametrize("vector", REQUESTS, ids=lambda vector: vector["why"])
+def test_what_programs_write_at_a_start_is_answered_as_the_device_does(vector: dict[str, str]) -> None:
+    talk = Talk()
+    talk.device.received(vector["send"].encode() + b"\r\n")
+    assert bytes(talk.sent).decode() == vector["expect"] + "\r\n"
+
+
+def test_a_binary_output_without_groups_is_off() -> None:
+    on = "VNWRG,06,0\nVNWRG,75,1,8,01,0001\n"
+    assert len(streamed(on, 0.1))
+    assert not streamed(on + "VNWRG,75,0,8,00", 0.1)
+    assert not streamed(on + "VNWRG,75,1,8,0", 0.1)
+
+
+def test_settings_of_every_register_outlast_a_reset_in_flash() -> None:
+    talk = Talk()
+    assert talk.said("VNWRG,00,TABLE 7\nVNWRG,35,1,0,1,1\nVNWNV\nVNRST\nVNRRG,00\nVNRRG,35")[-2:] == [
+        "VNRRG,00,TABLE 7",
+        "VNRRG,35,1,0,1,1",
+    ]
+    assert talk.said("VNRFS\nVNRRG,35")[-1] == "VNRRG,35,1,1,1,1"
+
+
+def test_a_binary_output_that_is_not_sent_by_itself_can_be_polled() -> None:
+    talk = Talk()
+    talk.said("VNWRG,76,0,8,04,0008")
+    talk.device.received(b"$VNBOM,2*XX\r\n")
+    (frames,) = talk.heard()
+    assert isinstance(frames, Frames)
+    assert frames.values.dtype.names == ("header", "imu.uncomp_gyro", "crc")
+    assert talk.said("VNWRG,76,0,8,00\nVNBOM,2")[-1] == "VNERR,07"
+
+
+def test_a_gyro_calibration_changes_the_compensated_rates_alone() -> None:
+    both = "VNWRG,06,0\nVNWRG,75,1,8,05,0020,0008"
+    calibrated = "VNWRG,84,2,0,0,0,1,0.5,0,0,1,0.01,0,0\n" + both
+    (before,), (after,) = streamed(both, 0.02), streamed(calibrated, 0.02)
+    assert isinstance(before, Frames)
+    assert isinstance(after, Frames)
+    np.testing.assert_array_equal(before.values["common.angular_rate"], before.values["imu.uncomp_gyro"])
+    np.testing.assert_array_equal(after.values["imu.uncomp_gyro"], before.values["imu.uncomp_gyro"])
+    x, y, z = (after.values["imu.uncomp_gyro"] - [0.01, 0.0, 0.0]).T
+    expected = np.column_stack([2 * x, y + 0.5 * z, z])
+    np.testing.assert_allclose(after.values["common.angular_rate"], expected, atol=1e-6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,7 +14,7 @@ import pytest
 from drivers.stim300 import LAYOUTS, STATUS_OVERLOAD, STATUS_START_UP, Datagrams, Stim300Decoder
 from drivers.stim300_special import BiasTrim, Configuration, ExtendedError, PartNumber, SerialNumber, Special
 from drivers.stim300_units import GYRO_LSB_DEG, GYRO_LSB_DPS
-from drivers.stim300_utility import UtilityDecoder
+from drivers.stim300_utility import UtilityDecoder, UtilityMessage, encode_message
 from sims.body import Body
 from sims.geometry import MOUNTS_DEG, mounted
 from sims.gyro import GyroArray, GyroTruth
@@ -178,6 +179,23 @@ def test_a_clock_that_runs_fast_sends_more() -> None:
     assert len(run(4.0, 500, clock_ppm=5000).joined("counter")) - len(run(4.0, 500).joined("counter")) == 10
 
 
+def test_samples_that_a_busy_computer_sends_late_say_how_late() -> None:
+    sent = Sent()
+
+    async def scene() -> None:
+        device = Stim300Device(array_of(500), lambda data: setattr(sent, "raw", sent.raw + data), 500)
+        task = asyncio.ensure_future(device.serve())
+        await asyncio.sleep(0.03)
+        time.sleep(0.04)  # the computer does something else
+        await asyncio.sleep(0.03)
+        task.cancel()
+
+    asyncio.run(scene())
+    sent.parts = list(Stim300Decoder().feed(sent.raw))
+    assert 25_000 < sent.joined("latency_us").max() < 60_000
+    assert not run(0.1).joined("latency_us").any()
+
+
 def typed(*lines: bytes) -> Sent:
     return run(0.2, act=lambda device: [device.received(line) for line in lines])
 
@@ -206,6 +224,68 @@ def test_service_mode_echoes_answers_and_refuses() -> None:
     assert {part.identifier for part in found if isinstance(part, Datagrams)} == {0xA7}
     steps = np.diff(np.concatenate([part.counter for part in found if isinstance(part, Datagrams)])) % 256
     assert set(steps.tolist()) == {8}
+
+
+def serviced(*lines: str) -> list[str]:
+    """Return what is printed to each of these lines of service mode, without echo and prompt."""
+    raw = typed(b"SERVICEMODE\r", *(line.encode() + b"\r" for line in lines), b"x N\r").raw
+    printed = raw[raw.index(b"SERIAL NUMBER") :].partition(b"x N\r")[0].decode().split("\r>")[1:]
+    return [text.partition("\r")[2] for text in printed[: len(lines)]]
+
+
+def test_service_mode_tells_each_of_its_settings() -> None:
+    assert serviced("i s", "i n", "i m", "i f", "i t", "i r") == [
+        "SERIAL NUMBER = N25582405002002",
+        "PART NUMBER = 84167-440000-3321 REV K",
+        "SAMPLE RATE [samples/s] = 2000",
+        "GYRO LP FILTER -3dB FREQUENCY [Hz] = 262",
+        "BIT-RATE [bits/s] = 921600",
+        "LINE TERMINATION = OFF",
+    ]
+    assert serviced("i q", "i s,n") == ["E003 INVALID PARAMETER", "E002 INCORRECT NUMBER OF PARAMETERS"]
+
+
+def test_service_mode_sets_filter_termination_and_transmission() -> None:
+    assert serviced("f g,3", "f g,5", "r 1", "r 2", "t 3", "t 1,2,e", "t f,500000", "t 9", "t 0") == [
+        "GYRO LP FILTER -3dB FREQUENCY [Hz] = 131",
+        "E003 INVALID PARAMETER",
+        "LINE TERMINATION = ON",
+        "E003 INVALID PARAMETER",
+        "BIT-RATE [bits/s] = 1843200",
+        "E007 DATAGRAM WILL BE TOO LONG TO TRANSMIT",
+        "E007 DATAGRAM WILL BE TOO LONG TO TRANSMIT",
+        "E003 INVALID PARAMETER",
+        "E007 DATAGRAM WILL BE TOO LONG TO TRANSMIT",
+    ]
+
+
+def test_what_was_set_is_told_in_the_configuration() -> None:
+    lines = (b"SERVICEMODE\r", b"f g,1\r", b"r 1\r", b"t 3,2,o\r", b"x N\r", b"C\r")
+    (found,) = run(0.4, act=lambda device: [device.received(line) for line in lines]).specials
+    assert isinstance(found, Configuration)
+    assert found.bit_rate == 1843200
+    assert found.data[3] & 0x0F == 0b1101  # two stop bits, odd parity, terminated
+    assert (found.data[5], found.data[6] & 0xF0) == (0x11, 0x10)  # 33 Hz, each gyro
+
+
+def test_service_mode_measures_once_and_tells_trim_errors_and_help() -> None:
+    shot, trim, errors, help_text = serviced("a", "b", "c", "?")
+    assert shot.startswith("GYRO [deg/s] = 20.00")
+    assert trim.startswith("BIAS TRIM OFFSET")
+    assert errors == "NO ERRORS"
+    assert {line[0] for line in help_text.split("\r")} == set("abcdfimrtux?")
+
+
+def test_utility_mode_tells_part_number_gyro_and_transmission() -> None:
+    asked = [encode_message(UtilityMessage(False, fields)) for fields in (("ipn",), ("ig", "x"), ("ig", "w"), ("it",))]
+    raw = typed(b"UTILITYMODE\r", *asked).raw
+    replies = [message.fields for message in UtilityDecoder().feed(raw[raw.index(b"#UTIL") :])][1:]
+    assert replies == [
+        ("ipn", "0", "84167-440000-3321", "K"),
+        ("ig", "0", "X", "1", "0", "4", "0", "0"),
+        ("ig", "5"),
+        ("it", "0", "921600", "1", "n", "0", "0", "0"),
+    ]
 
 
 def test_foreign_bytes_from_the_host_change_nothing() -> None:

@@ -75,3 +75,22 @@ def test_twins_on_real_ports_say_how_long_that_is_by_the_loops_clock(protocol: s
         runner.run(main())
     assert said[0]["device"] == "table"
     assert said[0]["watchdog_s"] == 10 * WATCHDOG_S
+
+
+@pytest.mark.parametrize("protocol", ["modbus", "galil"])
+def test_a_table_has_no_watchdog_unless_the_bench_says_so(protocol: str) -> None:
+    bench = load_bench(BENCHES / "galil_xsens.toml" if protocol == "galil" else None)
+
+    async def main() -> None:
+        async with open_bench(bench) as opened:
+            await opened.table.open()
+            await opened.table.enable()
+            await opened.table.jog("z", RATE_RPS, ACCELERATION_RPS2)
+            await asyncio.sleep(60.0)
+            assert not opened.at_rest()
+            opened.table.close()
+            await asyncio.sleep(60.0)
+            assert not opened.at_rest()
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        runner.run(main())

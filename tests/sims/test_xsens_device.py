@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drivers.mtdata2 import (
     ACCELERATION,
+    EULER_ANGLES,
     EVERY,
     PACKET_COUNTER,
     PRESSURE,
@@ -35,6 +38,7 @@ from sims.motion import AxisMotion
 from sims.xsens_device import XsensDevice
 from station.loops import VirtualLoop
 
+OPENING = json.loads((Path(__file__).parents[1] / "vectors" / "xsens_opening.json").read_text())["vectors"]
 RATE_HZ = 400
 NOISE = 1e-3
 RANGE_RPS = np.radians(2000)
@@ -262,3 +266,42 @@ def test_dropped_messages_leave_a_gap_in_both_counts_and_doubled_ones_are_the_sa
 def test_a_fast_clock_gives_more_samples_by_its_error(clock_ppm: float) -> None:
     ticks = counted(Line(clock_ppm=clock_ppm).streamed(10.0), SAMPLE_TIME_FINE)
     assert ticks[-1] == pytest.approx(100_000 * (1 + clock_ppm * 1e-6), abs=100)
+
+
+def test_it_answers_what_the_makers_sdk_asks_when_it_opens_a_port() -> None:
+    line = Line(specific_force_g=lambda t: np.tile([0.0, 0.0, 1.0], (len(t), 1)))
+    for vector in OPENING:
+        ((mid, data),) = line.asked(int(vector["mid"], 16), bytes.fromhex(vector["data"]))
+        assert mid == int(vector["reply"], 16), vector
+        assert data.startswith(bytes.fromhex(vector.get("starts", ""))), vector
+        assert len(data) == vector["length"], vector
+
+
+def test_its_configuration_tells_what_it_is_and_sends() -> None:
+    line = Line()
+    line.asked(Mid.GO_TO_CONFIG)
+    ((_, data),) = line.asked(Mid.REQ_CONFIGURATION)
+    assert int.from_bytes(data[4:6]) == 115_200 // RATE_HZ  # sampling period
+    assert int.from_bytes(data[96:98]) == 1  # device
+    assert data[98:102] == bytes.fromhex("03700715")
+
+
+@pytest.mark.parametrize("number_format", range(4))
+def test_euler_angles_are_those_by_which_it_is_tilted(number_format: int) -> None:
+    up = np.array([-0.5, 0.6, np.sqrt(0.39)])
+    line = Line(specific_force_g=lambda t: np.tile(up, (len(t), 1)))
+    line.asked(Mid.GO_TO_CONFIG)
+    wanted = encode_outputs((Output(EULER_ANGLES | number_format, 100),))
+    assert line.asked(Mid.OUTPUT_CONFIGURATION, wanted) == [(Mid.OUTPUT_CONFIGURATION + 1, wanted)]
+    line.asked(Mid.GO_TO_MEASUREMENT)
+    (samples,) = line.streamed(0.1)
+    angles = samples.numbers(EULER_ANGLES)
+    assert angles is not None
+    np.testing.assert_allclose(angles, np.tile([np.degrees(np.arctan2(up[1], up[2])), 30.0, 0.0], (10, 1)), atol=1e-4)
+
+
+def test_without_accelerometers_there_are_no_euler_angles() -> None:
+    line = Line()
+    line.asked(Mid.GO_TO_CONFIG)
+    ((_, granted),) = line.asked(Mid.OUTPUT_CONFIGURATION, encode_outputs((Output(EULER_ANGLES, 100),)))
+    assert granted == b""

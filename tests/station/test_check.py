@@ -136,8 +136,7 @@ def test_nothing_moves_and_no_drive_gets_power(name: str) -> None:
 
 
 def test_a_table_that_turns_is_told_of_and_left_alone(tmp_path: Path) -> None:
-    unwatched = ("[twin]\n", '[twin]\nwatchdog = "0 s"\n')
-    bench = load_bench(made(tmp_path, "acutrol_vectornav", unwatched))
+    bench = load_bench(made(tmp_path, "acutrol_vectornav"))
 
     async def look() -> None:
         async with open_bench(bench) as opened:

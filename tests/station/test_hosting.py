@@ -89,11 +89,6 @@ os.execv(sys.argv[1], sys.argv[1:])
 """
 
 
-def patient_bench(folder: Path) -> Path:
-    """Drives that bear with a busy machine: at three times real time, a second is 330 ms of it."""
-    return bench_file(folder, ('watchdog = "1 s"', 'watchdog = "10 s"'))
-
-
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A runtime folder of our own, for this process and those that it starts."""
@@ -110,7 +105,7 @@ class Run:
         script = folder / "script.toml"
         script.write_text(SCRIPT)
         self.path = folder / "r.h5"
-        words = command("run", "--host", "--scale", "3", "--bench", patient_bench(folder), "--script", script)
+        words = command("run", "--host", "--scale", "3", "--bench", bench_file(folder), "--script", script)
         words += [*map(str, options), "--json", "-o", str(self.path)]
         self.process = subprocess.Popen(words, **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **how})
 
@@ -417,7 +412,7 @@ def test_a_run_outlives_its_terminal(place: Path, tmp_path: Path) -> None:
     script.write_text(BRIEF)
     path = tmp_path / "r.h5"
     words = command(
-        "run", "--host", "--scale", "3", "--bench", patient_bench(tmp_path), "--script", script, "-o", path
+        "run", "--host", "--scale", "3", "--bench", bench_file(tmp_path), "--script", script, "-o", path
     )  # fmt: skip
     run = subprocess.Popen(
         [sys.executable, "-c", WITH_TERMINAL, *words], stdin=far, stdout=far, stderr=far, start_new_session=True

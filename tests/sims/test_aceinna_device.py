@@ -1,0 +1,40 @@
+"""The Aceinna twin answers requests as SAE J1939-21 has it, and refuses what it does not know."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from sims.aceinna_device import AceinnaDevice
+from sims.body import Body
+from sims.geometry import MOUNTS_DEG, mounted
+from sims.gyro import GyroArray, GyroTruth
+
+VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "j1939_requests.json").read_text())["vectors"]
+
+
+class Bus:
+    """Keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.sent: list[list[str]] = []
+
+    def send(self, msg: can.Message) -> None:
+        self.sent.append([f"{msg.arbitration_id:08X}", bytes(msg.data).hex().upper()])
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: vector["why"])
+def test_a_request_is_answered_or_refused(vector: dict[str, str]) -> None:
+    body = Body("z", lambda _axis, t: 0.0 * t, lambda: 0, 0.0, 0.0)
+    none = np.zeros(3)
+    gyros = GyroArray(mounted(MOUNTS_DEG["triad"]), GyroTruth(none, none, none, none, 0.0, 0.0), body, 100.0, (1,))
+    bus = Bus()
+    data = bytes.fromhex(vector["data"])
+    AceinnaDevice(gyros, bus).received(
+        can.Message(arbitration_id=int(vector["id"], 16), is_extended_id=True, data=data)
+    )
+    assert bus.sent == vector["answers"]
