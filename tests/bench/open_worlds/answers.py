@@ -106,7 +106,8 @@ class Answer:
     @property
     def says_what_it_depends_on(self) -> bool:
         """Whether the answer names one of the right things: as a law, an effect or a rival, or for what is left."""
-        names = [self.depends_on, *(f"{a.name} {a.expression}" for a in self.added), *(n for r in self.rivals for n in r)]
+        rivals = [name for names in self.rivals for name in names]
+        names = [self.depends_on, *(f"{a.name} {a.expression}" for a in self.added), *rivals]
         return bool(dependences(" ".join(names)) & self.case.law.depends_on)
 
     @property
