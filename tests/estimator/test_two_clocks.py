@@ -1,0 +1,110 @@
+"""Samples and reference in two files whose clocks run apart: real recordings, cut in two, one clock stretched."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from estimator.calibrate import calibrate
+from estimator.importing import Imported, import_recording
+from estimator.mapping import read_mapping
+
+DATA = Path(__file__).parents[1] / "data"
+HEAD = '[device]\nname = "unit"\n[file]\nformat = "csv"\n[time]\ncolumn = "t"\nunit = "s"\n'
+MPU = HEAD + (
+    '[gyro]\ncolumns = ["x", "y", "z"]\nunit = "deg/s"\n[reference]\nkind = "angle"\ncolumn = "angle"\nunit = "deg"\n'
+    'axis = "-z"\nfile = "reference.csv"\n'
+)
+BROAD = HEAD + (
+    '[gyro]\ncolumns = ["x", "y", "z"]\nunit = "rad/s"\n[reference]\nkind = "attitude"\norder = "wxyz"\n'
+    'columns = ["q0", "q1", "q2", "q3"]\nfile = "reference.csv"\n'
+)
+TOLD = re.compile(r"the clock of reference.csv goes ([\d.]+) \+- ([\d.]+) ppm (slow|fast)")
+
+
+def written(path: Path, heading: str, *columns: np.ndarray) -> None:
+    np.savetxt(path, np.column_stack(columns), fmt="%.9g", delimiter=",", header=heading, comments="")
+
+
+def mpu(folder: Path, ppm: float, late_s: float) -> None:
+    """An MPU-6050 on a stepper's shaft; the encoder was logged by a computer of its own."""
+    data = loadmat(DATA / "mpu6050" / "yaw_medium_110s.mat")
+    t = data["all_time"].ravel()
+    t = t - t[0]
+    gyro = [data[f"all_gyro_2_{axis}"].ravel() for axis in "xyz"]
+    written(folder / "log.csv", "t,x,y,z", t, *gyro)
+    written(folder / "reference.csv", "t,angle", t * (1 + ppm * 1e-6) + late_s, data["all_encoder"].ravel())
+    (folder / "mapping.toml").write_text(MPU)
+
+
+def broad(folder: Path, ppm: float, late_s: float) -> None:
+    """A triad turned by hand; the cameras were logged by a computer of their own, every other frame."""
+    data = loadmat(DATA / "broad" / "01_undisturbed_slow_rotation_A_60s.mat")
+    t = np.arange(len(data["imu_gyr"])) / float(data["sampling_rate"].ravel()[0])
+    written(folder / "log.csv", "t,x,y,z", t, data["imu_gyr"])
+    q = data["opt_quat"][::2]
+    written(folder / "reference.csv", "t,q0,q1,q2,q3", t[::2] * (1 + ppm * 1e-6) + late_s, q)
+    (folder / "mapping.toml").write_text(BROAD)
+
+
+def imported(folder: Path, *changes: tuple[str, str]) -> Imported:
+    text = (folder / "mapping.toml").read_text()
+    for old, new in changes:
+        text = text.replace(old, new)
+    (folder / "mapping.toml").write_text(text)
+    return import_recording(read_mapping(folder / "mapping.toml"), [folder / "log.csv"])
+
+
+def drift_ppm(run: Imported) -> tuple[float, float]:
+    found = TOLD.search("\n".join(run.notes))
+    assert found, run.notes
+    return float(found[1]) * (1 if found[3] == "fast" else -1), float(found[2])
+
+
+@pytest.mark.parametrize(
+    ("made", "ppm", "late_s", "least_ppm"),
+    [(mpu, 200, 0.05, 15), (mpu, -120, -0.3, 15), (broad, 200, 0.1, 30), (broad, -150, 0.0, 30)],
+)
+def test_clocks_that_run_apart_are_told_and_put_right(
+    tmp_path: Path, made: object, ppm: float, late_s: float, least_ppm: float
+) -> None:
+    made(tmp_path, 0, 0.0)  # type: ignore[operator]
+    plain = imported(tmp_path)
+    assert not any("clock" in note for note in plain.notes)
+    made(tmp_path, ppm, late_s)  # type: ignore[operator]
+    run = imported(tmp_path)
+    found, sd = drift_ppm(run)
+    assert abs(found - ppm) < max(3 * sd, 1)
+    assert sd < least_ppm
+    for gyro, other in zip(calibrate(run.recording).gyros, calibrate(plain.recording).gyros, strict=True):
+        assert (np.abs(gyro.states - other.states) < other.sd).all()
+        assert (gyro.sd < 1.2 * other.sd).all()
+
+
+def test_the_part_of_a_delay_that_is_the_clocks_is_told(tmp_path: Path) -> None:
+    mpu(tmp_path, 200, 0.25)
+    notes = "\n".join(imported(tmp_path).notes)
+    # The gyro itself is 12 ms late: the stamps of the reference are to be moved back by 250 less 12 ms.
+    offset = re.search(r"and is (-?[\d.]+) \+- [\d.]+ ms (ahead|behind) at the beginning", notes)
+    assert offset
+    assert float(offset[1]) == pytest.approx(238, abs=3)
+    assert offset[2] == "ahead"
+
+
+@pytest.mark.parametrize(("made", "late_s"), [(mpu, 1234.5), (broad, -77.7)])
+def test_clocks_that_have_nothing_to_do_with_each_other_are_joined_by_the_motion(
+    tmp_path: Path, made: object, late_s: float
+) -> None:
+    made(tmp_path, 80, late_s)  # type: ignore[operator]
+    text = (tmp_path / "mapping.toml").read_text()
+    (tmp_path / "mapping.toml").write_text(text + '[reference.time]\noffset_s = "from data"\n')
+    run = imported(tmp_path)
+    assert any("reference.csv begins" in note for note in run.notes)
+    found, sd = drift_ppm(run)
+    assert abs(found - 80) < max(3 * sd, 1)
+    gyro = calibrate(run.recording).gyros[2]
+    assert abs(gyro.states[0]) < 0.02
