@@ -17,6 +17,7 @@ from estimator.held import updates
 from estimator.mapping import FileFormat, Mapping, ReferenceFile, Timing
 from estimator.mapping_columns import UNITS
 from estimator.mapping_reference import AngleColumn, MeasuredReference, Rests, SectionTurns
+from estimator.odd_samples import without_odd
 from estimator.recording import ImuData, Recording
 from estimator.reference import Reference, Turns
 from estimator.rest_import import PartRests, earth_note, part_rests, rests_text
@@ -27,6 +28,7 @@ from estimator.timefit import TimeFit, fit_times, regular_times
 SOURCE = "imu"
 """Name of the one source of an imported recording."""
 _BESIDE_S = 1.0  # of a reference in a file of its own before and behind the samples that is kept
+_GAPS_SHARE = 0.2  # of the rows; where more are further apart the sampling is uneven
 _GAP_S = 10.0  # between files that follow each other: longer than what corrects or correlates within one
 _UNIT_ROW = {"rad/s": ("rad/s", "rps"), "deg/s": ("deg/s", "dps", "°/s", "degree/s", "degrees/s")}
 
@@ -113,7 +115,10 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     if fresh is not None:
         notes.append(_held_note("the gyro", fresh, time.t_s[own]))
         own = own[fresh]
+    kept, odd = without_odd("gyro", time.t_s[own], rate[time.rows[own]], gyro.array.names)
+    own = own[kept]
     rows, t_s = time.rows[own], time.t_s[own]
+    notes += [*odd, *_missing_notes(t_s)]
     accel, warmth = (_filled(table, time, own, v, w) for v, w in ((accel, "accelerometer"), (warmth, "temperature")))
     rests = None
     if isinstance(reference, Rests):
@@ -129,9 +134,15 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
         known = _rows_beside(mapping, mapping.reference_file, path, time, notes)
     elif told is not None:
         known = time.t_s, told[time.rows]
-    if rests is None and known is not None and (fresh := updates(known[1])) is not None:
-        notes.append(_held_note("the reference", fresh, known[0]))
-        known = known[0][fresh], known[1][fresh]
+    if rests is None and known is not None:
+        if (fresh := updates(known[1])) is not None:
+            notes.append(_held_note("the reference", fresh, known[0]))
+            known = known[0][fresh], known[1][fresh]
+        turned = isinstance(reference, AngleColumn)  # 359 deg beside 0 is no spike
+        seen = np.hstack([np.cos(known[1]), np.sin(known[1])]) if turned else known[1]
+        kept, odd = without_odd("reference", known[0], seen)
+        known = known[0][kept], known[1][kept]
+        notes += odd
     warm = None if warmth is None else warmth[:, 0]
     measured = (time, table.skipped_lines, t_s, rate[rows], accel, warm)
     return _Part(path.name, *measured, known, tuple(spans or ()), rests, tuple(notes)), refused
@@ -238,6 +249,19 @@ def _unit_notes(mapping: Mapping, table: Table) -> list[str]:
 def _held_note(what: str, fresh: NDArray[np.intp], t_s: Floats) -> str:
     each_hz = (len(fresh) - 1) / float(t_s[fresh[-1]] - t_s[fresh[0]])
     return f"{what} is new in one row of {len(t_s) / len(fresh):.2g} ({each_hz:.3g} Hz); rows between are left out"
+
+
+def _missing_notes(t_s: Floats) -> list[str]:
+    """Return, in words, how many samples are missing between others."""
+    steps = np.diff(t_s)
+    short = np.round(steps / np.median(steps)) - 1
+    if not 0 < (gaps := int(np.count_nonzero(short > 0))) < _GAPS_SHARE * len(t_s):
+        return []
+    count, worst = int(short[short > 0].sum()), int(np.argmax(steps))
+    return [
+        f"{count} samples ({100 * count / (len(t_s) + count):.1f} %) are missing in {gaps} gaps, the longest "
+        f"{steps[worst]:.3g} s at {t_s[worst] + np.median(steps):.4g} s"
+    ]
 
 
 def _filled(table: Table, time: TimeFit, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:

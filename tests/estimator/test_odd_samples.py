@@ -1,4 +1,4 @@
-"""Samples that are none: spikes, values that come twice, rows that are lost. Told, left out, and no motion is bitten."""
+"""Samples that are none: spikes, values that come twice, rows that are lost. Told, left out; no motion is bitten."""
 
 from __future__ import annotations
 
