@@ -304,7 +304,8 @@ def test_data_records_of_a_galil_are_the_angles_of_a_table(tmp_path: Path, famil
 
 def test_what_is_no_data_record_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "table.bin").write_bytes(bytes(range(256)) * 40)
-    np.savetxt(tmp_path / "log.csv", np.zeros((100, 2)), delimiter=",", header="t,gz", comments="")
+    rows = np.column_stack([np.arange(100) / 100, np.random.default_rng(2).normal(size=100)])
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,gz", comments="")
     (tmp_path / "mapping.toml").write_text(GALIL)
     assert (
         main(["import", str(tmp_path / "mapping.toml"), str(tmp_path / "log.csv"), "-o", str(tmp_path / "o.h5")]) == 2
