@@ -14,7 +14,7 @@ from estimator.errors import RecordingError
 from estimator.fitting import fitted
 from estimator.foreign_rows import ForeignRows, foreign_reference, reference_rows
 from estimator.held import updates
-from estimator.mapping import FileFormat, Mapping, ReferenceFile, Timing
+from estimator.mapping import Extent, FileFormat, Mapping, ReferenceFile, Timing
 from estimator.mapping_columns import UNITS
 from estimator.mapping_reference import AngleColumn, MeasuredReference, Rests, SectionTurns
 from estimator.odd_samples import without_odd
@@ -30,6 +30,9 @@ from estimator.two_clocks import ahead_by_motion, clocks_apart
 SOURCE = "imu"
 """Name of the one source of an imported recording."""
 _BESIDE_S = 1.0  # of a reference in a file of its own before and behind the samples that is kept
+_LEAST_STEP_S, _LARGEST_STEP_S = 1e-6, 3600.0  # no samples are nearer or further apart
+_LEAST_USUAL_S, _LARGEST_USUAL_S = 5e-5, 2.0
+_EQUAL_RPS, _COARSE_SHARE = 1e-9, 1 / 3  # of samples equal to the one before: at 0.28 a step is one sigma
 _GAPS_SHARE = 0.1  # of the rows; where more are further apart the sampling is uneven
 _GAP_S = 10.0  # between files that follow each other: longer than what corrects or correlates within one
 _UNIT_ROW = {"rad/s": ("rad/s", "rps"), "deg/s": ("deg/s", "dps", "°/s", "degree/s", "degrees/s")}
@@ -118,7 +121,7 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
         notes.append(_held_note("the gyro", fresh, time.t_s[own]))
         own = own[fresh]
     kept, odd = without_odd("gyro", time.t_s[own], rate[time.rows[own]], gyro.array.names)
-    notes += [*_missing_notes(time.t_s[own]), *odd]
+    notes += [*_missing_notes(time.t_s[own]), *odd, *_coarse_notes(gyro.array.names, rate[time.rows[own]])]
     own = own[kept]
     rows, t_s = time.rows[own], time.t_s[own]
     accel, warmth = (_filled(table, time, own, v, w) for v, w in ((accel, "accelerometer"), (warmth, "temperature")))
@@ -226,8 +229,9 @@ def _times(timing: Timing, file_format: FileFormat, table: Table, values: Floats
     extent = file_format.extent
     read = np.flatnonzero((position >= extent.from_row) & (position < extent.until_row))
     if len(read) < 2:
-        raise RecordingError(f"{table.name} has {len(values)} rows: check from_row and until_row in [file]")
-    time = _all_times(timing, table, position, read, values)
+        check = "check from_row and until_row in [file]" if file_format.extent != Extent() else "record more"
+        raise RecordingError(f"{table.name} has {len(values)} row{'s' * (len(values) != 1)} to read: {check}")
+    time = _all_times(timing, file_format, table, position, read, values)
     kept = (time.t_s >= extent.from_s) & (time.t_s <= extent.until_s)
     if kept.sum() < 2:
         raise RecordingError(f"{table.name} lasts {time.t_s[-1]:.6g} s: check from_s and until_s in [file]")
@@ -235,7 +239,12 @@ def _times(timing: Timing, file_format: FileFormat, table: Table, values: Floats
 
 
 def _all_times(
-    timing: Timing, table: Table, position: NDArray[np.int64], read: NDArray[np.intp], values: Floats
+    timing: Timing,
+    file_format: FileFormat,
+    table: Table,
+    position: NDArray[np.int64],
+    read: NDArray[np.intp],
+    values: Floats,
 ) -> TimeFit:
     if timing.stamps is not None:
         stamps = table.values(timing.stamps, 1, "[time] column")[:, 0]
@@ -244,9 +253,13 @@ def _all_times(
         if len(stamps) != len(values):
             raise RecordingError(f"{table.name} has {len(values)} rows but {len(stamps)} stamps")
         try:
-            return fit_times(stamps[read], values[read], position[read])
+            fit = fit_times(stamps[read], values[read], position[read])
         except RecordingError as error:
-            raise RecordingError(f"{table.name} {error}") from None
+            record = "; check record, too" if file_format.record is not None else ""
+            raise RecordingError(f"{table.name} {error}{record}") from None
+        if not _LEAST_STEP_S < (step_s := float(np.median(np.diff(fit.t_s)))) < _LARGEST_STEP_S:
+            raise RecordingError(f"{table.name}: its samples are {step_s:.6g} s apart by [time]: correct its unit")
+        return fit
     rate_hz = table.number(timing.rate) if isinstance(timing.rate, str) else timing.rate
     if rate_hz <= 0:
         raise RecordingError(f"{table.name}: {timing.rate} is {rate_hz}, not a sample rate in Hz")
@@ -260,6 +273,8 @@ def _line_notes(table: Table, time: TimeFit) -> list[str]:
         notes.append(f"{table.skipped_lines} broken {lines} left out, the first is {table.first_skipped}")
     if time.doubled:
         notes.append(f"{time.doubled} rows are left out that were written twice")
+    if not _LEAST_USUAL_S < (step_s := float(np.median(np.diff(time.t_s)))) < _LARGEST_USUAL_S:
+        notes.append(f"its samples are {step_s:.3g} s apart by [time]: if that is not so, correct its unit")
     return notes
 
 
@@ -271,6 +286,18 @@ def _unit_notes(mapping: Mapping, table: Table) -> list[str]:
         for unit, spellings in _UNIT_ROW.items()
         if not columns.raw and columns.scale != UNITS["rate"][unit] and said & set(spellings)
     ]
+
+
+def _coarse_notes(names: Sequence[str], rate: Floats) -> list[str]:
+    notes = []
+    for name, steps in zip(names, np.abs(np.diff(rate, axis=0)).T, strict=True):
+        step = float(np.degrees(steps[steps > _EQUAL_RPS].min(initial=np.inf)))
+        if np.isfinite(step) and np.mean(steps <= _EQUAL_RPS) > _COARSE_SHARE:
+            notes.append(
+                f"{name}: its steps of {step:.3g} deg/s are coarser than its noise: at a steady rate, means of many "
+                "samples are no better than a step"
+            )
+    return notes
 
 
 def _held_note(what: str, fresh: NDArray[np.intp], t_s: Floats) -> str:

@@ -62,7 +62,8 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         raise RecordingError("has time stamps that are no numbers: repair the time column")
     forward = np.diff(stamps_s)
     if not (forward > 0).any():
-        raise RecordingError(f"has time stamps that do not advance: {_CHECK}")
+        how = "run backwards: turn the order of its rows round, or" if (forward < 0).all() else "do not advance:"
+        raise RecordingError(f"has time stamps that {how} {_CHECK}")
     values = np.nan_to_num(values, nan=-1e300)  # blank is equal to blank
     rows = _without_replays(stamps_s, values, float(np.median(forward[forward > 0])))
     replayed = len(stamps_s) - len(rows)

@@ -81,6 +81,7 @@ RECORD = MAPPING.replace(
         (ROWS.astype("<f8").tobytes(), MAPPING, 'is no text: write format = "binary" with its record'),
         (ROWS.astype("<f4").tobytes(), RECORD, "check record"),
     ],
+    ids=range(14),
 )
 def test_what_does_not_fit_is_said_with_the_key_that_helps(
     tmp_path: Path, content: str | bytes, mapping: str, message: str
