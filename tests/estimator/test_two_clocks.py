@@ -1,4 +1,4 @@
-"""Samples and reference in two files whose clocks run apart: real recordings, cut in two, one clock stretched."""
+"""Files whose clocks run apart (real recordings, cut in two, one clock stretched), and references read too seldom."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
+from estimator.array import sensor_array
 from estimator.calibrate import calibrate
 from estimator.importing import Imported, import_recording
 from estimator.mapping import read_mapping
+from estimator.recording import ImuData, Recording
+from estimator.reference import RateReadings
 
 DATA = Path(__file__).parents[1] / "data"
 HEAD = '[device]\nname = "unit"\n[file]\nformat = "csv"\n[time]\ncolumn = "t"\nunit = "s"\n'
@@ -118,3 +121,35 @@ def test_clocks_that_have_nothing_to_do_with_each_other_are_joined_by_the_motion
     found, sd = drift_ppm(run)
     assert abs(found - 80) < max(3 * sd, 1)
     assert not any("hardly follows" in note or "times what" in note for note in run.notes)
+
+
+# --- a reference that is read too seldom
+
+
+def read_every(step_s: float) -> Recording:
+    """A gyro at 100 Hz against the rate of another instrument, which is read so seldom."""
+    t, read = np.arange(12000) / 100, np.arange(0, 120, step_s)
+
+    def rate(at: np.ndarray) -> np.ndarray:
+        return np.asarray(np.radians(np.column_stack([0 * at, 0 * at, 60 * np.sin(1.1 * at) + 30 * np.sin(0.37 * at)])))
+
+    output = 0.99 * rate(t)[:, 2:] + np.random.default_rng(7).normal(scale=1e-3, size=(len(t), 1))
+    data = ImuData(sensor_array([[0, 0, 1]], names=("z",), part_of_array=True), ns(t), output)
+    return Recording({"imu": data}, RateReadings(ns(read), rate(read)), None)
+
+
+def ns(t_s: np.ndarray) -> np.ndarray:
+    return np.asarray(np.round(t_s * 1e9), dtype=np.int64)
+
+
+@pytest.mark.parametrize("step_s", [0.02, 0.1])
+def test_a_reference_that_is_read_often_enough_is_not_told(step_s: float) -> None:
+    found = calibrate(read_every(step_s))
+    assert not any("seldom" in note for note in found.notes)
+    assert found.gyros[0].states[0] == pytest.approx(0.01, abs=2e-4)
+
+
+@pytest.mark.parametrize("step_s", [1.0, 2.0])
+def test_a_reference_that_is_read_too_seldom_for_its_motion_is_told(step_s: float) -> None:
+    doubts = calibrate(read_every(step_s)).doubts
+    assert any(f"the reference is read every {step_s:g} s, too seldom for this motion" in doubt for doubt in doubts)
