@@ -94,8 +94,8 @@ def gain_notes(names: tuple[str, ...], p: Floats, found: list[Gain | None], size
             )
         elif gain.axis is not None:
             notes.append(
-                f"{name}: its output follows the body rate about {_nearest(gain.axis)}, not about {axis_text(axis)} as "
-                "stated: check axes and the order of columns in [gyro]"
+                f"{name}: its output follows the body rate about {axis_text(gain.axis, 0.95)}, not about "
+                f"{axis_text(axis)} as stated: check axes and the order of columns in [gyro]"
             )
         elif abs(gain.factor + 1) < FAR_OFF:
             notes.append(
@@ -114,10 +114,3 @@ def gain_notes(names: tuple[str, ...], p: Floats, found: list[Gain | None], size
                 f'and count in [gyro], or write scale = "from data"{sign}'
             )
     return notes
-
-
-def _nearest(direction: Floats) -> str:
-    largest = int(np.argmax(np.abs(direction)))
-    unit = np.sign(direction[largest]) * np.eye(3)[largest]
-    near = abs(direction[largest]) > 0.95 * np.linalg.norm(direction)
-    return axis_text(unit if near else np.round(direction / np.linalg.norm(direction), 2))

@@ -39,7 +39,7 @@ def usable(data: ImuData, *, fine: bool) -> Usable:
     that stays at its extreme values is given by itself with those cut out. Coarse ones may rest on a count.
     """
     data = _in_order(data)
-    kept, notes = without_odd("gyro", data.t_ns * 1e-9, data.rate_rps, data.array.names)
+    kept, notes = without_odd("gyro", np.asarray(data.t_ns * 1e-9, dtype=np.float64), data.rate_rps, data.array.names)
     data = data if len(kept) == len(data.t_ns) else _rows(data, kept)
     excluded: list[Excluded] = []
     whole: list[int] = []

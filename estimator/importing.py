@@ -172,14 +172,12 @@ def _rows_beside(
     t_s, values = _readings(mapping, fit.t_s + (other.offset_s or 0.0), values[fit.rows], notes)
     if fit.zero_s is not None and time.zero_s is not None:
         t_s += fit.zero_s - time.zero_s
-    outputs = Turned.of_rates(_ns(gyros[0]), gyros[1])
-    p = None if mapping.gyro.sign_from_data else mapping.gyro.array.p
+    outputs, array = Turned.of_rates(_ns(gyros[0]), gyros[1]), mapping.gyro.array
     if other.offset_s is None:
-        t_s -= ahead_by_motion(outputs, _turned(mapping, t_s, values), p)
-        beside_s = t_s[0] - time.t_s[0]
-        notes.append(
-            f"{name} begins {abs(beside_s):.4g} s {'before' if beside_s < 0 else 'after'} {path.name}, by the motion"
-        )
+        body = _turned(mapping, t_s, values)
+        t_s -= ahead_by_motion(outputs, body, array.p, signed=not mapping.gyro.sign_from_data)
+        when = f"{abs(t_s[0] - time.t_s[0]):.4g} s {'before' if t_s[0] < time.t_s[0] else 'after'}"
+        notes.append(f"{name} begins {when} {path.name}, by the motion")
     first, last = float(time.t_s[0]), float(time.t_s[-1])
     shared = (t_s >= first - _BESIDE_S) & (t_s <= last + _BESIDE_S)
     if shared.sum() < 2:
@@ -189,14 +187,9 @@ def _rows_beside(
             "[reference.time]"
         )
     t_s, values = t_s[shared], values[shared]
-    if apart := clocks_apart(outputs, _turned(mapping, t_s, values), p):
-        ahead_s, sd_s = apart.ahead_at(max(first, float(t_s[0])))
-        notes.append(
-            f"the clock of {name} goes {1e6 * abs(apart.drift):.3g} +- {1e6 * apart.drift_sd:.2g} ppm "
-            f"{'fast' if apart.drift > 0 else 'slow'}, and is {1e3 * abs(ahead_s):.4g} +- {1e3 * sd_s:.2g} ms "
-            f"{'ahead' if ahead_s > 0 else 'behind'} at the beginning, a delay of the gyros in it: its stamps are put "
-            "right"
-        )
+    body = _turned(mapping, t_s, values)
+    if apart := clocks_apart(outputs, body, array.p, signed=not mapping.gyro.sign_from_data):
+        notes.append(apart.told(name, max(first, float(t_s[0]))))
         t_s = apart.put_right(t_s)
     missing = max(t_s[0] - first, 0.0) + max(last - t_s[-1], 0.0)
     if missing > _BESIDE_S:
@@ -231,7 +224,7 @@ def _times(timing: Timing, file_format: FileFormat, table: Table, values: Floats
     if len(read) < 2:
         check = "check from_row and until_row in [file]" if file_format.extent != Extent() else "record more"
         raise RecordingError(f"{table.name} has {len(values)} row{'s' * (len(values) != 1)} to read: {check}")
-    time = _all_times(timing, file_format, table, position, read, values)
+    time = _all_times(timing, table, position, read, values)
     kept = (time.t_s >= extent.from_s) & (time.t_s <= extent.until_s)
     if kept.sum() < 2:
         raise RecordingError(f"{table.name} lasts {time.t_s[-1]:.6g} s: check from_s and until_s in [file]")
@@ -239,12 +232,7 @@ def _times(timing: Timing, file_format: FileFormat, table: Table, values: Floats
 
 
 def _all_times(
-    timing: Timing,
-    file_format: FileFormat,
-    table: Table,
-    position: NDArray[np.int64],
-    read: NDArray[np.intp],
-    values: Floats,
+    timing: Timing, table: Table, position: NDArray[np.int64], read: NDArray[np.intp], values: Floats
 ) -> TimeFit:
     if timing.stamps is not None:
         stamps = table.values(timing.stamps, 1, "[time] column")[:, 0]
@@ -255,8 +243,7 @@ def _all_times(
         try:
             fit = fit_times(stamps[read], values[read], position[read])
         except RecordingError as error:
-            record = "; check record, too" if file_format.record is not None else ""
-            raise RecordingError(f"{table.name} {error}{record}") from None
+            raise RecordingError(f"{table.name} {error}") from None
         if not _LEAST_STEP_S < (step_s := float(np.median(np.diff(fit.t_s)))) < _LARGEST_STEP_S:
             raise RecordingError(f"{table.name}: its samples are {step_s:.6g} s apart by [time]: correct its unit")
         return fit

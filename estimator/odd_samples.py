@@ -21,7 +21,7 @@ def without_odd(
 ) -> tuple[NDArray[np.intp], list[str]]:
     """Return the rows (k,) of values (n, c) at ``t_s`` (n,) that are samples, and what is to be told of the others."""
     far = np.column_stack([spikes(column) for column in values.T]) if values.size else np.zeros(values.shape, bool)
-    spiked, again = far.any(axis=1), repeats(values)
+    spiked, again = np.asarray(far.any(axis=1)), repeats(values)
     own = ", ".join(name for name, column in zip(names, far.T, strict=False) if column.any())
     told = ((spiked, f"{what} {own}".strip(), "are spikes"), (again, what, "are those before them again"))
     notes = [

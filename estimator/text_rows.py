@@ -123,7 +123,8 @@ def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -
     for key in wanted.all:
         if (count := best.count(key)) > 1:
             raise RecordingError(
-                f"{name} has {count} columns {key}: name all of its columns, each otherwise, by columns = [...] in [file]"
+                f"{name} has {count} columns {key}: name all of its columns, each otherwise, by columns = [...] in "
+                "[file]"
             )
     missing = [key for key in wanted.all if key not in best]
     if not missing:
