@@ -265,10 +265,10 @@ def galil_record(number: int, positions: list[int], *, family: str) -> bytes:
 
 
 GALIL = (
-    '[device]\nname = "unit"\n[file]\nformat = "csv"\n[time]\ncolumn = "t"\nunit = "s"\n'
-    '[gyro]\ncolumns = ["gz"]\naxes = ["z"]\nunit = "deg/s"\n[reference]\nkind = "angle"\ncolumn = "C.position"\n'
-    'unit = "raw"\ncount = 0.0002777777778\ncount_unit = "deg"\naxis = "z"\n'
-    '[reference.file]\nname = "table.bin"\nformat = "galil"\n[reference.time]\ncolumn = "time"\nunit = "s"\n'
+    (SHAPES / "galil_records.toml")
+    .read_text()
+    .replace('"{stem}.bin"', '"table.bin"')
+    .replace('offset_s = "from data"', "")
 )
 
 
