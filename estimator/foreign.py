@@ -4,6 +4,7 @@ from typing import TypeGuard
 
 import numpy as np
 
+from estimator.gains import FAR_OFF
 from estimator.mapping_columns import axis_text
 from estimator.recording import Recording
 from estimator.reference import AttitudeReadings, RateReadings, Reference, rates_from_attitude
@@ -17,7 +18,6 @@ FEWEST_CLUSTERS = 8
 COLOURED = 2.0  # sigmas that grow by more than this are told
 _TURNED = 1e-3  # share of the largest mean square rate from which on a direction counts as turned about
 _SELDOM = 1e-3  # that k may be off by
-_FAR_OFF = 0.2  # a factor of the output this far from 1 is a wrong sign, unit or count
 
 
 def at_rest(reference: Reference) -> TypeGuard[RateReadings]:
@@ -83,9 +83,9 @@ def sparse_doubts(recording: Recording) -> list[str]:
 
 def factor_notes(name: str, k: float, sd: float) -> list[str]:
     """Return, in words, that k is no scale factor error but a wrong sign or unit, if it is."""
-    if abs(k) < _FAR_OFF + 3 * sd:
+    if abs(k) < FAR_OFF + 3 * sd:
         return []
-    if abs(k - 2) < _FAR_OFF:
+    if abs(k - 2) < FAR_OFF:
         return [f"{name}: its output is opposite to the reference, so k is near 2: turn the sign of its axis"]
     return [
         f"{name}: its output is {1 - k:.3g} times what the reference says, which is no scale factor error of a gyro: "

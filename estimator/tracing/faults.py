@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.held import updates
 from estimator.recording import ImuData
@@ -23,12 +22,6 @@ class Fault:
     values: tuple[tuple[str, float, str], ...]
 
 
-def run_lengths(column: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return where each run of equal values starts, and its length."""
-    starts = np.flatnonzero(np.concatenate([[True], column[1:] != column[:-1]]))
-    return starts, np.diff(np.append(starts, len(column)))
-
-
 def held_samples(data: ImuData) -> int:
     """Return for how many samples each value of a source is held; 1 if each sample is new."""
     fresh = updates(data.rate_rps)
@@ -45,7 +38,8 @@ def without_stuck(data: ImuData) -> tuple[ImuData, list[Fault]]:
     rate = data.rate_rps
     for i, name in enumerate(data.array.names):
         column = data.rate_rps[:, i]
-        starts, lengths = run_lengths(column)
+        starts = np.flatnonzero(np.diff(column, prepend=np.nan) != 0)
+        lengths = np.diff(np.append(starts, len(column)))
         usual = max(float(np.quantile(lengths, 0.99)), 1.0)
         low, high = np.nanmin(column), np.nanmax(column)
         for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):
