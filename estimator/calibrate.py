@@ -12,7 +12,7 @@ from estimator.calibration import Calibration, EffectValue, GyroCalibration, uns
 from estimator.conditions_seen import holds_for
 from estimator.error_model import ErrorModel
 from estimator.errors import RecordingError
-from estimator.foreign import at_rest, factor_notes, foreign_motion_notes
+from estimator.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
 from estimator.gram import solve
 from estimator.health import Excluded, usable
 from estimator.joint import TooShort
@@ -89,7 +89,7 @@ def calibrate(
     gyros: list[GyroCalibration] = []
     estimates: list[_Estimate] = []
     checks: list[GyroParity] = []
-    doubts: list[str] = []
+    doubts = sparse_doubts(recording)
     for device in dict.fromkeys(data.device for _, data in sources):
         own = [pair for pair in sources if pair[1].device == device]
         own, found_of, said, doubtful = _device(recording, own, model, excluded)

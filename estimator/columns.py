@@ -16,6 +16,8 @@ from estimator.text_rows import Wanted, read_rows
 
 _HUGE = 1e25  # no measured number is larger, nor smaller than one in it, if its bytes are read as they were written
 _ABSURD_SHARE = 0.1
+_LOOKED_AT, _BINARY = 4000, 0.05  # bytes at the beginning, and how many of them may be no text
+_TEXT = bytes([*range(9, 14), *range(32, 256)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +78,14 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
             raise RecordingError(f"{path.name} holds no message of {file_format.kind}: check [file]")
         _check_present(path.name, wanted.all, list(columns), "the capture")
         return Table(path.name, columns, {}, notes=notes)
+    if raw[:4] == b"PK\x03\x04":
+        raise RecordingError(f"{path.name} is a spreadsheet or an archive: save its table as CSV")
+    if raw[:1] not in (b"\xff", b"\xfe") and len(raw[:_LOOKED_AT].translate(None, _TEXT)) > _BINARY * len(
+        raw[:_LOOKED_AT]
+    ):
+        raise RecordingError(
+            f'{path.name} is no text: write format = "binary" with its record, "mat", or a protocol, in [file]'
+        )
     rows = read_rows(path.name, _decoded(raw, wanted), file_format, wanted)
     return Table(
         path.name,

@@ -37,7 +37,7 @@ def fitted(recording: Recording, source: str, gyro: GyroColumns) -> tuple[Record
         recording = replace(recording, sources={source: data})
         found = gains(recording, source)
     data = recording.sources[source]
-    told = gain_notes(data.array.names, data.array.p, found)
+    told = gain_notes(data.array.names, data.array.p, found, gyro.columns.scale)
     if any(gain is not None and gain.mixed_up for gain in found):
         raise RecordingError("; ".join(told))
     notes += told

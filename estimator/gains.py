@@ -6,16 +6,18 @@ import numpy as np
 
 from estimator.arrays import Floats
 from estimator.gram import Gram
-from estimator.mapping_columns import axis_text
+from estimator.mapping_columns import UNITS, axis_text
 from estimator.recording import Recording
 from estimator.rows import rows_of
 
 FAR_OFF = 0.2
 """A factor this far from 1 is no scale factor error of a gyro but a wrong unit, count or sign."""
 _LEAST_RPS = float(np.radians(0.2))  # rms of a turning that tells anything
+_TURNS = 10.0  # times that, of outputs that turn for certain
 _TURNED = 1e-3  # share of the largest variance of body rate from which on a direction counts as turned about
 _SENSED = 0.5  # share of a sense axis that the turning must span
 _FOLLOWS = 0.5  # share of the output's variance that the turning must explain
+_UNIT = 0.05  # how near a factor is to the ratio of two units
 _ALONG = 0.97  # cosine between the axis that the data show and the stated one, beyond which it is told
 _ANOTHER = 0.7  # the same, beyond which the columns or their axes are mixed up
 
@@ -53,8 +55,9 @@ def gains(recording: Recording, source: str) -> list[Gain | None]:
     mean = gram.products[0, 1:] / total
     covariance = gram.products[1:, 1:] / total - np.outer(mean, mean)
     variance, directions = np.linalg.eigh(covariance[:3, :3])
-    if variance[-1] < _LEAST_RPS**2:
-        return [None] * m
+    if variance[-1] < _LEAST_RPS**2:  # who turns beside a reference that does not is told
+        loud = np.diag(covariance)[3:] > (_TURNS * _LEAST_RPS) ** 2
+        return [Gain(0.0, float(b), 0.0, None) if own else None for b, own in zip(mean[3:], loud, strict=True)]
     turned = variance > _TURNED * variance[-1]
     basis = directions[:, turned]
     found: list[Gain | None] = []
@@ -75,8 +78,11 @@ def gains(recording: Recording, source: str) -> list[Gain | None]:
     return found
 
 
-def gain_notes(names: tuple[str, ...], p: Floats, found: list[Gain | None]) -> list[str]:
-    """Return what is wrong with sign, scale or axis of each gyro, and what to write in the mapping."""
+def gain_notes(names: tuple[str, ...], p: Floats, found: list[Gain | None], size_rps: float) -> list[str]:
+    """Return what is wrong with sign, scale or axis of each gyro, and what to write in the mapping.
+
+    ``size_rps`` is that of the unit of their columns.
+    """
     notes = []
     for name, axis, gain in zip(names, p, found, strict=True):
         if gain is None:
@@ -88,8 +94,8 @@ def gain_notes(names: tuple[str, ...], p: Floats, found: list[Gain | None]) -> l
             )
         elif gain.axis is not None:
             notes.append(
-                f"{name}: its output follows the body rate about {_nearest(gain.axis)}, not about {axis_text(axis)} as "
-                "stated: check axes and the order of columns in [gyro]"
+                f"{name}: its output follows the body rate about {axis_text(gain.axis, 0.95)}, not about "
+                f"{axis_text(axis)} as stated: check axes and the order of columns in [gyro]"
             )
         elif abs(gain.factor + 1) < FAR_OFF:
             notes.append(
@@ -98,15 +104,13 @@ def gain_notes(names: tuple[str, ...], p: Floats, found: list[Gain | None]) -> l
             )
         elif abs(gain.factor - 1) > FAR_OFF:
             sign = ' and sign = "from data"' if gain.factor < 0 else ""
+            unit = [
+                f", as in {unit}"
+                for unit, size in UNITS["rate"].items()
+                if abs(size * abs(gain.factor) / size_rps - 1) < _UNIT
+            ]
             notes.append(
-                f"{name}: its output is {gain.factor:.3g} times what the reference says: check unit and count in "
-                f'[gyro], or write scale = "from data"{sign}'
+                f"{name}: its output is {gain.factor:.3g} times what the reference says{''.join(unit[:1])}: check unit "
+                f'and count in [gyro], or write scale = "from data"{sign}'
             )
     return notes
-
-
-def _nearest(direction: Floats) -> str:
-    largest = int(np.argmax(np.abs(direction)))
-    unit = np.sign(direction[largest]) * np.eye(3)[largest]
-    near = abs(direction[largest]) > 0.95 * np.linalg.norm(direction)
-    return axis_text(unit if near else np.round(direction / np.linalg.norm(direction), 2))

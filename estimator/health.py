@@ -3,8 +3,10 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.arrays import Flags, Floats, runs_of
+from estimator.odd_samples import without_odd
 from estimator.recording import ImuData, columns_of
 
 _RUN_S = 0.25  # equal extreme values for longer than this are a limit, not a coincidence
@@ -31,13 +33,14 @@ class Usable:
 
 
 def usable(data: ImuData, *, fine: bool) -> Usable:
-    """Return the channels of a source that can be estimated, in order of time.
+    """Return the channels of a source that can be estimated, in order of time, without spikes and repeated samples.
 
     With ``fine`` readings, as of a gyro on a moving table, an output that never changes is a defect, and a channel
     that stays at its extreme values is given by itself with those cut out. Coarse ones may rest on a count.
     """
     data = _in_order(data)
-    notes: list[str] = []
+    kept, notes = without_odd("gyro", np.asarray(data.t_ns * 1e-9, dtype=np.float64), data.rate_rps, data.array.names)
+    data = data if len(kept) == len(data.t_ns) else _rows(data, kept)
     excluded: list[Excluded] = []
     whole: list[int] = []
     parts: list[ImuData] = []
@@ -75,8 +78,11 @@ def usable(data: ImuData, *, fine: bool) -> Usable:
 def _in_order(data: ImuData) -> ImuData:
     if np.all(data.t_ns[1:] > data.t_ns[:-1]):
         return data
-    order = np.argsort(data.t_ns, kind="stable")
-    return replace(data, **{key: values[order] for key, values in columns_of(data).items()})
+    return _rows(data, np.argsort(data.t_ns, kind="stable"))
+
+
+def _rows(data: ImuData, rows: NDArray[np.intp]) -> ImuData:
+    return replace(data, **{key: values[rows] for key, values in columns_of(data).items()})
 
 
 def _only(data: ImuData, channels: list[int], cut: Flags | None) -> ImuData:

@@ -14,19 +14,26 @@ from estimator.errors import RecordingError
 from estimator.fitting import fitted
 from estimator.foreign_rows import ForeignRows, foreign_reference, reference_rows
 from estimator.held import updates
-from estimator.mapping import FileFormat, Mapping, ReferenceFile, Timing
+from estimator.mapping import Extent, FileFormat, Mapping, ReferenceFile, Timing
 from estimator.mapping_columns import UNITS
 from estimator.mapping_reference import AngleColumn, MeasuredReference, Rests, SectionTurns
+from estimator.odd_samples import without_odd
 from estimator.recording import ImuData, Recording
 from estimator.reference import Reference, Turns
 from estimator.rest_import import PartRests, earth_note, part_rests, rests_text
 from estimator.spans import Refused, Span, turn_spans
 from estimator.text_rows import Wanted
 from estimator.timefit import TimeFit, fit_times, regular_times
+from estimator.turned import Turned
+from estimator.two_clocks import ahead_by_motion, clocks_apart
 
 SOURCE = "imu"
 """Name of the one source of an imported recording."""
 _BESIDE_S = 1.0  # of a reference in a file of its own before and behind the samples that is kept
+_LEAST_STEP_S, _LARGEST_STEP_S = 1e-6, 3600.0  # no samples are nearer or further apart
+_LEAST_USUAL_S, _LARGEST_USUAL_S = 5e-5, 2.0
+_EQUAL_RPS, _COARSE_SHARE = 1e-9, 1 / 3  # of samples equal to the one before: at 0.28 a step is one sigma
+_GAPS_SHARE = 0.1  # of the rows; where more are further apart the sampling is uneven
 _GAP_S = 10.0  # between files that follow each other: longer than what corrects or correlates within one
 _UNIT_ROW = {"rad/s": ("rad/s", "rps"), "deg/s": ("deg/s", "dps", "°/s", "degree/s", "degrees/s")}
 
@@ -113,6 +120,9 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     if fresh is not None:
         notes.append(_held_note("the gyro", fresh, time.t_s[own]))
         own = own[fresh]
+    kept, odd = without_odd("gyro", time.t_s[own], rate[time.rows[own]], gyro.array.names)
+    notes += [*_missing_notes(time.t_s[own]), *odd, *_coarse_notes(gyro.array.names, rate[time.rows[own]])]
+    own = own[kept]
     rows, t_s = time.rows[own], time.t_s[own]
     accel, warmth = (_filled(table, time, own, v, w) for v, w in ((accel, "accelerometer"), (warmth, "temperature")))
     rests = None
@@ -126,21 +136,31 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     if rests is not None:
         known = t_s, rests.rate_rps
     elif mapping.reference_file is not None:
-        known = _rows_beside(mapping, mapping.reference_file, path, time, notes)
+        known = _rows_beside(mapping, mapping.reference_file, path, time, (t_s, rate[rows]), notes)
     elif told is not None:
-        known = time.t_s, told[time.rows]
-    if rests is None and known is not None and (fresh := updates(known[1])) is not None:
-        notes.append(_held_note("the reference", fresh, known[0]))
-        known = known[0][fresh], known[1][fresh]
+        known = _readings(mapping, time.t_s, told[time.rows], notes)
     warm = None if warmth is None else warmth[:, 0]
     measured = (time, table.skipped_lines, t_s, rate[rows], accel, warm)
     return _Part(path.name, *measured, known, tuple(spans or ()), rests, tuple(notes)), refused
 
 
-def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeFit, notes: list[str]) -> ForeignRows:
+def _readings(mapping: Mapping, t_s: Floats, values: Floats, notes: list[str]) -> ForeignRows:
+    """Return the rows of a reference that are readings: neither held, nor spikes, nor the one before again."""
+    if (fresh := updates(values)) is not None:
+        notes.append(_held_note("the reference", fresh, t_s))
+        t_s, values = t_s[fresh], values[fresh]
+    turned = isinstance(mapping.reference, AngleColumn)  # 359 deg beside 0 is no spike
+    kept, odd = without_odd("reference", t_s, np.hstack([np.cos(values), np.sin(values)]) if turned else values)
+    notes += odd
+    return t_s[kept], values[kept]
+
+
+def _rows_beside(
+    mapping: Mapping, other: ReferenceFile, path: Path, time: TimeFit, gyros: ForeignRows, notes: list[str]
+) -> ForeignRows:
     """Return the rows of a reference in a file of its own, on the time of the data file ``path``.
 
-    Two columns of stamps are of one clock; without stamps on one side both files begin together.
+    Two columns of stamps are of clocks that may run apart; without stamps on one side both files begin together.
     """
     name = other.beside(path).name
     assert isinstance(mapping.reference, MeasuredReference)
@@ -149,9 +169,15 @@ def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeF
     assert values is not None
     fit = _times(other.timing, other.format, table, values)
     notes += [f"{name}: {note}" for note in [fit.text, *_line_notes(table, fit)]]
-    t_s = fit.t_s + other.offset_s
+    t_s, values = _readings(mapping, fit.t_s + (other.offset_s or 0.0), values[fit.rows], notes)
     if fit.zero_s is not None and time.zero_s is not None:
         t_s += fit.zero_s - time.zero_s
+    outputs, array = Turned.of_rates(_ns(gyros[0]), gyros[1]), mapping.gyro.array
+    if other.offset_s is None:
+        body = _turned(mapping, t_s, values)
+        t_s -= ahead_by_motion(outputs, body, array.p, signed=not mapping.gyro.sign_from_data)
+        when = f"{abs(t_s[0] - time.t_s[0]):.4g} s {'before' if t_s[0] < time.t_s[0] else 'after'}"
+        notes.append(f"{name} begins {when} {path.name}, by the motion")
     first, last = float(time.t_s[0]), float(time.t_s[-1])
     shared = (t_s >= first - _BESIDE_S) & (t_s <= last + _BESIDE_S)
     if shared.sum() < 2:
@@ -160,11 +186,19 @@ def _rows_beside(mapping: Mapping, other: ReferenceFile, path: Path, time: TimeF
             f"{first:.6g} to {last:.6g} s: check unit, or state offset_s, which is added to its stamps, in "
             "[reference.time]"
         )
-    t_s = t_s[shared]
+    t_s, values = t_s[shared], values[shared]
+    body = _turned(mapping, t_s, values)
+    if apart := clocks_apart(outputs, body, array.p, signed=not mapping.gyro.sign_from_data):
+        notes.append(apart.told(name, max(first, float(t_s[0]))))
+        t_s = apart.put_right(t_s)
     missing = max(t_s[0] - first, 0.0) + max(last - t_s[-1], 0.0)
     if missing > _BESIDE_S:
         notes.append(f"{name} does not cover {missing:.3g} of {last - first:.6g} s")
-    return t_s, values[fit.rows[shared]]
+    return t_s, values
+
+
+def _turned(mapping: Mapping, t_s: Floats, values: Floats) -> Turned:
+    return Turned.of_reference(foreign_reference(mapping.reference, _ns(t_s), values), None)
 
 
 def _wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ()) -> Wanted:
@@ -188,7 +222,8 @@ def _times(timing: Timing, file_format: FileFormat, table: Table, values: Floats
     extent = file_format.extent
     read = np.flatnonzero((position >= extent.from_row) & (position < extent.until_row))
     if len(read) < 2:
-        raise RecordingError(f"{table.name} has {len(values)} rows: check from_row and until_row in [file]")
+        check = "check from_row and until_row in [file]" if file_format.extent != Extent() else "record more"
+        raise RecordingError(f"{table.name} has {len(values)} row{'s' * (len(values) != 1)} to read: {check}")
     time = _all_times(timing, table, position, read, values)
     kept = (time.t_s >= extent.from_s) & (time.t_s <= extent.until_s)
     if kept.sum() < 2:
@@ -206,9 +241,12 @@ def _all_times(
         if len(stamps) != len(values):
             raise RecordingError(f"{table.name} has {len(values)} rows but {len(stamps)} stamps")
         try:
-            return fit_times(stamps[read], values[read], position[read])
+            fit = fit_times(stamps[read], values[read], position[read])
         except RecordingError as error:
             raise RecordingError(f"{table.name} {error}") from None
+        if not _LEAST_STEP_S < (step_s := float(np.median(np.diff(fit.t_s)))) < _LARGEST_STEP_S:
+            raise RecordingError(f"{table.name}: its samples are {step_s:.6g} s apart by [time]: correct its unit")
+        return fit
     rate_hz = table.number(timing.rate) if isinstance(timing.rate, str) else timing.rate
     if rate_hz <= 0:
         raise RecordingError(f"{table.name}: {timing.rate} is {rate_hz}, not a sample rate in Hz")
@@ -222,6 +260,8 @@ def _line_notes(table: Table, time: TimeFit) -> list[str]:
         notes.append(f"{table.skipped_lines} broken {lines} left out, the first is {table.first_skipped}")
     if time.doubled:
         notes.append(f"{time.doubled} rows are left out that were written twice")
+    if not _LEAST_USUAL_S < (step_s := float(np.median(np.diff(time.t_s)))) < _LARGEST_USUAL_S:
+        notes.append(f"its samples are {step_s:.3g} s apart by [time]: if that is not so, correct its unit")
     return notes
 
 
@@ -235,9 +275,34 @@ def _unit_notes(mapping: Mapping, table: Table) -> list[str]:
     ]
 
 
+def _coarse_notes(names: Sequence[str], rate: Floats) -> list[str]:
+    notes = []
+    for name, steps in zip(names, np.abs(np.diff(rate, axis=0)).T, strict=True):
+        step = float(np.degrees(steps[steps > _EQUAL_RPS].min(initial=np.inf)))
+        if np.isfinite(step) and np.mean(steps <= _EQUAL_RPS) > _COARSE_SHARE:
+            notes.append(
+                f"{name}: its steps of {step:.3g} deg/s are coarser than its noise: at a steady rate, means of many "
+                "samples are no better than a step"
+            )
+    return notes
+
+
 def _held_note(what: str, fresh: NDArray[np.intp], t_s: Floats) -> str:
     each_hz = (len(fresh) - 1) / float(t_s[fresh[-1]] - t_s[fresh[0]])
     return f"{what} is new in one row of {len(t_s) / len(fresh):.2g} ({each_hz:.3g} Hz); rows between are left out"
+
+
+def _missing_notes(t_s: Floats) -> list[str]:
+    """Return, in words, how many samples are missing between others."""
+    steps = np.diff(t_s)
+    short = np.round(steps / np.median(steps)) - 1
+    if not 0 < (gaps := int(np.count_nonzero(short > 0))) < _GAPS_SHARE * len(t_s):
+        return []
+    count, worst = int(short[short > 0].sum()), int(np.argmax(steps))
+    return [
+        f"{count} samples ({100 * count / (len(t_s) + count):.1f} %) are missing in {gaps} gaps, the longest "
+        f"{steps[worst]:.3g} s at {t_s[worst] + np.median(steps):.4g} s"
+    ]
 
 
 def _filled(table: Table, time: TimeFit, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:

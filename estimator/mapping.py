@@ -76,13 +76,13 @@ class Timing:
 class ReferenceFile:
     """A reference in a file of its own; in its ``name`` "{stem}" is that of the data file.
 
-    ``offset_s`` is added to its stamps.
+    ``offset_s`` is added to its stamps; None if the motion is to tell it.
     """
 
     name: str
     format: FileFormat
     timing: Timing
-    offset_s: float
+    offset_s: float | None
 
     def beside(self, path: Path) -> Path:
         """Return where it is for a data file."""
@@ -202,7 +202,7 @@ def _extent(section: StrictTable) -> Extent:
 def _reference_file(
     section: StrictTable, file_format: FileFormat, timing: Timing, protocols: Protocols, folder: Path
 ) -> ReferenceFile:
-    offset_s = 0.0
+    offset_s: float | None = 0.0
     if isinstance(section.again().value("file"), str):
         name, own = section.string("file"), replace(file_format, columns=(), extent=Extent())
     else:
@@ -210,7 +210,8 @@ def _reference_file(
         name, own = stated.string("name"), _format(stated, protocols, folder)
     if section.has("time"):
         stated = section.table("time")
-        offset_s = stated.number("offset_s", 0.0)
+        told = isinstance(stated.again().value("offset_s"), str) and stated.string("offset_s", one_of=("from data",))
+        offset_s = None if told else stated.number("offset_s", 0.0)
         timing = _timing(stated, own) if stated.remaining() else timing
     return ReferenceFile(name, own, timing, offset_s)
 

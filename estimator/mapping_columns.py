@@ -75,11 +75,11 @@ def body_axis(section: StrictTable, key: str, value: Any) -> Vector:
     return float(value[0]), float(value[1]), float(value[2])
 
 
-def axis_text(direction: Any) -> str:
-    """Return a direction (3,) as a mapping file states it: "-z", or three numbers."""
+def axis_text(direction: Any, near: float = 1 - 1e-6) -> str:
+    """Return a direction (3,) as a mapping file states it: "-z" if it is so ``near`` (cosine), or three numbers."""
     v = np.asarray(direction, dtype=np.float64)
     v = v / np.linalg.norm(v)
     largest = int(np.argmax(np.abs(v)))
-    if abs(v[largest]) > 1 - 1e-6:
+    if abs(v[largest]) > near:
         return f'"{"-" if v[largest] < 0 else ""}{"xyz"[largest]}"'
-    return "[" + ", ".join(f"{x:.6g}" for x in v) + "]"
+    return "[" + ", ".join(f"{x:{'.2g' if near < 0.999 else '.6g'}}" for x in v) + "]"

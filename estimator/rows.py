@@ -10,7 +10,15 @@ from estimator.blocks import Blocks, BlockSums
 from estimator.errors import RecordingError
 from estimator.gram import Gram
 from estimator.recording import ImuData, Recording
-from estimator.reference import AttitudeReadings, BodyRates, RateReadings, TableReadings, Turns, rates_from_attitude
+from estimator.reference import (
+    GAP_NS,
+    AttitudeReadings,
+    BodyRates,
+    RateReadings,
+    TableReadings,
+    Turns,
+    rates_from_attitude,
+)
 
 BLOCK_S = 0.2
 """Length of a block of the live filter."""
@@ -221,8 +229,10 @@ def gram_of(recording: Recording, source: str, data: ImuData) -> Gram:
             "four states a gyro need four turns or rests at the least"
         )
     if not isinstance(recording.reference, Turns) and gram.rows < 8:
+        step_s = float(np.median(np.diff(recording.reference.t_ns, prepend=0))) * 1e-9
+        seldom = f", whose readings are {step_s:.3g} s apart: read it more often" if step_s > GAP_NS * 1e-9 else ""
         raise RecordingError(
             f"{recording.name}: source {source} has {len(data.t_ns)} samples, of which {gram.rows} lie within the "
-            "reference: too few to estimate four states a gyro"
+            f"reference: too few to estimate four states a gyro{seldom}"
         )
     return gram

@@ -22,6 +22,7 @@ BROKEN_SHARE = 0.1
 _PREAMBLE_LINES = 200
 _COMMENTS = ("#", "%", "//")
 _DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": ""}
+_BLANKS = frozenset(("", "-", "na", "n/a", "null", "none"))
 _SHOWN = 60  # characters of a broken line in a message
 
 
@@ -96,15 +97,16 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
 
 
 def _rows_hint(body: Lines, header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted) -> str:
-    mark = "," if file_format.decimal == "." else "."
+    mark, now = "," if file_format.decimal == "." else ".", _careful(body, header, where, file_format, wanted)
     for other, rows, hint in (
         (replace(file_format, decimal=mark), wanted, f'write decimal = "{mark}" in [file]'),
         (file_format, replace(wanted, calendar=True), 'write unit = "iso" in [time]'),
     ):
-        found = _careful(body, header, where, other, rows)
-        if len(found.values) > found.skipped:
+        if _careful(body, header, where, other, rows).skipped < min(now.skipped, len(body) / 2):
             return hint
-    return f"check delimiter and decimal in [file]{', unit in [time]' * wanted.calendar}, or repair the file"
+    stamps = any(f", where {name} holds" in now.first_skipped for name in wanted.needed)
+    unit = ', unit in [time] (stamps are numbers, or ISO 8601 as "iso"; without, state rate_hz in [time])'
+    return f"check delimiter and decimal in [file]{unit * stamps}, or repair the file"
 
 
 def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -> tuple[int, list[str]]:
@@ -115,27 +117,45 @@ def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -
             raise RecordingError(f"columns in [file] does not name {', '.join(missing)}, which the mapping uses")
         return 0, list(file_format.columns)
     headers = [_fields(_bare(line), file_format) for _, line in lines[:_PREAMBLE_LINES]]
-    best_at = max(range(len(headers)), key=lambda at: sum(key in headers[at] for key in wanted.all))
+    likely = [(sum(key in h for key in wanted.all), sum(bool(_like(key, h)) for key in wanted.all)) for h in headers]
+    best_at = max(range(len(headers)), key=likely.__getitem__)
     best = headers[best_at]
+    for key in wanted.all:
+        if (count := best.count(key)) > 1:
+            raise RecordingError(
+                f"{name} has {count} columns {key}: name all of its columns, each otherwise, by columns = [...] in "
+                "[file]"
+            )
     missing = [key for key in wanted.all if key not in best]
     if not missing:
         return best_at + 1, best
     which = "its first line" if best_at == 0 else f"its line {lines[best_at][0]}"
-    hint = _heading_hint(lines, file_format, wanted, missing)
+    hint = _heading_hint(lines, file_format, wanted, missing, best)
     raise RecordingError(
         f"{name} has no column {', '.join(missing)}: {which} has {', '.join(best)[:400]}; correct the mapping "
         f"(names, delimiter) or give the file it is for{hint}"
     )
 
 
-def _heading_hint(lines: Lines, file_format: FileFormat, wanted: Wanted, missing: list[str]) -> str:
+def _heading_hint(lines: Lines, file_format: FileFormat, wanted: Wanted, missing: list[str], best: list[str]) -> str:
     for written, mark in _DELIMITERS.items():
         other = replace(file_format, delimiter=mark)
         if any(set(wanted.all) <= set(_fields(_bare(line), other)) for _, line in lines[:_PREAMBLE_LINES]):
             return f'; it has them with delimiter = "{written}" in [file]'
+    if alike := [like for key in missing if (like := _like(key, best))]:
+        return "; did you mean " + ", ".join(f'"{like}"' for like in alike) + "?"
     if len(missing) == len(wanted.all):
         return "; if it has no heading, name its columns by columns = [...] in [file]"
     return "; if it has no time, state rate_hz in [time]" if set(missing) <= set(wanted.needed) else ""
+
+
+def _like(key: str, names: list[str]) -> str:
+    """Return which of the names is this one but for a unit in brackets, capitals and signs; empty if none is."""
+    return next((name for name in names if name != key and _plain(name) == _plain(key)), "")
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\[(].*|[\W_]", "", name).lower()
 
 
 def _fields(line: str, file_format: FileFormat) -> list[str]:
@@ -176,7 +196,7 @@ def _careful(body: Lines, header: list[str], where: list[int], file_format: File
     label_at = [header.index(key) for key in wanted.labels]
     comma = file_format.decimal == ","
     needed = [_calendar_s if wanted.calendar else float] * len(wanted.needed)
-    convert: list[Callable[[str], float]] = [*needed, *[lambda field: float(field or "nan")] * len(wanted.may_be_blank)]
+    convert: list[Callable[[str], float]] = [*needed, *[_number_or_blank] * len(wanted.may_be_blank)]
     rows: list[list[float]] = []
     texts: list[list[str]] = []
     position: list[int] = []
@@ -190,7 +210,9 @@ def _careful(body: Lines, header: list[str], where: list[int], file_format: File
                 row = [to_number(field) for to_number, field in zip(convert, numbers, strict=True)]
         if row is None:
             skipped += 1
-            first_skipped = first_skipped or f"line {number} ({line.strip()[:_SHOWN]!r})"
+            first_skipped = (
+                first_skipped or f"line {number} ({line.strip()[:_SHOWN]!r}){_wrong(fields, header, where, convert)}"
+            )
             at += fields != header  # a heading that comes again stands for no sample
             continue
         rows.append(row)
@@ -199,6 +221,20 @@ def _careful(body: Lines, header: list[str], where: list[int], file_format: File
         at += 1
     values = np.array(rows).reshape(len(rows), len(where))
     return TextRows(values, texts, np.array(position, dtype=np.int64), skipped, first_skipped, ())
+
+
+def _wrong(fields: list[str], header: list[str], where: list[int], convert: list[Callable[[str], float]]) -> str:
+    """Return which field of a broken line is no number, in words; empty if it is another number of fields."""
+    for at, to_number in zip(where, convert, strict=True) if len(fields) >= len(header) else ():
+        try:
+            to_number(fields[at])
+        except ValueError:
+            return f", where {header[at]} holds {fields[at]!r}"
+    return ""
+
+
+def _number_or_blank(field: str) -> float:
+    return float("nan" if field.lower() in _BLANKS else field)
 
 
 def _calendar_s(field: str) -> float:

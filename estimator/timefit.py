@@ -17,7 +17,7 @@ _JUMP_PERIODS = 10.0  # a stamp this far behind the one before is no jitter
 _LONGEST_REPLAY_S = 2.0
 _EVEN_ROWS, _NEARLY_ALL = 101, 0.99  # rows over which a wandering clock is even, and how many must be near
 _BEHIND_SHARE = 0.2  # of uneven stamps, those before an earlier one; a column with more is no time
-_CHECK = "check column in [time], or state rate_hz in its place"
+_CHECK = "check column in [time], or state rate_hz in its place; in a binary file check record"
 _SAME_SHARE = 0.5  # of the rows of a replay, how many must be there already, to the last digit
 
 
@@ -62,7 +62,8 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         raise RecordingError("has time stamps that are no numbers: repair the time column")
     forward = np.diff(stamps_s)
     if not (forward > 0).any():
-        raise RecordingError(f"has time stamps that do not advance: {_CHECK}")
+        how = "run backwards: turn the order of its rows round, or" if (forward < 0).all() else "do not advance:"
+        raise RecordingError(f"has time stamps that {how} {_CHECK}")
     values = np.nan_to_num(values, nan=-1e300)  # blank is equal to blank
     rows = _without_replays(stamps_s, values, float(np.median(forward[forward > 0])))
     replayed = len(stamps_s) - len(rows)
@@ -193,7 +194,7 @@ def _without_replays(stamps_s: Floats, values: Floats, period_s: float) -> NDArr
             raise RecordingError(
                 f"has a time column that goes back by {back_s:.3g} s at data row {first + 1}, where it does not "
                 "repeat what was there: split the file if it holds two runs, or read one by from_row or until_row in "
-                "[file]; for a counter that goes round state wraps_at in [time]"
+                "[file]; for a counter that goes round state wraps_at in [time]; in a binary file check record"
             )
         keep[first:stop] = False
         start = stop

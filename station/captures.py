@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from drivers.can_imu import load_dbc
 from drivers.can_mappings import MappingError, load_mapping
 from drivers.can_signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.errors import DeviceError
+from drivers.packaged import packaged_toml
 from drivers.stim300 import COUNTER_MODULUS, INTERNAL_RATE_HZ, TEMPERATURE_LSB_C, Datagrams, Stim300Decoder, vouched
 from drivers.stim300_special import Configuration
 from drivers.stim300_units import ACCEL_LSB_G, UNITS, accel_unit_mps2, gyro_unit_rps
@@ -37,6 +38,8 @@ _FRAME = re.compile(
     r"\s*\((\d+\.\d+)\)\s+\S+\s+([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})(?:#|\s+\[\d+\]\s+)((?:[0-9A-Fa-f]{2} ?)*)\s*[RT]?\s*"
 )
 _STANDARD_DIGITS = 3
+_GALIL_HEADER = re.compile(rb"(?=([\x84-\x87][\x01-\xff][\s\S][\x00\x01]))")  # general block, S, T; axes; length
+_GALIL_MODULUS, _TM_1000_US = 65536, 1e6 / 1024  # TM 1000, the usual, is 976 us: command references, TIME
 _SAME_SAMPLE = 0.6  # of a message's period: one further away is of another sample
 
 
@@ -208,10 +211,52 @@ def _nearest(at_s: Floats, t_s: Floats, values: Floats) -> Floats:
     return np.where(near, values[index], np.nan)
 
 
+def _galil(section: StrictTable, _folder: Path) -> Capture:
+    return partial(_read_galil, section.number("sample_us", _TM_1000_US, positive=True) * 1e-6)
+
+
+def _read_galil(sample_s: float, raw: bytes, _names: Sequence[str]) -> _Decoded:
+    """Return positions of each axis in counts ("A.position", "A.reference", "A.auxiliary"), and ``time`` (s).
+
+    ``time`` counts from the first record; two records must not be 65536 samples apart. What counts is a header that
+    comes again and again, with a length that its blocks have: of all controllers with a header.
+    """
+    headers = Counter(found[1] for found in _GALIL_HEADER.finditer(raw))
+    known = ((header, *_galil_record(header)) for header, _ in headers.most_common())
+    header, layout, family = next((one for one in known if one[1]), (b"", None, ""))
+    if layout is None:
+        return {}, ()
+    record = re.escape(header) + b"[\\s\\S]{%d}(?=[:\\s]*(?:%s|$))" % (layout.itemsize - 4, re.escape(header))
+    rows = np.frombuffer(b"".join(re.findall(record, raw)), layout)
+    columns = {name: rows[name].astype(np.float64) for name in layout.names or ()}
+    columns["time"] = np.unwrap(columns["time"], period=_GALIL_MODULUS) * sample_s
+    columns["time"] -= columns["time"][:1]
+    damaged = sum(bool(piece.strip(b":\r\n ")) for piece in re.split(record, raw))
+    return columns, (f"data records as of {family}", *_damaged(damaged, "stretches"))
+
+
+def _galil_record(header: bytes) -> tuple[np.dtype[Any] | None, str]:
+    """Return the layout of records that begin so, None if there is none, and whose it is."""
+    axes = [axis for bit, axis in enumerate("ABCDEFGH") if header[1] >> bit & 1]
+    planes = (header[0] & 3).bit_count()
+    for family, (general, plane, block) in packaged_toml("drivers", "layouts.toml")["galil"].items():
+        first = 4 + general + planes * plane
+        if (size := first + len(axes) * block) == int.from_bytes(header[2:], "little"):
+            places = {"time": ("<u2", 4)} | {
+                f"{axis}.{what}": ("<i4", first + number * block + at)
+                for number, axis in enumerate(axes)
+                for what, at in (("reference", 4), ("position", 8), ("auxiliary", 16))
+            }
+            formats, offsets = zip(*places.values(), strict=True)
+            return np.dtype({"names": [*places], "formats": formats, "offsets": offsets, "itemsize": size}), family
+    return None, ""
+
+
 PROTOCOLS: Protocols = {
     "xbus": lambda _section, _folder: _xbus,
     "stim300": _stim300,
     "vectornav": lambda _section, _folder: _vectornav,
     "candump": _candump,
+    "galil": _galil,
 }
 """Formats of captures that a mapping file may name, beside those of the estimator."""

@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.held import updates
 from estimator.recording import ImuData
 
 _STUCK_S = 0.25
 _FEWEST = 10
 _UNUSUAL = 5  # a value that sticks does so this much longer than values repeat by chance
-_HELD_SHARE = 0.8  # of the runs of equal values that are of one length: then samples are held
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,27 +22,10 @@ class Fault:
     values: tuple[tuple[str, float, str], ...]
 
 
-def run_lengths(column: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return where each run of equal values starts, and its length."""
-    starts = np.flatnonzero(np.concatenate([[True], column[1:] != column[:-1]]))
-    return starts, np.diff(np.append(starts, len(column)))
-
-
 def held_samples(data: ImuData) -> int:
-    """Return for how many samples each value of a source is held; 1 if each sample is new.
-
-    Rounded outputs repeat by chance, but in runs of every length.
-    """
-    if len(data.t_ns) < 100:
-        return 1
-    lengths = np.concatenate([run_lengths(column)[1][1:-1] for column in data.rate_rps.T])
-    if not len(lengths):
-        return 1
-    usual = int(np.median(lengths))
-    if usual < 2:
-        return 1
-    # Two new values are seldom equal: the runs are then once, seldom twice, as long as values are held.
-    return usual if float(np.mean(lengths % usual == 0)) > _HELD_SHARE else 1
+    """Return for how many samples each value of a source is held; 1 if each sample is new."""
+    fresh = updates(data.rate_rps)
+    return 1 if fresh is None else round(len(data.t_ns) / len(fresh))
 
 
 def without_stuck(data: ImuData) -> tuple[ImuData, list[Fault]]:
@@ -56,7 +38,8 @@ def without_stuck(data: ImuData) -> tuple[ImuData, list[Fault]]:
     rate = data.rate_rps
     for i, name in enumerate(data.array.names):
         column = data.rate_rps[:, i]
-        starts, lengths = run_lengths(column)
+        starts = np.flatnonzero(np.diff(column, prepend=np.nan) != 0)
+        lengths = np.diff(np.append(starts, len(column)))
         usual = max(float(np.quantile(lengths, 0.99)), 1.0)
         low, high = np.nanmin(column), np.nanmax(column)
         for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):

@@ -183,7 +183,7 @@ def test_part_of_a_file_is_read_by_rows_or_by_seconds(tmp_path: Path) -> None:
     for part in (by_row, by_time):
         np.testing.assert_array_equal(part.rate_rps, whole.rate_rps[100:350])
         np.testing.assert_array_equal(part.t_ns, whole.t_ns[:250])
-    with pytest.raises(RecordingError, match="has 600 rows: check from_row and until_row"):
+    with pytest.raises(RecordingError, match="has 600 rows to read: check from_row and until_row"):
         limited("from_row = 600")
     with pytest.raises(RecordingError, match=r"lasts 5.99 s: check from_s and until_s"):
         limited("from_s = 7")

@@ -18,6 +18,7 @@ from drivers.stim300 import Datagrams, encode, encode_special
 from drivers.stim300_special import Configuration
 from drivers.vectornav import COMMON, IMU, Sentence, encode_frames, encode_sentence, layout_of
 from estimator.recording import ImuData, read_recording
+from estimator.reference import TableReadings
 from station.cli import main
 
 DATA = Path(__file__).parents[1] / "data"
@@ -242,3 +243,71 @@ def test_files_that_cannot_be_read_cost_themselves_only(tmp_path: Path, capsys: 
     out = json.loads(capsys.readouterr().out)
     assert [entry["name"] for entry in out["refused"]] == ["empty.bin", "absent.bin", "noise.bin", tmp_path.name]
     assert out["samples"] == {"imu": len(data.t_ns)}
+
+
+# --- Galil data records: the controller's own stream of its axes' positions
+
+
+def galil_record(number: int, positions: list[int], *, family: str) -> bytes:
+    """A data record as the maker's manuals lay it out: a header of four bytes, I, S, T, and a block an axis."""
+    counts, planes, axis = {"4000": (58, 10, 36), "2103": (24, 8, 28)}[family]
+    axes = (1 << len(positions)) - 1
+    body = bytearray(number.to_bytes(2, "little") + bytes(counts - 2 + 2 * planes))
+    for position in positions:
+        block = bytearray(axis)
+        block[4:8], block[8:12] = (
+            (position + 3).to_bytes(4, "little", signed=True),
+            position.to_bytes(4, "little", signed=True),
+        )
+        block[20:24] = (64 * 1000).to_bytes(4, "little", signed=True)
+        body += block
+    return bytes([0x87, axes]) + (4 + len(body)).to_bytes(2, "little") + bytes(body)
+
+
+GALIL = (
+    (SHAPES / "galil_records.toml")
+    .read_text()
+    .replace('"{stem}.bin"', '"table.bin"')
+    .replace('offset_s = "from data"', "")
+)
+
+
+@pytest.mark.parametrize(("family", "end"), [("4000", b""), ("4000", b":"), ("2103", b"\r\n:")])
+def test_data_records_of_a_galil_are_the_angles_of_a_table(tmp_path: Path, family: str, end: bytes) -> None:
+    period_s = 976.5625e-6  # TM 1000
+    samples = 60000 + np.arange(2000) * 16  # goes round at 65536
+    t = (samples - samples[0]) * period_s
+    angle_deg = 40 * np.sin(t)
+    stream = b"".join(
+        galil_record(int(n) % 65536, [7, -9, round(a * 3600)], family=family) + end
+        for n, a in zip(samples, angle_deg, strict=True)
+    )
+    size = len(stream) // 2000
+    (tmp_path / "table.bin").write_bytes(stream[5 : 500 * size] + b"\x00" + stream[500 * size + 9 :])
+    at = np.arange(0, t[-1], 0.01)
+    rows = np.column_stack([at, 40 * np.cos(at) + 0.3 + np.random.default_rng(2).normal(scale=0.01, size=len(at))])
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,gz", comments="")
+    (tmp_path / "mapping.toml").write_text(GALIL)
+    assert (
+        main(["import", str(tmp_path / "mapping.toml"), str(tmp_path / "log.csv"), "-o", str(tmp_path / "o.h5")]) == 0
+    )
+    recording = read_recording(tmp_path / "o.h5")
+    assert isinstance(recording.reference, TableReadings)
+    t_s = recording.reference.t_ns * 1e-9
+    assert len(t_s) == pytest.approx(1998, abs=1)
+    # The first record is damaged, so the stream begins with the second, which is of the first gyro sample's instant.
+    np.testing.assert_allclose(
+        np.degrees(recording.reference.angle_rad[:, 0]), 40 * np.sin(t_s + 16 * period_s), atol=2e-3
+    )
+    assert "2 damaged" in str(recording.attributes["imported"])
+
+
+def test_what_is_no_data_record_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "table.bin").write_bytes(bytes(range(256)) * 40)
+    rows = np.column_stack([np.arange(100) / 100, np.random.default_rng(2).normal(size=100)])
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,gz", comments="")
+    (tmp_path / "mapping.toml").write_text(GALIL)
+    assert (
+        main(["import", str(tmp_path / "mapping.toml"), str(tmp_path / "log.csv"), "-o", str(tmp_path / "o.h5")]) == 2
+    )
+    assert "table.bin holds no message of galil: check [file]" in " ".join(capsys.readouterr().err.split())
