@@ -16,7 +16,6 @@ from rich.table import Table
 
 from estimator.budget import UNSEEN
 from estimator.calibration import Calibration, GyroCalibration
-from estimator.model import STATES
 from estimator.noise import NoiseFound
 from estimator.repeatability import Repeatability
 from estimator.rests import RestNoise
@@ -24,6 +23,7 @@ from station.errors import EXIT_USAGE
 from station.figures import STATE_FIGURES, STATE_UNITS
 from station.outcome import Outcome, Verdict
 from station.rich_table import rich_table
+from station.snapshot import by_state
 from station.terminal import print_rendered, stdout
 
 _COLOURS = {
@@ -148,10 +148,7 @@ def repeatability_object(repeats: Sequence[Repeatability]) -> list[dict[str, Any
         {
             "name": gyro.name,
             "runs": gyro.runs,
-            **{
-                key: dict(zip(STATES, getattr(gyro, key).tolist(), strict=True))
-                for key in ("mean", "scatter", "expected", "between", "differs")
-            },
+            **{key: by_state(getattr(gyro, key)) for key in ("mean", "scatter", "expected", "between", "differs")},
         }
         for gyro in repeats
     ]
@@ -217,9 +214,9 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
     gyros = [
         {
             "name": gyro.name,
-            **dict(zip(STATES, map(float, gyro.states), strict=True)),
-            "sd": dict(zip(STATES, map(float, gyro.sd), strict=True)),
-            "budget": {c.name: dict(zip(STATES, map(float, c.u), strict=True)) for c in gyro.budget},
+            **by_state(gyro.states),
+            "sd": by_state(gyro.sd),
+            "budget": {c.name: by_state(c.u) for c in gyro.budget},
             "noise": gyro.noise
             and {
                 "arw_rps_rthz": gyro.noise.mean.arw,

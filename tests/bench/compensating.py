@@ -3,10 +3,22 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compensation import MOST_ITERATIONS, TOLERANCE_RPS, Acts, Compensation, CompensationError
+from estimator.compensation import MOST_ITERATIONS, OF_THE_PAST, TOLERANCE_RPS, Acts, Compensation, CompensationError
 from estimator.effects.conditions import Conditions
+from estimator.effects.constructed import functions_of, variables_of
 
 Floats = NDArray[np.float64]
+_TIMED = frozenset({"warm_up", "thermal_gradient", *OF_THE_PAST, "lag", "t", "Tdot", "a", "jolt"})
+
+
+def needs_of(of: Compensation) -> frozenset[str]:
+    """What samples must come with: "temperature", "specific force", "time"."""
+    needed = set().union(*(effect.known.effect(()).needs for effect in of.effects))
+    laws = [held.known.law for held in of.effects if held.known.law]
+    told = {held.name for held in of.effects}.union(*map(functions_of, laws), *map(variables_of, laws))
+    if told & _TIMED:
+        needed.add("time")
+    return frozenset(needed)
 
 
 def less_added(
@@ -54,7 +66,7 @@ def compensate(
 
 def _check(of: Compensation, temperature_c: Floats | None, accel_mps2: Floats | None) -> None:
     given = {"temperature": temperature_c, "specific force": accel_mps2}
-    lacking = [what for what, values in given.items() if values is None and what in of.needs]
+    lacking = [what for what, values in given.items() if values is None and what in needs_of(of)]
     if lacking:
         raise CompensationError(f"the effects of these gyros cannot be undone without {' and '.join(lacking)}")
 
