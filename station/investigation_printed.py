@@ -23,6 +23,7 @@ from estimator.tracing.investigation import (
     ModelStep,
     Value,
 )
+from station.figures import effect_units
 from station.next_script import NextScript
 from station.rendering import rendered
 from station.residual_printed import residual_object, residual_tables
@@ -31,21 +32,7 @@ from station.snapshot import by_state, json_object
 from station.terminal import print_rendered, stdout
 
 _DEG = 180 / math.pi
-_UNITS = {
-    "1": ("ppm", 1e6),
-    "1/K": ("ppm/degC", 1e6),
-    "1/(rad/s)": ("ppm per deg/s", 1e6 / _DEG),
-    "1/(rad/s)2": ("ppm per (deg/s)2", 1e6 / _DEG**2),
-    "rad": ("mrad", 1e3),
-    "rad/s": ("deg/s", _DEG),
-    "rad/s/K": ("deg/s/degC", _DEG),
-    "rad/s/K2": ("deg/s/degC2", _DEG),
-    "rad/s/g": ("deg/s/g", _DEG),
-    "rad/s/(K/s)": ("deg/s/(degC/min)", _DEG / 60),
-    "rad/s2": ("deg/s/h", _DEG * 3600),
-    "rad/s/rts": ("deg/h/rth", _DEG * 3600 * 60),
-}
-"""What a person reads instead of an SI unit, and its factor."""
+_UNITS = effect_units("traced")
 _COLOURS = {
     Finding.NOTHING: "bold green",
     Finding.ADDED: "bold green",
