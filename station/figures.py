@@ -8,6 +8,14 @@ from dataclasses import dataclass
 from drivers.packaged import packaged_toml
 
 UNKNOWN = "-"
+OUTCOME_STYLES = {
+    "PASS": "bold green",
+    "ESTIMATED": "bold blue",
+    "FAIL": "bold red",
+    "ABORTED": "bold yellow",
+    "FAULT": "bold red",
+}
+"""Colours of outcomes; the word always stands there too."""
 
 
 @dataclass(frozen=True, slots=True)

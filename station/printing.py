@@ -20,19 +20,12 @@ from estimator.noise import NoiseFound
 from estimator.repeatability import Repeatability
 from estimator.rests import RestNoise
 from station.errors import EXIT_USAGE
-from station.figures import STATE_FIGURES, STATE_UNITS
+from station.figures import OUTCOME_STYLES, STATE_FIGURES, STATE_UNITS
 from station.outcome import Outcome, Verdict
 from station.rich_table import rich_table
 from station.snapshot import by_state
 from station.terminal import print_rendered, stdout
 
-_COLOURS = {
-    Outcome.PASS: "bold green",
-    Outcome.ESTIMATED: "bold blue",
-    Outcome.FAIL: "bold red",
-    Outcome.ABORTED: "bold yellow",
-    Outcome.FAULT: "bold red",
-}
 _BUDGET_WORDS = {
     "noise": "noise (type A)",
     "effects": "effects of the model (type A)",
@@ -161,7 +154,7 @@ def _size(value: float) -> str:
 def print_verdict(verdict: Verdict, recording: Path) -> None:
     """Print how it ended, why, and where the recording is."""
     console = stdout()
-    console.print(f"[{_COLOURS[verdict.outcome]}]{verdict.outcome}[/]  {verdict.reason}", highlight=False)
+    console.print(f"[{OUTCOME_STYLES[verdict.outcome]}]{verdict.outcome}[/]  {verdict.reason}", highlight=False)
     console.print(f"recording: {recording}", highlight=False, soft_wrap=True)
 
 
@@ -192,7 +185,7 @@ def print_overview(lines: Sequence[OverviewLine], folder: str) -> None:
             escape(line.recording),
             escape(line.device),
             escape(line.script),
-            f"[{_COLOURS[outcome]}]{outcome}[/]",
+            f"[{OUTCOME_STYLES[outcome]}]{outcome}[/]",
             f"{line.seen:.2%}",
             f"{line.nis_mean:.3f}" if np.isfinite(line.nis_mean) else "",
             "" if outcome is Outcome.PASS else escape(line.verdict.reason),
