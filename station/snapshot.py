@@ -11,6 +11,8 @@ from dataclasses import dataclass, is_dataclass
 from functools import cache
 from typing import Any, get_args, get_origin, get_type_hints
 
+from estimator.model import STATES
+
 AFTER_THIS_STEP, PAUSED = "after this step", "paused"
 """Words of ``Snapshot.paused``, beside ""."""
 
@@ -108,6 +110,11 @@ def json_object(value: Any) -> Any:
     if is_dataclass(value):  # dataclasses.asdict copies all that it meets, and costs four times as much
         return {name: json_object(getattr(value, name)) for name in value.__dataclass_fields__}
     return value
+
+
+def by_state(values: Any) -> dict[str, Any]:
+    """Return what there is of each state (4,) by the state's name, as JSON can hold it."""
+    return dict(zip(STATES, json_object(values), strict=True))
 
 
 def snapshot_of(found: Mapping[str, Any]) -> Snapshot:

@@ -1,0 +1,130 @@
+"""The compensation carried out on arrays of samples, as the reference for what exports and reports write."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.compensation import MOST_ITERATIONS, OF_THE_PAST, TOLERANCE_RPS, Acts, Compensation, CompensationError
+from estimator.effects.conditions import Conditions
+from estimator.effects.constructed import functions_of, variables_of
+
+Floats = NDArray[np.float64]
+_TIMED = frozenset({"warm_up", "thermal_gradient", *OF_THE_PAST, "lag", "t", "Tdot", "a", "jolt"})
+
+
+def needs_of(of: Compensation) -> frozenset[str]:
+    """What samples must come with: "temperature", "specific force", "time"."""
+    needed = set().union(*(effect.known.effect(()).needs for effect in of.effects))
+    laws = [held.known.law for held in of.effects if held.known.law]
+    told = {held.name for held in of.effects}.union(*map(functions_of, laws), *map(variables_of, laws))
+    if told & _TIMED:
+        needed.add("time")
+    return frozenset(needed)
+
+
+def less_added(
+    of: Compensation,
+    rate_rps: Floats,
+    t_s: Floats,
+    temperature_c: Floats | None = None,
+    accel_mps2: Floats | None = None,
+) -> Floats:
+    """Return outputs (N, n) in rad/s rid of bias and of all effects that do not depend on the rate.
+
+    Arguments as for ``compensate``.
+    """
+    _check(of, temperature_c, accel_mps2)
+    conditions = _conditions(t_s, np.zeros((len(t_s), 3)), temperature_c, accel_mps2)
+    left = np.array(rate_rps, dtype=np.float64)
+    lag = of.held("bandwidth")
+    if lag is not None:
+        left += lag[:, 0] * _slope(left, t_s)
+    return left + (of.bias_rps - _effects(of, Acts.ADDED, conditions))
+
+
+def compensate(
+    of: Compensation,
+    rate_rps: Floats,
+    t_s: Floats,
+    temperature_c: Floats | None = None,
+    accel_mps2: Floats | None = None,
+) -> Floats:
+    """Return the rate (N, 3) of the body in rad/s and body axes from outputs (N, n) in rad/s at instants (N,).
+
+    ``temperature_c`` (N,) in degC and ``accel_mps2`` (N, 3), the specific force in body axes, are needed where an
+    effect depends on them. A warm-up counts from the first instant. The rate is that at ``t_s - delay_s``. It is
+    NaN where effects of the rate cannot be undone, which is far beyond the rates that they were found at.
+
+    Raises CompensationError for gyros that do not span space, and if something is lacking.
+    """
+    left = less_added(of, rate_rps, t_s, temperature_c, accel_mps2)
+    w = _inverted(of, left, t_s, temperature_c, accel_mps2)
+    if any(effect.acts is Acts.MOTION for effect in of.effects):
+        moved = _conditions(t_s, w, temperature_c, accel_mps2, _slope(w, t_s))
+        w = _inverted(of, left - _effects(of, Acts.MOTION, moved), t_s, temperature_c, accel_mps2)
+    return w
+
+
+def _check(of: Compensation, temperature_c: Floats | None, accel_mps2: Floats | None) -> None:
+    given = {"temperature": temperature_c, "specific force": accel_mps2}
+    lacking = [what for what, values in given.items() if values is None and what in needs_of(of)]
+    if lacking:
+        raise CompensationError(f"the effects of these gyros cannot be undone without {' and '.join(lacking)}")
+
+
+def _inverted(
+    of: Compensation, left: Floats, t_s: Floats, temperature_c: Floats | None, accel_mps2: Floats | None
+) -> Floats:
+    """Return body rates (N, 3) from outputs (N, n) that only the rate has a part in."""
+    solution = of.solution.T
+    with np.errstate(over="ignore", invalid="ignore"):  # of infinities, and of rows that come to no end
+        w = left @ solution
+        if not any(effect.acts is Acts.RATE for effect in of.effects):
+            return np.asarray(w)
+        change = np.full(len(w), np.inf)
+        for _ in range(MOST_ITERATIONS):
+            before = w
+            w = (left - _effects(of, Acts.RATE, _conditions(t_s, w, temperature_c, accel_mps2))) @ solution
+            change = np.abs(w - before).sum(axis=1)
+            if not (change > TOLERANCE_RPS).any():
+                break
+    w[~(change <= TOLERANCE_RPS)] = np.nan
+    return np.asarray(w)
+
+
+def _effects(of: Compensation, acts: Acts, conditions: Conditions) -> Floats:
+    """Return what effects that act like this add to the outputs (N, n), by their own regressors."""
+    added = np.zeros((len(conditions.t_s), len(of.array)))
+    for held in of.effects:
+        if held.acts is acts:
+            effect = held.known.effect(())
+            with np.errstate(all="ignore"):  # a law may divide by zero, and samples may be no numbers
+                for gyro, values in enumerate(held.values):
+                    added[:, gyro] += effect.columns(conditions, of.array, gyro) @ values
+    return added
+
+
+def _conditions(
+    t_s: Floats,
+    w_rps: Floats,
+    temperature_c: Floats | None,
+    accel_mps2: Floats | None,
+    wdot_rps2: Floats | None = None,
+) -> Conditions:
+    none = np.empty((len(t_s), 0))
+    force = np.full((len(t_s), 3), np.nan) if accel_mps2 is None else accel_mps2
+    wdot = np.zeros_like(w_rps) if wdot_rps2 is None else wdot_rps2
+    return Conditions(t_s, w_rps, wdot, none, none, none, (), force, temperature_c, causal=True)
+
+
+def _slope(values: Floats, t_s: Floats) -> Floats:
+    """Return the rate of change (N, m) since the sample before.
+
+    It is zero where it is not known: at the first, where no time has passed, and beside what is no number, so that
+    such a sample spoils no other.
+    """
+    step = np.diff(t_s)[:, None]
+    slope = np.zeros_like(values)
+    with np.errstate(invalid="ignore"):  # of infinities
+        change = np.diff(values, axis=0)
+    np.divide(change, step, out=slope[1:], where=(step > 0) & np.isfinite(change))
+    return slope
