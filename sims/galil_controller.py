@@ -59,12 +59,10 @@ class GalilController(LineController):
 
     def received(self, data: bytes) -> None:
         """Take bytes from the host, cut anywhere; with echo on each is said again before it is obeyed."""
-        if not self._echo:
-            super().received(data)
-            return
-        for byte in data:
-            self._write(b"\r\n" if byte == 13 else bytes([byte]))
-            super().received(bytes([byte]))
+        for part in [bytes([byte]) for byte in data] if self._echo else [data]:
+            if self._echo:
+                self._write(part.replace(b"\r", b"\r\n"))
+            super().received(part)
 
     def _is_powered(self) -> bool:
         return any(not axis.motor_off for axis in self._axes.values())

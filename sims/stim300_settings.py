@@ -13,6 +13,11 @@ from sims.line_controller import Refused
 _KNOWN = packaged_toml("sims", "codes.toml")["stim300"]
 _FILTERS_HZ = packaged_codes("sims", "stim300", "filter")
 _PARITIES = ("n", "e", "o")
+_CODES = {
+    "gyro_unit": ("0", "1", "2", "3", "8", "9", "10", "11"),
+    "gyro_filter": [*map(str, _FILTERS_HZ)],
+    "terminated": ("0", "1"),
+}
 SERVICE_ERRORS = packaged_codes("sims", "stim300", "service")
 _UNIT_NAMES = {0: "ANGULAR RATE", 1: "INCREMENTAL ANGLE", 2: "AVERAGE ANGULAR RATE", 3: "INTEGRATED ANGLE"}
 _BITS_A_BYTE = 10
@@ -37,7 +42,7 @@ class Settings:
     saves_left: int = 9958
     stop_bits: int = 1
     parity: str = "n"
-    terminated: bool = False
+    terminated: int = 0
     gyro_filter: int = 4
 
     def configuration(self) -> Configuration:
@@ -74,22 +79,14 @@ class Settings:
         self.identifier = DATAGRAM_CODES[code]
         self.line_termination = self.line_termination if end is None else end == "1"
 
-    def set_gyro_unit(self, code: str) -> None:
-        """Set what the gyros put out."""
-        self.gyro_unit = int(_one_of(("0", "1", "2", "3", "8", "9", "10", "11"), code))
+    def set_code(self, field: str, code: str) -> None:
+        """Set what is kept by a code of its own."""
+        setattr(self, field, int(_one_of(_CODES[field], code)))
 
-    def set_of_gyros(self, what: Callable[[str], None], cluster: str, code: str) -> None:
-        """Set something of the gyros, cluster "g", the only one that can be set."""
+    def set_of_gyros(self, field: str, cluster: str, code: str) -> None:
+        """Set something of a cluster; only that of the gyros can be set."""
         _one_of(("g",), cluster)
-        what(code)
-
-    def set_gyro_filter(self, code: str) -> None:
-        """Set the low pass by its digit."""
-        self.gyro_filter = int(_one_of([*map(str, _FILTERS_HZ)], code))
-
-    def set_termination(self, code: str) -> None:
-        """Switch the resistor between the wires of the receiver."""
-        self.terminated = _one_of(("0", "1"), code) == "1"
+        self.set_code(field, code)
 
     def set_transmission(self, code: str, *more: str) -> None:
         """Set the bit rate, by its digit or as f and a number, then stop bits and parity if they are given."""
@@ -158,7 +155,7 @@ def _utility_answers(own: Settings) -> dict[str, tuple[int, Callable[..., tuple[
         "ix": (0, lambda: (own.part_number, own.revision)),
         "ipn": (0, lambda: (own.part_number, own.revision)),
         "ig": (1, gyro),
-        "it": (0, lambda: (str(own.bit_rate), str(own.stop_bits), own.parity, str(int(own.terminated)), "0", "0")),
+        "it": (0, lambda: (str(own.bit_rate), str(own.stop_bits), own.parity, str(own.terminated), "0", "0")),
         "isn": (0, lambda: (own.serial,)),
         "ifw": (0, lambda: (own.firmware,)),
         "ihw": (0, lambda: (own.hardware,)),
@@ -168,7 +165,7 @@ def _utility_answers(own: Settings) -> dict[str, tuple[int, Callable[..., tuple[
         "isv": (0, lambda: (str(own.saves_left),)),
         "sm": (1, after(own.set_rate)),
         "sd": (1, after(own.set_datagram)),
-        "sgu": (1, after(own.set_gyro_unit)),
+        "sgu": (1, after(partial(own.set_code, "gyro_unit"))),
         "save": (0, lambda: (own.save(),)),
         "xn": (0, lambda: ()),
     }
@@ -200,11 +197,11 @@ def service_lines(own: Settings, command: str, readings: Mapping[str, list[str]]
     given = [part.strip() for part in text.split(",")] if text else []
     setters: dict[str, tuple[Callable[..., None], int]] = {
         "d": (own.set_datagram, 2),
-        "f": (partial(own.set_of_gyros, own.set_gyro_filter), 2),
+        "f": (partial(own.set_of_gyros, "gyro_filter"), 2),
         "m": (own.set_rate, 1),
-        "r": (own.set_termination, 1),
+        "r": (partial(own.set_code, "terminated"), 1),
         "t": (own.set_transmission, max(len(given), 1)),
-        "u": (partial(own.set_of_gyros, own.set_gyro_unit), 2),
+        "u": (partial(own.set_of_gyros, "gyro_unit"), 2),
     }
     if name in setters:
         setter, count = setters[name]

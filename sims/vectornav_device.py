@@ -58,6 +58,7 @@ _ASYNC = {
 }
 
 _BINARY = (75, 76, 77)
+_ONE_OF: dict[int, Sequence[int]] = {5: BAUD_RATES, 6: (0, *_ASYNC), 7: vectornav.ASCII_RATES_HZ}
 _GYRO_COMPENSATION = 84
 _MORE = packaged_codes("sims", "vectornav", "register")
 _GROUPS = {vectornav.COMMON, vectornav.TIME, vectornav.IMU, vectornav.ATTITUDE}  # a VN-100 has no others
@@ -252,8 +253,8 @@ class VectorNavDevice:
                 raise Refused(_TOO_FEW)
             values = (*(str(_number(value)) for value in values[:2]), *values[2:])
             self._set_binary(register, values)
-        else:
-            self._check(register, _exactly(len(self._factory[register]), values))
+        elif not _fit(register, _exactly(len(self._factory[register]), values)):
+            raise Refused(_PARAMETER)
         before, self._registers[register] = self._registers[register], values
         if self._busy_bps() > int(self._registers[5][0]):
             self._registers[register] = before
@@ -261,13 +262,6 @@ class VectorNavDevice:
                 self._layouts[register] = _layout(before)
             raise Refused(_BAUD)
         return vectornav.Sentence("VNWRG", (f"{register:02d}", *values))
-
-    def _check(self, register: int, values: tuple[str, ...]) -> None:
-        one_of = {5: BAUD_RATES, 6: (0, *_ASYNC), 7: vectornav.ASCII_RATES_HZ}.get(register)
-        if one_of is not None and _number(values[0]) not in one_of:
-            raise Refused(_PARAMETER)
-        if register and not all(map(_DECIMAL.fullmatch, values)):
-            raise Refused(_PARAMETER)
 
     def _set_binary(self, register: int, values: tuple[str, ...]) -> None:
         if len(values) < 3:
@@ -297,6 +291,12 @@ def _number(text: str) -> int:
     if not (text.isdecimal() and text.isascii() and len(text) < 10):
         raise Refused(_PARAMETER)
     return int(text)
+
+
+def _fit(register: int, values: tuple[str, ...]) -> bool:
+    """Return whether a register takes these: 0 any text, the others numbers, some only certain ones."""
+    numbers = register == 0 or all(map(_DECIMAL.fullmatch, values))
+    return numbers and (register not in _ONE_OF or _number(values[0]) in _ONE_OF[register])
 
 
 def _layout(values: tuple[str, ...]) -> vectornav.Layout | None:
