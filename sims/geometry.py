@@ -52,3 +52,17 @@ def along(p: Sequence[Sequence[float]]) -> Mounting:
         else:
             angles.append((math.degrees(math.acos(max(-1.0, min(1.0, z)))), math.degrees(math.atan2(y, x))))
     return mounted(angles)
+
+
+def upright(t_s: Floats) -> Floats:
+    """Return the direction up (n, 3) of a device that stands with its third axis up."""
+    return np.tile([0.0, 0.0, 1.0], (len(t_s), 1))
+
+
+def tilt_deg(up: Floats) -> Floats:
+    """Return roll, pitch, yaw (n, 3), from east, north, up to the axes in which ``up`` (n, 3) is given.
+
+    There is no magnetic heading, so yaw is 0.
+    """
+    roll, pitch = np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1.0, 1.0))
+    return np.asarray(np.degrees(np.column_stack([roll, pitch, np.zeros(len(up))])))

@@ -1,6 +1,6 @@
 """How a simulated STIM300 is set, and how it is asked and told: its service and utility modes."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -8,22 +8,20 @@ from drivers.packaged import packaged_codes, packaged_toml
 from drivers.stim300 import LAYOUTS
 from drivers.stim300_special import BIT_RATES, RATES_HZ, Configuration
 from drivers.stim300_utility import DATAGRAM_CODES, UtilityDecoder, UtilityMessage
+from sims.line_controller import Refused
 
 _KNOWN = packaged_toml("sims", "codes.toml")["stim300"]
 _FILTERS_HZ = packaged_codes("sims", "stim300", "filter")
 _PARITIES = ("n", "e", "o")
-_ERRORS = packaged_codes("sims", "stim300", "service")
+_CODES = {
+    "gyro_unit": ("0", "1", "2", "3", "8", "9", "10", "11"),
+    "gyro_filter": [*map(str, _FILTERS_HZ)],
+    "terminated": ("0", "1"),
+}
+SERVICE_ERRORS = packaged_codes("sims", "stim300", "service")
 _UNIT_NAMES = {0: "ANGULAR RATE", 1: "INCREMENTAL ANGLE", 2: "AVERAGE ANGULAR RATE", 3: "INTEGRATED ANGLE"}
 _BITS_A_BYTE = 10
 _MARGIN = 1.1
-
-
-class Refused(Exception):
-    """A command that cannot be obeyed: its error in service mode."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(_ERRORS[code])
-        self.code = code
 
 
 @dataclass(slots=True)
@@ -44,7 +42,7 @@ class Settings:
     saves_left: int = 9958
     stop_bits: int = 1
     parity: str = "n"
-    terminated: bool = False
+    terminated: int = 0
     gyro_filter: int = 4
 
     def configuration(self) -> Configuration:
@@ -69,10 +67,9 @@ class Settings:
 
     def set_rate(self, code: str) -> None:
         """Set the rate by its digit."""
-        if code not in ("0", "1", "2", "3", "4"):
-            raise Refused(3)
-        self._fit(RATES_HZ[int(code)], self.identifier)
-        self.rate_hz = RATES_HZ[int(code)]
+        rate_hz = RATES_HZ[int(_one_of(("0", "1", "2", "3", "4"), code))]
+        self._fit(rate_hz, self.identifier)
+        self.rate_hz = rate_hz
 
     def set_datagram(self, code: str, end: str | None = None) -> None:
         """Set the normal datagram by its letter, and whether CR LF ends it, "0" or "1"."""
@@ -82,29 +79,14 @@ class Settings:
         self.identifier = DATAGRAM_CODES[code]
         self.line_termination = self.line_termination if end is None else end == "1"
 
-    def set_gyro_unit(self, code: str) -> None:
-        """Set what the gyros put out."""
-        if code not in ("0", "1", "2", "3", "8", "9", "10", "11"):
-            raise Refused(3)
-        self.gyro_unit = int(code)
+    def set_code(self, field: str, code: str) -> None:
+        """Set what is kept by a code of its own."""
+        setattr(self, field, int(_one_of(_CODES[field], code)))
 
-    def set_of_gyros(self, what: Callable[[str], None], cluster: str, code: str) -> None:
-        """Set something of the gyros, cluster "g", the only one that can be set."""
-        if cluster != "g":
-            raise Refused(3)
-        what(code)
-
-    def set_gyro_filter(self, code: str) -> None:
-        """Set the low pass by its digit."""
-        if code not in map(str, _FILTERS_HZ):
-            raise Refused(3)
-        self.gyro_filter = int(code)
-
-    def set_termination(self, code: str) -> None:
-        """Switch the resistor between the wires of the receiver."""
-        if code not in ("0", "1"):
-            raise Refused(3)
-        self.terminated = code == "1"
+    def set_of_gyros(self, field: str, cluster: str, code: str) -> None:
+        """Set something of a cluster; only that of the gyros can be set."""
+        _one_of(("g",), cluster)
+        self.set_code(field, code)
 
     def set_transmission(self, code: str, *more: str) -> None:
         """Set the bit rate, by its digit or as f and a number, then stop bits and parity if they are given."""
@@ -159,16 +141,21 @@ def _utility_answers(own: Settings) -> dict[str, tuple[int, Callable[..., tuple[
         return obey
 
     def gyro(axis: str) -> tuple[str, ...]:
-        if axis.upper() not in ("X", "Y", "Z"):
-            raise Refused(3)
-        return axis.upper(), "1", str(own.gyro_unit), str(own.gyro_filter), "0", "0"  # in the order of the command sg
+        return (
+            _one_of(("X", "Y", "Z"), axis.upper()),
+            "1",
+            str(own.gyro_unit),
+            str(own.gyro_filter),
+            "0",
+            "0",
+        )  # in the order of the command sg
 
     return {
         "in": (0, lambda: ("STIM300",)),
         "ix": (0, lambda: (own.part_number, own.revision)),
         "ipn": (0, lambda: (own.part_number, own.revision)),
         "ig": (1, gyro),
-        "it": (0, lambda: (str(own.bit_rate), str(own.stop_bits), own.parity, str(int(own.terminated)), "0", "0")),
+        "it": (0, lambda: (str(own.bit_rate), str(own.stop_bits), own.parity, str(own.terminated), "0", "0")),
         "isn": (0, lambda: (own.serial,)),
         "ifw": (0, lambda: (own.firmware,)),
         "ihw": (0, lambda: (own.hardware,)),
@@ -178,7 +165,7 @@ def _utility_answers(own: Settings) -> dict[str, tuple[int, Callable[..., tuple[
         "isv": (0, lambda: (str(own.saves_left),)),
         "sm": (1, after(own.set_rate)),
         "sd": (1, after(own.set_datagram)),
-        "sgu": (1, after(own.set_gyro_unit)),
+        "sgu": (1, after(partial(own.set_code, "gyro_unit"))),
         "save": (0, lambda: (own.save(),)),
         "xn": (0, lambda: ()),
     }
@@ -210,11 +197,11 @@ def service_lines(own: Settings, command: str, readings: Mapping[str, list[str]]
     given = [part.strip() for part in text.split(",")] if text else []
     setters: dict[str, tuple[Callable[..., None], int]] = {
         "d": (own.set_datagram, 2),
-        "f": (partial(own.set_of_gyros, own.set_gyro_filter), 2),
+        "f": (partial(own.set_of_gyros, "gyro_filter"), 2),
         "m": (own.set_rate, 1),
-        "r": (own.set_termination, 1),
+        "r": (partial(own.set_code, "terminated"), 1),
         "t": (own.set_transmission, max(len(given), 1)),
-        "u": (partial(own.set_of_gyros, own.set_gyro_unit), 2),
+        "u": (partial(own.set_of_gyros, "gyro_unit"), 2),
     }
     if name in setters:
         setter, count = setters[name]
@@ -223,8 +210,7 @@ def service_lines(own: Settings, command: str, readings: Mapping[str, list[str]]
     if name == "i":
         return _information(own, *_exactly(1, given)) if given else banner(own)
     if name == "x":
-        if _exactly(1, given)[0] not in ("n", "i", "N", "I"):
-            raise Refused(3)
+        _one_of(("n", "i", "N", "I"), *_exactly(1, given))
         return [f"SYSTEM RETURNING TO {'NORMAL' if given[0] in 'nN' else 'INIT'} MODE."]
     if name == "?":
         return str(_KNOWN["help"]["text"]).splitlines()
@@ -234,9 +220,14 @@ def service_lines(own: Settings, command: str, readings: Mapping[str, list[str]]
 
 
 def _information(own: Settings, letter: str) -> list[str]:
-    if letter not in _KNOWN["information"]:
+    shown = _KNOWN["information"][_one_of(_KNOWN["information"], letter)]
+    return [line for line in banner(own) if line.startswith(shown)]
+
+
+def _one_of(known: Collection[str], code: str) -> str:
+    if code not in known:
         raise Refused(3)
-    return [line for line in banner(own) if line.startswith(_KNOWN["information"][letter])]
+    return code
 
 
 def _exactly(count: int, given: list[str]) -> list[str]:

@@ -12,6 +12,7 @@ from drivers.arrays import Flags, Floats, Ints
 from drivers.packaged import packaged_codes
 from drivers.xbus import Mid, XbusDecoder, encode
 from sims.burst import burst_of
+from sims.geometry import tilt_deg
 from sims.gyro import GyroArray
 
 _TICKS_PER_S = round(1 / mtdata2.SAMPLE_TIME_TICK_S)
@@ -229,7 +230,7 @@ class XsensDevice:
             if kind == mtdata2.ACCELERATION and self._force_g is not None:
                 return self._force_g(at) * _STANDARD_GRAVITY_MPS2
             if kind == mtdata2.EULER_ANGLES and self._force_g is not None:
-                return _tilt_deg(self._force_g(at))
+                return tilt_deg(self._force_g(at))
             if kind == mtdata2.TEMPERATURE:
                 return np.full((len(at), 1), self._gyros.temperature_c(float(at[-1])))
             if kind == mtdata2.PACKET_COUNTER:
@@ -247,9 +248,3 @@ class XsensDevice:
         dropped = self._random.random(count) < self.drop_share
         doubled = self._random.random(count) < self.double_share
         return np.where(dropped, 0, np.where(doubled, 2, 1))
-
-
-def _tilt_deg(up: Floats) -> Floats:
-    """Return roll, pitch, yaw (n, 3) from east, north, up to body axes; no magnetic heading, so yaw is 0."""
-    roll, pitch = np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1.0, 1.0))
-    return np.asarray(np.degrees(np.column_stack([roll, pitch, np.zeros(len(up))])))
