@@ -89,11 +89,11 @@ class Progress:
             f"NIS {number(snapshot.nis_mean, 2)}"
         )
         if self._bar is not None:
-            self._bar.update(self._task, description=snapshot.phase, completed=snapshot.share, detail=detail)
+            self._bar.update(self._task, description=snapshot.doing, completed=snapshot.share, detail=detail)
             self._bar.refresh()
         elif snapshot.share - self._shown_share >= _PLAIN_EVERY:
             self._shown_share = snapshot.share
-            self._console.print(f"{snapshot.share:4.0%}  {snapshot.phase:<18} {detail}", highlight=False)
+            self._console.print(f"{snapshot.share:4.0%}  {snapshot.doing:<18} {detail}", highlight=False)
 
 
 def print_calibration(calibration: Calibration) -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import logging
 import math
 from collections.abc import Callable, Coroutine
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack
 from functools import partial
 from typing import Any
 
@@ -43,6 +44,7 @@ from station.errors import BenchError
 from station.open_bench.faults import read_faults, turn_knobs, turn_node_knobs
 from station.tables import Table
 
+_log = logging.getLogger(__name__)
 _wires = itertools.count(1)
 _STANDARD_GRAVITY_MPS2 = 9.80665
 
@@ -205,8 +207,9 @@ class Twins:
 
         async def end() -> None:
             task.cancel()
-            with suppress(asyncio.CancelledError):
-                await task
+            await asyncio.wait({task})
+            if not task.cancelled() and (error := task.exception()) is not None:
+                _log.error("a twin has ended by itself: %r", error)
 
         self._stack.push_async_callback(end)
 

@@ -20,7 +20,7 @@ from station.screen.choices import Choices
 from station.screen.dialogs import ChooseDialog
 from station.screen.live_run import LiveRun, Stage
 from station.screen.prospects import Prospect
-from station.snapshot import GyroSnapshot, Snapshot, json_object
+from station.snapshot import GyroSnapshot, Phase, Snapshot, json_object
 
 PROSPECT = Prospect(bench="built-in twins", all_twins=True)
 CHOICES = Choices("bench.toml", "short.toml", Path("recordings"), "A. Operator", "SN-0042", 1.0)
@@ -115,7 +115,7 @@ def test_who_attaches_late_sees_how_the_estimates_went() -> None:
     late = {"t_s": 2.0, "gyros": {"g": [[0.2] * 4, [0.5] * 4], "unknown": [[None] * 4, [1.0] * 4]}}
     run = LiveRun()
     gyro = GyroSnapshot("g", "s", (0.3,) * 4, (0.4,) * 4, 1.0)
-    run.take({"kind": "snapshot", **json_object(Snapshot("x", 2.0, 1, 1, 0, 1.0, gyros=(gyro,)))})
+    run.take({"kind": "snapshot", **json_object(Snapshot(Phase.RUNNING, "x", 2.0, 1, 1, 0, 1.0, gyros=(gyro,)))})
     run.take({"kind": "course", "points": [early, late]})
     run.take({"kind": "course", "points": [{}]})
     assert run.trends["g"].times_s == [1.0, 2.0]
