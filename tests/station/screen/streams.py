@@ -115,9 +115,9 @@ class Replay:
     ``after_stop`` from there on.
     """
 
-    def __init__(self, name: str, until_s: float, *, after_stop: str = "") -> None:
-        """Listen."""
-        self._lines = _lines(name)
+    def __init__(self, name: str, until_s: float, *, after_stop: str = "", label: str = "") -> None:
+        """Listen; ``label`` is that of every step."""
+        self._lines = [{**line, **({"label": label} if label and line.get("label") else {})} for line in _lines(name)]
         self._until_s = until_s
         self._clients: list[socket.socket] = []
         self._after = _lines(after_stop) if after_stop else []

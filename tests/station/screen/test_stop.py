@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import h5py
+import pytest
 from conftest import HistoryFirst, keys, until
 from streams import Replay
 from textual import events
@@ -188,3 +189,20 @@ def test_a_run_that_is_refused_says_why(place: Path) -> None:
         await until(pilot, lambda: "no [[step]] in it" in str(app.screen.query_one("#progress").render()))
 
     driven(app, drive)
+
+
+@pytest.mark.parametrize("label", ["estimating", "coming to rest", "table at rest"])
+def test_a_label_of_a_step_says_nothing_of_the_run(place: Path, label: str) -> None:
+    with Replay("pass", 20.0, label=label) as session:
+        app = StationApp(CHOICES, attach=True)
+
+        async def drive(pilot: Pilot[None]) -> None:
+            await pilot.press("f3")
+            await until(pilot, lambda: "running, 0:22 left" in said_by_bar(app))
+            await until(pilot, lambda: label in str(app.screen.query_one("#progress").render()))
+            await pilot.press("f9")
+            await until(pilot, lambda: "sent; waiting" in said_by_bar(app))
+            session.vanish()
+            await until(pilot, lambda: "TABLE NOT SEEN AT REST: USE THE EMERGENCY STOP" in said_by_bar(app))
+
+        driven(app, drive)
