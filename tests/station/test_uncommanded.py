@@ -1,0 +1,70 @@
+"""An axis that turns though nobody told it to: a fault within a second, with every axis stopped."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from faults import BENCHES
+
+from station.bench import Bench, load_bench
+from station.loops import VirtualLoop
+from station.open_bench import open_bench
+from station.outcome import Outcome
+from station.script import load_script
+from station.session import Result, Session
+
+SCRIPT = """
+[[step]]
+kind = "rest"
+duration = "4 s"
+[[step]]
+kind = "rotate"
+axis = "{driven}"
+rate = "20 deg/s"
+duration = "{turn} s"
+acceleration = "20 deg/s2"
+[[step]]
+kind = "rest"
+duration = "4 s"
+"""
+HOMED_S = 1.5  # when the scripts have begun, on every bench
+
+
+def run(folder: Path, bench: Bench, turn: int) -> Result:
+    (folder / "script.toml").write_text(SCRIPT.format(driven=bench.table.gimbals[-1], turn=turn))
+
+    async def main() -> Result:
+        async with open_bench(bench) as opened:
+            result = await Session(opened, load_script(folder / "script.toml"), folder / "r.h5").run()
+            await asyncio.sleep(0.01)
+            assert opened.at_rest()
+            return result
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        return runner.run(main())
+
+
+def bench_with(folder: Path, name: str, fault: str) -> Bench:
+    path = folder / "bench.toml"
+    path.write_text(f"{(BENCHES / name).with_suffix('.toml').read_text()}\n[twin.fault]\n{fault}\n")
+    return load_bench(path)
+
+
+@pytest.mark.parametrize("at_s", [3.0, 8.0], ids=["at rest", "while another turns"])
+@pytest.mark.parametrize("name", ["acutrol_vectornav", "galil_j1939", "rtu_stim300", "two_triads"])
+def test_an_axis_that_turns_by_itself_is_a_fault_within_a_second(tmp_path: Path, name: str, at_s: float) -> None:
+    axis = load_bench((BENCHES / name).with_suffix(".toml")).table.gimbals[0]
+    result = run(tmp_path, bench_with(tmp_path, name, f'axis = "{axis}"\nat = "{at_s} s"\nkind = "runaway"'), 8)
+    assert result.verdict.outcome is Outcome.FAULT
+    assert re.match(
+        rf"table: axis {axis} turns at \d+\.\d deg/s; it was told to (stand|turn at up to 20.0 deg/s)",
+        result.verdict.reason,
+    ), result.verdict.reason
+    with h5py.File(result.recording) as file:
+        assert file["events/text"][-1] == b"table at rest"
+        assert at_s < file["events/t_ns"][-1] * 1e-9 < at_s + 1.0
