@@ -1,27 +1,24 @@
 """Whose turn it is on a link."""
 
 import asyncio
-from types import TracebackType
+from typing import Any, Literal
 
 
-class Turn:
+class Turn(asyncio.Lock):
     """A lock that is free again when the task that held it has ended, however that came: no stop must wait for it."""
 
-    def __init__(self) -> None:
-        """Be free."""
-        self._lock = asyncio.Lock()
-        self._holder: asyncio.Task[None] | None = None
+    _holder: asyncio.Task[Any] | None = None
 
-    async def __aenter__(self) -> None:
+    async def acquire(self) -> Literal[True]:
         """Wait for the others."""
         this = asyncio.current_task()
-        if self._holder is not None and self._lock.locked() and (self._holder.done() or self._holder is this):
-            self._lock.release()
-        await self._lock.acquire()
+        if self._holder is not None and (self._holder.done() or self._holder is this):
+            self.release()
+        await super().acquire()
         self._holder = this
+        return True
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._lock.locked():
-            self._lock.release()
+    def release(self) -> None:
+        """Let the next one have it."""
+        if self.locked():
+            super().release()

@@ -94,7 +94,7 @@ class Monitor:
         counts = [imu.source.counts(name) for imu in self._open.imus for name in imu.source.names]
         return Snapshot(
             phase,
-            sequencer.label if sequencer else "",
+            sequencer.label if sequencer and phase is Phase.RUNNING else "",
             *times_s,
             samples=sum(c.samples for c in counts),
             lost=sum(c.lost for c in counts),

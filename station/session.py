@@ -41,6 +41,7 @@ from station.signals import heeded_signals
 from station.snapshot import EventKind, Phase, Snapshot
 from station.sources import SourceReport
 from station.table_watch import TableRow, check_axes, watch_table
+from station.uncommanded import MotionGuard
 
 _log = logging.getLogger(__name__)
 
@@ -214,9 +215,8 @@ class Session:
         self._event(EventKind.NOTE, _NOTE + kept)
 
     def _stopped_by(self, who: str) -> str:
-        running = self._phase is Phase.RUNNING and self._sequencer is not None
-        where = f"step {self._sequencer.label!r}" if running and self._sequencer else f"phase {self._phase.value!r}"
-        return f"stopped by {who} in {where}"
+        label = self._brief().label
+        return f"stopped by {who} in {f'step {label!r}' if label else f'phase {self._phase.value!r}'}"
 
     def _script_under_way(self) -> Sequencer:
         """Return the sequencer; UsageError if there is no script under way."""
@@ -281,6 +281,7 @@ class Session:
                 axes,
                 self._bench.table.poll_rate_hz,
                 lambda: sequencer.driven_axis,
+                MotionGuard(table, sequencer.commanded),
                 self._take_row,
                 lambda error: self._reopening.restore(table, error),
             )
@@ -415,24 +416,29 @@ class Session:
         self._phase = Phase.STOPPING
         if not self._connected:
             return
-        table, at_rest, trouble = self._open.table, False, ""
+        trouble = await self._tried(self._open.table.stop())
+        if trouble:
+            self._event(EventKind.NOT_AT_REST, f"controlled stop not confirmed: {trouble}")
+            aborted = await self._tried(self._open.table.abort())  # as hard as the controller can
+            trouble = f"it did not come to rest by a controlled stop ({trouble})"
+            if aborted:
+                trouble = f"the table was not seen to come to rest ({aborted}): use the emergency stop"
+        if not trouble or not aborted:
+            off = await self._tried(self._open.table.disable())
+            trouble = trouble or (off and f"the table is at rest, but its power may be on ({off})")
+            self._event(EventKind.AT_REST, "table at rest")
+        if trouble:
+            verdict = self._verdict or Verdict(Outcome.FAULT, trouble)
+            self._verdict = replace(verdict, reason="; ".join(dict.fromkeys((verdict.reason, trouble))))
+
+    async def _tried(self, what: Coroutine[Any, Any, None]) -> str:
+        """Do what ends a motion; return in words what went wrong."""
         try:
             async with asyncio.timeout(_STOP_LIMIT_S * self._time_scale):
-                await table.stop()
-                at_rest = True
-                await table.disable()
+                await what
         except (DeviceError, TimeoutError) as error:
-            reason = str(error) or "no answer in time"
-            trouble = f"the table is at rest, but its power may be on ({reason})"
-            if not at_rest:
-                trouble = f"the table was not seen to come to rest ({reason}): use the emergency stop"
-                self._event(EventKind.NOT_AT_REST, f"controlled stop not confirmed: {reason}")
-            verdict = self._verdict or Verdict(Outcome.FAULT, trouble)
-            if trouble not in verdict.reason:
-                verdict = replace(verdict, reason=f"{verdict.reason}; {trouble}")
-            self._verdict = verdict
-        if at_rest:
-            self._event(EventKind.AT_REST, "table at rest")
+            return str(error) or "no answer in time"
+        return ""
 
     async def _conclude(self) -> Result:
         if not self._closed:

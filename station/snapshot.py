@@ -116,7 +116,7 @@ class Snapshot:
     @property
     def doing(self) -> str:
         """What is under way, in words: the step's label while the script runs."""
-        return self.label if self.phase is Phase.RUNNING else self.phase
+        return self.label or self.phase
 
     @property
     def share(self) -> float:

