@@ -15,7 +15,7 @@ from station.loops import VirtualLoop
 from station.open_bench import open_bench
 from station.outcome import Outcome
 from station.script import load_script
-from station.session import Result, Session
+from station.session import Result, RunOptions, Session
 
 SCRIPT = """
 [[step]]
@@ -31,15 +31,15 @@ acceleration = "20 deg/s2"
 kind = "rest"
 duration = "4 s"
 """
-HOMED_S = 1.5  # when the scripts have begun, on every bench
 
 
-def run(folder: Path, bench: Bench, turn: int) -> Result:
+def run(folder: Path, bench: Bench, turn: int, time_scale: float = 1.0) -> Result:
     (folder / "script.toml").write_text(SCRIPT.format(driven=bench.table.gimbals[-1], turn=turn))
 
     async def main() -> Result:
-        async with open_bench(bench) as opened:
-            result = await Session(opened, load_script(folder / "script.toml"), folder / "r.h5").run()
+        script, options = load_script(folder / "script.toml"), RunOptions(time_scale=time_scale)
+        async with open_bench(bench, time_scale=time_scale) as opened:
+            result = await Session(opened, script, folder / "r.h5", options).run()
             await asyncio.sleep(0.01)
             assert opened.at_rest()
             return result
@@ -73,3 +73,9 @@ def test_an_axis_that_turns_by_itself_is_a_fault_within_a_second(
     with h5py.File(result.recording) as file:
         assert file["events/text"][-1] == b"table at rest"
         assert at_s < file["events/t_ns"][-1] * 1e-9 < at_s + within_s
+
+
+@pytest.mark.parametrize("name", ["galil_xsens", "rtu_stim300", "two_triads"])
+def test_limits_that_wait_for_a_host_leave_devices_their_time_when_all_is_slow(tmp_path: Path, name: str) -> None:
+    bench = load_bench((BENCHES / name).with_suffix(".toml"))
+    assert run(tmp_path, bench, 4, time_scale=0.01).verdict.outcome is Outcome.FAIL  # of its sigmas: it is short
