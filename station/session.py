@@ -110,7 +110,7 @@ class Session:
         config, time_scale = bench.bench, options.time_scale
         self._model = options.model if options.model is not None and options.model.effects else None
         self._open, self._bench, self._script = bench, config, script
-        self._options, self._time_scale = options, time_scale
+        self._options, self._time_scale = options, max(time_scale, 1.0)  # below 1 devices are slow, too
         self._on_progress, self._on_event = on_progress, on_event
         self._phase = Phase.CONNECTING
         self._reason = ""
@@ -121,7 +121,7 @@ class Session:
         self._sequencer: Sequencer | None = None
         self._last_seen_s: dict[str, float] = {}
         self._reports: dict[str, SourceReport] = {}
-        self._reopening = Reopening(self._moving, partial(self._event, EventKind.LINK), time_scale)
+        self._reopening = Reopening(self._moving, partial(self._event, EventKind.LINK), self._time_scale)
         self._half_width_ns = 0
         self._connected = False
         self._sync: asyncio.Future[Any] | None = None
@@ -139,7 +139,7 @@ class Session:
         for source in self._live.sources.values():
             source.keep_blocks()
         self._ended_early = ""
-        self._monitor = Monitor(bench, self._live, self._reopening, time_scale)
+        self._monitor = Monitor(bench, self._live, self._reopening, self._time_scale)
         self._early_end: EarlyEnd | None = None
         if options.end_early:
             configs = {name: imu.config for imu in bench.imus for name in imu.source.names}
@@ -400,7 +400,7 @@ class Session:
         """
         loop = asyncio.get_running_loop()
         sync_due_s = loop.time()
-        every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S * self._time_scale
+        every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S * self._options.time_scale
         while True:
             await asyncio.sleep(every_s)
             self._monitor.mark()
@@ -408,7 +408,7 @@ class Session:
                 continue  # a write now would wait for the disk, and everything for that write
             self._writer.flush()
             if not is_virtual(loop) and loop.time() >= sync_due_s:
-                sync_due_s = loop.time() + _SYNC_S * self._time_scale
+                sync_due_s = loop.time() + _SYNC_S * self._options.time_scale
                 self._sync = loop.run_in_executor(None, os.fsync, self._writer.descriptor)
 
     async def _rest(self) -> None:

@@ -54,7 +54,7 @@ class Twins:
 
     def __init__(self, bench: Bench, stack: AsyncExitStack, time_scale: float) -> None:
         self.bench, self._stack = bench, stack
-        self.watchdog_s = bench.twin.watchdog_s * time_scale  # it waits for a host
+        self.watchdog_s = bench.twin.watchdog_s * max(time_scale, 1.0)  # it waits for a host
         loop = asyncio.get_running_loop()
         truths = bench.twin.truths.again()
         start = truths.quantities("start", "angle", len(bench.table.gimbals), 0.0)
