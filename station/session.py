@@ -48,6 +48,7 @@ _log = logging.getLogger(__name__)
 _FLUSH_S = 0.2  # what a killed station loses, at most, beyond what was on its way
 _FLUSH_SIMULATED_S = 2.0  # a simulated second lasts milliseconds
 _SYNC_S = 0.5
+_LATE_S = 0.03  # of the host, after which a computer may be why a run fails
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
 _STOP_LIMIT_S = 15.0
@@ -122,7 +123,7 @@ class Session:
         self._last_seen_s: dict[str, float] = {}
         self._reports: dict[str, SourceReport] = {}
         self._reopening = Reopening(self._moving, partial(self._event, EventKind.LINK), self._time_scale)
-        self._half_width_ns = 0
+        self._half_width_ns, self._late_s = 0, 0.0
         self._connected = False
         self._sync: asyncio.Future[Any] | None = None
         stated = config.table.uncertainty
@@ -402,7 +403,9 @@ class Session:
         sync_due_s = loop.time()
         every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S * self._options.time_scale
         while True:
+            due_s = loop.time() + every_s
             await asyncio.sleep(every_s)
+            self._late_s = max(self._late_s, (loop.time() - due_s) / self._options.time_scale)
             self._monitor.mark()
             if self._sync is not None and not self._sync.done():
                 continue  # a write now would wait for the disk, and everything for that write
@@ -453,7 +456,7 @@ class Session:
                 about = (self._writer.path, self._live, self._model, self._bench.excluded, dict(self._reports))
                 work = partial(final_estimate, *about)
                 calibration, agreement, self._reports = await asyncio.get_running_loop().run_in_executor(None, work)
-                verdict = judge(calibration, self._bench.limits)
+                verdict = judge(calibration, self._bench.limits, self._causes())
             except EstimatorError as error:
                 verdict = Verdict(Outcome.FAIL, str(error))
         try:
@@ -462,6 +465,12 @@ class Session:
             verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
         reports = tuple(self._reports.values())
         return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports)
+
+    def _causes(self) -> list[str]:
+        """Return what may have made a run fail beside its gyros: samples at other instants, a late computer."""
+        late = f"this computer did not keep up: the run waited for it for up to {self._late_s * 1e3:.0f} ms"
+        found = [report.mistimed for report in self._reports.values()]
+        return [cause for cause in (*found, late if self._late_s > _LATE_S else "") if cause]
 
     async def _close(self) -> None:
         """Close all links, and the recording."""

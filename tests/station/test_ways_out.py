@@ -14,6 +14,7 @@ from typing import Any
 
 import h5py
 import pytest
+from faults import BENCHES
 from test_run import bench_file, events
 
 import station
@@ -154,3 +155,14 @@ def test_the_command_says_what_was_seen_and_not_that_nothing_moved(
     assert "Traceback" not in said.err
     assert "before anything moved" not in said.err + said.out
     assert events(path)[-1] == "table at rest"
+
+
+def test_a_device_that_is_not_there_is_known_before_the_table_is_touched(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = ["--bench", BENCHES / "rtu_stim300.toml", "-o", tmp_path / "run.h5"]
+    assert main(["run", *map(str, files), "--link", "stim300=serial:///dev/none"]) == Outcome.FAULT.exit_code
+    assert "stim300: " in capsys.readouterr().out
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert "table_model" not in file.attrs
+        assert "text" not in file.get("events", {})
