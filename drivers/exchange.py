@@ -15,6 +15,7 @@ from typing import Protocol
 
 from drivers.errors import BadReply, LinkLost
 from drivers.seams import ByteLink
+from drivers.turn import Turn
 
 _LONGEST_ANSWER = 4096  # bytes; what is longer is no answer
 _ATTEMPTS = 2
@@ -109,7 +110,7 @@ class Exchange:
     def __init__(self, device: str, link: ByteLink, framing: Framing, timeout_s: float) -> None:
         """Each request is tried twice, ``timeout_s`` each time; getting back in step is part of that time."""
         self._device, self._link, self._framing, self._timeout_s = device, link, framing, timeout_s
-        self._turn = asyncio.Lock()
+        self._turn = Turn()
         self._in_doubt = True  # a serial line may hold answers to whoever asked before
         self._silence_s = float("-inf")  # when the controller was last found silent
         self.counts = ExchangeCounts()

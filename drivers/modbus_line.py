@@ -14,6 +14,7 @@ from pymodbus.transport import NULLMODEM_HOST
 from drivers.errors import BadReply, DeviceRefused, LinkLost
 from drivers.modbus_order import READ, WRITE_ONE, LineCounts, Pending, Request, RtuGate, TcpGate
 from drivers.packaged import packaged_codes
+from drivers.turn import Turn
 
 # pymodbus dumps its recent frames at ERROR for every time-out; the station says it in one line of its own.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
@@ -71,7 +72,7 @@ class ModbusLine:
         self._probes = probes
         self.counts = LineCounts()
         self._client: Any = None
-        self._lock = asyncio.Lock()
+        self._lock = Turn()
         self._rtu, self._tcp = RtuGate(self.counts), TcpGate(self.counts)
         self._unheard_until_s = 0.0
         self._pending: dict[int, Pending] = defaultdict(Pending)

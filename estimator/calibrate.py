@@ -20,6 +20,7 @@ from estimator.model import decode, regressor_maps
 from estimator.modelled import Modelled, aligned, check_model, effect_notes, estimate_device, is_external
 from estimator.noise import NoiseFound, NoiseModel
 from estimator.parity import GyroParity, parity
+from estimator.reading_doubts import reading_doubts
 from estimator.recording import ImuData, Recording
 from estimator.reference import RateReadings, TableReadings, Turns
 from estimator.rests import RestNoise, motion_notes, rest_noise
@@ -107,6 +108,8 @@ def calibrate(
     squares, dof = sum(one.squares for one in estimates), sum(one.dof for one in estimates)
     nis = squares / dof if dof and innovations else float("nan")
     doubts += _nis_doubts(nis, estimates)
+    if isinstance(recording.reference, TableReadings):
+        doubts += reading_doubts(recording.reference)
     order = [name for data in recording.sources.values() for name in data.array.names]
     return Calibration(
         tuple(sorted(gyros, key=lambda gyro: order.index(gyro.name))),

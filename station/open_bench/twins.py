@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import logging
 import math
 from collections.abc import Callable, Coroutine
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack
 from functools import partial
 from typing import Any
 
@@ -44,6 +45,7 @@ from station.errors import BenchError
 from station.open_bench.faults import read_faults, turn_knobs, turn_node_knobs
 from station.tables import Table
 
+_log = logging.getLogger(__name__)
 _wires = itertools.count(1)
 _STANDARD_GRAVITY_MPS2 = 9.80665
 
@@ -53,7 +55,7 @@ class Twins:
 
     def __init__(self, bench: Bench, stack: AsyncExitStack, time_scale: float) -> None:
         self.bench, self._stack = bench, stack
-        self.watchdog_s = bench.twin.watchdog_s * time_scale  # it waits for a host
+        self.watchdog_s = bench.twin.watchdog_s * max(time_scale, 1.0)  # it waits for a host
         loop = asyncio.get_running_loop()
         truths = bench.twin.truths.again()
         start = truths.quantities("start", "angle", len(bench.table.gimbals), 0.0)
@@ -205,8 +207,9 @@ class Twins:
 
         async def end() -> None:
             task.cancel()
-            with suppress(asyncio.CancelledError):
-                await task
+            await asyncio.wait({task})
+            if not task.cancelled() and (error := task.exception()) is not None:
+                _log.error("a twin has ended by itself: %r", error)
 
         self._stack.push_async_callback(end)
 

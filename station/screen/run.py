@@ -157,7 +157,7 @@ def _progress(run: LiveRun, width: int) -> list[Text]:
         return [Text(_STAGE_WORDS[run.stage]), Text(f"recording: {run.recording}", "dim")]
     share = f" {snapshot.share:4.0%}"
     head = Text.assemble(
-        (snapshot.phase, "bold"),
+        (snapshot.doing, "bold"),
         f"   {clock(snapshot.remaining_s)} left of {clock(snapshot.elapsed_s + snapshot.remaining_s)}",
     )
     if snapshot.paused:
