@@ -56,7 +56,7 @@ def rows_of(recording: Recording, data: ImuData) -> Iterator[Observations]:
     elif isinstance(reference, AttitudeReadings):
         yield from _means(data, rates_from_attitude(reference), MEAN_S)
     else:
-        yield _segments(data, reference)
+        yield turn_rows(data, reference)[0]
 
 
 def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
@@ -184,19 +184,22 @@ def _means(data: ImuData, reference: RateReadings, length_s: float) -> Iterator[
     yield Observations(w_mean[whole], y_mean[whole], None, t_mean[whole])
 
 
-def _segments(data: ImuData, turns: Turns) -> Observations:
-    """Return one row a segment: mean rate from the angle turned, mean output, weight from the doubt of both.
+def turn_rows(data: ImuData, turns: Turns) -> tuple[Observations, list[int]]:
+    """Return one row a turn: mean rate from its angle, mean output, weight from the doubt of both; and which have one.
 
-    The mean is over time, not over samples: foreign samples may be unevenly spaced.
+    The mean is over time, not over samples: foreign samples may be unevenly spaced. A weight of 1 is the noise of a
+    sample (``sample_noise``, that of the worst channel).
     """
     t_ns, rate = _in_order(data)
     white, quantum = float(sample_noise(data).max()), _quantum(rate)
-    w, y, weight = [], [], []
-    for start, end, turn, sd in zip(turns.t_start_ns, turns.t_end_ns, turns.turn_rad, turns.sd_rad, strict=True):
+    w, y, weight, which = [], [], [], list[int]()
+    limits = zip(turns.t_start_ns, turns.t_end_ns, turns.turn_rad, turns.sd_rad, strict=True)
+    for number, (start, end, turn, sd) in enumerate(limits):
         inside = (t_ns >= start) & (t_ns <= end)
         n = int(inside.sum())
         if n < 2:
             continue
+        which.append(number)
         t_s, part = (t_ns[inside] - start) * 1e-9, rate[inside]
         length_s = float(t_s[-1] - t_s[0])
         w.append(turn / length_s)
@@ -206,8 +209,8 @@ def _segments(data: ImuData, turns: Turns) -> Observations:
         # Noise of one sample relative to the noise of this mean.
         weight.append(white / np.sqrt(white**2 / n + (sd / length_s) ** 2 + float(stuck.max()) ** 2))
     if not w:
-        return Observations(np.empty((0, 3)), np.empty((0, len(data.array))), np.empty(0))
-    return Observations(np.array(w), np.array(y), np.array(weight))
+        return Observations(np.empty((0, 3)), np.empty((0, len(data.array))), np.empty(0)), which
+    return Observations(np.array(w), np.array(y), np.array(weight)), which
 
 
 def gram_of(recording: Recording, source: str, data: ImuData) -> Gram:

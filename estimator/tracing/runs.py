@@ -19,7 +19,7 @@ from estimator.kinematics import AXES, GRAVITY_MPS2, specific_force
 from estimator.model import Prior, regressor_maps
 from estimator.recording import ImuData, Recording
 from estimator.reference import AttitudeReadings, BodyRates, TableReadings, Turns
-from estimator.rows import table_rows
+from estimator.rows import sample_noise, table_rows, turn_rows
 from estimator.tracing.faults import Fault, held_samples, saturations, split_faulty, without_stuck
 from estimator.tracing.investigation import InvestigationError
 from estimator.turned import REST_RPS, Turned, by_turns
@@ -39,6 +39,8 @@ _GAP_S = 5.0  # a longer gap ends a stretch: what the noise did meanwhile is not
 _FEWEST_BLOCKS = 40
 _JUMP, _JUMP_C = 8.0, 0.5  # sigmas, degC
 _SMOOTH_S = 0.2  # accelerometers also feel vibration
+_FEWEST_TURNS = 12
+_TURN_STEPS = 125  # instants within a turn, or a rest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +52,9 @@ class Run:
     conditions at even instants, ``fold`` takes columns on that grid (N, c) to block means (b, c). ``stretch`` (b,)
     numbers stretches without a gap; blocks are evenly spaced within each. ``order`` is the number of the recording
     among all that are looked at, ``held`` for how many samples each value is held.
+
+    Of turns of which only the angle is known a block is a turn or a rest, from its beginning to its end; ``length_s``
+    is their mean distance, ``weight`` goes by their doubt, and ``stated_rps`` is the doubt at weight 1 (else 0).
     """
 
     name: str
@@ -67,6 +72,7 @@ class Run:
     period_s: float
     order: int
     held: int
+    stated_rps: float = 0.0
 
     @property
     def array(self) -> SensorArray:
@@ -123,11 +129,6 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
 
     Raises InvestigationError if there is nothing to trace in it.
     """
-    if isinstance(recording.reference, Turns):
-        raise InvestigationError(
-            f"{recording.name}: of turns only their angles are known, not what happens within them; effects are traced "
-            "against a table, a rate, an attitude, or rests"
-        )
     fine = isinstance(recording.reference, TableReadings)
     runs: list[Run] = []
     notes: list[str] = []
@@ -153,6 +154,11 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
             run = _run(recording, label, part, block_s, order, held)
             if run is not None:
                 runs.append(run)
+    if not runs and isinstance(recording.reference, Turns):
+        raise InvestigationError(
+            f"{recording.name}: {len(recording.reference.sd_rad)} turns and rests of known angle are too few to trace "
+            f"anything: at least {_FEWEST_TURNS} are needed, with turns of both signs, of several rates"
+        )
     if not runs:
         raise InvestigationError(
             f"{recording.name}: too little data: no source has {_FEWEST_BLOCKS * BLOCK_S:g} s of samples that the "
@@ -173,6 +179,8 @@ def _hold_delay_s(data: ImuData, held: int) -> float:
 
 
 def _run(recording: Recording, source: str, data: ImuData, block_s: float, order: int, held: int) -> Run | None:
+    if isinstance(recording.reference, Turns):
+        return _run_of_turns(recording, recording.reference, source, data, order)
     measured = (
         _by_turns(recording, data, block_s) if by_turns(recording.reference) else _by_samples(recording, data, block_s)
     )
@@ -212,6 +220,52 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         float(np.median(np.diff(data.t_ns))) * 1e-9,
         order,
         held,
+    )
+
+
+def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData, order: int) -> Run | None:
+    """Return turns and rests as blocks; how a body turned on the way to its stop the gyros themselves tell."""
+    rows, which = turn_rows(data, turns)
+    if len(which) < _FEWEST_TURNS:
+        return None
+    assert rows.weight is not None
+    limits_s = np.column_stack([turns.t_start_ns[which], turns.t_end_ns[which]]) * 1e-9
+    edges = np.linspace(*limits_s.T, _TURN_STEPS + 1, axis=1)
+    first, last = edges[:, :-1].ravel(), edges[:, 1:].ravel()
+    felt = Turned.of_rates(data.t_ns, data.rate_rps, np.inf).means(first, last) @ np.linalg.pinv(data.array.p).T
+    felt = np.nan_to_num(felt).reshape(len(which), _TURN_STEPS, 3)
+    turning = turns.turn_rad[which].any(axis=1)
+    w = (felt - felt.mean(axis=1, keepdims=True)) * turning[:, None, None] + rows.w_rps[:, None]
+    grid_s, t_s = 0.5 * (first + last), limits_s.mean(axis=1)
+    slope = np.gradient(w, axis=1) / np.diff(edges, axis=1)[:, :, None]
+    none = np.empty((len(grid_s), 0))
+    grid = Conditions(
+        grid_s,
+        w.reshape(-1, 3),
+        slope.reshape(-1, 3),
+        *(none, none, none),
+        (),
+        _force(recording, data, grid_s),
+        _temperature(data, grid_s),
+        recording.site,
+    )
+    return Run(
+        recording.name,
+        source,
+        data,
+        float(t_s[-1] - t_s[0]) / (len(t_s) - 1),
+        t_s,
+        rows.w_rps,
+        rows.y_rps - rows.w_rps @ data.array.p.T,
+        rows.weight / rows.weight.max(),
+        np.zeros(len(t_s), dtype=np.intp),
+        grid,
+        lambda columns: columns.reshape(len(t_s), len(columns) // len(t_s), -1).mean(axis=1),
+        recording,
+        float(np.median(np.diff(data.t_ns))) * 1e-9,
+        order,
+        1,
+        float(sample_noise(data).max() / rows.weight.max()),
     )
 
 
@@ -316,10 +370,7 @@ def _even(known: NDArray[np.int64], length_s: float) -> tuple[NDArray[np.int64],
 
 
 def _conditions(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floats, steps: int) -> Conditions:
-    temperature = None
-    if data.temperature_c is not None and np.isfinite(data.temperature_c).any():
-        known = np.isfinite(data.temperature_c)
-        temperature = _smooth_temperature(_seconds(data.t_ns[known]), data.temperature_c[known], grid_s)
+    temperature = _temperature(data, grid_s)
     reference = recording.reference
     if by_turns(reference):
         return _conditions_by_turns(recording, data, grid_s, w_rps, steps, temperature)
@@ -353,8 +404,12 @@ def _conditions_by_turns(
     return Conditions(grid_s, w, wdot, angle, rate, slope, gimbals, force, temperature_c, recording.site)
 
 
-def _seconds(t_ns: Stamps) -> Floats:
-    return np.asarray(t_ns * 1e-9, dtype=np.float64)
+def _temperature(data: ImuData, grid_s: Floats) -> Floats | None:
+    if data.temperature_c is None or not np.isfinite(data.temperature_c).any():
+        return None
+    known = np.isfinite(data.temperature_c)
+    t_s = np.asarray(data.t_ns[known] * 1e-9, dtype=np.float64)
+    return _smooth_temperature(t_s, data.temperature_c[known], grid_s)
 
 
 def _gimbals(reference: TableReadings, grid_s: Floats) -> tuple[Floats, Floats, Floats]:
