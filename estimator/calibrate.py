@@ -129,7 +129,7 @@ def _device(
     excluded: frozenset[str] | None,
 ) -> tuple[list[tuple[str, ImuData]], list[_Estimate], tuple[str, ...], tuple[str, ...]]:
     """Return the sources of one device as they were estimated, the estimates, notes, and doubts about the sigmas."""
-    if isinstance(recording.reference, Turns):
+    if isinstance(recording.reference, Turns) and model is None:
         return sources, [_white(recording, *pair) for pair in sources], (), ()
     try:
         delay_s = None
@@ -174,7 +174,7 @@ def _joint(recording: Recording, data: ImuData, found: Modelled) -> _Estimate:
         squares, dof = _block_squares(blocks, data, found.x, noise_rps)
         samples = int(blocks.rows.sum()) * m
     else:
-        blocks, length_s, full = None, row_length_s(recording, data), int((found.run.weight > 0).sum())
+        blocks, length_s, full = None, found.run.stated_rps and found.run.length_s or row_length_s(recording, data), int((found.run.weight > 0).sum())
         noise_rps = found.white / np.sqrt(length_s)
         squares = float(np.sum((found.left_rps / found.white) ** 2)) * found.run.length_s
         dof, samples = max((full - 4) * m, 0), round(full * found.run.length_s / length_s) * m

@@ -39,7 +39,8 @@ _GAP_S = 5.0  # a longer gap ends a stretch: what the noise did meanwhile is not
 _FEWEST_BLOCKS = 40
 _JUMP, _JUMP_C = 8.0, 0.5  # sigmas, degC
 _SMOOTH_S = 0.2  # accelerometers also feel vibration
-_FEWEST_TURNS = 12
+FEWEST_TURNS = 12
+"""Turns and rests of known angle below which nothing is traced."""
 _TURN_STEPS = 125  # instants within a turn, or a rest
 
 
@@ -157,7 +158,7 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
     if not runs and isinstance(recording.reference, Turns):
         raise InvestigationError(
             f"{recording.name}: {len(recording.reference.sd_rad)} turns and rests of known angle are too few to trace "
-            f"anything: at least {_FEWEST_TURNS} are needed, with turns of both signs, of several rates"
+            f"anything: at least {FEWEST_TURNS} are needed, with turns of both signs, of several rates"
         )
     if not runs:
         raise InvestigationError(
@@ -226,7 +227,7 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
 def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData, order: int) -> Run | None:
     """Return turns and rests as blocks; how a body turned on the way to its stop the gyros themselves tell."""
     rows, which = turn_rows(data, turns)
-    if len(which) < _FEWEST_TURNS:
+    if len(which) < FEWEST_TURNS:
         return None
     assert rows.weight is not None
     limits_s = np.column_stack([turns.t_start_ns[which], turns.t_end_ns[which]]) * 1e-9

@@ -65,7 +65,7 @@ def by_known_angles(
 ) -> tuple[Recording, Unit]:
     """Return turns about x, y, z against a stop, ``each`` of every angle and duration, in random order, rests between.
 
-    A hand does not turn evenly; at the stop it is right to ``stop_deg``. The temperature goes from one to the other.
+    A hand does not turn evenly; at the stop it is right to ``stop_deg``. The temperature goes from one to the other and back.
     With an ``accelerometer`` the axis of each turn is vertical, either end up.
     """
     random = np.random.default_rng([seed, 131])
@@ -93,7 +93,7 @@ def by_known_angles(
             at += n
     w, up = np.vstack(rows), np.vstack(ups)
     t_s = np.arange(len(w)) / RATE_HZ
-    warmth = np.interp(t_s, [0, t_s[-1]], temperature_c)
+    warmth = np.interp(t_s / t_s[-1], [0, 0.5, 1], [*temperature_c, temperature_c[0]])
     t_ns = np.round(t_s * 1e9).astype(np.int64)
     rate = unit.rate_rps(w, errors(up, t_s, w, warmth) if errors else 0.0, random)
     warm = None if temperature_c[0] == temperature_c[1] else warmth
