@@ -158,13 +158,13 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
     unused = np.concatenate([np.full(len(run.array), float((run.weight <= 0).sum())) for run in moved])
     left = [_left(*each) for each in zip(spectra, means, covariances, _best(shapes, weight), strict=True)]
     level = [own[1].sum() / max(own[2].sum() - none, 1.0) for own, none in zip(left, unused.tolist(), strict=True)]
-    stated = np.concatenate([np.full(len(r.array), r.stated_rps * np.sqrt(r.length_s)) for r in moved])
-    arw = np.maximum(white * np.sqrt(level), np.maximum(stated, _LEAST_ARW))
+    least = np.concatenate([np.full(len(r.array), r.stated_rps * np.sqrt(r.length_s)) for r in moved])
+    arw = np.maximum(white * np.sqrt(level), np.maximum(least, _LEAST_ARW))
     _flatten(spectra, _level(spectra, arw))
     weight = _weights(spectra, shapes, ordered)
     means, covariances = _posterior(spectra, shapes, ordered, weight)
     left = [_left(*each) for each in zip(spectra, means, covariances, _best(shapes, weight), strict=True)]
-    profiles = [_Profile.of(*own) for own in left] if not stated.any() else []  # a few rows tell no spectrum
+    profiles = [_Profile.of(*own) for own in left] if not least.any() else []  # a few rows tell no spectrum
     _flatten(spectra, profiles)
     weight = _weights(spectra, shapes, ordered)
     means, covariances = _posterior(spectra, shapes, ordered, weight)

@@ -21,7 +21,7 @@ from estimator.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
 from estimator.joint import Joint, Law, TooShort, expected_of, joint_estimate
 from estimator.noise import NoiseFound
 from estimator.recording import ImuData, Recording
-from estimator.reference import TableReadings, Turns
+from estimator.reference import Poses, TableReadings, Turns
 from estimator.tracing.candidates import WITHIN_TURNS
 from estimator.tracing.runs import FEWEST_TURNS, Run, run_of
 from estimator.tracing.spectra import Z
@@ -86,6 +86,8 @@ class Device:
 
 def check_model(model: ErrorModel, recording: Recording) -> None:
     """See that a recording can show the effects of a model at all; ModelError if not."""
+    if isinstance(recording.reference, Poses):
+        raise ModelError(f"{recording.name}: against gravity between rests there are no effects yet: leave out --model")
     if not isinstance(recording.reference, Turns):
         return
     within = [known.called for known in model.effects if known.called in WITHIN_TURNS]

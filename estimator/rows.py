@@ -48,6 +48,7 @@ def observations(recording: Recording, source: str) -> Iterator[Observations]:
 
 
 def rows_of(recording: Recording, data: ImuData) -> Iterator[Observations]:
+    """Yield the same; none between poses, where no rate is known (``poses``)."""
     reference = recording.reference
     if isinstance(reference, TableReadings):
         yield from table_rows(recording, data)
@@ -55,7 +56,7 @@ def rows_of(recording: Recording, data: ImuData) -> Iterator[Observations]:
         yield from _rate_rows(reference, data)
     elif isinstance(reference, AttitudeReadings):
         yield from _means(data, rates_from_attitude(reference), MEAN_S)
-    else:
+    elif isinstance(reference, Turns):
         yield turn_rows(data, reference)[0]
 
 
@@ -69,7 +70,7 @@ def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
 
 def _sampled(data: ImuData, first_ns: int, last_ns: int, at: Callable[[Stamps], Floats]) -> Iterator[Observations]:
     """Yield rows of the samples between two instants at which the body rate is a number."""
-    t_ns, rate = _in_order(data)
+    t_ns, rate = in_order(data)
     start, stop = np.searchsorted(t_ns, first_ns, side="left"), np.searchsorted(t_ns, last_ns, side="right")
     t_ns, rate = t_ns[start:stop], rate[start:stop]
     # Parts of whole blocks, so that a replay is cut as the live run was.
@@ -143,7 +144,7 @@ def row_length_s(recording: Recording, data: ImuData) -> float:
 def sample_noise(data: ImuData) -> Floats:
     """Return the white noise of one sample of each channel (m,), from differences of neighbours."""
     # Median of |N(0, 2 s^2)| is 0.954 s; the quantum is the floor for data rounded so that most do not differ.
-    rate = _in_order(data)[1]
+    rate = in_order(data)[1]
     quantum = _quantum(rate)
     floor = np.where(np.isfinite(quantum), quantum, 1e-9) / np.sqrt(12)
     return np.asarray(np.maximum(np.median(np.abs(np.diff(rate, axis=0)), axis=0) / 0.954, floor))
@@ -156,7 +157,7 @@ def _quantum(rate_rps: Floats) -> Floats:
     return np.array([float(column[column > 1e-9].min(initial=np.inf)) for column in steps.T])
 
 
-def _in_order(data: ImuData) -> tuple[Stamps, Floats]:
+def in_order(data: ImuData) -> tuple[Stamps, Floats]:
     t_ns, rate = data.t_ns, data.rate_rps
     finite = np.isfinite(rate).all(axis=1)
     if not finite.all():
@@ -169,7 +170,7 @@ def _in_order(data: ImuData) -> tuple[Stamps, Floats]:
 
 def _means(data: ImuData, reference: RateReadings, length_s: float) -> Iterator[Observations]:
     """Yield means of both sides over blocks: a reference that is too noisy to compare by sample."""
-    t_ns, rate = _in_order(data)
+    t_ns, rate = in_order(data)
     w = _between(reference, t_ns)
     rows = block_rows(data, length_s)
     inside = (t_ns >= reference.t_ns[0]) & (t_ns <= reference.t_ns[-1])
@@ -190,7 +191,7 @@ def turn_rows(data: ImuData, turns: Turns) -> tuple[Observations, list[int]]:
     The mean is over time, not over samples: foreign samples may be unevenly spaced. A weight of 1 is the noise of a
     sample (``sample_noise``, that of the worst channel).
     """
-    t_ns, rate = _in_order(data)
+    t_ns, rate = in_order(data)
     white, quantum = float(sample_noise(data).max()), _quantum(rate)
     w, y, weight, which = [], [], [], list[int]()
     limits = zip(turns.t_start_ns, turns.t_end_ns, turns.turn_rad, turns.sd_rad, strict=True)

@@ -18,7 +18,7 @@ from estimator.health import usable
 from estimator.kinematics import AXES, GRAVITY_MPS2, specific_force
 from estimator.model import Prior, regressor_maps
 from estimator.recording import ImuData, Recording
-from estimator.reference import AttitudeReadings, BodyRates, TableReadings, Turns
+from estimator.reference import AttitudeReadings, BodyRates, Poses, TableReadings, Turns
 from estimator.rows import sample_noise, table_rows, turn_rows
 from estimator.tracing.faults import Fault, held_samples, saturations, split_faulty, without_stuck
 from estimator.tracing.investigation import InvestigationError
@@ -98,7 +98,7 @@ class Run:
     def step_s(self) -> float:
         """Return the usual time between readings of the reference."""
         reference = self.recording.reference
-        return 0.0 if isinstance(reference, Turns) else float(np.median(np.diff(reference.t_ns))) * 1e-9
+        return 0.0 if isinstance(reference, (Turns, Poses)) else float(np.median(np.diff(reference.t_ns))) * 1e-9
 
     @property
     def turns(self) -> bool:
@@ -155,6 +155,11 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
             run = _run(recording, label, part, block_s, order, held)
             if run is not None:
                 runs.append(run)
+    if isinstance(recording.reference, Poses):
+        raise InvestigationError(
+            f"{recording.name}: gravity between rests tells what three gyros do together, for which nothing is traced; "
+            'station calibrate gives the states, and imported with kind = "rest" the rests can be traced'
+        )
     if not runs and isinstance(recording.reference, Turns):
         raise InvestigationError(
             f"{recording.name}: {len(recording.reference.sd_rad)} turns and rests of known angle are too few to trace "
@@ -230,14 +235,14 @@ def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData
     if len(which) < FEWEST_TURNS:
         return None
     assert rows.weight is not None
-    limits_s = np.column_stack([turns.t_start_ns[which], turns.t_end_ns[which]]) * 1e-9
-    edges = np.linspace(*limits_s.T, _TURN_STEPS + 1, axis=1)
+    start_s, end_s = turns.t_start_ns[which] * 1e-9, turns.t_end_ns[which] * 1e-9
+    edges = np.linspace(start_s, end_s, _TURN_STEPS + 1, axis=1)
     first, last = edges[:, :-1].ravel(), edges[:, 1:].ravel()
     felt = Turned.of_rates(data.t_ns, data.rate_rps, np.inf).means(first, last) @ np.linalg.pinv(data.array.p).T
     felt = np.nan_to_num(felt).reshape(len(which), _TURN_STEPS, 3)
-    turning = turns.turn_rad[which].any(axis=1)
+    turning = np.abs(turns.turn_rad[which]).max(axis=1) > 0
     w = (felt - felt.mean(axis=1, keepdims=True)) * turning[:, None, None] + rows.w_rps[:, None]
-    grid_s, t_s = 0.5 * (first + last), limits_s.mean(axis=1)
+    grid_s, t_s = 0.5 * (first + last), 0.5 * (start_s + end_s)
     slope = np.gradient(w, axis=1) / np.diff(edges, axis=1)[:, :, None]
     none = np.empty((len(grid_s), 0))
     grid = Conditions(
