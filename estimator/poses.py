@@ -18,13 +18,14 @@ from estimator.kinematics import GRAVITY_MPS2
 from estimator.model import Prior, regressor_maps
 from estimator.recording import ImuData
 from estimator.reference import Poses
-from estimator.rows import in_order, sample_noise
+from estimator.rows import in_order
 
 _GAP_STEPS = 3.5  # usual steps: in a longer gap nobody knows how the body turned
+_MEAN_S, _FEWEST = 0.5, 10  # neighbouring means at rest tell the noise; so many of them at the least
 _ITERATIONS = 8
 _SETTLED = 1e-3  # sigmas
 _FACTOR, _SKEW, _OFFSET_MPS2 = 0.03, 0.02, 0.5  # what accelerometers are off by, one sigma
-_LEAST = 1e-5  # to which the length of a specific force is known at best
+_LENGTH = 3e-4  # to which an accelerometer gives the length of gravity, as far as a few rests do not tell
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,11 +59,16 @@ def estimate(data: ImuData, poses: Poses, prior: Prior) -> Laid:
     array, m = data.array, len(data.array)
     if np.linalg.matrix_rank(array.p, tol=0.1) < 3:
         raise RecordingError("gravity between rests takes gyros about three axes: an attitude is what they sum up to")
-    turns, rests, rest_s = _cut(data, poses)
+    turns, still, rest_s = _cut(data, poses)
     if not turns:
         raise RecordingError("between no two rests are there samples throughout: log without gaps while it is turned")
-    noise = sample_noise(data)
-    arw = noise * np.sqrt(float(np.median(np.diff(data.t_ns))) * 1e-9)
+    rests = np.array([part.mean(axis=0) for part in still])
+    noise = np.sqrt(np.mean([part.var(axis=0) for part in still], axis=0))
+    period_s = float(np.median(np.diff(data.t_ns))) * 1e-9
+    width = max(round(_MEAN_S / period_s), 1)
+    steps = [np.diff(p[: len(p) // width * width].reshape(-1, width, m).mean(axis=1), axis=0) for p in still]
+    seen = np.vstack(steps) * np.sqrt(width / 2)
+    arw = np.sqrt(np.mean(seen**2, axis=0) if len(seen) > _FEWEST else noise**2) * np.sqrt(period_s)
     wander = np.zeros(m)
     if len(rests) > 1:  # what a bias does from rest to rest it does within a turn as well
         beyond = np.diff(rests, axis=0) ** 2 / 2 - arw**2 * 0.5 * (1 / rest_s[1:] + 1 / rest_s[:-1])[:, None]
@@ -105,7 +111,7 @@ def directions_up(force_mps2: Floats, *, from_rests: bool) -> tuple[Floats, floa
         matrix[np.tril_indices(3)] += x[:6] * expected[:6]
         return np.asarray(np.linalg.solve(matrix, (force_mps2 - x[6:] * expected[6:]).T).T)
 
-    x, doubt, covariance = np.zeros(9), 1e-3, np.eye(9)
+    x, doubt, covariance = np.zeros(9), _LENGTH, np.eye(9)
     for _ in range(4):
 
         def left(x: Floats, doubt: float = doubt) -> Floats:
@@ -114,7 +120,8 @@ def directions_up(force_mps2: Floats, *, from_rests: bool) -> tuple[Floats, floa
         found = least_squares(left, x)
         x, covariance = found.x, np.linalg.inv(found.jac.T @ found.jac)
         free = len(force_mps2) - (9 - float(np.trace(covariance)))  # what the rests told of the accelerometer is not
-        doubt = max(doubt * float(np.sqrt(np.sum(found.fun[:-9] ** 2) / max(free, 1.0))), _LEAST)
+        squares = doubt**2 * float(np.sum(found.fun[:-9] ** 2))
+        doubt = float(np.sqrt((_LENGTH**2 + squares) / (1 + free)))
     roots = np.linalg.cholesky(covariance).T
     up = _unit(corrected(x))
     return up, doubt, np.array([0.5 * (_unit(corrected(x + d)) - _unit(corrected(x - d))) for d in roots])
@@ -137,8 +144,8 @@ def _unit(vectors: Floats) -> Floats:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-def _cut(data: ImuData, poses: Poses) -> tuple[list[_Turn], Floats, Floats]:
-    """Return the turns between rests, and of the rests the mean outputs (k, m) and how long they are (k,) in s."""
+def _cut(data: ImuData, poses: Poses) -> tuple[list[_Turn], list[Floats], Floats]:
+    """Return the turns between rests, and of the rests the outputs (n, m) and how long they are (k,) in s."""
     t_ns, rate = in_order(data)
     first, last = np.searchsorted(t_ns, poses.t_start_ns), np.searchsorted(t_ns, poses.t_end_ns, side="right") - 1
     t_s = (t_ns - t_ns[0]) * 1e-9
@@ -147,8 +154,8 @@ def _cut(data: ImuData, poses: Poses) -> tuple[list[_Turn], Floats, Floats]:
         between = slice(end, start + 1)
         if start > end and np.diff(t_s[between]).max() < longest_s:
             turns.append(_Turn(number, t_s[between], rate[between]))
-    means = [rate[a : b + 1].mean(axis=0) for a, b in zip(first.tolist(), last.tolist(), strict=True)]
-    return turns, np.array(means), np.maximum(t_s[last] - t_s[first], longest_s)
+    still = [rate[a : b + 1] for a, b in zip(first.tolist(), last.tolist(), strict=True)]
+    return turns, still, np.maximum(t_s[last] - t_s[first], longest_s)
 
 
 def _linear(
