@@ -14,6 +14,8 @@ from estimator.array import SensorArray
 from estimator.blocks import BlockSums
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
+from estimator.effects.scale import scale_asymmetry, scale_cubic, scale_quadratic
+from estimator.effects.thermal import thermal_bias, thermal_scale
 from estimator.health import usable
 from estimator.kinematics import AXES, GRAVITY_MPS2, specific_force
 from estimator.model import Prior, regressor_maps
@@ -41,6 +43,7 @@ _JUMP, _JUMP_C = 8.0, 0.5  # sigmas, degC
 _SMOOTH_S = 0.2  # accelerometers also feel vibration
 FEWEST_TURNS = 12
 """Turns and rests of known angle below which nothing is traced."""
+_SENSED = 0.5  # of a turn: what it is off by shows in gyros about its axis
 _TURN_STEPS = 125  # instants within a turn, or a rest
 
 
@@ -255,7 +258,7 @@ def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData
         _temperature(data, grid_s),
         recording.site,
     )
-    return Run(
+    run = Run(
         recording.name,
         source,
         data,
@@ -273,6 +276,23 @@ def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData
         1,
         float(sample_noise(data).max() / rows.weight.max()),
     )
+    return replace(run, weight=run.weight / np.where(turning, _more_than_stated(run), 1.0))
+
+
+def _more_than_stated(run: Run) -> float:
+    """Return how many times as wrong as stated turns are, at least 1, by what no law of scale or temperature fits."""
+    effects = [scale_asymmetry(), scale_quadratic(), scale_cubic()]
+    effects += [thermal_scale(), thermal_bias()] if run.grid.temperature_c is not None else []
+    squares = freedom = 0.0
+    for i, states in enumerate(run.state_columns()):
+        columns = np.hstack([states, *(run.columns(effect, i) for effect in effects)]) * run.weight[:, None]
+        left, size, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-30), full_matrices=False)
+        left = left[:, size > 1e-6 * size[0]]
+        turning = np.abs(run.w_rps @ run.array.p[i]) > _SENSED * np.linalg.norm(run.w_rps, axis=1)
+        z = run.z_rps[:, i] * run.weight
+        squares += float(np.sum((z - left @ (left.T @ z))[turning] ** 2))
+        freedom += float(np.sum(1 - np.sum(left**2, axis=1)[turning]))
+    return max(float(np.sqrt(squares / max(freedom, 1.0))) / run.stated_rps, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
