@@ -13,8 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from estimator.array import sensor_array
+from estimator.kinematics import EARTH_RATE_RPS, Site
 from estimator.recording import ImuData, Recording
-from estimator.reference import Turns
+from estimator.reference import RateReadings, Turns
 
 RATE_HZ = 100.0
 ARW = np.radians(0.005)  # rad/s/rtHz
@@ -170,3 +171,30 @@ def from_pose_to_pose(
     accel = accel + 0.02 * random.standard_normal(accel.shape)
     rate = unit.rate_rps(w, errors(up, t_s, w, np.full(len(t_s), 25.0)) if errors else 0.0, random)
     return Laid(t_s, rate, accel, unit, tuple(limits))
+
+
+def fine_rests(
+    seed: int, per_g_dph: float, *, latitude_deg: float = 48.0, arw_dps: float = 0.003, site: bool = False
+) -> Recording:
+    """Return 24 rests of a minute of gyros that feel the Earth, in poses and headings that hands gave them.
+
+    Nobody notes the headings; with a ``site`` the latitude is known, and what points up is taken off.
+    """
+    random = np.random.default_rng([seed, 7])
+    latitude, rests, hz = np.radians(latitude_deg), 24, 10.0
+    attitudes = Rotation.random(rests, random_state=seed)
+    n = int(64 * hz)  # a minute at rest, four seconds in the hand
+    each = np.arange(rests * n)
+    still = each % n < 60 * hz
+    up = np.repeat(attitudes.inv().apply([0, 0, 1.0]), n, axis=0)
+    earth = attitudes.inv().apply(EARTH_RATE_RPS * np.array([np.cos(latitude), 0.0, np.sin(latitude)]))
+    matrix = np.radians(per_g_dph / 3600) * random.standard_normal((3, 3))
+    rate = np.repeat(earth, n, axis=0) + np.radians(0.1) * random.standard_normal(3) + up @ matrix.T
+    rate += np.radians(arw_dps) * np.sqrt(hz) * random.standard_normal(up.shape)
+    rate += np.where(still, 0.0, np.radians(30))[:, None] * np.sin(each[:, None] / hz * [3.0, 4.0, 5.0])
+    known = EARTH_RATE_RPS * np.sin(latitude) * up if site else np.zeros(up.shape)
+    t_ns = np.round(each * 1e9 / hz).astype(np.int64)
+    accel = G_MPS2 * up + 0.01 * random.standard_normal(up.shape)
+    data = ImuData(sensor_array(np.eye(3), names=NAMES), t_ns, rate, accel_mps2=accel)
+    reference = RateReadings(t_ns, np.where(still[:, None], known, np.nan))
+    return Recording({"imu": data}, reference, Site(latitude, 0.0) if site else None)

@@ -6,7 +6,7 @@ from functools import reduce
 
 import numpy as np
 import pytest
-from hand_turned import ARW, G_MPS2, RATE_HZ, Errors, Laid, by_known_angles, from_pose_to_pose
+from hand_turned import ARW, G_MPS2, RATE_HZ, Errors, Laid, by_known_angles, fine_rests, from_pose_to_pose
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -159,3 +159,12 @@ def test_one_axis_turned_tells_of_that_axis_only_and_says_so(tmp_path) -> None:
     assert sd[:, 0].max() > 5e-3
     states = np.array([gyro.states for gyro in calibration.gyros])
     assert np.all(np.abs(states - laid.unit.states()) < 4 * sd)
+
+
+@pytest.mark.parametrize("site", [False, True])
+def test_the_earth_at_rests_of_unknown_heading_is_no_drift_of_the_gyros(site: bool) -> None:
+    found = investigate([fine_rests(1, 0.0, site=site)])
+    named = {added.effect for added in found.added} | {name for names in found.rivals for name in names}
+    assert named <= {"earth_rate"}, found.reason
+    found = investigate([fine_rests(2, 60.0, site=site)])
+    assert "g_sensitivity" in [added.effect for added in found.added], found.reason
