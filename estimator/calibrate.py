@@ -20,8 +20,8 @@ from estimator.model import decode, regressor_maps
 from estimator.modelled import Modelled, aligned, check_model, effect_notes, estimate_device, is_external
 from estimator.noise import NoiseFound, NoiseModel
 from estimator.parity import GyroParity, parity
-from estimator.recording import ImuData, Recording
 from estimator.poses import estimate as estimate_poses
+from estimator.recording import ImuData, Recording
 from estimator.reference import Poses, RateReadings, TableReadings, Turns
 from estimator.rests import RestNoise, motion_notes, rest_noise
 from estimator.rows import BLOCK_S, gram_of, row_length_s, sample_noise, source_blocks
@@ -164,9 +164,7 @@ def _white(recording: Recording, source: str, data: ImuData) -> _Estimate:
     return _Estimate(found.x, lines, kinds, [()] * m, found.noise_rps, gram.rows * m)
 
 
-def _laid(
-    poses: Poses, sources: list[tuple[str, ImuData]]
-) -> tuple[list[_Estimate], tuple[str, ...], tuple[str, ...]]:
+def _laid(poses: Poses, sources: list[tuple[str, ImuData]]) -> tuple[list[_Estimate], tuple[str, ...], tuple[str, ...]]:
     """Return the estimates of sources of which gravity at rests is the reference, notes, and doubts."""
     estimates, notes, doubts = list[_Estimate](), list[str](), list[str]()
     for source, data in sources:
@@ -197,7 +195,8 @@ def _joint(recording: Recording, data: ImuData, found: Modelled) -> _Estimate:
         squares, dof = _block_squares(blocks, data, found.x, noise_rps)
         samples = int(blocks.rows.sum()) * m
     else:
-        blocks, length_s, full = None, found.run.stated_rps and found.run.length_s or row_length_s(recording, data), int((found.run.weight > 0).sum())
+        blocks, full = None, int((found.run.weight > 0).sum())
+        length_s = found.run.length_s if found.run.stated_rps else row_length_s(recording, data)
         noise_rps = found.white / np.sqrt(length_s)
         squares = float(np.sum((found.left_rps / found.white) ** 2)) * found.run.length_s
         dof, samples = max((full - 4) * m, 0), round(full * found.run.length_s / length_s) * m

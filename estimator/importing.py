@@ -17,8 +17,8 @@ from estimator.held import updates
 from estimator.mapping import FileFormat, Mapping, ReferenceFile, Timing
 from estimator.mapping_columns import UNITS
 from estimator.mapping_reference import AngleColumn, Gravity, MeasuredReference, Rests, SectionTurns
-from estimator.recording import ImuData, Recording
 from estimator.poses import accelerometer_note, directions_up
+from estimator.recording import ImuData, Recording
 from estimator.reference import Poses, Reference, Turns
 from estimator.rest_import import PartRests, earth_note, part_rests, rests_text
 from estimator.spans import Refused, Span, turn_spans

@@ -312,8 +312,8 @@ def _spectra(runs: Sequence[Run], columns: Sequence[Floats]) -> list[GyroSpectra
         parts = []
         for stretch in gyro.stretches:
             run = runs[stretch.run]
-            own = columns[stretch.run][run.array.names.index(gyro.name)]
-            parts.append((own * run.weight[:, None])[stretch.blocks])
+            i = run.array.names.index(gyro.name)
+            parts.append(run.weighed(columns[stretch.run][i], i)[stretch.blocks])
         gyro.add(parts)
     return spectra
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from estimator.effects.effect import Effect
 from estimator.effects.scale import scale_asymmetry, scale_cubic, scale_quadratic
 from estimator.effects.thermal import thermal_bias, thermal_scale
 from estimator.health import usable
-from estimator.kinematics import AXES, GRAVITY_MPS2, specific_force
+from estimator.kinematics import AXES, EARTH_RATE_RPS, GRAVITY_MPS2, specific_force
 from estimator.model import Prior, regressor_maps
 from estimator.recording import ImuData, Recording
 from estimator.reference import AttitudeReadings, BodyRates, Poses, TableReadings, Turns
@@ -43,6 +44,7 @@ _JUMP, _JUMP_C = 8.0, 0.5  # sigmas, degC
 _SMOOTH_S = 0.2  # accelerometers also feel vibration
 FEWEST_TURNS = 12
 """Turns and rests of known angle below which nothing is traced."""
+_TILTED = 0.02  # rad by which the direction up differs between poses
 _SENSED = 0.5  # of a turn: what it is off by shows in gyros about its axis
 _TURN_STEPS = 125  # instants within a turn, or a rest
 
@@ -59,6 +61,9 @@ class Run:
 
     Of turns of which only the angle is known a block is a turn or a rest, from its beginning to its end; ``length_s``
     is their mean distance, ``weight`` goes by their doubt, and ``stated_rps`` is the doubt at weight 1 (else 0).
+
+    ``pose`` (b,) numbers poses of a body at rest of which nobody knows the heading; ``earth_rps`` (b, m) is how much of
+    the horizontal part of Earth rate, one sigma, each gyro may have in them. None where that is known, or one constant.
     """
 
     name: str
@@ -77,6 +82,8 @@ class Run:
     order: int
     held: int
     stated_rps: float = 0.0
+    pose: NDArray[np.intp] | None = None
+    earth_rps: Floats | None = None
 
     @property
     def array(self) -> SensorArray:
@@ -91,6 +98,21 @@ class Run:
     def columns(self, effect: Effect, gyro: int) -> Floats:
         """Return the block means (b, parameters) of an effect's regressors for one gyro."""
         return self.fold(effect.columns(self.grid, self.array, gyro))
+
+    def weighed(self, columns: Floats, gyro: int) -> Floats:
+        """Return columns (b, c) as they count of a gyro; of what it may have of the Earth in a pose they are rid."""
+        out = columns * self.weight[:, None]
+        if self.pose is None or self.earth_rps is None:
+            return out
+        first = np.flatnonzero(np.diff(self.pose, prepend=-1))
+        sizes = np.diff([*first, len(out)])
+        count = np.maximum(np.add.reduceat(self.weight, first), 1.0)
+        steps = np.diff(self.z_rps[:, gyro])[(self.weight[1:] > 0) & (self.weight[:-1] > 0)]
+        noise = max(float(np.median(np.abs(steps))) / 0.954, 1e-12)
+        # A constant with an expectation, taken out of white noise: the root of the inverse of their covariance.
+        share = 1 - 1 / np.hypot(1.0, np.sqrt(count) * self.earth_rps[first, gyro] / noise)
+        mean = np.add.reduceat(out, first, axis=0) * (share / count)[:, None]
+        return np.asarray(out - np.repeat(mean, sizes, axis=0) * self.weight[:, None])
 
     def state_columns(self) -> Floats:
         """Return the regressors (m, b, 4) of the states of every gyro."""
@@ -213,7 +235,7 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
 
     grid = replace(_conditions(recording, data, grid_s, w, steps), delayed_rps=delayed_rps)
     stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1)
-    return Run(
+    run = Run(
         recording.name,
         source,
         data,
@@ -230,6 +252,32 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         order,
         held,
     )
+    return run if run.turns or grid.gimbals else replace(run, **_unknown_earth(run))
+
+
+def _unknown_earth(run: Run) -> dict[str, Any]:
+    """Return ``pose`` and ``earth_rps`` of a run at rest, where there are several poses and north is not stated."""
+    up, good, site = run.fold(run.grid.specific_force_mps2) / GRAVITY_MPS2, run.weight > 0, run.recording.site
+    size = EARTH_RATE_RPS * (np.cos(site.latitude_rad) if site else np.sqrt(0.5))
+    if not good.any() or not np.isfinite(up).all():
+        return {}
+    level = run.w_rps - np.sum(run.w_rps * up, axis=1, keepdims=True) * up
+    if site and np.median(np.linalg.norm(level[good], axis=1)) > 0.5 * size:
+        return {}
+    # A pose ends where the body was moved and points elsewhere then.
+    pose, ups, before = np.zeros(len(up), dtype=np.intp), np.zeros_like(up), -1
+    begins = good & (np.diff(np.where(good, run.stretch, -1), prepend=-1) != 0)
+    starts = np.flatnonzero(begins).tolist()
+    for start, stop in pairwise([*starts, len(up)]):
+        mean = up[start:stop][good[start:stop]].mean(axis=0)
+        new = before >= 0 and np.linalg.norm(mean - ups[before]) > _TILTED
+        pose[start:] += new
+        ups[start:] = mean if new or before < 0 else ups[before]
+        before = start
+    if not pose[-1]:
+        return {}
+    across = 1 - np.clip((ups @ run.array.p.T) ** 2, 0.0, 1.0)
+    return {"pose": pose, "earth_rps": size * np.sqrt(across / 2)}
 
 
 def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData, order: int) -> Run | None:

@@ -190,7 +190,7 @@ def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) ->
                 continue
             i = run.array.names.index(name)
             prior = run.prior.variances()
-            both = np.column_stack([run.state_columns()[i], run.z_rps[:, i]]) * run.weight[:, None]
+            both = run.weighed(np.column_stack([run.state_columns()[i], run.z_rps[:, i]]), i)
             for blocks in run.stretches():
                 if blocks.stop - blocks.start >= (_FEWEST_TURNS if run.stated_rps else _FEWEST):
                     stretches.append(Stretch.of(number, blocks, run.length_s, alone))

@@ -66,8 +66,8 @@ def by_known_angles(
 ) -> tuple[Recording, Unit]:
     """Return turns about x, y, z against a stop, ``each`` of every angle and duration, in random order, rests between.
 
-    A hand does not turn evenly; at the stop it is right to ``stop_deg``. The temperature goes from one to the other and back.
-    With an ``accelerometer`` the axis of each turn is vertical, either end up.
+    A hand does not turn evenly; at the stop it is right to ``stop_deg``. The temperature goes there and back. With an
+    ``accelerometer`` the axis of each turn is vertical, either end up.
     """
     random = np.random.default_rng([seed, 131])
     unit = Unit.of(random)
@@ -174,18 +174,18 @@ def from_pose_to_pose(
 
 
 def fine_rests(
-    seed: int, per_g_dph: float, *, latitude_deg: float = 48.0, arw_dps: float = 0.003, site: bool = False
+    seed: int, per_g_dph: float, *, latitude_deg: float = 48.0, arw_dps: float = 0.0005, site: bool = False
 ) -> Recording:
-    """Return 24 rests of a minute of gyros that feel the Earth, in poses and headings that hands gave them.
+    """Return 14 rests of half a minute of gyros that feel the Earth, in poses and headings that hands gave them.
 
     Nobody notes the headings; with a ``site`` the latitude is known, and what points up is taken off.
     """
     random = np.random.default_rng([seed, 7])
-    latitude, rests, hz = np.radians(latitude_deg), 24, 10.0
+    latitude, rests, hz = np.radians(latitude_deg), 14, 10.0
     attitudes = Rotation.random(rests, random_state=seed)
-    n = int(64 * hz)  # a minute at rest, four seconds in the hand
+    n = int(34 * hz)  # half a minute at rest, four seconds in the hand
     each = np.arange(rests * n)
-    still = each % n < 60 * hz
+    still = each % n < 30 * hz
     up = np.repeat(attitudes.inv().apply([0, 0, 1.0]), n, axis=0)
     earth = attitudes.inv().apply(EARTH_RATE_RPS * np.array([np.cos(latitude), 0.0, np.sin(latitude)]))
     matrix = np.radians(per_g_dph / 3600) * random.standard_normal((3, 3))
@@ -196,5 +196,6 @@ def fine_rests(
     t_ns = np.round(each * 1e9 / hz).astype(np.int64)
     accel = G_MPS2 * up + 0.01 * random.standard_normal(up.shape)
     data = ImuData(sensor_array(np.eye(3), names=NAMES), t_ns, rate, accel_mps2=accel)
-    reference = RateReadings(t_ns, np.where(still[:, None], known, np.nan))
+    sure = still & (each % n >= 0.5 * hz) & (each % n < 29.5 * hz)  # an import leaves out where a motion may begin
+    reference = RateReadings(t_ns, np.where(sure[:, None], known, np.nan))
     return Recording({"imu": data}, reference, Site(latitude, 0.0) if site else None)

@@ -54,9 +54,8 @@ def test_what_the_integral_over_a_turn_shows_is_traced(effect: str, errors: Erro
 
 
 def test_turns_of_a_gyro_that_lacks_nothing_end_with_nothing_to_add() -> None:
-    for seed in (2, 3):
-        found = investigate([by_known_angles(seed, temperature_c=(20.0, 45.0), accelerometer=True)[0]])
-        assert found.finding == Finding.NOTHING, found.reason
+    found = investigate([by_known_angles(2, each=2, temperature_c=(20.0, 45.0), accelerometer=True)[0]])
+    assert found.finding == Finding.NOTHING, found.reason
 
 
 def test_an_effect_that_turns_showed_is_judged_on_others_and_put_into_their_calibration() -> None:
@@ -137,7 +136,7 @@ def least_squares_of(laid: Laid) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", [11])
 def test_gravity_at_rests_calibrates_gyros_that_are_turned_by_hand_between_them(tmp_path, seed: int) -> None:
-    laid = from_pose_to_pose(seed, poses=20)
+    laid = from_pose_to_pose(seed, poses=12)
     recording = imported(tmp_path, laid)
     assert "accelerometer" in recording.attributes["imported"]
     calibration = calibrate(recording)
@@ -161,10 +160,9 @@ def test_one_axis_turned_tells_of_that_axis_only_and_says_so(tmp_path) -> None:
     assert np.all(np.abs(states - laid.unit.states()) < 4 * sd)
 
 
-@pytest.mark.parametrize("site", [False, True])
-def test_the_earth_at_rests_of_unknown_heading_is_no_drift_of_the_gyros(site: bool) -> None:
-    found = investigate([fine_rests(1, 0.0, site=site)])
+def test_the_earth_at_rests_of_unknown_heading_is_no_drift_of_the_gyros() -> None:
+    found = investigate([fine_rests(1, 0.0)])
     named = {added.effect for added in found.added} | {name for names in found.rivals for name in names}
     assert named <= {"earth_rate"}, found.reason
-    found = investigate([fine_rests(2, 60.0, site=site)])
-    assert "g_sensitivity" in [added.effect for added in found.added], found.reason
+    found = investigate([fine_rests(2, 60.0)])
+    assert [added.effect for added in found.added] == ["g_sensitivity"], found.reason
