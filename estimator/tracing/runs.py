@@ -269,7 +269,7 @@ def _unknown_earth(run: Run) -> dict[str, Any]:
     begins = good & (np.diff(np.where(good, run.stretch, -1), prepend=-1) != 0)
     starts = np.flatnonzero(begins).tolist()
     for start, stop in pairwise([*starts, len(up)]):
-        mean = up[start:stop][good[start:stop]].mean(axis=0)
+        mean = np.median(up[start:stop][good[start:stop]], axis=0)
         new = before >= 0 and np.linalg.norm(mean - ups[before]) > _TILTED
         pose[start:] += new
         ups[start:] = mean if new or before < 0 else ups[before]
