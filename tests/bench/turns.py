@@ -62,7 +62,7 @@ def by_gravity(first: int, sessions: int) -> None:
             laid = from_pose_to_pose(seed, poses=poses)
             t_ns = np.round(laid.t_s * 1e9).astype(np.int64)
             data = ImuData(sensor_array(np.eye(3), names=NAMES), t_ns, laid.rate_rps, accel_mps2=laid.accel_mps2)
-            limits = np.array(laid.limits_s) + [0.3, -0.3]
+            limits = np.add(laid.limits_s, (0.3, -0.3))
             rows = np.round(limits * RATE_HZ).astype(int)
             up, sd, shifts = directions_up(
                 np.array([laid.accel_mps2[a : b + 1].mean(axis=0) for a, b in rows]), from_rests=True
@@ -74,8 +74,8 @@ def by_gravity(first: int, sessions: int) -> None:
                 inside.append(np.abs(states - true) < 1.96 * sds[-1])
         k, b, tilt, other = np.mean(sds, axis=0)
         print(
-            f"{poses} poses: within 95 % {np.mean(inside):.0%}; k {1e6 * k:.0f} ppm, b {np.degrees(b) * 3600:.1f} deg/h, "
-            f"tilts {np.degrees(tilt):.4f} and {np.degrees(other):.4f} deg"
+            f"{poses} poses: within 95 % {np.mean(inside):.0%}; k {1e6 * k:.0f} ppm, "
+            f"b {np.degrees(b) * 3600:.1f} deg/h, tilts {np.degrees(tilt):.4f} and {np.degrees(other):.4f} deg"
         )
 
 

@@ -176,16 +176,16 @@ def from_pose_to_pose(
 def fine_rests(
     seed: int, per_g_dph: float, *, latitude_deg: float = 48.0, arw_dps: float = 0.0005, site: bool = False
 ) -> Recording:
-    """Return 14 rests of half a minute of gyros that feel the Earth, in poses and headings that hands gave them.
+    """Return 12 rests of 20 s of gyros that feel the Earth, in poses and headings that hands gave them.
 
     Nobody notes the headings; with a ``site`` the latitude is known, and what points up is taken off.
     """
     random = np.random.default_rng([seed, 7])
-    latitude, rests, hz = np.radians(latitude_deg), 14, 10.0
+    latitude, rests, hz = np.radians(latitude_deg), 12, 10.0
     attitudes = Rotation.random(rests, random_state=seed)
-    n = int(34 * hz)  # half a minute at rest, four seconds in the hand
+    n = int(24 * hz)  # so long at rest, four seconds in the hand
     each = np.arange(rests * n)
-    still = each % n < 30 * hz
+    still = each % n < 20 * hz
     up = np.repeat(attitudes.inv().apply([0, 0, 1.0]), n, axis=0)
     earth = attitudes.inv().apply(EARTH_RATE_RPS * np.array([np.cos(latitude), 0.0, np.sin(latitude)]))
     matrix = np.radians(per_g_dph / 3600) * random.standard_normal((3, 3))
@@ -196,6 +196,6 @@ def fine_rests(
     t_ns = np.round(each * 1e9 / hz).astype(np.int64)
     accel = G_MPS2 * up + 0.01 * random.standard_normal(up.shape)
     data = ImuData(sensor_array(np.eye(3), names=NAMES), t_ns, rate, accel_mps2=accel)
-    sure = still & (each % n >= 0.5 * hz) & (each % n < 29.5 * hz)  # an import leaves out where a motion may begin
+    sure = still & (each % n >= 0.5 * hz) & (each % n < 19.5 * hz)  # an import leaves out where a motion may begin
     reference = RateReadings(t_ns, np.where(sure[:, None], known, np.nan))
     return Recording({"imu": data}, reference, Site(latitude, 0.0) if site else None)
