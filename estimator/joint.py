@@ -158,12 +158,13 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
     unused = np.concatenate([np.full(len(run.array), float((run.weight <= 0).sum())) for run in moved])
     left = [_left(*each) for each in zip(spectra, means, covariances, _best(shapes, weight), strict=True)]
     level = [own[1].sum() / max(own[2].sum() - none, 1.0) for own, none in zip(left, unused.tolist(), strict=True)]
-    arw = np.maximum(white * np.sqrt(level), _LEAST_ARW)
+    least = np.concatenate([np.full(len(r.array), r.stated_rps * np.sqrt(r.length_s)) for r in moved])
+    arw = np.maximum(white * np.sqrt(level), np.maximum(least, _LEAST_ARW))
     _flatten(spectra, _level(spectra, arw))
     weight = _weights(spectra, shapes, ordered)
     means, covariances = _posterior(spectra, shapes, ordered, weight)
     left = [_left(*each) for each in zip(spectra, means, covariances, _best(shapes, weight), strict=True)]
-    profiles = [_Profile.of(*own) for own in left]
+    profiles = [_Profile.of(*own) for own in left] if not least.any() else []  # a few rows tell no spectrum
     _flatten(spectra, profiles)
     weight = _weights(spectra, shapes, ordered)
     means, covariances = _posterior(spectra, shapes, ordered, weight)
@@ -281,7 +282,7 @@ def _steadied(run: Run, columns: Floats) -> Run:
     While an axis accelerates, what the table reports is off by its timing and by what lies between two readings.
     """
     good = np.flatnonzero(run.weight > 0)
-    if len(good) < _ROWS_A_COLUMN * (4 + columns.shape[2]):
+    if run.stated_rps or len(good) < _ROWS_A_COLUMN * (4 + columns.shape[2]):
         return run
     size = float(np.abs(run.w_rps[good]).max(initial=0.0))
     change = np.abs(np.diff(run.w_rps, axis=0, prepend=run.w_rps[:1])).max(axis=1)
@@ -311,8 +312,8 @@ def _spectra(runs: Sequence[Run], columns: Sequence[Floats]) -> list[GyroSpectra
         parts = []
         for stretch in gyro.stretches:
             run = runs[stretch.run]
-            own = columns[stretch.run][run.array.names.index(gyro.name)]
-            parts.append((own * run.weight[:, None])[stretch.blocks])
+            i = run.array.names.index(gyro.name)
+            parts.append(run.weighed(columns[stretch.run][i], i)[stretch.blocks])
         gyro.add(parts)
     return spectra
 

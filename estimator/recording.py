@@ -26,7 +26,15 @@ from estimator.kinematics import Site, check_gimbals
 from estimator.model import Prior
 from estimator.noise import NoiseModel
 from estimator.prober import probe
-from estimator.reference import AttitudeReadings, RateReadings, Reference, TableReadings, TableUncertainty, Turns
+from estimator.reference import (
+    AttitudeReadings,
+    Poses,
+    RateReadings,
+    Reference,
+    TableReadings,
+    TableUncertainty,
+    Turns,
+)
 
 FORMAT = "turntable-recording"
 FORMAT_VERSION = 1
@@ -403,6 +411,10 @@ def _read_reference(path: Path, file: Any) -> Reference:
         sd = _column(where, group, "sd_rad", 1, np.float64) if "sd_rad" in group else np.zeros(len(turn))
         start = _column(where, group, "t_start_ns", 1, np.int64)
         return Turns(start, _column(where, group, "t_end_ns", 1, np.int64), turn, sd)
+    if "up" in group:
+        limits = [_column(where, group, name, 1, np.int64) for name in ("t_start_ns", "t_end_ns")]
+        up, sd = _column(where, group, "up", 2, np.float64), _column(where, group, "sd_rad", 1, np.float64)
+        return Poses(limits[0], limits[1], up, sd, _column(where, group, "shifts", 3, np.float64))
     t_ns = _column(where, group, "t_ns", 1, np.int64)
     if "rate_rps" in group:
         return RateReadings(t_ns, _column(where, group, "rate_rps", 2, np.float64))

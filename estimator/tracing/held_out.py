@@ -135,7 +135,8 @@ def _spectra(runs: Sequence[Run], model: Augmented) -> tuple[list[GyroSpectra], 
         whole: dict[int, Floats] = {}
         for number in {stretch.run for stretch in gyro.stretches}:
             run = runs[number]
-            whole[number] = model.columns(run, number, run.array.names.index(gyro.name)) * run.weight[:, None]
+            own = run.array.names.index(gyro.name)
+            whole[number] = run.weighed(model.columns(run, number, own), own)
         tones = [whole[s.run][s.blocks, start - 1 :] @ model.mean[g, start - 1 :] for s in gyro.stretches]
         gyro.subtract(tones)
         if terms:

@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.effects.constructed import NAME, depends_on, in_words
-from estimator.kinematics import EARTH_RATE_RPS
+from estimator.effects.constructed import NAME, in_words
 from estimator.model import decode
 from estimator.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
-from estimator.tracing.candidates import Candidate, candidates_of
+from estimator.tracing.candidates import candidates_of
 from estimator.tracing.composing import laws_of
 from estimator.tracing.evidence import Evidence, Posterior, Term
 from estimator.tracing.faults import Fault
@@ -46,7 +45,6 @@ _CONFIRMED = 2.0
 _VISIBLE = 3.0
 _SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
-_NEAR_EARTH = 1.3
 _UNLIKE_NOISE = 0.1  # share of the residual's power beyond the noise: less is 5 % of a sigma
 _MATTERS = 1e-2  # share of the probability below which what may act is not averaged over
 _OF_THETA = {"warm_up": "time constant", "bias_step": "instant", "dead_band": "width"}
@@ -151,19 +149,13 @@ def _trace(
     traced, left_out = _prepared(runs)
     found = traced.search.run(most, tell)
     if _lawful(runs):
-        found = traced.search.composed(found, _laws(runs), most)
+        found = traced.search.composed(found, laws_of(runs), most)
     return replace(traced, found=found), left_out
 
 
 def _lawful(runs: Sequence[Run]) -> bool:
     """Return whether laws may be composed: what turns beside another instrument shows the laws of that one, too."""
     return not any(by_turns(run.recording.reference) and run.turns for run in runs)
-
-
-def _laws(runs: Sequence[Run]) -> list[Candidate]:
-    """Return the laws to try; in rests, horizontal Earth rate of headings that nobody knows has laws of its own."""
-    known = not _at_rest(runs) or any(run.recording.site is not None for run in runs)
-    return [law for law in laws_of(runs) if known or "gravity" not in depends_on(law.law)]
 
 
 def _prepared(runs: Sequence[Run], only: Sequence[str] | None = None) -> tuple[Traced, dict[str, str]]:
@@ -379,25 +371,11 @@ def _with_copies(traced: Traced, choice: Choice) -> Choice:
     if choice.tone is not None:
         return choice
     copies = traced.search.copies(choice, traced.found.terms)
-    if choice.candidate.called == "g_sensitivity" and _like_earth_rate(traced, choice):
-        copies = ["earth_rate", *copies]
     if not copies:
         return choice
     rivals = tuple(dict.fromkeys((choice.candidate.called, *copies)))
     share = min(choice.probability, 1 / len(rivals))
     return replace(choice, probability=share, share=share, rivals=rivals)
-
-
-def _like_earth_rate(traced: Traced, choice: Choice) -> bool:
-    """Return whether what depends on pose is no larger than Earth rate, which nothing has taken off.
-
-    With headings that nobody knows, rests have any horizontal part of it.
-    """
-    if any(run.recording.site is not None for run in traced.runs):
-        return False
-    model = _model(traced, [choice], traced.search.evidence.noise_weight([choice.term]))
-    sizes = model.mean[:, model.slice_of(0)] * choice.candidate.largest
-    return float(np.linalg.norm(sizes, axis=1).max()) < _NEAR_EARTH * EARTH_RATE_RPS
 
 
 def _model(traced: Traced, choices: Sequence[Choice], weight: Floats) -> Augmented:

@@ -63,14 +63,15 @@ class Scan:
 
     def _turn(self, candidate: Candidate, gyro: GyroSpectra) -> Floats:
         alike = candidate.called in OF_TIME or (candidate.law and not of_each_gyro(candidate.law))
+        alike = alike and all(run.earth_rps is None for run in self._runs)
         source = str([s.run for s in gyro.stretches])
         key = candidate.name, float(candidate.theta or 0.0), source if alike else gyro.name
         if key not in self._kept:
             parts = []
             for stretch in gyro.stretches:
                 run = self._runs[stretch.run]
-                columns = candidate.columns(run, run.array.names.index(gyro.name))
-                parts.append(cosines((columns * run.weight[:, None])[stretch.blocks]))
+                own = run.array.names.index(gyro.name)
+                parts.append(cosines(run.weighed(candidate.columns(run, own), own)[stretch.blocks]))
             self._kept[key] = np.vstack(parts)
         return self._kept[key]
 

@@ -390,7 +390,8 @@ class Search:
             for stretch in gyro.stretches:
                 run = self._runs[stretch.run]
                 waves = tone_columns(tone.frequency_hz, run, self._samples[stretch.run])
-                parts.append((waves @ fit.at(gyro.name, stretch.run) * run.weight)[stretch.blocks])
+                heard = (waves @ fit.at(gyro.name, stretch.run))[:, None]
+                parts.append(run.weighed(heard, run.array.names.index(gyro.name))[stretch.blocks, 0])
             gyro.subtract(parts)
         self._samples = without_tone(fit, self._samples)
         self.evidence.refresh()
@@ -603,7 +604,7 @@ class Search:
                 run = self._runs[stretch.run]
                 gyro = run.array.names.index(spectra.name)
                 columns = [candidate.columns(run, gyro) for candidate in candidates]
-                whole[stretch.run] = np.hstack(columns) * run.weight[:, None]
+                whole[stretch.run] = run.weighed(np.hstack(columns), gyro)
             parts.append(whole[stretch.run][stretch.blocks])
         return parts
 

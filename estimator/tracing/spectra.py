@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 
 _BANDS_A_DECADE = 8
 _UNLIKE = 5.0  # over the root of how many frequencies tell it: by so much levels of noise differ that are not the same
+_FEWEST, _FEWEST_TURNS = 10, 2  # blocks of a stretch; of turns each is a row of its own
 _SINGLE = 12  # so many of the lowest frequencies of a stretch have a band of their own
 
 
@@ -189,15 +190,17 @@ def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) ->
                 continue
             i = run.array.names.index(name)
             prior = run.prior.variances()
-            both = np.column_stack([run.state_columns()[i], run.z_rps[:, i]]) * run.weight[:, None]
+            both = run.weighed(np.column_stack([run.state_columns()[i], run.z_rps[:, i]]), i)
             for blocks in run.stretches():
-                if blocks.stop - blocks.start >= 10:
+                if blocks.stop - blocks.start >= (_FEWEST_TURNS if run.stated_rps else _FEWEST):
                     stretches.append(Stretch.of(number, blocks, run.length_s, alone))
                     parts.append(both[blocks])
         if prior is None or not stretches:
             continue
-        white = arw[name] if arw is not None else _white(parts, stretches)
+        stated = [runs[s.run].stated_rps * np.sqrt(s.length_s) for s in stretches]
+        white = arw[name] if arw is not None else max(_white(parts, stretches), min(stated))
         stretches = _levelled(parts, stretches, white)
+        stretches = [replace(s, level=max(s.level, (d / white) ** 2)) for s, d in zip(stretches, stated, strict=True)]
         gyro = GyroSpectra(name, prior, white, stretches, [np.empty((len(p), 0)) for p in parts])
         gyro.add(parts)
         found.append(gyro)
@@ -221,4 +224,5 @@ def _white(parts: Sequence[Floats], stretches: Sequence[Stretch]) -> float:
         [np.sqrt(s.length_s) * cosines(part)[len(part) // 2 :] for part, s in zip(parts, stretches, strict=True)]
     )
     rest = rows[:, Z] - rows[:, :Z] @ np.linalg.lstsq(rows[:, :Z], rows[:, Z], rcond=1e-10)[0]
-    return float(max(np.median(np.abs(rest)) / 0.6745, 1e-9))
+    free = 1 - rows.shape[1] / max(len(rows), 2 * rows.shape[1])  # what the states take of a few rows
+    return float(max(np.median(np.abs(rest)) / 0.6745 / np.sqrt(free), 1e-9))

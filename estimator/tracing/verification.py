@@ -70,6 +70,9 @@ class _Sums:
 def phases_of(run: Run) -> list[Phase]:
     """Return the phases of a run in order."""
     grid = run.grid
+    if run.stated_rps:  # each turn is one
+        kinds = np.where(np.abs(run.w_rps).max(axis=1) > 0, "steady", "rest").tolist()
+        return [Phase(slice(n, n + 1), kind) for n, kind in enumerate(kinds)]
     if grid.gimbals:
         steep = np.abs(run.fold(np.abs(grid.acceleration_rps2))).max(axis=1)
         top = np.abs(run.fold(np.abs(grid.rate_rps))).max(axis=1)
