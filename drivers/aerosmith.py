@@ -12,8 +12,9 @@ import asyncio
 import math
 import re
 
-from drivers.errors import BadReply, DeviceFault, DeviceRefused
+from drivers.errors import DeviceFault, DeviceRefused
 from drivers.exchange import Answer, Framed, Token
+from drivers.halting import first_look
 from drivers.line_table import LineTable
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
 from drivers.unwrap import Unwrapper
@@ -29,7 +30,6 @@ _AT_REST_DPS = 0.02
 _ON_TARGET_DEG = 0.02
 _JOG_REACHED_DPS = 0.1
 _BEGUN_S = 0.3  # a motion that is to come has begun by then
-_STOP_LIMIT_S = 10.0
 _SETTLE_SHARE = 0.15  # of a time-out, in which nothing may follow the answer to a token
 
 
@@ -84,10 +84,13 @@ class AerosmithTable(LineTable):
         self._servo_on = False
         self._started_s = -math.inf
 
-    async def open(self) -> None:
+    async def open(self, *, take_over: bool = False) -> None:
         """Open the link and ask for the status; LinkLost if the table does not answer."""
         await self._exchange.open()
         self._unwrapper.restart()
+        self._servo_on = True  # for all that is known
+        await first_look(self._device, self, take_over)
+        self._servo_on = False
 
     async def identify(self) -> Identity:
         """Return what is known without asking: no public program asks the table what it is."""
@@ -162,20 +165,15 @@ class AerosmithTable(LineTable):
         text = f"servo {'on' if self._servo_on else 'off'}, STA {word} (experimental driver: its bits are not known)"
         return AxisStatus(self._servo_on and not faulty, reached, fault, text)
 
-    async def stop(self) -> None:
-        """Stop (STO) and wait for rest."""
+    async def stop(self) -> str:
+        """Stop (STO) and wait for rest, over a new connection if need be."""
         self._target_deg, self._jog_dps = None, None
-        await self._start("STO")
-        await self._wait_for_rest()
+        return await self._rest(lambda axis: ("STO",), self.read)
 
     async def abort(self) -> None:
-        """Switch the servo off; a table that does not know SRV is stopped instead. Waits for rest."""
+        """Switch the servo off; a table that does not know SRV is stopped by STO all the same. Waits for rest."""
         self._target_deg, self._jog_dps, self._servo_on = None, None, False
-        try:
-            await self._tell("SRV0")
-        except (BadReply, DeviceRefused):
-            await self._start("STO")
-        await self._wait_for_rest()
+        await self._rest(lambda axis: ("STO", "SRV0"), self.read)
 
     async def reset_fault(self) -> None:
         """Switch the servo off and on, which is all there is; DeviceFault if the table still says fault."""
@@ -193,13 +191,6 @@ class AerosmithTable(LineTable):
         """Switch the servo off."""
         await self._tell("SRV0")
         self._servo_on = False
-
-    async def _wait_for_rest(self) -> None:
-        deadline = asyncio.get_running_loop().time() + _STOP_LIMIT_S
-        while abs(math.degrees((await self.read(self._axis)).rate_rps)) > _AT_REST_DPS:
-            if asyncio.get_running_loop().time() > deadline:
-                raise DeviceRefused(self._device, f"axis {self._axis} keeps turning after its stop: cut its power")
-            await asyncio.sleep(_POLL_S)
 
     def _whole_rate(self, rate_rps: float) -> int:
         rate = math.degrees(rate_rps)

@@ -9,12 +9,13 @@ before the answer to the token is old: it is discarded and counted.
 
 import asyncio
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.errors import BadReply, LinkLost
-from drivers.seams import ByteLink
+from drivers.seams import ByteChunk, ByteLink
 
 _LONGEST_ANSWER = 4096  # bytes; what is longer is no answer
 _ATTEMPTS = 2
@@ -112,13 +113,29 @@ class Exchange:
         self._turn = asyncio.Lock()
         self._in_doubt = True  # a serial line may hold answers to whoever asked before
         self._silence_s = float("-inf")  # when the controller was last found silent
+        self._failed = False
+        self._heard = b""  # last
         self.counts = ExchangeCounts()
 
     async def open(self) -> None:
         """Open the link and get in step; LinkLost if the controller does not answer."""
         await self._link.open()
-        self._in_doubt = True
+        self._in_doubt, self._failed = True, False
         await self.get_in_step()
+
+    async def tell_all(self, lines: Iterable[str]) -> None:
+        """Send lines at once, asking nothing first: for stopping. LinkLost if the link cannot be opened.
+
+        If the last request was not answered, that is on a new connection. An empty line goes before them, which ends
+        one that was cut on its way.
+        """
+        if self._failed:
+            self.close()
+            await self._link.open()
+            self._failed = False
+        async with self._turn:
+            with self._noted():
+                self._write(b"".join(map(self._framing.request, ("", *lines))))
 
     def close(self) -> None:
         """Close the link."""
@@ -132,27 +149,31 @@ class Exchange:
         """
         arrived = asyncio.get_running_loop().time()
         async with self._turn:
-            began = self._began(arrived)
-            attempt, malformed, sent = 1, 0, False
-            while attempt <= _ATTEMPTS:
-                try:
-                    async with asyncio.timeout_at(began + attempt * self._timeout_s):
-                        await self._be_in_step()
-                        if sent and not repeat:
-                            raise Unanswered(self._device, f"it is not known whether {line!r} was carried out")
-                        repeated, sent = sent, True
-                        return await self._once(line, pattern, repeated)
-                except TimeoutError:
-                    self.counts.timeouts += 1
-                    attempt += 1
-                except _MalformedError as error:
-                    self.counts.malformed += 1
-                    malformed += 1
-                    if malformed == _MALFORMED_AT_MOST or not repeat:
-                        raise UnexpectedReply(
-                            self._device, f"answers {error.text[:60]!r} to {line!r}", error.text
-                        ) from None
-            raise self._silent(f"to {line!r}")
+            with self._noted():
+                return await self._ask(line, pattern, repeat, arrived)
+
+    async def _ask(self, line: str, pattern: re.Pattern[str], repeat: bool, arrived: float) -> Answer:
+        began = self._began(arrived)
+        attempt, malformed, sent = 1, 0, False
+        while attempt <= _ATTEMPTS:
+            try:
+                async with asyncio.timeout_at(began + attempt * self._timeout_s):
+                    await self._be_in_step()
+                    if sent and not repeat:
+                        raise Unanswered(self._device, f"it is not known whether {line!r} was carried out")
+                    repeated, sent = sent, True
+                    return await self._once(line, pattern, repeated)
+            except TimeoutError:
+                self.counts.timeouts += 1
+                attempt += 1
+            except _MalformedError as error:
+                self.counts.malformed += 1
+                malformed += 1
+                if malformed == _MALFORMED_AT_MOST or not repeat:
+                    raise UnexpectedReply(
+                        self._device, f"answers {error.text[:60]!r} to {line!r}", error.text
+                    ) from None
+        raise self._silent(f"to {line!r}")
 
     async def tell(self, line: str) -> None:
         """Send a request without waiting for an answer; the stream is in doubt thereafter."""
@@ -163,16 +184,28 @@ class Exchange:
         """Send a token and return what came before its answer; LinkLost if none comes."""
         arrived = asyncio.get_running_loop().time()
         async with self._turn:
-            began = self._began(arrived)
-            before = b""
-            for attempt in range(1, _ATTEMPTS + 1):
-                try:
-                    async with asyncio.timeout_at(began + attempt * self._timeout_s):
-                        before += await self._resync()
-                        return before
-                except TimeoutError:
-                    self.counts.timeouts += 1
-            raise self._silent("")
+            with self._noted():
+                began = self._began(arrived)
+                before = b""
+                for attempt in range(1, _ATTEMPTS + 1):
+                    try:
+                        async with asyncio.timeout_at(began + attempt * self._timeout_s):
+                            before += await self._resync()
+                            return before
+                    except TimeoutError:
+                        self.counts.timeouts += 1
+                raise self._silent("")
+
+    @contextmanager
+    def _noted(self) -> Iterator[None]:
+        """Keep whether what is done within failed by the link or by what came over it."""
+        self._heard = b""
+        try:
+            yield
+        except (LinkLost, BadReply):
+            self._failed = True
+            raise
+        self._failed = False
 
     def _began(self, arrived: float) -> float:
         """Return when a request's time began: earlier than now, to half a time-out's rest, if silence was met since."""
@@ -182,10 +215,10 @@ class Exchange:
     def _silent(self, to_what: str) -> LinkLost:
         self._silence_s = asyncio.get_running_loop().time()
         within = f"within {_ATTEMPTS * self._timeout_s:g} s, twice asked"
-        return LinkLost(
-            self._device,
-            f"no answer {to_what + ' ' if to_what else ''}{within}: is the controller on, and the link to it whole?",
-        )
+        why = "is the controller on, and the link to it whole?"
+        if self._heard:
+            why = f"what comes is none, or late ({self._heard[-20:]!r})"
+        return LinkLost(self._device, f"no answer {to_what + ' ' if to_what else ''}{within}: {why}")
 
     async def _be_in_step(self) -> None:
         if not self._in_doubt:
@@ -201,7 +234,7 @@ class Exchange:
         self._write(self._framing.request(line))
         received = b""
         while True:
-            chunk = await self._link.receive()
+            chunk = await self._receive()
             received += chunk.data
             framed = self._framing.answer(line, received)
             if framed is not None:
@@ -227,7 +260,7 @@ class Exchange:
             token = self._framing.token()
             self._write(token.request)
             while (found := token.find(before)) is None:
-                chunk = await self._link.receive()
+                chunk = await self._receive()
                 before += chunk.data
                 self.counts.discarded += max(len(before) - _KEEP_LOOKING_FOR_TOKEN, 0)
                 before = before[-_KEEP_LOOKING_FOR_TOKEN:]
@@ -246,10 +279,15 @@ class Exchange:
         try:
             async with asyncio.timeout(for_s):
                 while len(received) <= _LONGEST_ANSWER:
-                    received += (await self._link.receive()).data
+                    received += (await self._receive()).data
         except TimeoutError:
             pass
         return received
+
+    async def _receive(self) -> ByteChunk:
+        chunk = await self._link.receive()
+        self._heard = chunk.data
+        return chunk
 
     def _write(self, data: bytes) -> None:
         self._in_doubt = True  # until the answer is here, also if the wait for it is cancelled

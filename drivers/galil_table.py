@@ -7,9 +7,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from drivers import galil
-from drivers.errors import DeviceError, DeviceFault, DeviceRefused
+from drivers.errors import DeviceFault, DeviceRefused
 from drivers.exchange import Answer
-from drivers.line_table import LineTable, kept
+from drivers.halting import first_look
+from drivers.line_table import LineTable
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
 
 TURN = 2 * math.pi
@@ -78,11 +79,10 @@ class GalilTable(LineTable):
         self._jogs: dict[str, int] = {}  # rate in counts/s of axes that were told to jog
         self._known_stops: dict[str, int] = {}  # stop codes that an operator has seen and reset
 
-    async def open(self) -> None:
+    async def open(self, *, take_over: bool = False) -> None:
         """Open the link, get in step and ask every axis; LinkLost if the controller does not answer."""
         await self._exchange.open()
-        for axis in self._axes:
-            await self._switches(axis)
+        await first_look(self._device, self, take_over)
 
     async def identify(self) -> Identity:
         """Ask for model and firmware (^R^V) and for the serial number (_BN) where the controller has it."""
@@ -140,7 +140,7 @@ class GalilTable(LineTable):
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate, in whole counts a second; a rate changes while it turns without a halt."""
-        letter = self._axes[axis].letter
+        self._moved, letter = axis, self._axes[axis].letter
         rate = self._rate(axis, rate_rps, acceleration_rps2)
         if (await self._switches(axis)).moving:
             if axis in self._jogs and await self._change_jog(axis, rate, acceleration_rps2):
@@ -153,7 +153,7 @@ class GalilTable(LineTable):
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Start a move to an angle from home; an axis that turns is brought to rest first."""
-        letter = self._axes[axis].letter
+        self._moved, letter = axis, self._axes[axis].letter
         target, rate = self._counts(axis, angle_rad), abs(self._rate(axis, rate_rps, acceleration_rps2))
         if abs(target) > _LARGEST_COUNT:
             raise DeviceRefused(self._device, f"axis {axis}: the controller cannot count to {target}: fewer turns")
@@ -194,28 +194,15 @@ class GalilTable(LineTable):
             text=f"{switches.text} (TS {switches.word}); SC {stop}, {galil.stop_text(stop)}",
         )
 
-    async def stop(self) -> None:
-        """Stop every axis with the deceleration it is allowed, and wait until all are at rest.
-
-        What goes wrong with one request does not keep the next from being sent; the first failure is raised.
-        """
-        failures: list[DeviceError] = []
-        for line in (self._hardest_deceleration(), f"ST{self._all_letters()}"):
-            with kept(failures):
-                await self._tell(line)
-        for axis in self._axes:
-            with kept(failures):
-                await self._wait_for_rest(axis)
-        if failures:
-            raise failures[0]
+    async def stop(self) -> str:
+        """Stop every axis with the deceleration it is allowed, over a new connection if need be."""
+        return await self._rest(lambda axis: (self._hardest_deceleration(), f"ST{self._axes[axis].letter}"), self.read)
 
     async def abort(self) -> None:
         """Stop at once, without a ramp, and wait for rest; the motors go off, as off-on-error is set."""
         self._powered.clear()
         self._jogs.clear()
-        await self._tell("AB")
-        for axis in self._axes:
-            await self._wait_for_rest(axis)
+        await self._rest(lambda axis: ("AB",), self.read)
 
     async def reset_fault(self) -> None:
         """Take the faults as seen; DeviceFault if the cause of one is still there.

@@ -45,12 +45,16 @@ class AxisState:
 
 @dataclass(frozen=True, slots=True)
 class AxisStatus:
-    """Condition of one axis; ``fault`` is the device's own text, empty when there is none."""
+    """Condition of one axis; ``fault`` is the device's own text, empty when there is none.
+
+    ``caution`` is what an operator should know of an axis that has none, in words.
+    """
 
     enabled: bool
     target_reached: bool
     fault: str
     text: str
+    caution: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,8 +141,12 @@ class Turntable(Protocol):
     def limits(self) -> Mapping[str, AxisLimits]:
         """Limits by axis."""
 
-    async def open(self) -> None:
-        """Connect and see that every axis answers."""
+    async def open(self, *, take_over: bool = False) -> None:
+        """Connect and see that every axis answers; writes nothing before that.
+
+        DeviceRefused if an axis is enabled and turns: somebody else drives it. With ``take_over`` the table is
+        brought to rest instead.
+        """
 
     async def identify(self) -> Identity:
         """Ask the controller what it is; empty where it cannot be asked."""
@@ -161,8 +169,13 @@ class Turntable(Protocol):
     async def status(self, axis: str) -> AxisStatus:
         """Get condition and fault."""
 
-    async def stop(self) -> None:
-        """Bring every axis to rest by a controlled stop and wait for it."""
+    async def stop(self) -> str:
+        """Bring every axis to rest by a controlled stop, whatever has become of the link, and say what was seen.
+
+        A link that is lost, or on which the last request was not answered, is opened again at once. Every axis is told,
+        the one that was moved last first, and watched until it stands. DeviceError, after some ten seconds without
+        news, tells what was seen last of those that may still turn.
+        """
 
     async def abort(self) -> None:
         """Stop every axis at once, as hard as the controller can, and wait for it."""

@@ -32,6 +32,7 @@ class Kind:
     pieces: bool = False
     late_s: float = 0.0
     once: bool = False
+    may_end: bool = False  # a run where answers carry no number
 
 
 def _put(at: int, change: Callable[[int], int]) -> Spoil:
@@ -65,7 +66,7 @@ COMMON = (
     Kind("flood", _WRONG, lambda reply: _NOISE * 500),
     Kind("one reply lost", reply=lambda reply: b"", once=True),
     Kind("byte by byte", pieces=True),
-    Kind("doubled", "|answers", lambda reply: reply + reply),
+    Kind("doubled", reply=lambda reply: reply + reply, may_end=True),
     Kind("late by 60 ms", late_s=0.06),
 )
 MODBUS = (
@@ -98,7 +99,7 @@ LINES = (
     Kind("a line of 5000 characters", _WRONG, lambda reply: b"9" * 5000 + reply),
 )
 RTU = (
-    *(kind for kind in COMMON if not kind.ends and not kind.lasting),
+    *(kind for kind in COMMON if not kind.ends and not kind.lasting and not kind.deaf),
     Kind("byte count too large", _LOST, _put(2, lambda count: count + 2)),
     Kind("wrong function code", _LOST, _put(1, lambda code: 4)),
     Kind("wrong unit", _LOST, _put(0, lambda unit: unit + 5)),

@@ -53,7 +53,7 @@ class Found:
         if phase != "connecting" and not self.rest_s <= AT_REST_S:
             return f"at rest after {self.rest_s:.2f} s"
         said = f"{self.reason} {self.stopped}"
-        if phase != "last stop" and not kind.says and self.reason:
+        if phase != "last stop" and not kind.says and self.reason and not kind.may_end:
             return "ended"
         if kind.says and not re.search(kind.says, said) and (phase != "last stop" or self.stopped):
             return "unnamed"
@@ -131,6 +131,7 @@ async def drive(case: tuple[str, Kind, str]) -> Found:
     """Do what a run does, with the wire struck in one of its phases; on the way out, stop."""
     protocol, kind, phase = case
     loop, found, proxy = asyncio.get_running_loop(), Found(case), Proxy()
+    lasting = kind.lasting or protocol == "rtu"  # a serial line is the same line when it is opened again
     async with joined(protocol, proxy) as (table, model):
 
         async def run() -> None:
@@ -175,16 +176,16 @@ async def drive(case: tuple[str, Kind, str]) -> Found:
             watching.cancel()
         with suppress(asyncio.CancelledError):
             await watching
-        await asyncio.wait([stopping], timeout=0.0 if kind.lasting or phase == "connecting" else 2.0)
+        await asyncio.wait([stopping], timeout=0.0 if lasting or phase == "connecting" else 2.0)
         stopping.cancel()
         try:
             await stopping
         except DeviceError as error:
             found.stopped = str(error)
         except asyncio.CancelledError:
-            found.stopped = "" if kind.lasting or phase == "connecting" else "the stop did not end"
+            found.stopped = "" if lasting or phase == "connecting" else "the stop did not end"
         with suppress(DeviceError):
-            if not kind.lasting and phase not in ("connecting",):
+            if not lasting and phase != "connecting":
                 await table.disable()
     return found
 
