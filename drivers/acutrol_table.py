@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from drivers import acutrol
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
 from drivers.exchange import Answer, Unanswered, UnexpectedReply
-from drivers.halting import first_look, kept
+from drivers.halting import kept
 from drivers.line_table import LineTable
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
 from drivers.unwrap import Unwrapper
@@ -86,7 +86,7 @@ class AcutrolTable(LineTable):
         self._watchers: set[asyncio.Task[None]] = set()
         self._failure: DeviceError | None = None
 
-    async def open(self, *, take_over: bool = False) -> None:
+    async def open(self) -> None:
         """Open the link, get in step, and compare limits; DeviceRefused if the bench allows more than the maker."""
         await self._exchange.open()
         for name, axis in self._axes.items():
@@ -100,7 +100,6 @@ class AcutrolTable(LineTable):
                     f"axis {name} has limits of {absolute[0]:g} deg/s and {absolute[1]:g} deg/s2, "
                     f"the bench allows {asked[0]:g} deg/s and {asked[1]:g} deg/s2: lower max_rate, max_acceleration",
                 )
-        await first_look(self._device, self, take_over)
 
     async def identify(self) -> Identity:
         """Ask ``*idn?``: maker, model, serial number, firmware, as IEEE 488.2 has it."""

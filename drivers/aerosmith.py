@@ -14,7 +14,6 @@ import re
 
 from drivers.errors import DeviceFault, DeviceRefused
 from drivers.exchange import Answer, Framed, Token
-from drivers.halting import first_look
 from drivers.line_table import LineTable
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
 from drivers.unwrap import Unwrapper
@@ -84,13 +83,10 @@ class AerosmithTable(LineTable):
         self._servo_on = False
         self._started_s = -math.inf
 
-    async def open(self, *, take_over: bool = False) -> None:
+    async def open(self) -> None:
         """Open the link and ask for the status; LinkLost if the table does not answer."""
         await self._exchange.open()
         self._unwrapper.restart()
-        self._servo_on = True  # for all that is known
-        await first_look(self._device, self, take_over)
-        self._servo_on = False
 
     async def identify(self) -> Identity:
         """Return what is known without asking: no public program asks the table what it is."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from drivers import galil
 from drivers.errors import DeviceFault, DeviceRefused
 from drivers.exchange import Answer
-from drivers.halting import first_look
 from drivers.line_table import LineTable
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
 
@@ -79,10 +78,11 @@ class GalilTable(LineTable):
         self._jogs: dict[str, int] = {}  # rate in counts/s of axes that were told to jog
         self._known_stops: dict[str, int] = {}  # stop codes that an operator has seen and reset
 
-    async def open(self, *, take_over: bool = False) -> None:
+    async def open(self) -> None:
         """Open the link, get in step and ask every axis; LinkLost if the controller does not answer."""
         await self._exchange.open()
-        await first_look(self._device, self, take_over)
+        for axis in self._axes:
+            await self._switches(axis)
 
     async def identify(self) -> Identity:
         """Ask for model and firmware (^R^V) and for the serial number (_BN) where the controller has it."""

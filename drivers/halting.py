@@ -106,7 +106,7 @@ def _named(axes: Sequence[str]) -> str:
     return f"{'axis' if len(axes) == 1 else 'axes'} {', '.join(axes)}"
 
 
-async def first_look(device: str, table: Turntable, take_over: bool) -> None:
+async def first_look(table: Turntable, *, take_over: bool) -> None:
     """See at first contact that nobody else drives the table; DeviceRefused, or ``stop`` it to ``take_over``."""
     for axis in table.limits:
         rate_rps = (await table.read(axis)).rate_rps
@@ -116,7 +116,7 @@ async def first_look(device: str, table: Turntable, take_over: bool) -> None:
             await table.stop()
             return
         raise DeviceRefused(
-            device,
+            "table",
             f"axis {axis} is enabled and turns at {math.degrees(rate_rps):.2f} deg/s, and not by this station: stop it "
             "where it was started; if that is gone, start with --reset-fault, which brings the table to rest first",
         )

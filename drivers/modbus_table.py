@@ -8,7 +8,7 @@ from functools import partial
 
 from drivers import cia402
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
-from drivers.halting import bring_to_rest, first_look, kept
+from drivers.halting import bring_to_rest, kept
 from drivers.modbus_line import Address, ModbusLine, Reply
 from drivers.modbus_order import LineCounts, Request
 from drivers.registers import DriveProfile
@@ -70,27 +70,24 @@ class ModbusTable:
             foreign=sum(c.foreign for c in each),
         )
 
-    async def open(self, *, take_over: bool = False) -> None:
-        """Connect, read every drive's state, then write what the profile says; LinkLost if one does not answer."""
+    async def open(self) -> None:
+        """Connect, read every drive's state and write what the profile says; LinkLost if one does not answer.
+
+        A drive that is enabled may be driven by somebody else: it is not written to before the first command.
+        """
         self._ready.clear()
         for line in dict.fromkeys(self._lines.values()):
             await line.open()
-        for axis in self._axes:
-            await self.status(axis)
-        await first_look(self._device, self, take_over)
-        for axis in self._axes:
-            await self._reach(axis)
+        idle = [axis for axis in self._axes if not (await self.status(axis)).enabled]
+        for axis in idle:
+            await self._make_ready(axis)
 
-    async def _reach(self, axis: str) -> None:
-        """Open the line of an axis again if it must be, and write what the profile says if that is to be done."""
-        line = self._lines[axis]
-        if not line.sound:
-            self._ready -= {other for other in self._axes if self._lines[other] is line}
-            await line.open()
+    async def _make_ready(self, axis: str) -> None:
+        """Write what the profile says is to be written on a new connection, before the first command over it."""
         if axis not in self._ready:
+            self._ready.add(axis)
             for name, value in self._profile.on_open:
                 await self._write(axis, name, value)
-            self._ready.add(axis)
 
     async def identify(self) -> Identity:
         """Return the make of the drives, and serial number and firmware of each where the profile knows them."""
@@ -214,10 +211,13 @@ class ModbusTable:
 
     async def _tell(self, command: str, axis: str) -> None:
         """Send a command at once, also to a drive that does not take what the profile says of a new connection."""
-        failures: list[DeviceError] = []
-        with kept(failures):
-            await self._reach(axis)
-        await self._lines[axis].tell(self._writing(axis, "controlword", self._profile.commands[command]))
+        line = self._lines[axis]
+        if not line.sound:
+            self._ready -= {other for other in self._axes if self._lines[other] is line}
+            await line.open()
+        with kept([]):
+            await self._make_ready(axis)
+        await line.tell(self._writing(axis, "controlword", self._profile.commands[command]))
 
     async def reset_fault(self) -> None:
         """Clear the fault of every drive that has one; DeviceFault if one stays."""
@@ -293,6 +293,7 @@ class ModbusTable:
         await self._write(axis, register, value_rad / TURN)
 
     async def _write(self, axis: str, name: str, value: float) -> None:
+        await self._make_ready(axis)
         await self._lines[axis].ask(self._writing(axis, name, value))
 
     async def _read(self, axis: str, name: str) -> float:

@@ -141,12 +141,8 @@ class Turntable(Protocol):
     def limits(self) -> Mapping[str, AxisLimits]:
         """Limits by axis."""
 
-    async def open(self, *, take_over: bool = False) -> None:
-        """Connect and see that every axis answers; writes nothing before that.
-
-        DeviceRefused if an axis is enabled and turns: somebody else drives it. With ``take_over`` the table is
-        brought to rest instead.
-        """
+    async def open(self) -> None:
+        """Connect and see that every axis answers; an axis that is enabled is told nothing by that."""
 
     async def identify(self) -> Identity:
         """Ask the controller what it is; empty where it cannot be asked."""

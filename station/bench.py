@@ -207,6 +207,6 @@ def _twin(table: Table, folder: Path) -> TwinConfig:
     seed = table.integer("seed", 0)
     if seed < 0:
         raise table.fail("seed", "must not be negative")
-    watchdog_s = table.quantity("watchdog", "time", 1.0)
+    watchdog_s = table.quantity("watchdog", "time", 0.0)
     hidden = folder / table.string("hidden") if table.has("hidden") else None
     return TwinConfig(seed, watchdog_s, table, hidden, table.quantity("started", "time", 0.0))

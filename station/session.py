@@ -19,6 +19,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import DeviceError, LinkLost
+from drivers.halting import first_look
 from drivers.seams import Identity, ImuBlock
 from estimator.calibration import Calibration
 from estimator.error_model import ErrorModel
@@ -237,7 +238,8 @@ class Session:
         async with asyncio.TaskGroup() as group:
             services = [group.create_task(self._keep_flushing())]
             await table.open()
-            self._connected = True
+            await first_look(table, take_over=self._options.reset_fault)
+            self._connected = True  # from here on it is ours to stop
             self._writer.set_attributes(_identity("table_", await table.identify()))
             for imu in self._open.imus:
                 await imu.source.open()
@@ -393,7 +395,7 @@ class Session:
         except (DeviceError, TimeoutError) as error:
             reason = str(error) or "no answer in time"
             self._event(f"controlled stop not confirmed: {reason}")
-            return f"the stop could not be confirmed ({reason}): the table's own watchdog must stop it"
+            return f"the table was not seen at rest ({reason}): look at it, and cut its power if it turns"
         finally:
             self._monitor.end()
             table.close()

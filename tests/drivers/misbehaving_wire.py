@@ -53,7 +53,7 @@ _LOST = "does not answer|no answer|closed|broke|reset|gone"
 _WRONG = "not as|does not answer|no answer|answers|refuses|Modbus exception|not known"
 
 COMMON = (
-    Kind("closed", "closed", ends="close"),
+    Kind("closed", "closed|reset|broke", ends="close"),  # reset, if something was on its way
     Kind("reset", "reset|broke|closed", ends="reset"),
     Kind("reset and gone for 0.3 s", "reset|broke|closed", ends="reset", refused_s=0.3),
     Kind("half-open", _LOST, lambda reply: b"", deaf=True),
