@@ -108,7 +108,9 @@ def ended(case: tuple[str, tuple[Fault, ...], int]) -> Ended:
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        text = (BENCHES / f"{bench}.toml").read_text().replace("[twin]\n", f"[twin]\nseed = {seed}\n", 1)
+        text = (
+            (BENCHES / f"{bench}.toml").read_text().replace("[twin]\n", f'[twin]\nseed = {seed}\nwatchdog = "1 s"\n', 1)
+        )
         tables: dict[str, list[str]] = {}
         for fault in faults:
             key = "twin.fault" if fault.device == "table" else f"twin.{fault.device}.fault"

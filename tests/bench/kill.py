@@ -23,6 +23,7 @@ from pymodbus.client import AsyncModbusTcpClient
 from support import TwinProcess, command
 
 from estimator.prober import probe
+from station.bench import default_bench_text
 
 SCRIPT = """
 [[step]]
@@ -52,6 +53,13 @@ class Kill:
     outcome: str
     missing_s: float
     at_rest: bool
+
+
+def watched_bench(folder: Path) -> Path:
+    """Write the built-in bench with drives that stop when their master falls silent; return where."""
+    path = folder / "watched.toml"
+    path.write_text(default_bench_text().replace('watchdog = "0 s"', 'watchdog = "1 s"'), encoding="utf-8")
+    return path
 
 
 def kill_once(twin: TwinProcess, path: Path, script: Path, after_s: float) -> Kill:
@@ -100,7 +108,10 @@ def main() -> None:
     arguments = parser.parse_args()
     chance = random.Random(arguments.seed)
     kills = []
-    with TwinProcess() as twin, tempfile.TemporaryDirectory() as folder:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        TwinProcess("--bench", watched_bench(Path(folder))) as twin,
+    ):
         script = Path(folder) / "script.toml"
         script.write_text(SCRIPT)
         for number in range(arguments.times):

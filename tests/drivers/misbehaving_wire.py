@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import random
 import socket
+import sys
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
 
@@ -55,7 +56,7 @@ _WRONG = "not as|does not answer|no answer|answers|refuses|Modbus exception|not 
 COMMON = (
     Kind("closed", "closed|reset|broke", ends="close"),  # reset, if something was on its way
     Kind("reset", "reset|broke|closed", ends="reset"),
-    Kind("reset and gone for 0.3 s", "reset|broke|closed", ends="reset", refused_s=0.3),
+    Kind("reset and gone for 0.3 s", "reset|broke|closed|no connection|nothing answers", ends="reset", refused_s=0.3),
     Kind("half-open", _LOST, lambda reply: b"", deaf=True),
     Kind("replies lost", _LOST, lambda reply: b""),
     Kind("replies lost for good", _LOST, lambda reply: b"", lasting=True),
@@ -153,7 +154,8 @@ class Proxy:
     port: int = 0
     kind: Kind | None = None
     struck_s: float = float("inf")
-    where: tuple[str, int] = ("127.0.0.1", 0)
+    # An address of its own, where Linux has more than one: a port that is closed for a while is not lent to others.
+    where: tuple[str, int] = ("127.0.0.2" if sys.platform == "linux" else "127.0.0.1", 0)
     _spoilt: int = 0
     _known: bool = False  # whether a station has connected
     _server: asyncio.Server | None = None

@@ -50,7 +50,7 @@ class Found:
         protocol, kind, phase = self.case
         if self.printed:
             return f"printed {self.printed[0]}"
-        if phase != "connecting" and not self.rest_s <= AT_REST_S:
+        if phase != "connecting" and not self.rest_s <= (AT_REST_S if kind.says else 3.0):
             return f"at rest after {self.rest_s:.2f} s"
         said = f"{self.reason} {self.stopped}"
         if phase != "last stop" and not kind.says and self.reason and not kind.may_end:

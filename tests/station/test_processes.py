@@ -67,7 +67,7 @@ def test_a_stim300_on_a_pseudo_terminal_is_calibrated(tmp_path: Path, short: Pat
 def test_a_killed_station_leaves_its_samples_and_a_table_that_stops_by_itself(tmp_path: Path) -> None:
     script = tmp_path / "script.toml"
     script.write_text(kill.SCRIPT)
-    with TwinProcess() as twin:
+    with TwinProcess("--bench", kill.watched_bench(tmp_path)) as twin:
         left = kill.kill_once(twin, tmp_path / "r.h5", script, after_s=5.0)
     assert left.turning
     assert left.missing_s <= 0.5

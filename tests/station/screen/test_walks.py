@@ -26,8 +26,7 @@ def bench(place: Path) -> Path:
     """A working folder with a bench without limits: here the way is looked at, not how well a busy host keeps time."""
     before, limits, after = re.split(r"(?<=\[limits\])(.*?)(?=\n\n)", bench_text(), maxsplit=1, flags=re.DOTALL)
     assert "nis_low" in limits
-    text = (before + after).replace('watchdog = "1 s"', 'watchdog = "0 s"')
-    (place / "bench.toml").write_text(text)
+    (place / "bench.toml").write_text(before + after)
     (place / "tiny.toml").write_text(TINY)
     return place
 
