@@ -239,8 +239,8 @@ class ModbusTable:
         failures: list[DeviceError] = []
         for axis in self._axes:
             with kept(failures):
-                await self._command(axis, "shutdown")
                 await self._leave_quick_stop(axis)
+                await self._command(axis, "shutdown")
                 state = await self._state(axis)
                 if state in (cia402.DriveState.OPERATION_ENABLED, cia402.DriveState.QUICK_STOP_ACTIVE):
                     raise DeviceRefused(self._device, f"axis {axis} stays in {state.text}: it is still energised")

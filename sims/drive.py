@@ -110,7 +110,7 @@ class Drive:
                 self._state = cia402.DriveState.SWITCHED_ON
             elif state is cia402.DriveState.OPERATION_ENABLED:
                 self._release(cia402.DriveState.SWITCHED_ON)
-        elif state is not cia402.DriveState.QUICK_STOP_ACTIVE or self._table.rate_rps(self._axis) == 0.0:
+        elif state is not cia402.DriveState.QUICK_STOP_ACTIVE:  # which stays, as with 605Ah = 5 to 8
             self._release(cia402.DriveState.READY_TO_SWITCH_ON)
 
     def _enter_operation(self) -> None:

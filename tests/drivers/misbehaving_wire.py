@@ -71,9 +71,9 @@ COMMON = (
     Kind("late by 60 ms", late_s=0.06),
 )
 MODBUS = (
-    Kind("byte count too large", "byte count", _put(8, lambda count: count + 2)),
+    Kind("byte count too large", "byte count|an echo of something else", _put(8, lambda count: count + 2)),
     Kind("byte count too large once", reply=_put(8, lambda count: count + 2), once=True),
-    Kind("byte count too small", "byte count", _put(8, lambda count: count - 2)),
+    Kind("byte count too small", "byte count|an echo of something else", _put(8, lambda count: count - 2)),
     Kind("wrong function code", "function code", _put(7, lambda code: 4)),
     Kind("wrong function code for good", "function code", _put(7, lambda code: 4), lasting=True),
     Kind("unknown function code", "function code", _put(7, lambda code: 0x2B)),
@@ -186,11 +186,12 @@ class Proxy:
             self._server.close()
         for task in tuple(self._tasks):
             task.cancel()
-        for end in tuple(self._ends):
-            end.end()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        while self._ends:
-            await asyncio.sleep(0.001)
+        for end in tuple(self._ends):
+            for side in (end, end.other):
+                if side is not None and side.transport is not None:
+                    side.transport.abort()
+        await asyncio.sleep(0.01)
 
     def _keep(self, work: Coroutine[object, object, object]) -> None:
         task = asyncio.get_running_loop().create_task(work)
