@@ -378,15 +378,10 @@ class AcutrolTable(LineTable):
         position = await self._ask(f":read:position {own.own.number}", acutrol.NUMBER)
         rate = await self._ask(f":read:rate {own.own.number}", acutrol.NUMBER)
         angle_s = (position.sent_s + position.received_s) / 2
-        rate_s = (rate.sent_s + rate.received_s) / 2
         angle_deg = own.unwrapper.place(angle_s, float(position.text), float(rate.text))
-        half_width_s = max(one.received_s - one.sent_s for one in (position, rate)) / 2
-        return AxisState(
-            round(angle_s * 1e9),
-            math.radians(angle_deg),
-            round(rate_s * 1e9),
-            math.radians(float(rate.text)),
-            round(half_width_s * 1e9),
+        return AxisState.told(
+            (position.sent_s, position.received_s, math.radians(angle_deg)),
+            (rate.sent_s, rate.received_s, math.radians(float(rate.text))),
         )
 
     async def _mode(self, axis: str) -> str:

@@ -137,13 +137,9 @@ class AerosmithTable(LineTable):
         rate = _value(velocity, NUMBER)
         angle_s = (position.sent_s + position.received_s) / 2
         angle = self._unwrapper.place(angle_s, _value(position, NUMBER), rate)
-        half_width_s = max(one.received_s - one.sent_s for one in (position, velocity)) / 2
-        return AxisState(
-            round(angle_s * 1e9),
-            math.radians(angle),
-            round((velocity.sent_s + velocity.received_s) / 2 * 1e9),
-            math.radians(rate),
-            round(half_width_s * 1e9),
+        return AxisState.told(
+            (position.sent_s, position.received_s, math.radians(angle)),
+            (velocity.sent_s, velocity.received_s, math.radians(rate)),
         )
 
     async def status(self, axis: str) -> AxisStatus:
@@ -207,8 +203,7 @@ class AerosmithTable(LineTable):
     async def _start(self, line: str) -> None:
         """Send a motion command, whose prompt may come at once or be held back, and see that it is not refused."""
         self._started_s = asyncio.get_running_loop().time()
-        await self._exchange.tell(line)
-        before = await self._exchange.get_in_step()
+        before = await self._exchange.get_in_step(line)
         if b"?" in before:
             raise self._refusal(line, before.decode("ascii", "replace"))
 

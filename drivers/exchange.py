@@ -9,13 +9,13 @@ before the answer to the token is old: it is discarded and counted.
 
 import asyncio
 import re
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.errors import BadReply, LinkLost
-from drivers.seams import ByteChunk, ByteLink
+from drivers.seams import ByteLink
 
 _LONGEST_ANSWER = 4096  # bytes; what is longer is no answer
 _ATTEMPTS = 2
@@ -113,7 +113,7 @@ class Exchange:
         self._turn = asyncio.Lock()
         self._in_doubt = True  # a serial line may hold answers to whoever asked before
         self._silence_s = float("-inf")  # when the controller was last found silent
-        self._failed = False
+        self._failed = False  # since the link was opened, and not answered since
         self._heard = b""  # last
         self.counts = ExchangeCounts()
 
@@ -126,16 +126,19 @@ class Exchange:
     async def tell_all(self, lines: Iterable[str]) -> None:
         """Send lines at once, asking nothing first: for stopping. LinkLost if the link cannot be opened.
 
-        If the last request was not answered, that is on a new connection. An empty line goes before them, which ends
-        one that was cut on its way.
+        If it is lost, or the last request was not answered, that is on a new connection. An empty line goes before
+        them, which ends one that was cut on its way.
         """
-        if self._failed:
+        data = b"".join(map(self._framing.request, ("", *lines)))
+        async with self._turn:
+            if not self._failed:
+                with suppress(LinkLost):
+                    self._write(data)
+                    return
             self.close()
             await self._link.open()
             self._failed = False
-        async with self._turn:
-            with self._noted():
-                self._write(b"".join(map(self._framing.request, ("", *lines))))
+            self._write(data)
 
     def close(self) -> None:
         """Close the link."""
@@ -149,71 +152,53 @@ class Exchange:
         """
         arrived = asyncio.get_running_loop().time()
         async with self._turn:
-            with self._noted():
-                return await self._ask(line, pattern, repeat, arrived)
+            began = self._began(arrived)
+            attempt, malformed, sent = 1, 0, False
+            while attempt <= _ATTEMPTS:
+                try:
+                    async with asyncio.timeout_at(began + attempt * self._timeout_s):
+                        await self._be_in_step()
+                        if sent and not repeat:
+                            raise Unanswered(self._device, f"it is not known whether {line!r} was carried out")
+                        repeated, sent = sent, True
+                        return await self._once(line, pattern, repeated)
+                except TimeoutError:
+                    self.counts.timeouts += 1
+                    attempt += 1
+                except _MalformedError as error:
+                    self.counts.malformed += 1
+                    malformed += 1
+                    if malformed == _MALFORMED_AT_MOST or not repeat:
+                        self._failed = True
+                        raise UnexpectedReply(
+                            self._device, f"answers {error.text[:60]!r} to {line!r}", error.text
+                        ) from None
+            raise self._silent(f"to {line!r}")
 
-    async def _ask(self, line: str, pattern: re.Pattern[str], repeat: bool, arrived: float) -> Answer:
-        began = self._began(arrived)
-        attempt, malformed, sent = 1, 0, False
-        while attempt <= _ATTEMPTS:
-            try:
-                async with asyncio.timeout_at(began + attempt * self._timeout_s):
-                    await self._be_in_step()
-                    if sent and not repeat:
-                        raise Unanswered(self._device, f"it is not known whether {line!r} was carried out")
-                    repeated, sent = sent, True
-                    return await self._once(line, pattern, repeated)
-            except TimeoutError:
-                self.counts.timeouts += 1
-                attempt += 1
-            except _MalformedError as error:
-                self.counts.malformed += 1
-                malformed += 1
-                if malformed == _MALFORMED_AT_MOST or not repeat:
-                    raise UnexpectedReply(
-                        self._device, f"answers {error.text[:60]!r} to {line!r}", error.text
-                    ) from None
-        raise self._silent(f"to {line!r}")
-
-    async def tell(self, line: str) -> None:
-        """Send a request without waiting for an answer; the stream is in doubt thereafter."""
-        async with self._turn:
-            self._write(self._framing.request(line))
-
-    async def get_in_step(self) -> bytes:
-        """Send a token and return what came before its answer; LinkLost if none comes."""
+    async def get_in_step(self, line: str | None = None) -> bytes:
+        """Send a request, if one is given, and a token; return what came before its answer; LinkLost if none comes."""
         arrived = asyncio.get_running_loop().time()
         async with self._turn:
-            with self._noted():
-                began = self._began(arrived)
-                before = b""
-                for attempt in range(1, _ATTEMPTS + 1):
-                    try:
-                        async with asyncio.timeout_at(began + attempt * self._timeout_s):
-                            before += await self._resync()
-                            return before
-                    except TimeoutError:
-                        self.counts.timeouts += 1
-                raise self._silent("")
-
-    @contextmanager
-    def _noted(self) -> Iterator[None]:
-        """Keep whether what is done within failed by the link or by what came over it."""
-        self._heard = b""
-        try:
-            yield
-        except (LinkLost, BadReply):
-            self._failed = True
-            raise
-        self._failed = False
+            self._write(b"" if line is None else self._framing.request(line))
+            began = self._began(arrived)
+            before = b""
+            for attempt in range(1, _ATTEMPTS + 1):
+                try:
+                    async with asyncio.timeout_at(began + attempt * self._timeout_s):
+                        before += await self._resync()
+                        return before
+                except TimeoutError:
+                    self.counts.timeouts += 1
+            raise self._silent("")
 
     def _began(self, arrived: float) -> float:
         """Return when a request's time began: earlier than now, to half a time-out's rest, if silence was met since."""
+        self._heard = b""
         now = asyncio.get_running_loop().time()
         return now - 1.5 * self._timeout_s if self._silence_s > arrived else now
 
     def _silent(self, to_what: str) -> LinkLost:
-        self._silence_s = asyncio.get_running_loop().time()
+        self._silence_s, self._failed = asyncio.get_running_loop().time(), True
         within = f"within {_ATTEMPTS * self._timeout_s:g} s, twice asked"
         why = "is the controller on, and the link to it whole?"
         if self._heard:
@@ -234,8 +219,9 @@ class Exchange:
         self._write(self._framing.request(line))
         received = b""
         while True:
-            chunk = await self._receive()
+            chunk = await self._link.receive()
             received += chunk.data
+            self._heard = received
             framed = self._framing.answer(line, received)
             if framed is not None:
                 break
@@ -245,7 +231,7 @@ class Exchange:
         if beyond.strip(self._framing.idle) or not (framed.refused or pattern.fullmatch(framed.text)):
             raise self._malformed(received)
         # A refusal is one character, which noise can be: what it is about is asked in step.
-        self._in_doubt = framed.refused
+        self._in_doubt, self._failed = framed.refused, False
         return Answer(framed.text, framed.refused, repeated, sent_s, chunk.t_ns * 1e-9)
 
     def _malformed(self, received: bytes) -> _MalformedError:
@@ -260,8 +246,9 @@ class Exchange:
             token = self._framing.token()
             self._write(token.request)
             while (found := token.find(before)) is None:
-                chunk = await self._receive()
+                chunk = await self._link.receive()
                 before += chunk.data
+                self._heard = before
                 self.counts.discarded += max(len(before) - _KEEP_LOOKING_FOR_TOKEN, 0)
                 before = before[-_KEEP_LOOKING_FOR_TOKEN:]
             start, end = found
@@ -279,15 +266,10 @@ class Exchange:
         try:
             async with asyncio.timeout(for_s):
                 while len(received) <= _LONGEST_ANSWER:
-                    received += (await self._receive()).data
+                    received += (await self._link.receive()).data
         except TimeoutError:
             pass
         return received
-
-    async def _receive(self) -> ByteChunk:
-        chunk = await self._link.receive()
-        self._heard = chunk.data
-        return chunk
 
     def _write(self, data: bytes) -> None:
         self._in_doubt = True  # until the answer is here, also if the wait for it is cancelled

@@ -92,7 +92,7 @@ async def bring_to_rest(
                     waiting.remove(axis)
             await asyncio.sleep(_LOOK_S if told else 0.0)
         if not waiting:
-            return f"{_named(axes)} seen at rest {loop.time() - began_s:.2f} s after the stop began"
+            return f"{', '.join(axes)} seen at rest {loop.time() - began_s:.2f} s after the stop began"
         if loop.time() > seen_s + _WAIT * timeout_s:
             said = "; ".join(axis.text(loop.time()) for axis in waiting)
             if not failures:
@@ -100,10 +100,6 @@ async def bring_to_rest(
             kind = BadReply if isinstance(failures[0], BadReply) else LinkLost
             raise kind(device, f"{failures[0].message}; {said}: look at the table")
         await asyncio.sleep(_LOOK_S)
-
-
-def _named(axes: Sequence[str]) -> str:
-    return f"{'axis' if len(axes) == 1 else 'axes'} {', '.join(axes)}"
 
 
 async def first_look(table: Turntable, *, take_over: bool) -> None:

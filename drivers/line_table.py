@@ -28,10 +28,9 @@ class LineTable:
         """Bring all axes to rest by the lines that stop one, and return what was seen."""
         axes = sorted(self.limits, key=lambda axis: axis != self._moved)
 
-        async def tell(axis: str) -> None:
-            await self._exchange.tell_all(lines(axis))
-
-        return await bring_to_rest(self._device, axes, tell, read, self._timeout_s)
+        return await bring_to_rest(
+            self._device, axes, lambda axis: self._exchange.tell_all(lines(axis)), read, self._timeout_s
+        )
 
     def close(self) -> None:
         """Drop the link."""

@@ -76,8 +76,4 @@ def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> Non
 
 def _folder() -> str:
     """Return the folder that all users of this machine may write to, the same for each."""
-    for name in _SHARED:
-        with suppress(OSError):
-            if os.stat(name).st_mode & stat.S_IWOTH:
-                return name
-    return _SHARED[-1]
+    return next((name for name in _SHARED if os.path.isdir(name) and os.stat(name).st_mode & stat.S_IWOTH), _SHARED[-1])

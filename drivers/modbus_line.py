@@ -25,7 +25,6 @@ _FORGOTTEN = 50  # time-outs, after which nothing on the way holds a reply back 
 _EXCEPTIONS = packaged_codes("drivers", "modbus", "exception")
 _ASK_AGAIN = (5, 6, 11)  # acknowledge, busy, gateway target does not answer (Application Protocol V1.1b3, 7)
 _FIRST_PAUSE = 0.05  # of a time-out, before what was busy is asked again; doubled each time
-_NEVER = 1 << 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,14 +88,13 @@ class ModbusLine:
     @property
     def sound(self) -> bool:
         """Whether it is connected, and on TCP, where a new connection begins in step, the last request was answered."""
-        connected = self._client is not None and bool(self._client.connected)
-        return connected and not (self._failed and not isinstance(self._address, SerialPort))
+        failed = self._failed and not isinstance(self._address, SerialPort)
+        return self._client is not None and bool(self._client.connected) and not failed
 
     async def open(self) -> None:
         """Connect, anew if it was; LinkLost if nobody listens or the port cannot be opened."""
         self.close()
         self._failed, self._ended, self._unheard_until_s = False, "", 0.0
-        common: dict[str, Any] = {"reconnect_delay": 0, "name": self._device}
         if isinstance(self._address, SerialPort):
             line = self._address
             self._doubt_all()
@@ -109,15 +107,15 @@ class ModbusLine:
                 timeout=2 * self._timeout_s,
                 retries=0,
                 trace_packet=self._rtu,
-                **common,
+                reconnect_delay=0,
             )
         else:
             host, port = self._address
             reason = f"nothing answers at {_text(self._address)}; is the table's controller on, and the address right?"
             self._client = AsyncModbusTcpClient(
-                host, port=port, timeout=self._timeout_s, retries=1, trace_packet=self._tcp, **common
+                host, port=port, timeout=self._timeout_s, retries=1, trace_packet=self._tcp, reconnect_delay=0
             )
-        self._client.set_max_no_responses(_NEVER)  # it is ours to close
+        self._client.set_max_no_responses(1 << 30)  # it is ours to close
         self._client.ctx.callback_disconnected = self._disconnected
         cancels = _cancels()
         try:
@@ -149,7 +147,7 @@ class ModbusLine:
     async def _answered(self, request: Request, within_s: float, *, prompt: bool) -> Reply:
         async with self._lock:
             self._check_connected()
-            began_s, foreign, pause_s = self._now(), self.counts.foreign, _FIRST_PAUSE * self._timeout_s
+            began_s, pause_s = self._now(), _FIRST_PAUSE * self._timeout_s
             limit_s = began_s + within_s if prompt else None  # else the client asks twice
             await self._hear_out()
             while True:
@@ -169,20 +167,17 @@ class ModbusLine:
                     self.counts.timeouts += 1
                     self._failed = True
                     self._check_connected()
-                    raise self._unanswered(request, within_s, prompt, self.counts.foreign > foreign) from None
+                    raise self._unanswered(request, within_s, prompt) from None
                 else:
                     self._failed = False
                     return reply
                 await asyncio.sleep(pause_s)
                 pause_s *= 2
 
-    def _unanswered(self, request: Request, within_s: float, once: bool, foreign: bool) -> DeviceError:
+    def _unanswered(self, request: Request, within_s: float, once: bool) -> DeviceError:
         """Return what is to be said of a request to which no answer came."""
-        if foreign:
-            said = "transaction numbers that were not asked; does a gateway in between change them?"
-            return BadReply(self._device, f"{_who(request)} is answered with {said}")
         if self._tcp.wrong:
-            said = f"answers for {request.register} not as Modbus has it: {self._tcp.wrong}"
+            said = f"is answered for {request.register} not as Modbus has it: {self._tcp.wrong}"
             return BadReply(self._device, f"{_who(request)} {said}")
         said = f"does not answer within {within_s:g} s{'' if once else ', twice asked'}"
         heard = "; what comes is late, damaged, or no answer to it" if self._rtu.heard else ""
@@ -305,9 +300,8 @@ class ModbusLine:
     def _disconnected(self, error: Exception | None) -> None:
         """Keep why the connection ended, and let nobody wait for an answer any more."""
         self._ended = "the controller closed it" if error is None else f"it broke ({error})"
-        future = self._client.ctx.response_future if self._client is not None else None
-        if self._asking and future is not None and not future.done():
-            future.set_exception(self._gone())
+        if self._asking and not self._client.ctx.response_future.done():
+            self._client.ctx.response_future.set_exception(self._gone())
 
     def _check_connected(self) -> None:
         if self._client is None or not self._client.connected:

@@ -19,7 +19,6 @@ _KINCO_BAD_READ = 0x81  # what Kinco's manuals print where the standard has 0x83
 _TCP_HEADER = 6
 _LONGEST_PDU = 253
 _FIELDS = (
-    ("transaction number", 0, 2),
     ("protocol number", 2, 4),
     ("unit id", 6, 7),
     ("function code", 7, 8),
@@ -223,6 +222,8 @@ def _tcp_heads(request: bytes) -> Iterator[bytes]:
 
 def _difference(frame: bytes, head: bytes) -> str:
     """Return in words where a frame differs first from what was awaited, the cause before what follows from it."""
+    if frame[:2] != head[:2]:
+        return "transaction numbers that were not asked; does a gateway in between change them?"
     for name, start, end in _FIELDS[: None if head[7] == READ else -1]:
         if frame[start:end] != head[start:end]:
             return f"{name} {int.from_bytes(frame[start:end])} in place of {int.from_bytes(head[start:end])}"

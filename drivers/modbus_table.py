@@ -3,7 +3,7 @@
 import asyncio
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import partial
 
 from drivers import cia402
@@ -62,13 +62,8 @@ class ModbusTable:
     @property
     def counts(self) -> LineCounts:
         """Requests without an answer, and replies dropped, on all lines."""
-        each = [line.counts for line in set(self._lines.values())]
-        return LineCounts(
-            timeouts=sum(c.timeouts for c in each),
-            late=sum(c.late for c in each),
-            corrupt=sum(c.corrupt for c in each),
-            foreign=sum(c.foreign for c in each),
-        )
+        each = [astuple(line.counts) for line in set(self._lines.values())]
+        return LineCounts(*map(sum, zip(*each, strict=True)))
 
     async def open(self) -> None:
         """Connect, read every drive's state and write what the profile says; LinkLost if one does not answer.
@@ -169,16 +164,11 @@ class ModbusTable:
 
     async def read(self, axis: str) -> AxisState:
         """Measure angle and rate; each is stamped with the middle of its own round trip."""
-        angle = await self._lines[axis].ask(self._reading(axis, "position"))
-        rate = await self._lines[axis].ask(self._reading(axis, "rate"))
-        half_width_s = max(angle.received_s - angle.sent_s, rate.received_s - rate.sent_s) / 2
-        return AxisState(
-            round((angle.sent_s + angle.received_s) / 2 * 1e9),
-            self._value(axis, "position", angle) * TURN,
-            round((rate.sent_s + rate.received_s) / 2 * 1e9),
-            self._value(axis, "rate", rate) * TURN,
-            round(half_width_s * 1e9),
+        replies = {name: await self._lines[axis].ask(self._reading(axis, name)) for name in ("position", "rate")}
+        angle, rate = (
+            (one.sent_s, one.received_s, self._value(axis, name, one) * TURN) for name, one in replies.items()
         )
+        return AxisState.told(angle, rate)
 
     async def status(self, axis: str) -> AxisStatus:
         """Get state, target reached, and the fault in words."""

@@ -1,11 +1,15 @@
 """The four seams to hardware, and the values that cross them. Nothing inherits from these to plug in."""
 
+from __future__ import annotations
+
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from drivers.arrays import Floats, Stamps
 from drivers.host_fit import Alignment
+
+_Told = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +46,20 @@ class AxisState:
     half_width_ns: int
     rate_window_ns: int = 0
 
+    @classmethod
+    def told(cls, angle: _Told, rate: _Told, window_s: float = 0.0) -> AxisState:
+        """Return the state of two round trips: when each was sent and here (s of the loop), and what it told."""
+        angle_s, rate_s = ((sent_s + here_s) / 2 for sent_s, here_s, _ in (angle, rate))
+        half_width_s = max(here_s - sent_s for sent_s, here_s, _ in (angle, rate)) / 2
+        at_ns, rate_ns, half_ns, mean_ns = (
+            round(t_s * 1e9) for t_s in (angle_s, rate_s - window_s / 2, half_width_s, window_s)
+        )
+        return cls(at_ns, angle[2], rate_ns, rate[2], half_ns, mean_ns)
+
 
 @dataclass(frozen=True, slots=True)
 class AxisStatus:
-    """Condition of one axis; ``fault`` is the device's own text, empty when there is none.
-
-    ``caution`` is what an operator should know of an axis that has none, in words.
-    """
+    """Condition of one axis; ``fault`` is the device's own text, ``caution`` what else to know; empty if nothing."""
 
     enabled: bool
     target_reached: bool

@@ -15,7 +15,6 @@ from station.tables import Table
 TWIN = "twin:"
 """The link that leads to a twin in memory."""
 _DIRECT_IDS = (0, 255)  # of a device that is at its address itself (Modbus Messaging on TCP/IP V1.0b, 4.4.1.2)
-_DIRECT = "; on TCP also 0 or 255, for a drive that has its address for itself"
 PROTOCOLS = ("modbus", "galil", "acutrol", "aerosmith")
 
 
@@ -182,8 +181,9 @@ def _address(table: Table, protocol: str) -> int | str:
         return table.string("letter", one_of="ABCDEFGH")
     if protocol == "aerosmith":
         return 1
-    key, most, what = ("unit_id", 247, "Modbus unit id") if protocol == "modbus" else ("number", 3, "axis number")
+    modbus = protocol == "modbus"
+    key, most, what = ("unit_id", 247, "Modbus unit id") if modbus else ("number", 3, "axis number")
     address = table.integer(key)
-    if not 1 <= address <= most and (protocol != "modbus" or address not in _DIRECT_IDS):
-        raise table.fail(key, f"{address} is no {what}: give 1 to {most}{_DIRECT if protocol == 'modbus' else ''}")
+    if not 1 <= address <= most and not (modbus and address in _DIRECT_IDS):
+        raise table.fail(key, f"{address} is no {what}: give 1 to {most}{', on TCP also 0 or 255' if modbus else ''}")
     return address

@@ -32,7 +32,7 @@ TIMEOUT_S = 0.2
 RATE = 20 * DEG
 AXIS = "y"
 PROFILE, UNIT_IDS = load_profile("kinco"), {"x": 1, "y": 2, "z": 3}
-AT_ONCE = 24  # cases in one loop
+AT_ONCE = 16  # cases in one loop
 
 
 @dataclass
@@ -171,6 +171,10 @@ async def drive(case: tuple[str, Kind, str]) -> Found:
             await run()
         except DeviceError as error:
             found.reason = str(error)
+        if proxy.kind is None:  # the host was too busy to get so far
+            watching.cancel()
+            proxy.strike(kind)
+            return await drive(case)
         stopping = asyncio.ensure_future(table.stop())
         if phase == "connecting":
             watching.cancel()
