@@ -110,7 +110,7 @@ async def first_look(table: Turntable, *, take_over: bool) -> None:
             continue
         if take_over:
             await table.stop()
-            return
+            break
         raise DeviceRefused(
             "table",
             f"axis {axis} is enabled and turns at {math.degrees(rate_rps):.2f} deg/s, and not by this station: stop it "

@@ -67,8 +67,7 @@ def _lock(stack: ExitStack, device: str, link: str, name: str, what: str) -> Non
         holder = os.pread(file, 500, 0).decode("utf-8", "replace") or "another program"
         raise DeviceRefused(device, f"{link} is in use by {holder}: a table has one master; end that first") from None
     except OSError as error:
-        said = f"{link} cannot be locked against a second master: {path}: {error.strerror}; put that right first"
-        raise DeviceRefused(device, said) from None
+        raise DeviceRefused(device, f"{link} cannot be locked against a second master: {error}") from None
     stack.callback(fcntl.flock, file, fcntl.LOCK_UN)  # also for children that were forked meanwhile
     stack.callback(os.ftruncate, file, 0)
     os.pwrite(file, f"process {os.getpid()} of {getpass.getuser()} ({what})".encode(), 0)
