@@ -263,7 +263,6 @@ class GalilTable(LineTable):
 
     async def _halt(self, axis: str) -> None:
         self._jogs.pop(axis, None)
-
         line = f"ST{self._axes[axis].letter}"
         await bring_to_rest(self._device, [axis], lambda _: self._tell(line), self.read, self._timeout_s)
 

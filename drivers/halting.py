@@ -72,7 +72,7 @@ async def bring_to_rest(
     while True:
         failures: list[DeviceError] = []
         told = []
-        for axis in waiting:
+        for axis in tuple(waiting):
             with kept(failures):
                 await tell(axis.name)
                 told.append(axis)
@@ -85,11 +85,12 @@ async def bring_to_rest(
                 except (LinkLost, BadReply, DeviceRefused) as error:
                     failures.append(error)
                     waiting.append(waiting.pop(waiting.index(axis)))  # the others first
-                    told_s = -math.inf
                     break
                 if axis.stands:
                     told.remove(axis)
                     waiting.remove(axis)
+            if failures:  # who has not been told must not wait until the others stand
+                break
             await asyncio.sleep(_LOOK_S if told else 0.0)
         if not waiting:
             return f"{', '.join(axes)} seen at rest {loop.time() - began_s:.2f} s after the stop began"

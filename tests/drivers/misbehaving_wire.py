@@ -157,6 +157,7 @@ class Proxy:
     # An address of its own, where Linux has more than one: a port that is closed for a while is not lent to others.
     where: tuple[str, int] = ("127.0.0.2" if sys.platform == "linux" else "127.0.0.1", 0)
     _spoilt: int = 0
+    _closed: bool = False
     _known: bool = False  # whether a station has connected
     _server: asyncio.Server | None = None
     _ends: set[_End] = field(default_factory=set)  # those of the station
@@ -167,6 +168,8 @@ class Proxy:
         loop = asyncio.get_running_loop()
         self._server = await loop.create_server(self._welcome, *self.where)
         self.where = self._server.sockets[0].getsockname()[:2]
+        if self._closed:
+            self._server.close()
 
     def strike(self, kind: Kind) -> None:
         """Misbehave from now on."""
@@ -174,7 +177,7 @@ class Proxy:
         self.kind, self.struck_s = kind, loop.time()
         if kind.refused_s and self._server is not None:
             self._server.close()
-            loop.call_later(kind.refused_s, lambda: self._keep(self.listen()))
+            loop.call_later(kind.refused_s, lambda: None if self._closed else self._keep(self.listen()))
         for end in tuple(self._ends):
             end.spoilt = True
             if kind.ends:
@@ -182,6 +185,7 @@ class Proxy:
 
     async def close(self) -> None:
         """Leave nothing behind."""
+        self._closed = True
         if self._server is not None:
             self._server.close()
         for task in tuple(self._tasks):

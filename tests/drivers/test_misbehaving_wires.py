@@ -55,7 +55,7 @@ class Found:
         said = f"{self.reason} {self.stopped}"
         if phase != "last stop" and not kind.says and self.reason and not kind.may_end:
             return "ended"
-        if kind.says and not re.search(kind.says, said) and (phase != "last stop" or self.stopped):
+        if kind.says and not re.search(kind.says, said) and (phase not in ("connecting", "last stop") or said.strip()):
             return "unnamed"
         return ""
 
