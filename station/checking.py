@@ -121,6 +121,8 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
             status = await table.status(axis)
             if status.fault:
                 check.wrong.append(f"{status.fault}; clear its cause, then run with --reset-fault")
+            elif status.caution:
+                check.wrong.append(status.caution)
             trips = []
             for _ in range(_READINGS):
                 began = loop.time()

@@ -20,6 +20,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import DeviceError, LinkLost
+from drivers.halting import first_look
 from drivers.seams import Identity, ImuBlock
 from estimator.calibration import Calibration
 from estimator.error_model import ErrorModel
@@ -263,7 +264,8 @@ class Session:
                     self._writer.set_attributes({"device_serial": identity.serial})
                 services.append(self._serve(group, self._acquire(imu)))
             await table.open()  # the last: what is not there is known before the table is touched
-            self._connected = True
+            await first_look(table, take_over=self._options.reset_fault)
+            self._connected = True  # from here on it is ours to stop
             self._writer.set_attributes(_identity("table_", await table.identify()))
             await self._first_samples()
             services.append(self._serve(group, self._watch_silence()))
@@ -434,7 +436,7 @@ class Session:
             verdict = self._verdict or Verdict(Outcome.FAULT, trouble)
             self._verdict = replace(verdict, reason="; ".join(dict.fromkeys((verdict.reason, trouble))))
 
-    async def _tried(self, what: Coroutine[Any, Any, None]) -> str:
+    async def _tried(self, what: Coroutine[Any, Any, object]) -> str:
         """Do what ends a motion; return in words what went wrong."""
         try:
             async with asyncio.timeout(_STOP_LIMIT_S * self._time_scale):
