@@ -15,6 +15,7 @@ _LOOK_S = 0.02
 _SLOWING = 0.95
 _TOLD_AGAIN_S = 0.5  # if an axis does not slow down meanwhile
 _WAIT = 50  # time-outs without anything new to be seen
+_TELLS, _HEEDS = 2, 0.98  # an axis that answers and is as fast after so many tells heeds none
 
 
 @contextmanager
@@ -32,8 +33,14 @@ class _Axis:
     def __init__(self, name: str) -> None:
         self.name = name
         self.stands = False
+        self.tells = 0
         self._last: AxisState | None = None
-        self._slowest_rps = math.inf
+        self._first_rps = self._slowest_rps = math.inf
+
+    @property
+    def heedless(self) -> bool:
+        """Whether it was told often enough and is as fast as it was."""
+        return self.tells >= _TELLS and self._slowest_rps > _HEEDS * self._first_rps
 
     def see(self, state: AxisState) -> bool:
         """Take a reading in; return whether it tells that the axis slows down or stands."""
@@ -43,6 +50,7 @@ class _Axis:
         self.stands = rate_rps <= AT_REST_RPS and still
         slows = rate_rps < _SLOWING * self._slowest_rps
         self._slowest_rps = min(self._slowest_rps, rate_rps)
+        self._first_rps = rate_rps if self._first_rps == math.inf else self._first_rps
         return slows or self.stands
 
     def text(self, now_s: float) -> str:
@@ -62,8 +70,9 @@ async def bring_to_rest(
     """Tell all axes to stop, in this order, watch until they stand, and return in words what was seen.
 
     ``tell`` sends the stop to one axis, over a link that it opens again if that is lost. What fails with one keeps
-    no other from being told: it is told again once the others have been, and so is what is not seen to slow down,
-    for ten seconds (at a ``timeout_s`` of 0.2 s) in which nothing new is seen. LinkLost, BadReply if something else
+    no other from being told: it is told again once the others have been, and so is what is not seen to slow down.
+    It ends when an axis that answers heeds neither, or after ten seconds (at a ``timeout_s`` of 0.2 s) in which
+    nothing new is seen. LinkLost, BadReply if something else
     answered, or DeviceRefused if an axis turns on; each with what was seen last of each axis that may still turn.
     """
     loop = asyncio.get_running_loop()
@@ -94,7 +103,9 @@ async def bring_to_rest(
             await asyncio.sleep(_LOOK_S if told else 0.0)
         if not waiting:
             return f"{', '.join(axes)} seen at rest {loop.time() - began_s:.2f} s after the stop began"
-        if loop.time() > seen_s + _WAIT * timeout_s:
+        for axis in told:
+            axis.tells += 1
+        if (not failures and any(axis.heedless for axis in told)) or loop.time() > seen_s + _WAIT * timeout_s:
             said = "; ".join(axis.text(loop.time()) for axis in waiting)
             if not failures:
                 raise DeviceRefused(device, f"told to stop, {said}: it keeps turning, cut its power")
