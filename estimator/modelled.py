@@ -364,7 +364,7 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
         first = np.flatnonzero(np.diff(cluster, prepend=-1))
         rest = both * (rows[:, Z] - both @ joint.means[g])[:, None]
         scores[cluster[first][:, None], place] += np.add.reduceat(rest, first, axis=0)
-        precision[place[:4]] = 1 / joint.spectra[g].prior
+        precision[place[:4]] = 1 / joint.evidence.gyros[g].prior
     white = np.linalg.inv(information + np.diag(precision))
     # So few clusters fit so many parameters: their scores are too small by these.
     meat = scores.T @ scores * (len(used) / max(len(used) - whole, len(used) / 4)) + np.diag(precision)

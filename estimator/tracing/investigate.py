@@ -168,7 +168,7 @@ def _laws(runs: Sequence[Run]) -> list[Candidate]:
 def _prepared(runs: Sequence[Run], only: Sequence[str] | None = None) -> tuple[Traced, dict[str, str]]:
     spectra = gyro_spectra(runs)
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
-    search = Search(runs, spectra, Evidence(spectra, NoiseShapes.over(span_s)))
+    search = Search(runs, spectra, Evidence(spectra, NoiseShapes.over(span_s, several=True)))
     candidates, left_out = candidates_of(runs)
     search.add([c for c in candidates if only is None or c.called in only])
     for candidate in search.leave_out_unexcited() if candidates and only is None else []:
@@ -316,8 +316,8 @@ def _owned_up(
         g = after.names.index(gyro.name)
         covariance = np.zeros((4, 4))
         for posterior, w in posteriors:
-            apart = posterior.own[g][:4] - after.mean[g, :4]
-            covariance += w * (posterior.own_covariance[g][:4, :4] + np.outer(apart, apart))
+            apart = posterior.means[g][:4] - after.mean[g, :4]
+            covariance += w * (posterior.covariances[g][:4, :4] + np.outer(apart, apart))
         sd = np.sqrt(np.diag(decode(after.mean[g, :4], covariance)[1]))
         known.append(replace(gyro, sd_after=np.maximum(sd, gyro.sd_after)))
     return tuple(known)
@@ -423,12 +423,7 @@ def _judged(
     evidence, terms, _ = _with_held_back(traced, held_back, choices)
     posterior = evidence.posterior(terms)
     all_of_it = _estimated(after, posterior)
-    misfit: dict[tuple[str, int], float] = {}
-    for gyro, left in zip(evidence.gyros, evidence.misfit, strict=True):
-        for stretch, squares in zip(gyro.stretches, left, strict=True):
-            key = gyro.name, stretch.run
-            misfit[key] = misfit.get(key, 0.0) + squares
-    truth = Truth(all_of_it, misfit)
+    truth = Truth(all_of_it, evidence.misfit)
     if not held_back:
         return _cross_validated(traced, before, after, choices, truth)
     tones = [c.tone.found.frequency_hz for c in choices if c.tone is not None]
@@ -437,7 +432,7 @@ def _judged(
     if fine_s < BLOCK_S:
         runs = _all_runs(verification, held_back[0].order, fine_s)[0]
         scale = len(runs[0].t_s) / len(held_back[0].t_s)
-        truth = replace(truth, misfit={key: scale * squares for key, squares in misfit.items()})
+        truth = replace(truth, misfit={key: scale * squares for key, squares in truth.misfit.items()})
     first = len(traced.runs)
     return judge(runs, first, before, after, True, drawn(runs, first, before, after, truth))
 
@@ -445,12 +440,8 @@ def _judged(
 def _estimated(model: Augmented, posterior: Posterior) -> Augmented:
     """Return a model with another estimate; its tones stay as they are."""
     mean, covariance = model.mean.copy(), model.covariance.copy()
-    h = len(posterior.shared)
-    for g in range(len(mean)):
-        c = len(posterior.own[g])
-        mean[g, : c + h] = np.concatenate([posterior.own[g], posterior.shared])
-        both = [[posterior.own_covariance[g], posterior.cross[g]], [posterior.cross[g].T, posterior.shared_covariance]]
-        covariance[g, : c + h, : c + h] = np.block(both)
+    for g, (own, its) in enumerate(zip(posterior.means, posterior.covariances, strict=True)):
+        mean[g, : len(own)], covariance[g, : len(own), : len(own)] = own, its
     return replace(model, mean=mean, covariance=covariance)
 
 

@@ -57,7 +57,7 @@ class Split:
 
 def shape_of(model: Augmented, stretch: Stretch) -> Floats:
     """Return the variance (b,) that the noise of a model has at each frequency, over that of its white noise."""
-    shapes = NoiseShapes(np.array([model.instability]), np.array([model.walk]), np.zeros(1), np.zeros(1))
+    shapes = NoiseShapes(np.array([model.instability]), np.array([model.walk]), np.zeros(1), np.zeros(1), 0.0)
     return np.asarray(shapes.density(stretch)[0][stretch.band])
 
 
