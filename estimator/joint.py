@@ -25,6 +25,7 @@ from estimator.noise import NoiseFound, NoiseModel
 from estimator.recording import ImuData, Recording
 from estimator.reference import TableReadings
 from estimator.tracing.evidence import Evidence, Term
+from estimator.tracing.growth import growth_of
 from estimator.tracing.runs import Run
 from estimator.tracing.spectra import GyroSpectra, NoiseShapes, Z, gyro_spectra
 from estimator.tracing.tones import samples_of, tone_columns
@@ -171,6 +172,8 @@ def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableRe
     w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)
     w[blocks.index], z[blocks.index] = blocks.w_rps, blocks.z_rps
     weight[blocks.index] = 2 * blocks.held_s >= blocks.length_s
+    stretch = np.zeros(b, dtype=np.intp)
+    growth_s = growth_of(w, z, weight, stretch)
     none = np.empty((0, 0))
     nowhere = Conditions(np.empty(0), *(np.empty((0, 3)),) * 2, none, none, none, (), np.empty((0, 3)))
     return Run(
@@ -181,14 +184,15 @@ def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableRe
         t_s=np.asarray((np.arange(b) + 0.5) * blocks.length_s),
         w_rps=w,
         z_rps=z,
-        weight=weight,
-        stretch=np.zeros(b, dtype=np.intp),
+        weight=weight / np.hypot(1, growth_s * np.linalg.norm(w, axis=1)),
+        stretch=stretch,
         grid=nowhere,
         fold=lambda columns: columns,
         recording=Recording({source: data}, reference),
         period_s=blocks.period_s,
         order=0,
         held=1,
+        growth_s=growth_s,
     )
 
 
@@ -236,7 +240,7 @@ def _steadied(run: Run, columns: Floats) -> Run:
     # What ramps alone show is fitted to them, everything else to steady rates.
     states, row, shares = run.state_columns()[:, good], np.where(ramp, _ASIDE, 1.0), []
     for i, own in enumerate(columns[:, good]):
-        both, z = np.hstack([states[i], own]), run.z_rps[good, i]
+        both, z = np.hstack([states[i], own]) * run.weight[good, None], run.z_rps[good, i] * run.weight[good]
         scale = np.maximum(np.linalg.norm(both, axis=0), 1e-300)
         rest = z - both @ (np.linalg.lstsq(both / scale * row[:, None], z * row, rcond=1e-8)[0] / scale)
         steady = float(np.mean(rest[~ramp] ** 2))

@@ -22,7 +22,7 @@ from estimator.joint import Joint, Law, TooShort, expected_of, joint_estimate
 from estimator.noise import NoiseFound
 from estimator.recording import ImuData, Recording
 from estimator.reference import TableReadings, Turns
-from estimator.tracing.runs import Run, run_of
+from estimator.tracing.runs import Run, growth_notes, run_of
 from estimator.tracing.spectra import Z
 from estimator.undeclared import undeclared_laws
 
@@ -144,6 +144,7 @@ def estimate_device(
     stated = sources[0][1].noise
     joint = plain = joint_estimate(runs, laws, stated)
     covariances, notes = _clustered(plain) if delay_s is not None else (plain.covariances, [])
+    notes += growth_notes(runs)
     unseen: list[Floats] | None = None
     if excluded is not None and model is None:
         further, runs = undeclared_laws(runs, excluded | {law.effect.name for law in laws})

@@ -36,19 +36,13 @@ class Repeatability:
 
 def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatability]:
     """Return how each gyro repeats over two runs or more of one device; gyros that are not in all are left out."""
-    from scipy.stats import chi2  # 0.8 s of import: only where runs are compared
-
     names = [gyro.name for gyro in runs[0] if all(any(g.name == gyro.name for g in run) for run in runs)]
     found = []
     for name in names:
         own = [next(g for g in run if g.name == name) for run in runs]
         states = np.array([g.states for g in own])
         noise = np.array([_type_a(g) for g in own])
-        weight = 1 / noise**2
-        mean = (weight * states).sum(axis=0) / weight.sum(axis=0)
-        squares = (weight * (states - mean) ** 2).sum(axis=0)
-        excess = squares - (len(own) - 1)
-        spread = weight.sum(axis=0) - (weight**2).sum(axis=0) / weight.sum(axis=0)
+        weighed = _Weighed.of(states, noise)
         found.append(
             Repeatability(
                 name,
@@ -56,11 +50,50 @@ def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatabili
                 states.mean(axis=0),
                 states.std(axis=0, ddof=1),
                 np.sqrt((noise**2).mean(axis=0)),
-                np.sqrt(np.maximum(excess, 0.0) / spread),
-                np.asarray(chi2.sf(squares, len(own) - 1) < _BY_CHANCE),
+                weighed.between,
+                weighed.differs,
             )
         )
     return found
+
+
+def between_runs(states: Floats, sd: Floats) -> Floats:
+    """Return the standard deviation (4,) of what is between runs of a device, from those of its gyros (runs, n, 4).
+
+    Zero where chance would give as much.
+    """
+    gyros = [_Weighed.of(*own) for own in zip(states.swapaxes(0, 1), sd.swapaxes(0, 1), strict=True)]
+    whole = _Weighed(*(np.sum([getattr(g, name) for g in gyros], axis=0) for name in ("squares", "spread", "dof")))
+    return np.where(whole.differs, whole.between, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weighed:
+    """Squares (4,) of states about their weighted mean, ``spread`` (4,) of the weights, degrees of freedom (4,)."""
+
+    squares: Floats
+    spread: Floats
+    dof: Floats
+
+    @classmethod
+    def of(cls, states: Floats, sd: Floats) -> "_Weighed":
+        """Return those of one gyro over runs (r, 4)."""
+        weight = 1 / sd**2
+        mean = (weight * states).sum(axis=0) / weight.sum(axis=0)
+        spread = weight.sum(axis=0) - (weight**2).sum(axis=0) / weight.sum(axis=0)
+        return cls((weight * (states - mean) ** 2).sum(axis=0), spread, np.full(4, len(states) - 1.0))
+
+    @property
+    def between(self) -> Floats:
+        """Standard deviation of what is between runs."""
+        return np.sqrt(np.maximum(self.squares - self.dof, 0.0) / self.spread)
+
+    @property
+    def differs(self) -> NDArray[np.bool_]:
+        """Where chance does not give as much."""
+        from scipy.stats import chi2  # 0.8 s of import: only where runs are compared
+
+        return np.asarray(chi2.sf(self.squares, self.dof) < _BY_CHANCE)
 
 
 def _type_a(gyro: GyroCalibration) -> Floats:

@@ -8,14 +8,25 @@ from numpy.typing import NDArray
 
 from estimator.effects.constructed import depends_on, in_words
 from estimator.kinematics import EARTH_RATE_RPS
-from estimator.model import decode
+from estimator.model import STATES, decode
 from estimator.recording import Recording
+from estimator.repeatability import between_runs
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.candidates import Candidate, candidates_of
 from estimator.tracing.composing import laws_of
 from estimator.tracing.evidence import Evidence, Posterior, Term
 from estimator.tracing.faults import Fault
-from estimator.tracing.held_out import FOLDS, Mask, by_step, held, out_of_sample, together, told_by, without
+from estimator.tracing.held_out import (
+    FOLDS,
+    Mask,
+    by_run,
+    by_step,
+    held,
+    out_of_sample,
+    together,
+    told_by,
+    without,
+)
 from estimator.tracing.investigation import (
     Added,
     Finding,
@@ -30,7 +41,7 @@ from estimator.tracing.investigation import (
 )
 from estimator.tracing.open_world import SIZES_RPS, OpenWorld
 from estimator.tracing.residual import Residual, residuals
-from estimator.tracing.runs import BLOCK_S, Run, runs_of, same_devices
+from estimator.tracing.runs import BLOCK_S, Run, growth_notes, runs_of, same_devices
 from estimator.tracing.search import CERTAIN, Choice, Found, Search
 from estimator.tracing.spectra import GyroSpectra, NoiseShapes, gyro_spectra
 from estimator.tracing.verification import Judged, Truth, drawn, judge, sum_of
@@ -84,7 +95,7 @@ def investigate(
     tell(0.0, "reading")
     runs, notes, faults = _all_runs(recordings)
     held_back, more, _ = _all_runs(verification, len(recordings))
-    notes += more
+    notes += [*more, *growth_notes([*runs, *held_back])]
     _same(recordings, verification, runs, held_back)
     if held_back and _at_rest(runs) != _at_rest(held_back):
         still, turning = ("recordings", "verification run") if _at_rest(runs) else ("verification run", "recordings")
@@ -197,7 +208,9 @@ def _conclude(
     before, after = _model(traced, [], weight), _model(traced, certain, weight)
     opened = traced.search.open_world([c.term for c in certain if c.tone is None])
     judged = _judged(traced, held_back, before, after, verification, certain)
-    judged = replace(judged, gyros=_owned_up(traced, judged.gyros, after, [*certain, *doubtful], opened))
+    between = _between_runs(traced, [c.term for c in certain if c.tone is None])
+    notes += _between_notes(between)
+    judged = replace(judged, gyros=_owned_up(traced, judged.gyros, after, [*certain, *doubtful], opened, between))
     residuals_of = _left(traced.runs, 0, before, after), _left(held_back, len(traced.runs), before, after)
     unexplained = _unexplained(residuals_of[0][1]) if opened.probability > CERTAIN else None
     # What leaves as much of its kind as it explains is a part of what is unexplained, and no rival of anything.
@@ -294,10 +307,39 @@ def _with_held_back(
     return *together(runs, _model(traced, choices, weight), traced.search.evidence.shapes), runs
 
 
+def _between_runs(traced: Traced, terms: Sequence[Term]) -> Floats:
+    """Return the standard deviation (4,) of the states from recording to recording, zero where that may be chance."""
+    evidence = traced.search.evidence
+    weight = evidence.noise_weight(terms) * (evidence.shapes.turn_on == 0)  # else runs are expected to differ
+    alone = [part for part in by_run(evidence, traced.runs) if all(gyro.stretches for gyro in part.gyros)]
+    if len(alone) < 2 or not weight.any():
+        return np.zeros(4)
+    found = [part.posterior(terms, weight / weight.sum()) for part in alone]
+    means = np.array([[mean[:4] for mean in one.means] for one in found])
+    variances = np.array([[np.diag(c)[:4] for c in one.covariances] for one in found])
+    return between_runs(means, np.sqrt(variances))
+
+
+def _between_notes(between: Floats) -> list[str]:
+    """Return, in words, which states differ from run to run."""
+    sizes = between * [1e6, np.degrees(3600), 1e3, 1e3]
+    words = zip(STATES, sizes.tolist(), ("ppm", "deg/h", "mrad", "mrad"), strict=True)
+    told = [f"{name.split('_r')[0]} differs by {size:.2g} {unit}" for name, size, unit in words if size]
+    return [f"{', '.join(told)} from run to run: the sigmas are those of another run"] if told else []
+
+
 def _owned_up(
-    traced: Traced, gyros: Sequence[GyroErrors], after: Augmented, choices: Sequence[Choice], opened: OpenWorld
+    traced: Traced,
+    gyros: Sequence[GyroErrors],
+    after: Augmented,
+    choices: Sequence[Choice],
+    opened: OpenWorld,
+    between: Floats,
 ) -> tuple[GyroErrors, ...]:
-    """Return errors with sigmas of the states that hold what may act beside the model: rivals, and what has no name."""
+    """Return errors with states that are the mean over what may act beside the model: rivals, and what has no name.
+
+    Their sigmas are those of the same mixture, with what is ``between`` runs (4,).
+    """
     search = traced.search
     closed = np.log1p(-min(opened.probability, 1 - 1e-12))
     sets = [(terms, value + closed) for terms, value in search.alternatives(choices)]
@@ -314,12 +356,14 @@ def _owned_up(
     known = []
     for gyro in gyros:
         g = after.names.index(gyro.name)
-        covariance = np.zeros((4, 4))
+        mean = np.sum([w * posterior.means[g][:4] for posterior, w in posteriors], axis=0)
+        covariance = np.diag(between**2)
         for posterior, w in posteriors:
-            apart = posterior.means[g][:4] - after.mean[g, :4]
+            apart = posterior.means[g][:4] - mean
             covariance += w * (posterior.covariances[g][:4, :4] + np.outer(apart, apart))
-        sd = np.sqrt(np.diag(decode(after.mean[g, :4], covariance)[1]))
-        known.append(replace(gyro, sd_after=np.maximum(sd, gyro.sd_after)))
+        states, covariance = decode(mean, covariance)
+        moved = gyro.moved + (states - gyro.states_after) / gyro.sd_before
+        known.append(replace(gyro, states_after=states, moved=moved, sd_after=np.sqrt(np.diag(covariance))))
     return tuple(known)
 
 

@@ -21,6 +21,7 @@ from estimator.recording import ImuData, Recording
 from estimator.reference import AttitudeReadings, BodyRates, TableReadings, Turns
 from estimator.rows import table_rows
 from estimator.tracing.faults import Fault, held_samples, saturations, split_faulty, without_stuck
+from estimator.tracing.growth import growth_of
 from estimator.tracing.investigation import InvestigationError
 from estimator.turned import REST_RPS, Turned, by_turns
 
@@ -46,7 +47,8 @@ class Run:
     """One source of one recording, as means over blocks of ``length_s``.
 
     ``t_s`` (b,) is the middle of each block on the recording's clock, ``w_rps`` (b, 3) and ``z_rps`` (b, m) are means
-    of body rate and output error, ``weight`` (b,) is 1, or 0 for blocks that hold too few samples. ``grid`` are the
+    of body rate and output error, ``weight`` (b,) is 1 at rest, less where noise has
+    grown with the rate (``growth_s``, see ``tracing.growth``), 0 for blocks that hold too few samples. ``grid`` are the
     conditions at even instants, ``fold`` takes columns on that grid (N, c) to block means (b, c). ``stretch`` (b,)
     numbers stretches without a gap; blocks are evenly spaced within each. ``order`` is the number of the recording
     among all that are looked at, ``held`` for how many samples each value is held.
@@ -67,6 +69,7 @@ class Run:
     period_s: float
     order: int
     held: int
+    growth_s: float = 0.0
 
     @property
     def array(self) -> SensorArray:
@@ -182,6 +185,8 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
     b, m, length_s = len(index), len(data.array), measured.length_s
     w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)
     w[where], z[where], weight[where] = measured.w_rps, measured.z_rps, measured.full
+    stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1).astype(np.intp)
+    growth_s = growth_of(w, z, weight, stretch)
     t_s = np.asarray(measured.origin_s + (index + 0.5) * length_s, dtype=np.float64)
     steps = max(round(length_s / _GRID_S), 1)
     offsets = (np.arange(steps) + 0.5) / steps * length_s
@@ -195,7 +200,6 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         return np.repeat(ago, steps, axis=0)
 
     grid = replace(_conditions(recording, data, grid_s, w, steps), delayed_rps=delayed_rps)
-    stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1)
     return Run(
         recording.name,
         source,
@@ -204,14 +208,15 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         t_s,
         w,
         z,
-        weight,
-        stretch.astype(np.intp),
+        weight / np.hypot(1, growth_s * np.linalg.norm(w, axis=1)),
+        stretch,
         grid,
         lambda columns: columns.reshape(b, steps, -1).mean(axis=1),
         recording,
         float(np.median(np.diff(data.t_ns))) * 1e-9,
         order,
         held,
+        growth_s,
     )
 
 
@@ -412,6 +417,19 @@ def _force(recording: Recording, data: ImuData, grid_s: Floats) -> Floats:
     kernel = np.ones(width) / width
     smooth = [np.convolve(np.pad(c, width, mode="edge"), kernel, "same")[width:-width] for c in accel.T]
     return np.column_stack([np.interp(grid_s, t_s, column) for column in smooth])
+
+
+def growth_notes(runs: Sequence[Run]) -> list[str]:
+    """Return, in words, which runs have noise that grows with the rate."""
+    found = []
+    for run in (run for run in runs if run.growth_s):
+        fastest = float(np.linalg.norm(run.w_rps, axis=1).max())
+        times = float(np.hypot(1, run.growth_s * fastest))
+        found.append(
+            f"{run.name or run.source}: noise grows with the rate, to {times:.1f} times that at rest at "
+            f"{np.degrees(fastest):.0f} deg/s: fast motion counts for less"
+        )
+    return found
 
 
 def same_devices(first: Sequence[Run], other: Sequence[Run]) -> str:

@@ -143,12 +143,12 @@ def drawn(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, 
         for number, run in enumerate(runs):
             if name not in run.array.names:
                 continue
-            columns = after.columns(run, first + number, run.array.names.index(name)) * run.weight[:, None]
+            columns = after.columns(run, first + number, run.array.names.index(name))[run.weight > 0]
             gram = columns.T @ columns
             squares = [np.einsum("mi,ij,mj->m", true - x, gram, true - x) for x in (old, after.mean[g])]
             left = truth.misfit.get((name, first + number), 0.0)
             chance = random.chisquare(_MISFIT_DOF, _DRAWN) / _MISFIT_DOF
-            own = Drawn(squares[0] + left * chance, squares[1] + left * chance, float(run.weight.sum()))
+            own = Drawn(squares[0] + left * chance, squares[1] + left * chance, float(len(columns)))
             sums[name] = sums[name] + own if name in sums else own
     return sums
 
