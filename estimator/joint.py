@@ -25,7 +25,7 @@ from estimator.noise import NoiseFound, NoiseModel
 from estimator.recording import ImuData, Recording
 from estimator.reference import TableReadings
 from estimator.tracing.evidence import Evidence, Term
-from estimator.tracing.growth import growth_of
+from estimator.tracing.growth import weighed
 from estimator.tracing.runs import Run
 from estimator.tracing.spectra import GyroSpectra, NoiseShapes, Z, gyro_spectra
 from estimator.tracing.tones import samples_of, tone_columns
@@ -173,7 +173,7 @@ def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableRe
     w[blocks.index], z[blocks.index] = blocks.w_rps, blocks.z_rps
     weight[blocks.index] = 2 * blocks.held_s >= blocks.length_s
     stretch = np.zeros(b, dtype=np.intp)
-    growth_s = growth_of(w, z, weight, stretch)
+    weight, growth_s = weighed(w, z, weight, stretch)
     none = np.empty((0, 0))
     nowhere = Conditions(np.empty(0), *(np.empty((0, 3)),) * 2, none, none, none, (), np.empty((0, 3)))
     return Run(
@@ -184,7 +184,7 @@ def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableRe
         t_s=np.asarray((np.arange(b) + 0.5) * blocks.length_s),
         w_rps=w,
         z_rps=z,
-        weight=weight / np.hypot(1, growth_s * np.linalg.norm(w, axis=1)),
+        weight=weight,
         stretch=stretch,
         grid=nowhere,
         fold=lambda columns: columns,

@@ -42,7 +42,7 @@ def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatabili
         own = [next(g for g in run if g.name == name) for run in runs]
         states = np.array([g.states for g in own])
         noise = np.array([_type_a(g) for g in own])
-        weighed = _Weighed.of(states, noise)
+        squares, spread = _moments(states, noise)
         found.append(
             Repeatability(
                 name,
@@ -50,8 +50,8 @@ def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatabili
                 states.mean(axis=0),
                 states.std(axis=0, ddof=1),
                 np.sqrt((noise**2).mean(axis=0)),
-                weighed.between,
-                weighed.differs,
+                np.sqrt(np.maximum(squares - (len(own) - 1), 0.0) / spread),
+                _beyond_chance(squares, len(own) - 1),
             )
         )
     return found
@@ -62,38 +62,23 @@ def between_runs(states: Floats, sd: Floats) -> Floats:
 
     Zero where chance would give as much.
     """
-    gyros = [_Weighed.of(*own) for own in zip(states.swapaxes(0, 1), sd.swapaxes(0, 1), strict=True)]
-    whole = _Weighed(*(np.sum([getattr(g, name) for g in gyros], axis=0) for name in ("squares", "spread", "dof")))
-    return np.where(whole.differs, whole.between, 0.0)
+    dof = states.shape[1] * (len(states) - 1)
+    squares, spread = np.sum(_moments(states, sd), axis=1)
+    return np.where(_beyond_chance(squares, dof), np.sqrt(np.maximum(squares - dof, 0.0) / spread), 0.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Weighed:
-    """Squares (4,) of states about their weighted mean, ``spread`` (4,) of the weights, degrees of freedom (4,)."""
+def _moments(states: Floats, sd: Floats) -> tuple[Floats, Floats]:
+    """Return squares of states (runs, ...) about their weighted mean over runs, and the spread of the weights."""
+    weight = 1 / sd**2
+    whole = weight.sum(axis=0)
+    mean = (weight * states).sum(axis=0) / whole
+    return (weight * (states - mean) ** 2).sum(axis=0), whole - (weight**2).sum(axis=0) / whole
 
-    squares: Floats
-    spread: Floats
-    dof: Floats
 
-    @classmethod
-    def of(cls, states: Floats, sd: Floats) -> "_Weighed":
-        """Return those of one gyro over runs (r, 4)."""
-        weight = 1 / sd**2
-        mean = (weight * states).sum(axis=0) / weight.sum(axis=0)
-        spread = weight.sum(axis=0) - (weight**2).sum(axis=0) / weight.sum(axis=0)
-        return cls((weight * (states - mean) ** 2).sum(axis=0), spread, np.full(4, len(states) - 1.0))
+def _beyond_chance(squares: Floats, dof: int) -> NDArray[np.bool_]:
+    from scipy.stats import chi2  # 0.8 s of import: only where runs are compared
 
-    @property
-    def between(self) -> Floats:
-        """Standard deviation of what is between runs."""
-        return np.sqrt(np.maximum(self.squares - self.dof, 0.0) / self.spread)
-
-    @property
-    def differs(self) -> NDArray[np.bool_]:
-        """Where chance does not give as much."""
-        from scipy.stats import chi2  # 0.8 s of import: only where runs are compared
-
-        return np.asarray(chi2.sf(self.squares, self.dof) < _BY_CHANCE)
+    return np.asarray(chi2.sf(squares, dof) < _BY_CHANCE)
 
 
 def _type_a(gyro: GyroCalibration) -> Floats:

@@ -16,7 +16,7 @@ from estimator.tracing.spectra import GyroSpectra, NoiseShapes, Stretch, Z
 
 Floats = NDArray[np.float64]
 
-_HARDLY = 0.5  # rtHz
+_HARDLY = 0.2  # rtHz
 _MATTERS = 9.0  # natural logarithm of how much less probable than the best a noise model may be and still count
 SCALES = np.array([10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001])
 """Scales of an effect's parameters, as shares of the largest plausible size; none is preferred."""
@@ -253,59 +253,39 @@ class Evidence:
         """
         weight = self.noise_weight(terms) if weight is None else weight
         each = np.broadcast_to(weight.reshape(len(weight), -1), (len(weight), len(self.gyros)))
-        parts = [self._reduced(n, terms, own) for n, own in enumerate(each.T)]
-        h = parts[0].left.shape[-1] - 1
-        prior = np.diag(_precision(_split(terms)[1]))
-        found = Posterior([], [])
-        of_all = np.sum([part.left if weight.ndim == 1 else part.mean_left for part in parts], axis=0)
-        for part in parts:
-            # What the other gyros say of shared terms they say under their own noise.
-            left = of_all if weight.ndim == 1 else part.left + (of_all - part.mean_left)
-            shared_covariance = np.linalg.inv(left[:, :h, :h] + prior)
-            shared = (shared_covariance @ left[:, :h, h:])[..., 0]
-            slope = part.gain[:, :, :h]
-            x = np.hstack([part.gain[:, :, h] - np.einsum("gij,gj->gi", slope, shared), shared])
-            across = -slope @ shared_covariance
-            own = part.inner - across @ slope.transpose(0, 2, 1)
-            whole = np.block([[own, across], [across.transpose(0, 2, 1), shared_covariance]])
-            mean = part.weight @ x
-            spread = x - mean
-            found.means.append(mean)
-            squares = whole + spread[:, :, None] * spread[:, None, :]
-            found.covariances.append(np.einsum("g,gij->ij", part.weight, squares))
-        return found
-
-    def _reduced(self, number: int, terms: Sequence[Term], weight: Floats) -> _Reduced:
-        matter = np.flatnonzero(weight > 1e-4)
         own, shared = _split(terms)
         columns = np.array([*range(Z), *(c for t in own for c in t.columns)])
         rest = np.array([*(c for t in shared for c in t.columns), Z])
-        gram = self.grams[number]
-        precision = np.diag(np.concatenate([1 / self.gyros[number].prior, _precision(own)]))
-        inner = np.asarray(np.linalg.inv(gram[np.ix_(matter, columns, columns)] + precision), dtype=np.float64)
-        across = gram[np.ix_(matter, columns, rest)]
-        gain = inner @ across
-        left = gram[np.ix_(matter, rest, rest)] - across.transpose(0, 2, 1) @ gain
-        return _Reduced(weight[matter] / weight[matter].sum(), inner, gain, left)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Reduced:
-    """One gyro with its states and own terms eliminated, under the noise models that matter (G,).
-
-    ``inner`` (G, c, c) is their covariance, ``gain`` (G, c, h + 1) what they take of [shared terms, z], ``left``
-    (G, h + 1, h + 1) the products of these that are left.
-    """
-
-    weight: Floats
-    inner: Floats
-    gain: Floats
-    left: Floats
-
-    @property
-    def mean_left(self) -> Floats:
-        """Mean of ``left`` over the noise models (h + 1, h + 1)."""
-        return np.asarray(np.einsum("g,gij->ij", self.weight, self.left))
+        h, parts = len(rest) - 1, []
+        for gyro, gram, its in zip(self.gyros, self.grams, each.T, strict=True):
+            matter = np.flatnonzero(its > 1e-4)
+            precision = np.diag(np.concatenate([1 / gyro.prior, _precision(own)]))
+            inner = np.linalg.inv(gram[np.ix_(matter, columns, columns)] + precision)
+            across = gram[np.ix_(matter, columns, rest)]
+            gain = inner @ across
+            left = gram[np.ix_(matter, rest, rest)] - across.transpose(0, 2, 1) @ gain
+            chance = its[matter] / its[matter].sum()
+            parts.append((chance, inner, gain, left, left if weight.ndim == 1 else chance @ left.swapaxes(0, 1)))
+        prior = np.diag(_precision(shared))
+        found = Posterior([], [])
+        of_all = np.sum([said for *_, said in parts], axis=0)
+        for chance, inner, gain, left, said in parts:
+            # What the other gyros say of shared terms they say under their own noise.
+            left = left + (of_all - said)
+            shared_covariance = np.linalg.inv(left[:, :h, :h] + prior)
+            common = (shared_covariance @ left[:, :h, h:])[..., 0]
+            slope = gain[:, :, :h]
+            x = np.hstack([gain[:, :, h] - np.einsum("gij,gj->gi", slope, common), common])
+            across = -slope @ shared_covariance
+            whole = np.block(
+                [[inner - across @ slope.transpose(0, 2, 1), across], [across.transpose(0, 2, 1), shared_covariance]]
+            )
+            mean = chance @ x
+            spread = x - mean
+            found.means.append(mean)
+            squares = whole + spread[:, :, None] * spread[:, None, :]
+            found.covariances.append(np.einsum("g,gij->ij", chance, squares))
+        return found
 
 
 class Base:

@@ -16,11 +16,17 @@ _LARGEST = np.geomspace(0.1, 300.0, 33)  # growth at the largest rate, over the 
 _LEAST_RPS = 1e-12
 
 
-def growth_of(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np.intp]) -> float:
-    """Return g in s (over rad) from blocks: rates (b, 3), outputs (b, m), their weight (b,), the stretch they are in.
+def weighed(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np.intp]) -> tuple[Floats, float]:
+    """Return the weight (b,) of blocks, 1 at rest, and g in s (over rad).
 
-    Zero where the steady rates do not tell, or noise does not grow beyond chance.
+    Of the blocks come rates (b, 3), outputs (b, m), whether they hold data (b,), the stretch they are in (b,).
     """
+    growth_s = _growth_of(w_rps, z_rps, weight, stretch)
+    return weight / np.hypot(1, growth_s * np.linalg.norm(w_rps, axis=1)), growth_s
+
+
+def _growth_of(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np.intp]) -> float:
+    """Return g, zero where the steady rates do not tell, or noise does not grow beyond chance."""
     size = float(np.abs(w_rps).max(initial=0.0))
     if len(weight) < _FEWEST or size <= 0:
         return 0.0

@@ -16,17 +16,7 @@ from estimator.tracing.candidates import Candidate, candidates_of
 from estimator.tracing.composing import laws_of
 from estimator.tracing.evidence import Evidence, Posterior, Term
 from estimator.tracing.faults import Fault
-from estimator.tracing.held_out import (
-    FOLDS,
-    Mask,
-    by_run,
-    by_step,
-    held,
-    out_of_sample,
-    together,
-    told_by,
-    without,
-)
+from estimator.tracing.held_out import FOLDS, by_run, by_step, held, out_of_sample, together, told_by, without
 from estimator.tracing.investigation import (
     Added,
     Finding,
@@ -344,13 +334,11 @@ def _owned_up(
     closed = np.log1p(-min(opened.probability, 1 - 1e-12))
     sets = [(terms, value + closed) for terms, value in search.alternatives(choices)]
     sure = [c.term for c in choices if c.probability >= CERTAIN and c.tone is None]
-    top = max(value for _, value in sets)
     share = opened.by_size - np.logaddexp.reduce(opened.by_size) + np.log(max(opened.probability, 1e-30))
     base = np.logaddexp.reduce([value for _, value in sets]) - closed
     sets += [([*sure, search.open_term(float(s))], base + w) for s, w in zip(SIZES_RPS, share, strict=True)]
     total = np.logaddexp.reduce([value for _, value in sets])
-    weights = [(terms, float(np.exp(value - total))) for terms, value in sets if value > top - 50 or value > total - 50]
-    weights = [(terms, w) for terms, w in weights if w > _MATTERS]
+    weights = [(terms, np.exp(value - total)) for terms, value in sets if value > total + np.log(_MATTERS)]
     scale = sum(w for _, w in weights)
     posteriors = [(search.evidence.posterior(terms), w / scale) for terms, w in weights]
     known = []
@@ -497,12 +485,13 @@ def _cross_validated(
         return judge(traced.runs, 0, before, after, False, drawn(traced.runs, 0, before, after, truth))
     # The models are those of all the data; errors by step hold what a fit without that step would have said.
     weight = traced.search.evidence.noise_weight([c.term for c in choices])
-    full = _model(traced, choices, weight)
     parts = []
     share = replace(truth, misfit={key: squares / FOLDS for key, squares in truth.misfit.items()})
     for mask in by_step(traced.runs):
         runs = held(traced.runs, mask)
-        old, new = _models_without(traced, full, mask, weight)
+        terms, evidence = without(traced.runs, after, mask, traced.search.evidence.shapes)
+        old = _estimated(before, evidence.posterior([], weight))
+        new = _estimated(after, evidence.posterior(terms, weight))
         errors = drawn(runs, 0, old, new, share)
         parts.append((judge(runs, 0, old, new, False, errors), errors))
     whole = {name: sum_of(errors[name] for _, errors in parts) for name in after.names}
@@ -516,23 +505,6 @@ def _cross_validated(
         before=replace(judged.before, coverage95=cover[0]),
         after=replace(judged.after, coverage95=cover[1]),
     )
-
-
-def _models_without(traced: Traced, full: Augmented, mask: Mask, weight: Floats) -> tuple[Augmented, Augmented]:
-    """Return the first model and the last of all but what is left out, the noise as found on all."""
-    terms, evidence = without(traced.runs, full, mask, traced.search.evidence.shapes)
-    old, new = (
-        Augmented.of(
-            [gyro.name for gyro in evidence.gyros],
-            evidence.posterior(chosen, weight),
-            parts_of,
-            full.prior,
-            full.arw,
-            (full.instability, full.walk),
-        )
-        for chosen, parts_of in (([], []), (terms, list(full.parts)))
-    )
-    return old, new
 
 
 def _added(traced: Traced, choice: Choice, model: Augmented, told: OutOfSample | None) -> Added:

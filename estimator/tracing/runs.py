@@ -21,7 +21,7 @@ from estimator.recording import ImuData, Recording
 from estimator.reference import AttitudeReadings, BodyRates, TableReadings, Turns
 from estimator.rows import table_rows
 from estimator.tracing.faults import Fault, held_samples, saturations, split_faulty, without_stuck
-from estimator.tracing.growth import growth_of
+from estimator.tracing.growth import weighed
 from estimator.tracing.investigation import InvestigationError
 from estimator.turned import REST_RPS, Turned, by_turns
 
@@ -186,7 +186,7 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
     w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)
     w[where], z[where], weight[where] = measured.w_rps, measured.z_rps, measured.full
     stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1).astype(np.intp)
-    growth_s = growth_of(w, z, weight, stretch)
+    weight, growth_s = weighed(w, z, weight, stretch)
     t_s = np.asarray(measured.origin_s + (index + 0.5) * length_s, dtype=np.float64)
     steps = max(round(length_s / _GRID_S), 1)
     offsets = (np.arange(steps) + 0.5) / steps * length_s
@@ -208,7 +208,7 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         t_s,
         w,
         z,
-        weight / np.hypot(1, growth_s * np.linalg.norm(w, axis=1)),
+        weight,
         stretch,
         grid,
         lambda columns: columns.reshape(b, steps, -1).mean(axis=1),

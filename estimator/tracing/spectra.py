@@ -24,7 +24,7 @@ _SINGLE = 12  # so many of the lowest frequencies of a stretch have a band of th
 _WHITE = 0.6  # expected before the data: that a kind of coloured noise is too small to matter
 _STATED_SPREAD = np.log(3.0)  # how far a device's instability may be from its data sheet
 _LEAST = 0.05  # expectation of no coloured noise at most, where the data sheet states some
-_TURN_ON, _TURN_ON_EXPECTED = np.array([0.0, 0.5, 5.0, 50.0]), np.array([0.45, 0.2, 0.2, 0.15])
+_TURN_ON, _TURN_ON_EXPECTED = np.array([0.0, 0.2, 2.0, 50.0]), np.array([0.45, 0.2, 0.2, 0.15])
 
 
 def cosines(columns: Floats) -> Floats:
@@ -92,8 +92,8 @@ class NoiseShapes:
         """Return those that one or ``several`` recordings of this length can tell; ``stated`` by a data sheet."""
         arw = stated.arw if stated is not None else 0.0
         ratios = (stated.instability / arw, stated.walk / arw) if stated is not None and arw > 0 else (0.0, 0.0)
-        instability, chance_b = _expected(np.geomspace(0.7, 60, 8) / np.sqrt(span_s), ratios[0])
-        walk, chance_k = _expected(np.geomspace(0.3, 60, 5) / span_s, ratios[1])
+        instability, chance_b = _expected(np.geomspace(1.0, 60, 6) / np.sqrt(span_s), ratios[0])
+        walk, chance_k = _expected(np.geomspace(0.5, 40, 4) / span_s, ratios[1])
         turn_on, chance_t = (_TURN_ON, _TURN_ON_EXPECTED) if several else (np.zeros(1), np.ones(1))
         b, k, t = (part.ravel() for part in np.meshgrid(instability, walk, turn_on, indexing="ij"))
         return cls(b, k, t, np.log(np.einsum("b,k,t->bkt", chance_b, chance_k, chance_t).ravel()), span_s)
