@@ -151,19 +151,9 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
     weight = evidence.noise_weights(terms)
     posterior = evidence.posterior(terms, weight)
     noise = [_noise(own, evidence.shapes, share) for own, share in zip(arw.tolist(), weight.T, strict=True)]
-    return Joint(
-        list(moved),
-        ordered,
-        columns,
-        posterior.means,
-        posterior.covariances,
-        noise,
-        arw,
-        np.maximum(white, 1e-3 * arw),
-        _expected_nis(evidence, weight),
-        weight,
-        evidence,
-    )
+    white, chance = np.maximum(white, 1e-3 * arw), _expected_nis(evidence, weight)
+    found = posterior.means, posterior.covariances
+    return Joint(list(moved), ordered, columns, *found, noise, arw, white, chance, weight, evidence)
 
 
 def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableReadings) -> Run:

@@ -83,11 +83,8 @@ class Profile:
         _, group = np.unique(group, return_inverse=True)
         total, count = np.maximum(np.bincount(group, squares), 1e-12), np.bincount(group, freedom)
         ratio = total / count
-        unlike = gammaincc(count / 2, total / 2) < _BY_CHANCE
-        if less:
-            unlike |= gammainc(count / 2, total / 2) < _BY_CHANCE
-        else:
-            unlike &= ratio > 1
+        unlike = (gammaincc(count / 2, total / 2) < _BY_CHANCE) & (ratio > 1)
+        unlike |= less & (gammainc(count / 2, total / 2) < _BY_CHANCE)
         middle = np.exp(np.bincount(group, np.log(np.maximum(hz, 1e-12))) / np.bincount(group))
         return cls(middle, np.where(unlike, ratio, 1.0))
 

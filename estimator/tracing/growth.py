@@ -27,7 +27,8 @@ def weighed(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np.in
 
 def _growth_of(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np.intp]) -> float:
     """Return g, zero where the steady rates do not tell, or noise does not grow beyond chance."""
-    size = float(np.abs(w_rps).max(initial=0.0))
+    speed = np.linalg.norm(w_rps, axis=1)
+    size = float(speed.max(initial=0.0))
     if len(weight) < _FEWEST or size <= 0:
         return 0.0
     parts = slice(None, -2), slice(1, -1), slice(2, None)
@@ -37,11 +38,9 @@ def _growth_of(w_rps: Floats, z_rps: Floats, weight: Floats, stretch: NDArray[np
     if steady.sum() < _FEWEST:
         return 0.0
     squares = (z_rps[:-2] - 2 * z_rps[1:-1] + z_rps[2:])[steady] ** 2 + _LEAST_RPS**2
-    rate = (np.linalg.norm(around[1], axis=1) / np.linalg.norm(w_rps, axis=1).max())[steady]
+    rate = speed[1:-1][steady] / size
     grown = 1 + (np.append(0.0, _LARGEST)[:, None] * rate) ** 2
     levels = np.log(np.array([np.mean(squares / one[:, None], axis=0) for one in grown]))
     log = -0.5 * (len(rate) * levels.sum(axis=1) + squares.shape[1] * np.log(grown).sum(axis=1)) / _SHARED
     best = int(np.argmax(log))
-    if not best or log[best] - log[0] < _BY_CHANCE:
-        return 0.0
-    return float(_LARGEST[best - 1] / np.linalg.norm(w_rps, axis=1).max())
+    return float(_LARGEST[best - 1] / size) if log[best] - log[0] > _BY_CHANCE else 0.0

@@ -38,16 +38,6 @@ def held(runs: Sequence[Run], mask: Mask) -> list[Run]:
     return [replace(run, weight=run.weight * out) for run, out in zip(runs, mask, strict=True)]
 
 
-def without(runs: Sequence[Run], model: Augmented, mask: Mask, shapes: NoiseShapes) -> tuple[list[Term], Evidence]:
-    """Return the terms of a model, tones apart, and the evidence of all but what is left out.
-
-    Tones are taken off as they were found on all steps: a fifth of them says nothing else of a line.
-    """
-    kept = [replace(run, weight=run.weight * ~out) for run, out in zip(runs, mask, strict=True)]
-    evidence, terms = together(kept, model, shapes)
-    return terms, evidence
-
-
 def together(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> tuple[Evidence, list[Term]]:
     """Return the evidence of runs with the effects of a model, tones taken off, what it does not fit being noise."""
     spectra, terms = _spectra(runs, model)

@@ -186,7 +186,9 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
     w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)
     w[where], z[where], weight[where] = measured.w_rps, measured.z_rps, measured.full
     stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1).astype(np.intp)
-    weight, growth_s = weighed(w, z, weight, stretch)
+    growth_s = 0.0
+    if not by_turns(recording.reference):  # else what grows with the motion is what the other instrument gets wrong
+        weight, growth_s = weighed(w, z, weight, stretch)
     t_s = np.asarray(measured.origin_s + (index + 0.5) * length_s, dtype=np.float64)
     steps = max(round(length_s / _GRID_S), 1)
     offsets = (np.arange(steps) + 0.5) / steps * length_s

@@ -3,7 +3,7 @@
 python tests/bench/parameters.py                                    (every effect, 30 seeds, 10 deg/h)
 python tests/bench/parameters.py --effects g_sensitivity --seeds 100 --instability 10 --walk 10
 python tests/bench/parameters.py --by model                         (of station calibrate --model, the 360 s script)
-python tests/bench/parameters.py --by investigate --seeds 10        (effects that nobody names; those not found not counted)
+python tests/bench/parameters.py --by investigate --seeds 10        (nobody names the effects; those found count)
 
 The motion of each run is made once, without noise; a seed adds the noise of the gyros to it. The truth is what the
 estimate without noise says. Two recordings are fitted (the 360 s script and exploration), as in the study of detection.
