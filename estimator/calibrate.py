@@ -53,6 +53,7 @@ class _Estimate:
     dof: int = 0
     blocks: Blocks | None = None
     expected_nis: tuple[float, float] = (1.0, 0.0)
+    growth_s: float = 0.0
 
 
 def calibrate(
@@ -203,9 +204,8 @@ def _joint(recording: Recording, data: ImuData, found: Modelled) -> _Estimate:
         noise_rps = found.white / np.sqrt(length_s)
         squares = float(np.sum((found.left_rps / found.white) ** 2)) * found.run.length_s
         dof, samples = max((full - 4) * m, 0), round(full * found.run.length_s / length_s) * m
-    return _Estimate(
-        found.x, found.lines, found.noise, found.effects, noise_rps, samples, squares, dof, blocks, found.expected_nis
-    )
+    its = found.x, found.lines, found.noise, found.effects
+    return _Estimate(*its, noise_rps, samples, squares, dof, blocks, found.expected_nis, found.run.growth_s)
 
 
 def _gyros(recording: Recording, source: str, data: ImuData, found: _Estimate) -> list[GyroCalibration]:
@@ -254,7 +254,8 @@ def _parity(
     if len(blocks) < len(estimates):
         return []
     noise = [gyro.noise.mean for gyro in gyros if gyro.noise is not None]
-    return parity([data.array for _, data in sources], blocks, np.array([gyro.states for gyro in gyros]), noise)
+    states, growth_s = np.array([gyro.states for gyro in gyros]), max(one.growth_s for one in estimates)
+    return parity([data.array for _, data in sources], blocks, states, noise, growth_s)
 
 
 def _block_s(data: ImuData) -> float:

@@ -23,7 +23,7 @@ from estimator.noise import NoiseFound
 from estimator.recording import ImuData, Recording
 from estimator.reference import Poses, TableReadings, Turns
 from estimator.tracing.candidates import WITHIN_TURNS
-from estimator.tracing.runs import FEWEST_TURNS, Run, run_of
+from estimator.tracing.runs import FEWEST_TURNS, Run, growth_notes, run_of
 from estimator.tracing.spectra import Z
 from estimator.undeclared import undeclared_laws
 
@@ -155,6 +155,7 @@ def estimate_device(
     stated = sources[0][1].noise
     joint = plain = joint_estimate(runs, laws, stated)
     covariances, notes = _clustered(plain) if delay_s is not None else (plain.covariances, [])
+    notes += growth_notes(runs)
     unseen: list[Floats] | None = None
     if excluded is not None and model is None:
         further, runs = undeclared_laws(runs, excluded | {law.effect.name for law in laws})
@@ -375,7 +376,7 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
         first = np.flatnonzero(np.diff(cluster, prepend=-1))
         rest = both * (rows[:, Z] - both @ joint.means[g])[:, None]
         scores[cluster[first][:, None], place] += np.add.reduceat(rest, first, axis=0)
-        precision[place[:4]] = 1 / joint.spectra[g].prior
+        precision[place[:4]] = 1 / joint.evidence.gyros[g].prior
     white = np.linalg.inv(information + np.diag(precision))
     # So few clusters fit so many parameters: their scores are too small by these.
     meat = scores.T @ scores * (len(used) / max(len(used) - whole, len(used) / 4)) + np.diag(precision)

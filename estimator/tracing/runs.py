@@ -24,6 +24,7 @@ from estimator.recording import ImuData, Recording
 from estimator.reference import AttitudeReadings, BodyRates, Poses, TableReadings, Turns
 from estimator.rows import sample_noise, table_rows, turn_rows
 from estimator.tracing.faults import Fault, held_samples, saturations, split_faulty, without_stuck
+from estimator.tracing.growth import weighed
 from estimator.tracing.investigation import InvestigationError
 from estimator.turned import REST_RPS, Turned, by_turns
 
@@ -54,7 +55,8 @@ class Run:
     """One source of one recording, as means over blocks of ``length_s``.
 
     ``t_s`` (b,) is the middle of each block on the recording's clock, ``w_rps`` (b, 3) and ``z_rps`` (b, m) are means
-    of body rate and output error, ``weight`` (b,) is 1, or 0 for blocks that hold too few samples. ``grid`` are the
+    of body rate and output error, ``weight`` (b,) is 1 at rest, less where noise has
+    grown with the rate (``growth_s``, see ``tracing.growth``), 0 for blocks that hold too few samples. ``grid`` are the
     conditions at even instants, ``fold`` takes columns on that grid (N, c) to block means (b, c). ``stretch`` (b,)
     numbers stretches without a gap; blocks are evenly spaced within each. ``order`` is the number of the recording
     among all that are looked at, ``held`` for how many samples each value is held.
@@ -84,6 +86,7 @@ class Run:
     stated_rps: float = 0.0
     pose: NDArray[np.intp] | None = None
     earth_rps: Floats | None = None
+    growth_s: float = 0.0
 
     @property
     def array(self) -> SensorArray:
@@ -221,6 +224,10 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
     b, m, length_s = len(index), len(data.array), measured.length_s
     w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)
     w[where], z[where], weight[where] = measured.w_rps, measured.z_rps, measured.full
+    stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1).astype(np.intp)
+    growth_s = 0.0
+    if not by_turns(recording.reference):  # else what grows with the motion is what the other instrument gets wrong
+        weight, growth_s = weighed(w, z, weight, stretch)
     t_s = np.asarray(measured.origin_s + (index + 0.5) * length_s, dtype=np.float64)
     steps = max(round(length_s / _GRID_S), 1)
     offsets = (np.arange(steps) + 0.5) / steps * length_s
@@ -244,13 +251,14 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         w,
         z,
         weight,
-        stretch.astype(np.intp),
+        stretch,
         grid,
         lambda columns: columns.reshape(b, steps, -1).mean(axis=1),
         recording,
         float(np.median(np.diff(data.t_ns))) * 1e-9,
         order,
         held,
+        growth_s=growth_s,
     )
     return run if run.turns or grid.gimbals else replace(run, **_unknown_earth(run))
 
@@ -541,6 +549,19 @@ def _force(recording: Recording, data: ImuData, grid_s: Floats) -> Floats:
     kernel = np.ones(width) / width
     smooth = [np.convolve(np.pad(c, width, mode="edge"), kernel, "same")[width:-width] for c in accel.T]
     return np.column_stack([np.interp(grid_s, t_s, column) for column in smooth])
+
+
+def growth_notes(runs: Sequence[Run]) -> list[str]:
+    """Return, in words, which runs have noise that grows with the rate."""
+    found = []
+    for run in (run for run in runs if run.growth_s):
+        fastest = float(np.linalg.norm(run.w_rps, axis=1).max())
+        times = float(np.hypot(1, run.growth_s * fastest))
+        found.append(
+            f"{run.name or run.source}: noise grows with the rate, to {times:.1f} times that at rest at "
+            f"{np.degrees(fastest):.0f} deg/s: fast motion counts for less"
+        )
+    return found
 
 
 def same_devices(first: Sequence[Run], other: Sequence[Run]) -> str:

@@ -44,11 +44,8 @@ class Scan:
         columns = [*range(4), *(c for t in terms for c in t.columns)]
         self._runs, self._spectra = runs, spectra
         self._roots, self._bases, self._rest = [], [], []
-        for gyro, excess in zip(spectra, evidence.excess, strict=True):
-            density = [
-                (evidence.shapes.density(s)[best] * more)[s.band]
-                for s, more in zip(gyro.stretches, excess, strict=True)
-            ]
+        for gyro in spectra:
+            density = [evidence.density(gyro, s)[best][s.band] for s in gyro.stretches]
             root = (
                 np.concatenate([np.sqrt(s.length_s / d) for s, d in zip(gyro.stretches, density, strict=True)])
                 / gyro.arw
