@@ -186,9 +186,9 @@ class LiveSource:
 class LiveEstimate:
     """All sources of a run on one table."""
 
-    def __init__(self, gimbals: tuple[str, ...], site: Site | None, timing_s: float = 0.0) -> None:
-        """Start without sources; ``timing_s`` is how well the table's readings are timed to the gyros'."""
-        self.rates = BodyRates(gimbals, site, timing_s)
+    def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
+        """Start without sources."""
+        self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
         self._rows: list[TableRow] = []
         self._gimbals = gimbals

@@ -121,8 +121,7 @@ class Session:
         self._half_width_ns = 0
         self._connected = False
         self._sync: asyncio.Future[Any] | None = None
-        stated = config.table.uncertainty
-        self._live = LiveEstimate(config.table.gimbals, config.site, stated.timing_s if stated else 0.0)
+        self._live = LiveEstimate(config.table.gimbals, config.site)
         told = {"operator": options.operator, "device_serial": options.device_serial}
         self._writer = RecordingWriter(path, _attributes(bench, script) | {k: v for k, v in told.items() if v})
         loop = asyncio.get_running_loop()
