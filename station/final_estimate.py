@@ -16,7 +16,6 @@ from estimator.recording import Recording, read_recording, write_results, write_
 from estimator.results import write_calibration
 from estimator.rows import gram_of
 from estimator.sample_columns import white_solution
-from estimator.timing import time_offset
 from station.live import LiveEstimate
 from station.sources import SourceReport
 
@@ -37,10 +36,7 @@ def final_estimate(
     found = calibrate(recording, innovations=False, model=model, excluded=excluded)
     calibration = replace(found, nis_mean=live.nis_mean, notes=(*found.notes, *live.notes))
     agreement = _agreement(recording, live)
-    fuller = {}
-    for name, source in live.sources.items():
-        offset = time_offset(source.blocks(), source.array, source.prior)
-        fuller[name] = replace(reports[name], offset=offset)
+    fuller = {name: replace(reports[name], offset=calibration.offsets.get(name)) for name in live.sources}
     write_source_attributes(path, {name: report.attributes() for name, report in fuller.items()})
     write_calibration(path, calibration, {"live_batch_difference_sigma": agreement})
     for name, source in live.sources.items():
