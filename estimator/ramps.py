@@ -19,9 +19,11 @@ WINDOW_S = 3.0
 LONGEST_S = 10.0
 """A change of rate that lasts longer is no ramp; its corners matter little."""
 
+LEAST_RPS2 = 0.02
+"""Slower changes of rate are no ramps."""
+
 _ANGLE_SD_RAD, _RATE_SD_RPS = 1e-4, 3e-4  # of readings whose instants are known
 _SCALE_SD = 0.05  # of a drive's rate readback
-_LEAST_RPS2 = 0.02  # slower changes are no ramps
 _LEAST_RPS = 0.0175  # nor are smaller ones
 _QUIET = 2  # intervals without change that end a ramp
 _FEWEST = 3  # readings of steady rate on either side
@@ -46,7 +48,7 @@ class Ramp:
 def changing(t_s: Floats, rate_rps: Floats) -> Flags:
     """Return for each interval (n - 1,) between readings (n,), (n, axes) whether a rate may change by a ramp in it."""
     change = np.abs(np.diff(rate_rps, axis=0))
-    return np.asarray((change > _RATE_SD_RPS + _LEAST_RPS2 * np.diff(t_s)[:, None]).any(axis=1))
+    return np.asarray((change > _RATE_SD_RPS + LEAST_RPS2 * np.diff(t_s)[:, None]).any(axis=1))
 
 
 def ends(changes: Flags) -> tuple[int, bool]:

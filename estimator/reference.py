@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Flags, Floats, Stamps
 from estimator.errors import RecordingError
 from estimator.kinematics import Site, body_rate, check_gimbals
-from estimator.ramps import LONGEST_S, WINDOW_S, Ramp, changing, ends, fitted, is_ramp
+from estimator.ramps import LEAST_RPS2, LONGEST_S, WINDOW_S, Ramp, changing, ends, fitted, is_ramp
 
 GAP_NS = 150_000_000
 GAP_ANGLE_RAD = float(np.radians(0.02))
@@ -26,6 +26,7 @@ _STEADY_SHARE, _STEADY_RPS = 0.005, 2e-4  # rates that differ by no more than th
 _ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
 _RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
 _SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must leave a rate within a ramp known
+_NEAR_NS = 1_000_000  # so near on both sides a change of rate is looked for
 _TERMS = 8  # of the sums a gimbal
 
 
@@ -353,6 +354,16 @@ class BodyRates:
         if n < 2:
             return np.zeros((len(t_ns), len(self._gimbals)))
         return np.asarray((rates[ends] - rates[ends - 1]) / ((times[ends] - times[ends - 1]) * 1e-9)[:, None])
+
+    def angular_acceleration_at(self, t_ns: Stamps) -> Floats | None:
+        """Return the derivative (rows, 3) of the body rate at instants as for ``at``; None where no axis ramps."""
+        if np.abs(self.accelerations_at(t_ns)).max(initial=0.0) < LEAST_RPS2:
+            return None
+        return np.asarray((self.at(t_ns + _NEAR_NS) - self.at(t_ns - _NEAR_NS)) / (2e-9 * _NEAR_NS))
+
+    def earlier(self, t_ns: Stamps, delay_s: float) -> Stamps:
+        """Return instants so much earlier, where there are final readings."""
+        return np.clip(t_ns - round(delay_s * 1e9), self.starts_ns, self.final_until_ns)
 
     def _refine_up_to(self, stop: int) -> None:
         start = len(self._refined)

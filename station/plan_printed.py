@@ -17,6 +17,7 @@ from station.axis_profile import profile_lines
 from station.figures import STATE_UNITS
 from station.investigation_printed import words
 from station.plan import WARMING_TIME_S, Plan
+from station.polling import too_steep
 from station.rich_table import rich_table
 
 _DEG = 180 / np.pi
@@ -55,6 +56,8 @@ def print_plan(plan: Plan, console: Console) -> None:
         _print_corrupted(plan.forecast, console)
         _print_pairs(plan.forecast, console)
     console.print()
+    for text in too_steep(plan.script, plan.bench.table.read_time_s):
+        _say(console, f"[bold yellow]note:[/] {escape(text)}")
     for note in _assumptions(plan):
         _say(console, f"[dim]assumed:[/] {note}")
     console.print()

@@ -33,6 +33,7 @@ from station.loops import is_virtual
 from station.monitor import Monitor
 from station.open_bench import OpenBench, OpenImu
 from station.outcome import Outcome, Verdict, judge
+from station.polling import too_steep
 from station.reopening import Reopening
 from station.script import Script
 from station.sequencer import Sequencer
@@ -131,8 +132,6 @@ class Session:
         self._writer.add_table(config.table.gimbals, config.table.uncertainty)
         for imu in bench.imus:
             self._add_sources(imu)
-        for source in self._live.sources.values():
-            source.keep_blocks()
         self._ended_early = ""
         self._monitor = Monitor(bench, self._live, self._reopening, time_scale)
         self._early_end: EarlyEnd | None = None
@@ -223,12 +222,15 @@ class Session:
         for name, gyros in config.gyros_of(imu.source.names).items():
             array = config.array.select(gyros)
             noise = [config.noise.arw, config.noise.instability, config.noise.walk]
-            stated = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
-            self._writer.add_source(name, array, config.prior, stated)
+            about = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
+            self._writer.add_source(name, array, config.prior, about)
             effects = None
             if self._model is not None:
                 effects = SampleColumns(self._model, self._bench.table.gimbals, self._bench.site, array)
-            self._live.sources[name] = LiveSource(array, config.rate_hz, float(noise_rps), config.prior, effects)
+            stated = self._bench.table.uncertainty
+            timing_s = stated.timing_s if stated else 0.0
+            own = (array, config.rate_hz, float(noise_rps), config.prior, effects, timing_s)
+            self._live.sources[name] = LiveSource(*own)
 
     async def _work(self) -> None:
         table = self._open.table
@@ -255,11 +257,17 @@ class Session:
             self._phase = "homing"
             await table.home()
             await check_axes(table, axes)
+            loop = asyncio.get_running_loop()
+            began_s = loop.time()
+            for axis in axes:
+                await table.read(axis)
+            for text in too_steep(self._script, (loop.time() - began_s) / len(axes)):
+                self._event(_NOTE + text)
             sequencer = self._sequencer = Sequencer(table, self._script, self._end_step, self._event)
             watch = watch_table(
                 table,
                 axes,
-                self._bench.table.poll_rate_hz,
+                lambda: max(self._bench.table.poll_rate_hz, sequencer.wanted_hz(loop.time())),
                 lambda: sequencer.driven_axis,
                 self._take_row,
                 lambda error: self._reopening.restore(table, error),

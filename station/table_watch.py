@@ -139,14 +139,15 @@ def _slowest_ns(states: Mapping[str, AxisState]) -> int:
 async def watch_table(
     table: Turntable,
     axes: tuple[str, ...],
-    rate_hz: float,
+    rate_hz: Callable[[], float],
     driven_axis: Callable[[], str | None],
     on_row: Callable[[TableRow], None],
     on_lost: Callable[[LinkLost], Awaitable[None]],
 ) -> None:
     """Read until cancelled; DeviceFault when an axis goes to fault or leaves operation by itself.
 
-    ``on_lost`` opens a link again that was lost, or raises.
+    ``rate_hz`` says how often it is to be read now; a slow link gives what it can. ``on_lost`` opens a link again that
+    was lost, or raises.
 
     An axis that is driven or turns is read every time, of the others one in turn: what stands still and has
     not been told to move is still there, and a slow bus has its time for what turns.
@@ -155,7 +156,6 @@ async def watch_table(
     states = {axis: await table.read(axis) for axis in axes}
     aligner = Aligner(axes)
     usual_ns: deque[int] = deque(maxlen=51)
-    period_s = 1 / rate_hz
     due_s = loop.time()
     counter = itertools.count()
     checked_s = dict.fromkeys(axes, due_s)
@@ -188,7 +188,7 @@ async def watch_table(
             except LinkLost as error:
                 await on_lost(error)
                 await check_axes(table, axes)
-            due_s = max(due_s + period_s, loop.time())
+            due_s = max(due_s + 1 / rate_hz(), loop.time())
             await asyncio.sleep(due_s - loop.time())
     finally:
         for row in aligner.last():
