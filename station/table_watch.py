@@ -40,7 +40,8 @@ class TableRow(NamedTuple):
 class Aligner:
     """Turns readings of single axes, each at its own instant, into rows at one instant.
 
-    An angle is carried to the row's instant by the rate, a rate by interpolation between readings. A row is given
+    An angle is carried to the row's instant, that of the fastest axis' rate, by the rate, a rate by interpolation
+    between readings. A row is given
     when the rates around it are known: one reading later, or as many as a rate that is a mean lags behind. Around
     the corners of ramps a mean rate is not the rate: such rows are left out.
     """
@@ -72,8 +73,8 @@ class Aligner:
         states = self._readings[index].values()
         if any(state.rate_window_ns for state in states):
             return sum(state.angle_t_ns for state in states) // len(states)
-        stamps = [t for state in states for t in (state.angle_t_ns, state.rate_t_ns)]
-        return sum(stamps) // len(stamps)
+        # A rate may bend between two readings, so the fastest axis is to need no interpolation.
+        return max(states, key=lambda state: abs(state.rate_rps)).rate_t_ns
 
     def _rates_reach(self, index: int) -> bool:
         """Return whether rates up to the row's instant, and half the time that they are means of, are known."""
@@ -94,8 +95,9 @@ class Aligner:
             if state.rate_window_ns and _bent(times, series, state.rate_window_ns):
                 return []
             rates[column] = np.interp(0.0, times, series)
-            rate = rates[column] if state.rate_window_ns else state.rate_rps
-            angles[column] = state.angle_rad + rate * (at_ns - state.angle_t_ns) * 1e-9
+            between_ns = at_ns - state.angle_t_ns
+            rate = rates[column] if state.rate_window_ns else np.interp(-0.5 * between_ns, times, series)
+            angles[column] = state.angle_rad + rate * between_ns * 1e-9
         half_width_ns = max(state.half_width_ns for state in self._readings[index].values())
         return [TableRow(at_ns, angles, rates, half_width_ns)]
 
