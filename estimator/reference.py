@@ -357,9 +357,11 @@ class BodyRates:
 
     def angular_acceleration_at(self, t_ns: Stamps) -> Floats | None:
         """Return the derivative (rows, 3) of the body rate at instants as for ``at``; None where no axis ramps."""
-        if np.abs(self.accelerations_at(t_ns)).max(initial=0.0) < LEAST_RPS2:
+        ramps = np.abs(self.accelerations_at(t_ns)).max(axis=1) > LEAST_RPS2
+        if not ramps.any():
             return None
-        return np.asarray((self.at(t_ns + _NEAR_NS) - self.at(t_ns - _NEAR_NS)) / (2e-9 * _NEAR_NS))
+        change = (self.at(t_ns + _NEAR_NS) - self.at(t_ns - _NEAR_NS)) / (2e-9 * _NEAR_NS)
+        return np.where(ramps[:, None], change, 0.0)
 
     def earlier(self, t_ns: Stamps, delay_s: float) -> Stamps:
         """Return instants so much earlier, where there are final readings."""
