@@ -19,6 +19,8 @@ WINDOW_S = 3.0
 LONGEST_S = 10.0
 """A change of rate that lasts longer is no ramp; its corners matter little."""
 
+HOLD_S = 0.4
+"""So long before a change of rate is seen a ramp may have begun."""
 LEAST_RPS2 = 0.02
 """Slower changes of rate are no ramps."""
 
@@ -70,7 +72,7 @@ def fitted(
 ) -> Ramp | None:
     """Return the ramp between the readings ``first`` and ``last`` of these (n,), None if that is not what it is.
 
-    Beyond them the rate is steady. Readings count by how much their instants scatter within their half widths.
+    Beyond them the rate is steady. Readings count by their half widths, and by how far they lie off.
     """
     if first + 1 < _FEWEST or len(t_s) - last < _FEWEST:
         return None
@@ -80,50 +82,45 @@ def fitted(
     k = len(start) // 2 - 1
     prior = np.zeros(len(start))
     prior[-1] = 1 / _SCALE_SD
-    p, scatter = start, 0.0
-    for step in range(_STEPS):
-        angle, rate, slopes = _model(p, t_s)
-        sd = _sd(p, t_s, rate, half_width_s, scatter)
-        residual = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate]) / sd
-        if step in (2, 5):  # once it lies about right: how much do instants scatter?
-            may = (rate * half_width_s) ** 2 / 3
-            excess = np.sum(np.minimum(np.maximum((angle_rad - angle) ** 2 - _ANGLE_SD_RAD**2, 0.0), 3 * may))
-            scatter = float(excess / max(np.sum(may), 1e-30))
-        jacobian = slopes / sd[:, None]
+    p = start
+    for _ in range(_STEPS):
+        residual, jacobian, _, _ = _weighed(p, t_s, angle_rad, rate_rps, half_width_s)
         information = jacobian.T @ jacobian + np.diag(prior**2 + 1e-12)
-        moved = np.linalg.solve(
-            information, jacobian.T @ residual + prior**2 * (np.append(np.zeros(2 * k + 1), 1.0) - p)
-        )
-        p = p + moved * min(1.0, 0.5 * _shortest(p[:k]) / max(np.abs(moved[:k]).max(), 1e-12))
+        pull = prior**2 * (np.append(np.zeros(len(p) - 1), 1.0) - p)
+        moved = np.linalg.solve(information, jacobian.T @ residual + pull)
+        shortest = float(np.diff(p[:k]).min())
+        p = p + moved * min(1.0, 0.5 * shortest / max(np.abs(moved[:k]).max(), 1e-12))
         if np.any(np.diff(p[:k]) <= 0):
             return None
-    angle, rate, _ = _model(p, t_s)
-    sd = _sd(p, t_s, rate, half_width_s, scatter)
-    residual = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate]) / sd
+    residual, _, told, doubt = _weighed(p, t_s, angle_rad, rate_rps, half_width_s)
     near = np.tile((t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9), 2)
     worst = max(float(np.mean(residual**2)), float(np.mean(residual[near] ** 2)))
     if not worst < _FITS**2:
         return None
     variance = np.diag(np.linalg.inv(information))[:k] * max(float(np.mean(residual**2)), 1.0)
-    told = p[-1] * rate
-    # A reading outside the ramp tells of the rate as far as its instant cannot lie within.
-    doubt = np.abs(sd[len(t_s) :] ** 2 - _RATE_SD_RPS**2)
-    share = np.where((t_s > p[0]) & (t_s < p[k - 1]), 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt))
+    # A reading outside the ramp tells of the rate as far as its instant does not lie within.
+    share = np.where((t_s > p[0]) & (t_s < p[k - 1]), 0.0, _RATE_SD_RPS**2 / doubt**2)
     at = _model(p, p[:k])
     return Ramp(p[:k], at[0], p[-1] * at[1], told + share * (rate_rps - told), float(np.sqrt(variance.max())))
 
 
-def _shortest(corners: Floats) -> float:
-    return float(np.diff(corners).min())
+def _weighed(
+    p: Floats, t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the rates by it (n,), and their sigmas.
 
-
-def _sd(p: Floats, t_s: Floats, rate: Floats, half_width_s: Floats, scatter: float) -> Floats:
-    """Return what angles and rates (2 n,) are known to, for instants that scatter so within their half widths."""
-    k = len(p) // 2 - 1
-    spread = np.sqrt(min(scatter, 1.0) / 3)
-    beside = [np.abs(np.interp(t_s + way * half_width_s, p[:k], p[k : 2 * k]) - rate) for way in (-1, 1)]
-    angle = np.hypot(_ANGLE_SD_RAD, spread * rate * half_width_s)
-    return np.concatenate([angle, np.hypot(_RATE_SD_RPS, spread * np.maximum(*beside))])
+    A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that.
+    """
+    angle, rate, slopes = _model(p, t_s)
+    off = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate])
+    # Angle and rate are asked for one after the other: the first may be off by half widths of both.
+    beside = [_model(p, t_s + way * half_width_s) for way in (-2, 2)]
+    may = np.max([np.abs(np.concatenate([a - angle, p[-1] * (r - rate)])) for a, r, _ in beside], axis=0)
+    known = np.repeat([_ANGLE_SD_RAD, _RATE_SD_RPS], len(t_s))
+    excess = np.minimum(np.abs(off), may)
+    share = min(float(np.sum(excess**2) / max(np.sum(may**2), 1e-30)), 1 / 3)
+    sd = np.hypot(known, np.maximum(excess, may * np.sqrt(share)))
+    return off / sd, slopes / sd[:, None], p[-1] * rate, sd[len(t_s) :]
 
 
 def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:

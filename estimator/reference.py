@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Flags, Floats, Stamps
 from estimator.errors import RecordingError
 from estimator.kinematics import Site, body_rate, check_gimbals
-from estimator.ramps import LEAST_RPS2, LONGEST_S, WINDOW_S, Ramp, changing, ends, fitted, is_ramp
+from estimator.ramps import HOLD_S, LEAST_RPS2, LONGEST_S, WINDOW_S, Ramp, changing, ends, fitted, is_ramp
 
 GAP_NS = 150_000_000
 GAP_ANGLE_RAD = float(np.radians(0.02))
@@ -182,25 +182,30 @@ class BodyRates:
     def _take(self, *, everything: bool) -> None:
         """Make rows of the readings, up to a ramp of which the end is still to come."""
         times, changes = self._read_ns.all, self._changes.all
-        while (start := self._taken) < len(times):
-            ahead = np.flatnonzero(changes[start:])
-            stop = start + int(ahead[0]) if len(ahead) else len(times)
-            if stop > start:
-                self._append(start, stop, [])
+        hold_ns = round(HOLD_S * 1e9)
+        while (taken := self._taken) < len(times):
+            ahead = np.flatnonzero(changes[taken:])
+            start = taken + int(ahead[0]) if len(ahead) else len(times)
+            if start < len(times):  # a ramp: of its beginning a late reading may know nothing yet
+                before = int(np.searchsorted(times, times[start] - hold_ns))
+            else:
+                before = start if everything else int(np.searchsorted(times, times[-1] - hold_ns))
+            if before > taken:
+                self._append(taken, before, [])
                 continue
-            # A ramp is under way since the reading before.
-            count, seen = ends(changes[start:])
-            longest = int(np.searchsorted(times, times[max(start - 1, 0)] + round(LONGEST_S * 1e9), side="right"))
-            if start + count > longest:  # no ramp
-                self._append(start, longest, [])
-                continue
-            stop = start + count
-            if not is_ramp(self._read_rate.all[max(start - 1, 0) : stop]) and (seen or everything):
-                self._append(start, stop, [])
-                continue
-            if not everything and (not seen or times[-1] < times[stop - 1] + round(WINDOW_S * 1e9)):
+            if start == len(times):
                 return
-            self._append(start, stop, self._ramps(start, stop))
+            count, seen = ends(changes[start:])
+            stop = start + count
+            longest = int(np.searchsorted(times, times[start] + round(LONGEST_S * 1e9), side="right"))
+            if stop > longest:  # no ramp
+                self._append(taken, longest, [])
+            elif not is_ramp(self._read_rate.all[max(start - 1, 0) : stop]) and (seen or everything):
+                self._append(taken, stop, [])
+            elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9)):
+                self._append(taken, stop, self._ramps(start, stop) if len(self._times) else [])
+            else:
+                return
 
     def _ramps(self, start: int, stop: int) -> list[tuple[int, Stamps, Ramp]]:
         """Return the ramps between the readings before ``start`` and before ``stop``: column, corners, ramp."""
@@ -211,6 +216,7 @@ class BodyRates:
         earlier, later = np.flatnonzero(changes[low + 1 : start]), np.flatnonzero(changes[stop:high])
         low += int(earlier[-1]) + 1 if len(earlier) else 0
         high = stop + int(later[0]) if len(later) else high
+        low = min(low, self._taken)
         part = slice(low, high)
         t_s = (times[part] - times[low]) * 1e-9
         found = []
@@ -225,7 +231,9 @@ class BodyRates:
             ramp = fitted(t_s, angle, rate, self._read_half_s.all[part], first, last)
             if ramp is not None:
                 corners = times[low] + np.round(ramp.t_s * 1e9).astype(np.int64)
-                found.append((column, corners, replace(ramp, reading_rps=ramp.reading_rps[start - low : stop - low])))
+                found.append(
+                    (column, corners, replace(ramp, reading_rps=ramp.reading_rps[self._taken - low : stop - low]))
+                )
         return found
 
     def _append(self, start: int, stop: int, ramps: list[tuple[int, Stamps, Ramp]]) -> None:
@@ -281,7 +289,7 @@ class BodyRates:
         doubt = np.abs(rate_rps) * (widths[1:] + widths[:-1])[:, None]
         steady = np.abs(np.diff(rates, axis=0)) <= _STEADY_RPS + _STEADY_SHARE * np.abs(rate_rps)
         explained = np.abs(unexplained) <= GAP_ANGLE_RAD + doubt
-        known_step = (step_ns <= GAP_NS) | ((steady | np.isfinite(corner_s)) & explained).all(axis=1)
+        known_step = (step_ns <= GAP_NS) | (np.isfinite(corner_s) | (steady & explained)).all(axis=1)
         self._known.append(known_step)
         self._half_width_s.append(half_width_s)
         self._corner_s.append(corner_s)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-import statistics
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
@@ -19,9 +18,6 @@ from drivers.seams import AxisState, Turntable
 
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
 _STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops that hears nothing
-_QUICK, _SLOW = 1.5, 4.0  # times the usual round trip: read again beyond the first, leave out beyond the second
-_TRIES = 2
-_ALWAYS_QUICK_NS = 1_000_000
 _IDLE_EVERY = 4  # while an axis turns, another is looked at in every so many-th reading
 
 
@@ -56,7 +52,7 @@ class Aligner:
         """Take in one reading of all axes; return the rows that are known now."""
         self._readings.append(dict(states))
         if len(self._readings) > 1 and self._at_ns(-1) <= self._at_ns(-2):
-            self._readings.pop()  # an answer that came at the second try has the middle of both for its instant
+            self._readings.pop()  # its instant is of another axis than that of the reading before
             return []
         rows = []
         while self._next < len(self._readings) - 1 and self._rates_reach(self._next):
@@ -120,24 +116,6 @@ def _bent(times_ns: Floats, rates: Floats, window_ns: int) -> bool:
     return bool(np.abs(rate - line(t)).max() > _STRAIGHT_RPS)
 
 
-async def _read_quickly(table: Turntable, axes: list[str], usual_ns: deque[int]) -> dict[str, AxisState] | None:
-    """Read axes; again if the round trip was slow, and None if it stays so that the instant is not known."""
-    best: dict[str, AxisState] | None = None
-    for _ in range(_TRIES):
-        states = {axis: await table.read(axis) for axis in axes}
-        usual_ns.append(_slowest_ns(states))
-        if best is None or _slowest_ns(states) < _slowest_ns(best):
-            best = states
-        usual = statistics.median(usual_ns) + _ALWAYS_QUICK_NS
-        if _slowest_ns(best) <= _QUICK * usual:
-            return best
-    return best if best is not None and _slowest_ns(best) <= _SLOW * usual else None
-
-
-def _slowest_ns(states: Mapping[str, AxisState]) -> int:
-    return max(state.half_width_ns for state in states.values())
-
-
 async def watch_table(
     table: Turntable,
     axes: tuple[str, ...],
@@ -157,27 +135,27 @@ async def watch_table(
     loop = asyncio.get_running_loop()
     states = {axis: await table.read(axis) for axis in axes}
     aligner = Aligner(axes)
-    usual_ns: deque[int] = deque(maxlen=51)
     due_s = loop.time()
     counter = itertools.count()
     checked_s = dict.fromkeys(axes, due_s)
+    turned: set[str] = set()
 
     async def read_once() -> None:
         count = next(counter)
-        busy = [a for a in axes if a == driven_axis() or states[a].rate_rps != 0.0]
+        busy = [a for a in axes if a == driven_axis() or states[a].rate_rps != 0.0 or a in turned]
         in_turn = axes[count // _IDLE_EVERY % len(axes)]
         if not busy or (count % _IDLE_EVERY == 0 and in_turn not in busy):
             busy.append(in_turn)
-        fresh = await _read_quickly(table, busy, usual_ns)
-        if fresh is not None:
-            states.update(fresh)
-            now_ns = states[busy[0]].angle_t_ns
-            for axis in axes:
-                if axis not in busy:
-                    still = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns, half_width_ns=0)
-                    states[axis] = still
-            for row in aligner.add(states):
-                on_row(row)
+        # An angle may be of before the stop that the rate is of: read once more.
+        turned.clear()
+        turned.update(axis for axis in busy if states[axis].rate_rps != 0.0)
+        states.update({axis: await table.read(axis) for axis in busy})
+        now_ns = states[busy[0]].angle_t_ns
+        for axis in axes:
+            if axis not in busy:
+                states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns, half_width_ns=0)
+        for row in aligner.add(states):
+            on_row(row)
         for axis in axes:
             if (count + 1) % _STATUS_EVERY == 0 or loop.time() - checked_s[axis] >= _STATUS_AT_LATEST_S:
                 await check_axes(table, (axis,))
