@@ -69,8 +69,10 @@ class Aligner:
         states = self._readings[index].values()
         if any(state.rate_window_ns for state in states):
             return sum(state.angle_t_ns for state in states) // len(states)
-        # A rate may bend between two readings, so the fastest axis is to need no interpolation.
-        return max(states, key=lambda state: abs(state.rate_rps)).rate_t_ns
+        # A rate may bend between two readings, so the axis that is or was the fastest is to need no interpolation.
+        before = self._readings[max(index % len(self._readings) - 1, 0)]
+        now = self._readings[index]
+        return now[max(now, key=lambda axis: max(abs(now[axis].rate_rps), abs(before[axis].rate_rps)))].rate_t_ns
 
     def _rates_reach(self, index: int) -> bool:
         """Return whether rates up to the row's instant, and half the time that they are means of, are known."""
@@ -101,7 +103,7 @@ class Aligner:
         """Keep the readings whose rates rows to come still need."""
         window = max(state.rate_window_ns for state in self._readings[-1].values())
         oldest_ns = self._at_ns(self._next) - 2 * window
-        while self._next > 1 and all(state.rate_t_ns < oldest_ns or not window for state in self._readings[0].values()):
+        while self._next > 2 and all(state.rate_t_ns < oldest_ns or not window for state in self._readings[0].values()):
             self._readings.popleft()
             self._next -= 1
 
