@@ -80,17 +80,18 @@ def fitted(
     if start is None:
         return None
     k = len(start) // 2 - 1
-    prior = np.zeros(len(start))
-    prior[-1] = 1 / _SCALE_SD
+    # A corner is somewhere here, even if no reading lies within the ramp; the rest is only kept from being singular.
+    prior = np.full(len(start), 1e-6)
+    prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
     p = start
     for _ in range(_STEPS):
         residual, jacobian, _, _ = _weighed(p, t_s, angle_rad, rate_rps, half_width_s)
-        information = jacobian.T @ jacobian + np.diag(prior**2 + 1e-12)
-        pull = prior**2 * (np.append(np.zeros(len(p) - 1), 1.0) - p)
+        information = jacobian.T @ jacobian + np.diag(prior**2)
+        pull = prior**2 * (start - p)
         moved = np.linalg.solve(information, jacobian.T @ residual + pull)
         shortest = float(np.diff(p[:k]).min())
         p = p + moved * min(1.0, 0.5 * shortest / max(np.abs(moved[:k]).max(), 1e-12))
-        if np.any(np.diff(p[:k]) <= 0):
+        if not np.all(np.diff(p[:k]) > 0):
             return None
     residual, _, told, doubt = _weighed(p, t_s, angle_rad, rate_rps, half_width_s)
     near = np.tile((t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9), 2)
