@@ -17,7 +17,7 @@ from estimator.gram import solve
 from estimator.health import Excluded, usable
 from estimator.joint import TooShort
 from estimator.model import decode, regressor_maps
-from estimator.modelled import Modelled, aligned, check_model, effect_notes, estimate_device, is_external
+from estimator.modelled import Modelled, check_model, effect_notes, estimate_device
 from estimator.noise import NoiseFound, NoiseModel
 from estimator.parity import GyroParity, parity
 from estimator.poses import estimate as estimate_poses
@@ -26,6 +26,7 @@ from estimator.recording import ImuData, Recording
 from estimator.reference import Poses, RateReadings, TableReadings, Turns
 from estimator.rests import RestNoise, motion_notes, rest_noise
 from estimator.rows import BLOCK_S, gram_of, row_length_s, sample_noise, source_blocks
+from estimator.timing import TimeOffset
 
 Floats = NDArray[np.float64]
 
@@ -54,6 +55,7 @@ class _Estimate:
     blocks: Blocks | None = None
     expected_nis: tuple[float, float] = (1.0, 0.0)
     growth_s: float = 0.0
+    offset: TimeOffset | None = None
 
 
 def calibrate(
@@ -65,11 +67,11 @@ def calibrate(
 ) -> Calibration:
     """Return the batch estimate of every gyro under its data sheet's prior, the noise taken from the data.
 
-    The noise may be coloured (``estimator.joint``). Against another instrument its delay is estimated too, and sigmas
-    hold errors that hang together. ``innovations`` also gives the mean NIS, else that is NaN. With a ``model`` its
-    effects are estimated with the states, and what the recording does not show of them is in the sigmas. Without one
-    ``excluded`` names the effects of the catalogue that device and table do not have: what the others could do to the
-    states unseen is in the sigmas then; None leaves that out.
+    The noise may be coloured (``estimator.joint``). The offset in time of each source is estimated too; against another
+    instrument sigmas hold errors that hang together. ``innovations`` also gives the mean NIS, else that is NaN. With a
+    ``model`` its effects are estimated with the states, and what the recording does not show of them is in the sigmas.
+    Without one ``excluded`` names the effects of the catalogue that device and table do not have: what the others could
+    do to the states unseen is in the sigmas then; None leaves that out.
 
     Raises RecordingError if a source has no samples that the reference covers, or no gyro can be estimated; ModelError
     if the recording lacks what the model needs.
@@ -94,6 +96,7 @@ def calibrate(
     estimates: list[_Estimate] = []
     checks: list[GyroParity] = []
     doubts = sparse_doubts(recording)
+    offsets: dict[str, TimeOffset] = {}
     for device in dict.fromkeys(data.device for _, data in sources):
         own = [pair for pair in sources if pair[1].device == device]
         own, found_of, said, doubtful = _device(recording, own, model, excluded)
@@ -107,6 +110,7 @@ def calibrate(
                 notes += factor_notes(gyro.name, float(gyro.states[0]), float(gyro.sd[0]))
         gyros += its_gyros
         estimates += found_of
+        offsets |= {name: one.offset for (name, _), one in zip(own, found_of, strict=True) if one.offset is not None}
         doubts += doubtful
     squares, dof = sum(one.squares for one in estimates), sum(one.dof for one in estimates)
     nis = squares / dof if dof and innovations else float("nan")
@@ -125,6 +129,7 @@ def calibrate(
         model.text() if model is not None else "",
         tuple(doubts),
         holds_for(recording),
+        offsets,
     )
 
 
@@ -140,16 +145,16 @@ def _device(
     if isinstance(recording.reference, Turns) and model is None:
         return sources, [_white(recording, *pair) for pair in sources], (), ()
     try:
-        delay_s = None
-        if is_external(recording):
-            sources, delay_s = aligned(recording, sources, model)
-        found = estimate_device(recording, sources, model, excluded, delay_s)
+        found = estimate_device(recording, sources, model, excluded)
     except TooShort:
         if model is not None:
             raise
         return sources, [_white(recording, *pair) for pair in sources], (), ()
-    estimates = [_joint(recording, data, own) for (_, data), own in zip(sources, found.sources, strict=True)]
-    return sources, estimates, found.notes, found.doubts
+    estimates = [_joint(recording, data, own) for (_, data), own in zip(found.aligned, found.sources, strict=True)]
+    estimates = [
+        replace(one, offset=found.offsets.get(name)) for one, (name, _) in zip(estimates, sources, strict=True)
+    ]
+    return list(found.aligned), estimates, found.notes, found.doubts
 
 
 def _white(recording: Recording, source: str, data: ImuData) -> _Estimate:
@@ -220,7 +225,8 @@ def _gyros(recording: Recording, source: str, data: ImuData, found: _Estimate) -
         rests = [*rest_noise(data, reference)] or rests
     gyros = []
     for i, name in enumerate(data.array.names):
-        kinds = (*found.lines[i], *table[i])
+        own = found.lines[i]  # the offset in time, if it was estimated, in place of what the table states of its timing
+        kinds = (*own, *(line for line in table[i] if line.name not in {one.name for one in own}))
         states, covariance = decode(found.x[i], np.sum([c.covariance for c in kinds], axis=0))
         gyros.append(
             GyroCalibration(

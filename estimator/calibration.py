@@ -1,6 +1,7 @@
 """What a recording says of its gyros: values, without the way they were found."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from estimator.model import Prior
 from estimator.noise import NoiseFound
 from estimator.parity import GyroParity
 from estimator.rests import RestNoise
+from estimator.timing import TimeOffset
 
 _UNSEEN = 0.5  # a posterior sigma above this share of the prior's: the run did not show the state
 
@@ -64,7 +66,8 @@ class Calibration:
 
     ``excluded`` are gyros that could not be estimated; ``parity`` is what the gyros of redundant devices say of
     each other. ``model`` is the text of the error model that the estimate began with, if one was given. ``doubts`` are
-    those of the notes that speak against the sigmas, ``holds_for`` the conditions that the states are of.
+    those of the notes that speak against the sigmas, ``holds_for`` the conditions that the states are of. ``offsets``
+    are those between the reference and the samples of each source, where they were estimated.
     """
 
     gyros: tuple[GyroCalibration, ...]
@@ -77,6 +80,7 @@ class Calibration:
     model: str = ""
     doubts: tuple[str, ...] = ()
     holds_for: str = ""
+    offsets: Mapping[str, TimeOffset] = field(default_factory=dict)
 
 
 def unseen_notes(name: str, covariance: Floats, prior: Prior) -> list[str]:

@@ -1,6 +1,7 @@
 """The live Kalman filter: filterpy, fed one orthogonally compressed block at a time."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,12 +28,16 @@ class LiveFilter:
     under a data-sheet prior, which is what keeps the covariance form exact.
 
     Each gyro may have further columns of its own, the effects of an error model, scaled so that their prior is one.
+    The last state is the offset of the samples against the table, where it is expected to have one.
     """
 
-    def __init__(self, array: SensorArray, noise_rps: Floats, prior: Prior, further: int = 0) -> None:
+    def __init__(
+        self, array: SensorArray, noise_rps: Floats, prior: Prior, further: int = 0, offset_sd_s: float = 0.0
+    ) -> None:
         """Start at zero with the prior; ``noise_rps`` (m,) is the white noise of one sample.
 
-        ``further``: how many columns beyond the four states each gyro has.
+        ``further``: how many columns beyond the four states each gyro has. ``offset_sd_s``: what is expected of the
+        offset, 0 for none.
         """
         from filterpy.kalman import KalmanFilter  # 0.8 s of import: only where a filter runs
 
@@ -41,42 +46,63 @@ class LiveFilter:
         self._maps = regressor_maps(array)
         self._noise = np.asarray(noise_rps, dtype=np.float64)
         self._width = 4 + further
-        self._filter = KalmanFilter(dim_x=self._width * m, dim_z=self._width * m)
-        self._filter.x = np.zeros((self._width * m, 1))
-        self._filter.P = np.diag(np.tile(np.concatenate([prior.variances(), np.ones(further)]), m))
+        self._size = self._width * m + 1
+        self._filter = KalmanFilter(dim_x=self._size, dim_z=self._size)
+        self._filter.x = np.zeros((self._size, 1))
+        own = np.tile(np.concatenate([prior.variances(), np.ones(further)]), m)
+        self._filter.P = np.diag(np.append(own, offset_sd_s**2))
         self.nis_sum = 0.0
         self.nis_dof = 0
 
-    def update(self, w_rps: Floats, y_rps: Floats, further: Floats | None = None) -> Innovation:
+    def update(
+        self,
+        w_rps: Floats,
+        y_rps: Floats,
+        further: Floats | None = None,
+        wdot_rps2: Floats | None = None,
+        taken_off_s: float = 0.0,
+    ) -> Innovation:
         """Take in body rates (rows, 3) and outputs (rows, m) of one block; return its innovation.
 
-        ``further`` (rows, m, columns): the columns that each gyro has beyond the four states.
+        ``further`` (rows, m, columns): the columns that each gyro has beyond the four states. ``wdot_rps2`` (rows, 3)
+        is what the offset shows by, where the body rate changes; so much of it is ``taken_off_s`` in the body rates.
         """
-        rows, m = y_rps.shape
         z = y_rps - w_rps @ self._array.p.T
-        regressors = np.empty((rows, 4))
-        regressors[:, 0] = 1.0
-        regressors[:, 1:] = w_rps
-        if further is not None and self._width > 4:
-            return self._update_each(regressors, z, further)
-        compressed, r = _compressed(regressors, z)
-        kept = len(r)  # r is (min(rows, 4), 4)
-        h = np.zeros((m * kept, 4 * m))
-        for i in range(m):
-            h[i * kept : (i + 1) * kept, 4 * i : 4 * i + 4] = r @ self._maps[i].T
-        return self._take(compressed.T.reshape(-1, 1), h, kept)
-
-    def _update_each(self, regressors: Floats, z: Floats, further: Floats) -> Innovation:
-        """Update with columns that differ by gyro: each is compressed by itself."""
+        regressors = np.column_stack([np.ones(len(z)), w_rps])
+        if wdot_rps2 is not None:
+            z = z - taken_off_s * (wdot_rps2 @ self._array.p.T)
         m, width = len(self._array), self._width
-        kept = min(len(z), width)
-        h, compressed = np.zeros((m * kept, width * m)), np.empty((m, kept))
+        shared = regressors if wdot_rps2 is None else np.hstack([regressors, wdot_rps2])
+        apart = further is not None and width > 4
+        kept = min(len(z), shared.shape[1] + (width - 4 if apart else 0))
+        h, compressed = np.zeros((m * kept, self._size)), np.empty((m, kept))
+        if not apart:  # all gyros have the same columns: compressed together
+            turned, r = _compressed(shared, z)
+            compressed[:] = turned.T
         for i in range(m):
-            compressed[i], r = _compressed(np.hstack([regressors, further[:, i]]), z[:, i])
+            if apart:
+                assert further is not None
+                compressed[i], r = _compressed(np.hstack([shared, further[:, i]]), z[:, i])
             rows = slice(i * kept, (i + 1) * kept)
             h[rows, width * i : width * i + 4] = r[:, :4] @ self._maps[i].T
-            h[rows, width * i + 4 : width * (i + 1)] = r[:, 4:]
+            if apart:
+                h[rows, width * i + 4 : width * (i + 1)] = r[:, shared.shape[1] :]
+            if wdot_rps2 is not None:
+                h[rows, -1] = -r[:, 4:7] @ self._array.p[i]
         return self._take(compressed.reshape(-1, 1), h, kept)
+
+    def tried(self, *block: Any) -> float:
+        """Return what the offset is, in s, after a block (as for ``update``) that is then forgotten again."""
+        before = self._filter.x, self._filter.P, self.nis_sum, self.nis_dof
+        self.update(*block)
+        found = self.offset_s
+        self._filter.x, self._filter.P, self.nis_sum, self.nis_dof = before
+        return found
+
+    @property
+    def offset_s(self) -> float:
+        """Offset of the samples against the table, above zero for samples that are stamped late."""
+        return float(self._filter.x[-1, 0])
 
     def _take(self, z: Floats, h: Floats, kept: int) -> Innovation:
         """Update with ``kept`` compressed rows of each gyro, one gyro after the other."""
@@ -98,7 +124,7 @@ class LiveFilter:
     def state(self) -> tuple[Floats, Floats]:
         """Return the states x (m, 4) and their covariance (m, 4, 4)."""
         m, width = len(self._array), self._width
-        x = np.array(self._filter.x[:, 0]).reshape(m, width)[:, :4]
+        x = np.array(self._filter.x[:-1, 0]).reshape(m, width)[:, :4]
         p = self._filter.P
         return x, np.array([p[width * i : width * i + 4, width * i : width * i + 4] for i in range(m)])
 

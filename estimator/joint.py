@@ -48,7 +48,7 @@ class Law:
     """An effect beside the states: mean and standard deviation that are expected of its parameters (p,).
 
     ``line`` names the line of the budget that holds what the data do not show of it; empty: it counts as noise.
-    ``hz`` is the frequency of a tone.
+    ``hz`` is the frequency of a tone, ``source`` the only source that it is of, empty for all.
     """
 
     called: str
@@ -57,6 +57,7 @@ class Law:
     sd: Floats
     line: str = ""
     hz: float | None = None
+    source: str = ""
 
     @property
     def shared(self) -> bool:
@@ -198,7 +199,7 @@ def columns_of(run: Run, laws: Sequence[Law]) -> Floats:
         first = 0
         for law in laws:
             columns = waves[law.called] if law.called in waves else run.columns(law.effect, gyro)
-            own[:, first : first + len(law.sd)] = columns * law.sd
+            own[:, first : first + len(law.sd)] = columns * law.sd * (law.source in ("", run.source))
             first += len(law.sd)
     return found
 

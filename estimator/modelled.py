@@ -1,4 +1,4 @@
-"""The gyros of one device against its reference: states, effects of an error model, a delay of the reference.
+"""The gyros of one device against its reference: states, effects of an error model, the offset in time of each source.
 
 All are estimated jointly (``estimator.joint``). What an effect could do that the motion does not show stays as wide as
 it typically is, and the sigmas of the states hold it.
@@ -22,6 +22,7 @@ from estimator.joint import Joint, Law, TooShort, expected_of, joint_estimate
 from estimator.noise import NoiseFound
 from estimator.recording import ImuData, Recording
 from estimator.reference import Poses, TableReadings, Turns
+from estimator.timing import TimeOffset, expected_sd_s
 from estimator.tracing.candidates import WITHIN_TURNS
 from estimator.tracing.runs import FEWEST_TURNS, Run, growth_notes, run_of
 from estimator.tracing.spectra import Z
@@ -34,8 +35,8 @@ EFFECTS = "effects"
 """Line of the budget that holds what the data do not show of the effects of an error model."""
 _STATES = ("k", "b", "sigma_j", "sigma_k")
 _DELAY = "delay of the reference"
-_DELAY_SD_S = 0.02
-_SETTLED_S = 1e-4
+_TIMING = "timing"
+_SETTLED_S = 2e-4
 _LARGEST_STEP_S = 0.05  # beyond, a motion is no straight line any more
 _MOST_STEPS = 12
 _KNOWN = 0.2  # sigma of k below which the sign of an output is known
@@ -77,9 +78,14 @@ class Modelled:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Device:
-    """What a recording says of one device: by source, what a person should know, and what speaks against it."""
+    """What a recording says of one device: by source, what a person should know, and what speaks against it.
+
+    ``aligned`` are its sources with the offsets to the reference, as far as they are known, taken off their stamps.
+    """
 
     sources: tuple[Modelled, ...]
+    aligned: Sources
+    offsets: dict[str, TimeOffset]
     notes: tuple[str, ...]
     doubts: tuple[str, ...]
 
@@ -109,60 +115,33 @@ def is_external(recording: Recording) -> bool:
     return not own and not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
 
 
-def aligned(
-    recording: Recording, sources: Sources, model: ErrorModel | None
-) -> tuple[list[tuple[str, ImuData]], float]:
-    """Return the sources of one device with their stamps moved to those of an external reference, and by how much.
-
-    Gauss-Newton: the delay that is found is taken off the stamps, and estimated again until it is below 0.1 ms.
-    """
-    moved, delay_s = list(sources), 0.0
-    for _ in range(_MOST_STEPS):
-        runs = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
-        laws = [*_model_laws(model, recording, runs), _delay_law(delay_s)]
-        joint = joint_estimate(runs, laws, sources[0][1].noise)
-        step_s, sd_s = _delay(joint)
-        # An output that is opposite to the reference has its delay the other way round, too.
-        gains = [1 - mean[0] for mean, c in zip(joint.means, joint.covariances, strict=True) if c[0, 0] < _KNOWN**2]
-        step_s *= float(np.sign(np.median(gains or [1.0])))
-        if abs(step_s) < max(_SETTLED_S, 0.01 * sd_s):
-            break
-        delay_s += float(np.clip(step_s, -_LARGEST_STEP_S, _LARGEST_STEP_S))
-        moved = [(name, replace(data, t_ns=data.t_ns - round(delay_s * 1e9))) for name, data in sources]
-    return moved, delay_s
-
-
 def estimate_device(
-    recording: Recording,
-    sources: Sources,
-    model: ErrorModel | None,
-    excluded: frozenset[str] | None,
-    delay_s: float | None,
+    recording: Recording, sources: Sources, model: ErrorModel | None, excluded: frozenset[str] | None
 ) -> Device:
     """Return the estimate of the sources of one device.
 
     ``model`` holds effects that are estimated beside the states. ``excluded`` are effects of the catalogue that the
-    device and its table do not have; None for all. ``delay_s``: the reference is another instrument's, and so much has
-    been taken off the gyros' stamps (``aligned``); what is left of the delay is estimated with the states, and the
-    errors of the reference may hang together over 5 s, which the covariances hold.
+    device and its table do not have; None for all. The offset in time between the reference and each source is
+    estimated with the states, but for a body at rest, and for a model that holds a delay. Errors of another
+    instrument's reference may hang together over 5 s, which the covariances hold.
 
     Raises ModelError for a model that needs what the recording lacks, TooShort for too little data.
     """
-    runs = [_run(recording, number, *pair) for number, pair in enumerate(sources)]
-    laws = _model_laws(model, recording, runs)
-    if delay_s is not None and not any(law.effect.name in ("latency", "sample_hold") for law in laws):
-        laws.append(_delay_law(delay_s))
-    stated = sources[0][1].noise
-    joint = plain = joint_estimate(runs, laws, stated)
-    covariances, notes = _clustered(plain) if delay_s is not None else (plain.covariances, [])
-    notes += growth_notes(runs)
+    external = is_external(recording)
+    moved, delays_s, laws, plain = _aligned(recording, sources, model)
+    runs, stated = plain.runs, sources[0][1].noise
+    joint = plain
+    covariances, notes = _clustered(plain) if external else (plain.covariances, [])
+    notes += growth_notes(plain.runs)
     unseen: list[Floats] | None = None
     if excluded is not None and model is None:
-        further, runs = undeclared_laws(runs, excluded | {law.effect.name for law in laws})
+        made = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
+        further, runs = undeclared_laws(made, excluded | {law.effect.name for law in laws})
         joint = joint_estimate(runs, [*laws, *further], stated) if further else plain
         notes += _undeclared_notes(joint)
-    if delay_s is not None:
-        notes += _delay_notes(plain, covariances, delay_s)
+    offsets = _offsets(plain, covariances, delays_s)
+    notes += _offset_notes(recording, offsets, external)
+    if external:
         # What is left may be the reference's as well: it does not decide on effects of the gyros.
         chosen = [n for n, law in enumerate(joint.laws) if law.line == UNSEEN]
         unseen = [_through(joint, c, chosen) for c in joint.covariances] if chosen else None
@@ -170,7 +149,37 @@ def estimate_device(
     elif joint is not plain:
         covariances = joint.covariances
     found = [_modelled(joint, number, covariances, unseen) for number in range(len(joint.runs))]
-    return Device(tuple(found), tuple(notes), tuple(_halves(plain, delay_s is not None)))
+    return Device(tuple(found), moved, offsets, tuple(notes), tuple(_halves(plain, external)))
+
+
+def _aligned(
+    recording: Recording, sources: Sources, model: ErrorModel | None
+) -> tuple[Sources, dict[str, float], list[Law], Joint]:
+    """Return sources with their stamps moved to those of the reference, by how much, the laws, and the estimate.
+
+    Gauss-Newton: the offsets that are found are taken off the stamps, and estimated again until they settle.
+    """
+    moved, delays_s = list(sources), dict.fromkeys((name for name, _ in sources), 0.0)
+    for step in range(_MOST_STEPS):
+        runs = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
+        laws = _model_laws(model, recording, runs)
+        timed = not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
+        timed &= not {"latency", "sample_hold"} & {law.effect.name for law in laws}
+        laws += [_delay_law(recording, *pair) for pair in delays_s.items()] if timed else []
+        joint = joint_estimate(runs, laws, sources[0][1].noise)
+        steps_s = {}
+        for name, (step_s, sd_s) in _delays(joint, joint.covariances).items():
+            gyros = joint.gyros_of([run.source for run in joint.runs].index(name))
+            # An output that is opposite to the reference has its delay the other way round, too.
+            gains = [1 - joint.means[g][0] for g in gyros if joint.covariances[g][0, 0] < _KNOWN**2]
+            step_s *= float(np.sign(np.median(gains or [1.0])))
+            if abs(step_s) >= max(_SETTLED_S, 0.01 * sd_s):
+                steps_s[name] = float(np.clip(step_s, -_LARGEST_STEP_S, _LARGEST_STEP_S))
+        if not steps_s or step == _MOST_STEPS - 1:
+            break
+        delays_s = {name: delay_s + steps_s.get(name, 0.0) for name, delay_s in delays_s.items()}
+        moved = [(name, replace(data, t_ns=data.t_ns - round(delays_s[name] * 1e9))) for name, data in sources]
+    return moved, delays_s, laws, joint
 
 
 def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
@@ -233,32 +242,48 @@ def _hz(known: KnownEffect) -> float | None:
     return float(known.settings["frequency_hz"]) if "frequency_hz" in known.settings else None
 
 
-def _delay_law(taken_off_s: float) -> Law:
-    """Return a delay of which so much is taken off already; expected to be within 20 ms in all."""
-    return Law(_DELAY, latency(), np.array([-taken_off_s]), np.array([_DELAY_SD_S]))
+def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
+    """Return the offset of a source, of which so much is taken off already."""
+    reference, sd_s, line = recording.reference, expected_sd_s(), ""
+    if isinstance(reference, TableReadings):
+        stated = reference.uncertainty
+        sd_s = expected_sd_s(stated.timing_s if stated else 0.0, reference.half_width_ns)
+        line = _TIMING if stated else ""
+    return Law(_DELAY, latency(), np.array([-taken_off_s]), np.array([sd_s]), line, source=source)
 
 
-def _delay(joint: Joint) -> tuple[float, float]:
-    """Return the delay that is left, and its standard deviation; it is the same for every gyro."""
-    number = next((n for n, law in enumerate(joint.laws) if law.called == _DELAY), None)
-    if number is None:
-        return 0.0, 0.0
-    at, law = joint.slice_of(number).start, joint.laws[number]
-    value = float(np.mean([mean[at] for mean in joint.means])) * law.sd[0] + law.mean[0]
-    return float(value), float(np.mean([np.sqrt(c[at, at]) for c in joint.covariances]) * law.sd[0])
+def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[float, float]]:
+    """Return by source the delay that is left, and its standard deviation; it is the same for every gyro."""
+    found = {}
+    for number, law in enumerate(joint.laws):
+        if law.called == _DELAY:
+            at = joint.slice_of(number).start
+            value = float(np.mean([mean[at] for mean in joint.means])) * law.sd[0] + law.mean[0]
+            sd = float(np.mean([np.sqrt(c[at, at]) for c in covariances]) * law.sd[0])
+            found[law.source] = (float(value), sd)
+    return found
 
 
-def _delay_notes(joint: Joint, covariances: Sequence[Floats], taken_off_s: float) -> list[str]:
-    left_s, _ = _delay(joint)
-    _, sd_s = _delay(replace(joint, covariances=list(covariances)))
-    delay_s = taken_off_s + left_s
-    if not sd_s or abs(delay_s) < _TOLD * sd_s:
-        return []
-    later = "gyros" if delay_s > 0 else "reference"
-    return [
-        f"reference and gyros are {1e3 * abs(delay_s):.1f} +- {max(1e3 * sd_s, 0.1):.1f} ms apart, the {later} late by "
-        "their stamps: the states are those without this delay"
-    ]
+def _offsets(joint: Joint, covariances: Sequence[Floats], taken_off_s: dict[str, float]) -> dict[str, TimeOffset]:
+    left = _delays(joint, covariances)
+    return {name: TimeOffset(taken_off_s[name] + left_s, sd_s) for name, (left_s, sd_s) in left.items()}
+
+
+def _offset_notes(recording: Recording, offsets: dict[str, TimeOffset], external: bool) -> list[str]:
+    """Return offsets that are beyond chance and, of a table, beyond what is stated of its timing, in words."""
+    stated = recording.reference.uncertainty if isinstance(recording.reference, TableReadings) else None
+    notes = []
+    for source, found in offsets.items():
+        sure = np.hypot(found.sd_s, stated.timing_s if stated else 0.0)
+        if abs(found.offset_s) < _TOLD * sure or not (external or stated):
+            continue
+        later = "gyros" if found.offset_s > 0 else "reference" if external else "table's readings"
+        notes.append(
+            f"{'reference' if external else 'table'} and {'gyros' if external else source} are "
+            f"{1e3 * abs(found.offset_s):.1f} +- {max(1e3 * found.sd_s, 0.1):.1f} ms apart, the {later} late by "
+            "their stamps: the states are those without this delay"
+        )
+    return list(dict.fromkeys(notes))
 
 
 def _halves(joint: Joint, clustered: bool) -> list[str]:
@@ -302,11 +327,15 @@ def _modelled(joint: Joint, number: int, covariances: Sequence[Floats], unseen: 
 
 def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:
     """Return what makes up the covariance of the states: noise, and what would be gone if laws of a line were known."""
-    left, lines = covariance[:4, :4], []
+    known: list[int] = []
+    known_before, lines = np.zeros((4, 4)), []
     for name in dict.fromkeys(law.line for law in joint.laws if law.line):
-        chosen = [n for n, law in enumerate(joint.laws) if law.line == name]
-        lines.append(Contribution(name, _through(joint, covariance, chosen)))
-        left = left - lines[-1].covariance
+        # One line after the other: of what two laws can only tell together, each would claim all.
+        known += [n for n, law in enumerate(joint.laws) if law.line == name]
+        through = _through(joint, covariance, known)
+        lines.append(Contribution(name, through - known_before))
+        known_before = through
+    left = covariance[:4, :4] - known_before
     return Contribution("noise", left), *lines
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Flags, Floats, Stamps
 from estimator.errors import RecordingError
 from estimator.kinematics import Site, body_rate, check_gimbals
+from estimator.ramps import HOLD_S, LEAST_RPS2, LONGEST_S, WINDOW_S, Ramp, changing, ends, fitted, is_ramp
 
 GAP_NS = 150_000_000
 GAP_ANGLE_RAD = float(np.radians(0.02))
@@ -25,7 +26,8 @@ _STEADY_SHARE, _STEADY_RPS = 0.005, 2e-4  # rates that differ by no more than th
 _ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
 _RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
 _SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must leave a rate within a ramp known
-_TERMS = 7  # of the sums a gimbal
+_NEAR_NS = 1_000_000  # so near on both sides a change of rate is looked for
+_TERMS = 8  # of the sums a gimbal
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,34 +128,42 @@ class BodyRates:
     Rate readings give the shape between two readings, angle readings the truth over seconds: a servo drive's
     rate is rounded and may be off in scale, its encoder counts are not. Each rate is corrected by the slope,
     within three seconds to each side, of what the angle says beyond the summed rate. A row is final once a
-    reading three seconds later is there; ``finish`` makes the rest final. Feeding row by row or all at once gives
-    the same numbers, so the live filter and the batch estimate see the same regressors.
+    reading three seconds later is there, that of a ramp three seconds after its end at the soonest; ``finish`` makes
+    the rest final. Feeding row by row or all at once gives the same numbers, so the live filter and the batch estimate
+    see the same regressors.
 
-    On a slow link the instant of a reading is not known well. Its angle then counts less; how much the instants really
+    The corners of ramps are found (``ramps``) and stand between the readings as rows of their own. On a slow link the
+    instant of a reading is not known well. Its angle then counts less; how much the instants really
     scatter within their half widths is seen in what the angles scatter about the summed rates. Where the
     rate changes so fast that it is not known for that, it is not given.
     """
 
-    def __init__(self, gimbals: Sequence[str], site: Site | None, timing_s: float = 0.0) -> None:
-        """Start empty, for gimbals named outermost first; ``timing_s`` is how well readings are timed to the gyros."""
-        self._timing_s = timing_s
+    def __init__(self, gimbals: Sequence[str], site: Site | None) -> None:
+        """Start empty, for gimbals named outermost first."""
         self._gimbals = check_gimbals(gimbals)
-        self._site = site
         n = len(self._gimbals)
+        # Readings as they came, and how many of them are among the rows: those after it wait for the end of a ramp.
+        self._read_ns, self._read_half_s, self._changes = _Rows((), np.int64), _Rows(()), _Rows((), np.bool_)
+        self._read_angle, self._read_rate, self._read_area = (_Rows((n,)) for _ in range(3))
+        self._taken = 0
+        self._site = site
         self._times = _Rows((), np.int64)
         self._angle, self._rate, self._summed, self._refined = (_Rows((n,)) for _ in range(4))
-        self._half_width_s = _Rows(())
+        self._half_width_s, self._corner_s = (
+            _Rows(()),
+            _Rows((n,)),
+        )  # the latter: doubt of a ramp's corners, NaN for none
         self._known = _Rows((), np.bool_)  # whether what happened since the reading before is known
         self._sure = _Rows((), np.bool_)  # the same once the row is final
-        # Running sums of w [1, s, s^2, d, s d, d^2, u] before each row: s time, d angle less summed rate, u the
-        # variance that the doubt of the instant may give it, w its weight.
+        # Running sums of w [1, s, s^2, d, s d, d^2, u] and [1] before each reading: s time, d angle less summed rate,
+        # u the variance that the doubt of the instant may give it, w its weight.
         self._sums = _Rows((_TERMS, n))
         self._sums.append(np.zeros((1, _TERMS, n)))
 
     @classmethod
     def of(cls, readings: TableReadings, site: Site | None) -> BodyRates:
         """Return those of readings that are all there, final to the last."""
-        rates = cls(readings.gimbals, site, readings.uncertainty.timing_s if readings.uncertainty else 0.0)
+        rates = cls(readings.gimbals, site)
         rates.add(readings.t_ns, readings.angle_rad, readings.rate_rps, readings.half_width_ns)
         rates.finish()
         return rates
@@ -162,44 +172,164 @@ class BodyRates:
         """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,)."""
         if not len(t_ns):
             return
-        half_width_s = np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns * 1e-9
-        first = not len(self._times)
-        before = t_ns[:1] if first else self._times.all[-1:]
+        first = not len(self._read_ns)
+        before = t_ns[:1] if first else self._read_ns.all[-1:]
         step_ns = np.diff(np.concatenate([before, t_ns]))
         if np.any(step_ns[first:] <= 0):
             raise RecordingError("the times of the table readings do not increase: sort them, drop repeats")
+        rates = np.vstack([rate_rps[:1] if first else self._read_rate.all[-1:], rate_rps])
+        area = 0.5 * (rates[1:] + rates[:-1]) * (step_ns * 1e-9)[:, None]
+        start = np.zeros((1, rates.shape[1])) if first else self._read_area.all[-1:]
+        summed = np.cumsum(np.vstack([start, area]), axis=0)[1:]
+        previous = angle_rad[0] - summed[0] if first else self._read_angle.all[-1] - self._read_area.all[-1]
+        # Without whole-turn jumps: the summed rate says which turn it is.
+        jumps = np.round(np.diff(np.vstack([previous, angle_rad - summed]), axis=0) / (2 * np.pi))
+        self._changes.append(changing(np.concatenate([[0.0], np.cumsum(step_ns * 1e-9)]), rates))
+        self._read_ns.append(t_ns)
+        self._read_angle.append(angle_rad - 2 * np.pi * np.cumsum(jumps, axis=0))
+        self._read_rate.append(rate_rps)
+        self._read_area.append(summed)
+        self._read_half_s.append(np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns * 1e-9)
+        self._take(everything=False)
+        self._refine_up_to_latest()
+
+    def _take(self, *, everything: bool) -> None:
+        """Make rows of the readings, up to a ramp of which the end is still to come."""
+        times, changes = self._read_ns.all, self._changes.all
+        hold_ns = round(HOLD_S * 1e9)
+        while (taken := self._taken) < len(times):
+            ahead = np.flatnonzero(changes[taken:])
+            start = taken + int(ahead[0]) if len(ahead) else len(times)
+            if start < len(times):  # a ramp: of its beginning a late reading may know nothing yet
+                before = int(np.searchsorted(times, times[start] - hold_ns))
+            else:
+                before = start if everything else int(np.searchsorted(times, times[-1] - hold_ns))
+            if before > taken:
+                self._append(taken, before, [])
+                continue
+            if start == len(times):
+                return
+            count, seen = ends(changes[start:])
+            stop = start + count
+            longest = int(np.searchsorted(times, times[start] + round(LONGEST_S * 1e9), side="right"))
+            if stop > longest:  # no ramp
+                self._append(taken, longest, [])
+            elif not is_ramp(self._read_rate.all[max(start - 1, 0) : stop]) and (seen or everything):
+                self._append(taken, stop, [])
+            elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9)):
+                self._append(taken, stop, self._ramps(start, stop) if len(self._times) else [])
+            else:
+                return
+
+    def _ramps(self, start: int, stop: int) -> list[tuple[int, Stamps, Ramp]]:
+        """Return the ramps between the readings before ``start`` and before ``stop``: column, corners, ramp."""
+        times, changes = self._read_ns.all, self._changes.all
+        window_ns = round(WINDOW_S * 1e9)
+        low = int(np.searchsorted(times, times[start - 1] - window_ns)) if start else 0
+        high = int(np.searchsorted(times, times[stop - 1] + window_ns, side="right"))
+        earlier, later = np.flatnonzero(changes[low + 1 : start]), np.flatnonzero(changes[stop:high])
+        low += int(earlier[-1]) + 1 if len(earlier) else 0
+        high = stop + int(later[0]) if len(later) else high
+        low = min(low, self._taken)
+        part = slice(low, high)
+        t_s = (times[part] - times[low]) * 1e-9
+        found = []
+        for column in range(len(self._gimbals)):
+            angle, rate = self._read_angle.all[part, column], self._read_rate.all[part, column]
+            own = np.flatnonzero(changing(t_s, rate[:, None])[max(start - 1 - low, 0) : stop - 1 - low])
+            if not len(own):
+                continue
+            first, last = max(start - 1 - low, 0) + int(own[0]), max(start - 1 - low, 0) + int(own[-1]) + 1
+            if not is_ramp(rate[first : last + 1, None]):
+                continue
+            ramp = fitted(t_s, angle, rate, self._read_half_s.all[part], first, last)
+            if ramp is not None:
+                corners = times[low] + np.round(ramp.t_s * 1e9).astype(np.int64)
+                found.append(
+                    (column, corners, replace(ramp, reading_rps=ramp.reading_rps[self._taken - low : stop - low]))
+                )
+        return found
+
+    def _append(self, start: int, stop: int, ramps: list[tuple[int, Stamps, Ramp]]) -> None:
+        """Append readings as rows, the corners of ramps between them as rows that were not measured."""
+        self._taken = stop
+        t_ns, angle, rate = (
+            self._read_ns.all[start:stop],
+            self._read_angle.all[start:stop],
+            self._read_rate.all[start:stop],
+        )
+        half_width_s, measured = self._read_half_s.all[start:stop], np.ones(stop - start)
+        corner_s = np.full(rate.shape, np.nan)
+        if ramps:
+            # From the row before on: in between the corners lie.
+            known_ns = np.concatenate([self._times.all[-1:], t_ns])
+            angles, rates = np.vstack([self._angle.all[-1:], angle]), np.vstack([self._rate.all[-1:], rate])
+            inside = [corners[(corners > known_ns[0]) & (corners < known_ns[-1])] for _, corners, _ in ramps]
+            t_ns = np.unique(np.concatenate([t_ns, *inside]))
+            measured = np.isin(t_ns, known_ns).astype(np.float64)
+            half_width_s = np.where(measured > 0, np.interp(t_ns, known_ns[1:], half_width_s), 0.0)
+            corner_s = np.full((len(t_ns), rate.shape[1]), np.nan)
+            angle, rate = np.empty_like(corner_s), np.empty_like(corner_s)
+            of_column = {column: (corners, ramp) for column, corners, ramp in ramps}
+            for c in range(rate.shape[1]):
+                own_ns, own_angle, own_rate = known_ns, angles[:, c], rates[:, c]
+                if c in of_column:
+                    corners, ramp = of_column[c]
+                    corner_s[:, c] = ramp.sd_s
+                    fresh = ~np.isin(corners, known_ns)
+                    own_ns = np.concatenate([known_ns, corners[fresh]])
+                    order = np.argsort(own_ns)
+                    own_ns = own_ns[order]
+                    own_angle = np.concatenate([own_angle, ramp.angle_rad[fresh]])[order]
+                    own_rate = np.concatenate([own_rate[:1], ramp.reading_rps, ramp.rate_rps[fresh]])[order]
+                since_s, own_s = (t_ns - known_ns[0]) * 1e-9, (own_ns - known_ns[0]) * 1e-9
+                angle[:, c], rate[:, c] = np.interp(since_s, own_s, own_angle), np.interp(since_s, own_s, own_rate)
+        self._add_rows(t_ns, angle, rate, half_width_s, measured, corner_s)
+
+    def _add_rows(
+        self, t_ns: Stamps, angle: Floats, rate_rps: Floats, half_width_s: Floats, measured: Floats, corner_s: Floats
+    ) -> None:
+        first = not len(self._times)
+        before = t_ns[:1] if first else self._times.all[-1:]
+        step_ns = np.diff(np.concatenate([before, t_ns]))
         rates = np.vstack([rate_rps[:1] if first else self._rate.all[-1:], rate_rps])
         area = 0.5 * (rates[1:] + rates[:-1]) * (step_ns * 1e-9)[:, None]
         start = np.zeros((1, rates.shape[1])) if first else self._summed.all[-1:]
         summed = np.cumsum(np.vstack([start, area]), axis=0)[1:]
-        drift = self._unwrapped(angle_rad, summed) - summed
+        drift = angle - summed
         drift_before = drift[:1] if first else (self._angle.all[-1:] - self._summed.all[-1:])
         unexplained = np.diff(np.vstack([drift_before, drift]), axis=0)
         widths = np.concatenate([half_width_s[:1] if first else self._half_width_s.all[-1:], half_width_s])
         doubt = np.abs(rate_rps) * (widths[1:] + widths[:-1])[:, None]
         steady = np.abs(np.diff(rates, axis=0)) <= _STEADY_RPS + _STEADY_SHARE * np.abs(rate_rps)
         explained = np.abs(unexplained) <= GAP_ANGLE_RAD + doubt
-        known_step = (step_ns <= GAP_NS) | (steady & explained).all(axis=1)
+        known_step = (step_ns <= GAP_NS) | (np.isfinite(corner_s) | (steady & explained)).all(axis=1)
         self._known.append(known_step)
         self._half_width_s.append(half_width_s)
+        self._corner_s.append(corner_s)
         # What happened in a gap is no error of the rates beside it: there the angles alone count.
         hidden = np.cumsum(np.where(known_step[:, None], 0.0, unexplained), axis=0)
         summed, drift = summed + hidden, drift - hidden
         s = ((t_ns - (t_ns[0] if first else self._times.all[0])) * 1e-9)[:, None]
         may_scatter = (rate_rps * half_width_s[:, None]) ** 2 / 3
         ones = np.ones_like(drift)
+        weight = measured[:, None] / (_ANGLE_SD_RAD**2 + may_scatter)
         terms = np.stack([ones, s * ones, s * s * ones, drift, s * drift, drift**2, may_scatter], axis=1)
-        terms /= (_ANGLE_SD_RAD**2 + may_scatter)[:, None]
+        terms = np.concatenate([terms * weight[:, None], (measured[:, None] * ones)[:, None]], axis=1)
         self._sums.append(np.cumsum(np.concatenate([self._sums.all[-1:], terms]), axis=0)[1:])
         self._times.append(t_ns)
         self._angle.append(drift + summed)
         self._rate.append(rate_rps)
         self._summed.append(summed)
-        latest = int(self._times.all[-1]) - ANCHOR_HALF_WINDOW_NS
-        self._refine_up_to(int(np.searchsorted(self._times.all, latest, side="right")))
+
+    def _refine_up_to_latest(self) -> None:
+        if len(self._times):
+            latest = int(self._times.all[-1]) - ANCHOR_HALF_WINDOW_NS
+            self._refine_up_to(int(np.searchsorted(self._times.all, latest, side="right")))
 
     def finish(self) -> None:
         """Make the last seconds final too, with windows that end with the readings."""
+        self._take(everything=True)
         self._refine_up_to(len(self._times))
 
     @property
@@ -247,13 +377,17 @@ class BodyRates:
             return np.zeros((len(t_ns), len(self._gimbals)))
         return np.asarray((rates[ends] - rates[ends - 1]) / ((times[ends] - times[ends - 1]) * 1e-9)[:, None])
 
-    def _unwrapped(self, angle_rad: Floats, summed: Floats) -> Floats:
-        """Return angles without whole-turn jumps: the summed rate says which turn it is."""
-        known = len(self._times) > 0
-        previous = self._angle.all[-1] - self._summed.all[-1] if known else angle_rad[0] - summed[0]
-        drift = np.vstack([previous, angle_rad - summed])
-        jumps = np.round(np.diff(drift, axis=0) / (2 * np.pi))
-        return np.asarray(angle_rad - 2 * np.pi * np.cumsum(jumps, axis=0))
+    def angular_acceleration_at(self, t_ns: Stamps) -> Floats | None:
+        """Return the derivative (rows, 3) of the body rate at instants as for ``at``; None where no axis ramps."""
+        ramps = np.abs(self.accelerations_at(t_ns)).max(axis=1) > LEAST_RPS2
+        if not ramps.any():
+            return None
+        change = (self.at(t_ns + _NEAR_NS) - self.at(t_ns - _NEAR_NS)) / (2e-9 * _NEAR_NS)
+        return np.where(ramps[:, None], change, 0.0)
+
+    def earlier(self, t_ns: Stamps, delay_s: float) -> Stamps:
+        """Return instants so much earlier, where there are final readings."""
+        return np.clip(t_ns - round(delay_s * 1e9), self.starts_ns, self.final_until_ns)
 
     def _refine_up_to(self, stop: int) -> None:
         start = len(self._refined)
@@ -262,8 +396,7 @@ class BodyRates:
         times, sums = self._times.all, self._sums.all
         low = np.searchsorted(times, times[start:stop] - ANCHOR_HALF_WINDOW_NS, side="left")
         high = np.searchsorted(times, times[start:stop] + ANCHOR_HALF_WINDOW_NS, side="right")
-        weight, s, ss, d, sd, dd, u = (sums[high] - sums[low]).transpose(1, 0, 2)
-        count = (high - low)[:, None]
+        weight, s, ss, d, sd, dd, u, count = (sums[high] - sums[low]).transpose(1, 0, 2)
         spread = ss - s * s / weight
         across = sd - s * d / weight
         enough = (count >= 5) & (spread > 0)
@@ -281,7 +414,8 @@ class BodyRates:
         change = np.abs(self._rate.all[start:stop] - self._rate.all[before])
         step_s = np.maximum((self._times.all[start:stop] - self._times.all[before]) * 1e-9, 1e-9)[:, None]
         doubt_s = np.maximum(self._half_width_s.all[start:stop], self._half_width_s.all[before])[:, None]
-        doubt_s = np.hypot(doubt_s * np.sqrt(share / 3), self._timing_s)
+        corner_s = self._corner_s.all[start:stop]
+        doubt_s = np.where(np.isfinite(corner_s), corner_s, doubt_s * np.sqrt(share / 3))
         return np.asarray((change / step_s * doubt_s <= _SURE_RPS).all(axis=1))
 
 

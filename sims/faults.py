@@ -35,7 +35,8 @@ _KEY = re.compile(r"_s$")  # a key is a field's name without its unit
 class WireFaults:
     """What a wire does to what goes over it, both ways.
 
-    Everything comes ``latency_s`` late and ``jitter_s`` more on the average (exponentially scattered), in its order.
+    Everything comes ``latency_s`` late and ``jitter_s`` more on the average (exponentially scattered), in its order;
+    of what the device sends the share ``late`` comes ``late_by_s`` later still.
     ``loss`` and ``doubled`` are shares of what is sent at once, or of frames; ``byte_loss`` and ``bit_flips`` shares
     of bytes. With ``one_byte`` bytes come one at a time. Nothing comes through from ``silent_from_s`` to
     ``silent_until_s``; the plug is pulled at ``unplug_s`` and put back at ``replug_s``.
@@ -43,6 +44,8 @@ class WireFaults:
 
     latency_s: float = field(default=0.0, metadata=given("s", least=0))
     jitter_s: float = field(default=0.0, metadata=given("s", least=0))
+    late: float = field(default=0.0, metadata=given("%", least=0))
+    late_by_s: float = field(default=0.0, metadata=given("s", least=0))
     loss: float = field(default=0.0, metadata=given("%", least=0))
     doubled: float = field(default=0.0, metadata=given("%", least=0))
     byte_loss: float = field(default=0.0, metadata=given("%", least=0))
@@ -55,12 +58,17 @@ class WireFaults:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
-        _check(self, ("loss", "doubled", "byte_loss", "bit_flips"))
+        _check(self, ("late", "loss", "doubled", "byte_loss", "bit_flips"))
 
     @property
     def any(self) -> bool:
         """Whether anything is wrong at all."""
         return self != WireFaults()
+
+    @property
+    def delays(self) -> bool:
+        """Whether anything comes late."""
+        return bool(self.latency_s or self.jitter_s or self.late)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +214,7 @@ def faulty_device(
     def made(write: Write) -> ByteDevice:
         device = make(FaultyBytes(write, faults, int(seeds[0])))
         plug.schedule(faults.unplug_s, faults.replug_s)
-        hear = FaultyBytes(device.received, faults, int(seeds[1]))
+        hear = FaultyBytes(device.received, replace(faults, late=0.0), int(seeds[1]))
         return _Behind(hear, getattr(device, "hung_up", lambda: None))
 
     return made
@@ -229,11 +237,12 @@ class Line(Generic[T]):
 
     def put(self, item: T) -> None:
         faults = self._faults
-        if not faults.latency_s and not faults.jitter_s:
+        if not faults.delays:
             self._deliver(item)
             return
         loop = asyncio.get_running_loop()
         late_s = faults.latency_s + (self._random.exponential(faults.jitter_s) if faults.jitter_s else 0.0)
+        late_s += faults.late_by_s if _share(self._random, faults.late) else 0.0
         self._last_s = max(self._last_s, loop.time() + late_s)
         self._under_way.append((self._last_s, item))
         if len(self._under_way) == 1:

@@ -52,7 +52,7 @@ class FaultyModbus:
         if self._silence.now or self._random.random() < self._faults.loss:
             return b""
         data = damaged(data, self._faults, self._random)
-        if not sending or not (self._faults.latency_s or self._faults.jitter_s):
+        if not sending or not self._faults.delays:
             return data
         self._line.put(data)
         return b""

@@ -39,7 +39,8 @@ class TableConfig:
 
     ``profile`` is the register map of drives on Modbus; ``prefix`` the length of what an ACUTROL puts before replies;
     ``velocity_window_s`` the time that a Galil's velocity is the mean of; ``fault_mask`` the bits of an Aerosmith's
-    status that mean a fault.
+    status that mean a fault. ``read_time_s`` is what a reading of one axis takes, as ``station check`` measures it, for
+    plans; 0 if it is not stated.
     """
 
     protocol: str
@@ -54,6 +55,7 @@ class TableConfig:
     timeout_s: float
     axes: Mapping[str, AxisConfig]
     uncertainty: TableUncertainty | None
+    read_time_s: float = 0.0
 
     @property
     def limits(self) -> dict[str, AxisLimits]:
@@ -99,6 +101,7 @@ def read_table(table: Table, folder: Path) -> TableConfig:
         timeout_s=table.quantity("timeout", "time", 0.2),
         axes={axis: _axis(table.table(axis), protocol) for axis in gimbals},
         uncertainty=_uncertainty(table.table("uncertainty")) if table.has("uncertainty") else None,
+        read_time_s=table.quantity("read_time", "time", 0.0),
     )
     if not 1 <= config.poll_rate_hz <= 1000:
         raise table.fail("poll_rate", f"{config.poll_rate_hz:g} Hz; give 1 Hz to 1000 Hz")

@@ -11,12 +11,9 @@ import numpy as np
 from estimator.calibrate import calibrate
 from estimator.calibration import Calibration
 from estimator.error_model import ErrorModel
-from estimator.gram import solve
 from estimator.recording import Recording, read_recording, write_results, write_source_attributes
 from estimator.results import write_calibration
-from estimator.rows import gram_of
 from estimator.sample_columns import white_solution
-from estimator.timing import time_offset
 from station.live import LiveEstimate
 from station.sources import SourceReport
 
@@ -37,10 +34,7 @@ def final_estimate(
     found = calibrate(recording, innovations=False, model=model, excluded=excluded)
     calibration = replace(found, nis_mean=live.nis_mean, notes=(*found.notes, *live.notes))
     agreement = _agreement(recording, live)
-    fuller = {}
-    for name, source in live.sources.items():
-        offset = time_offset(source.blocks(), source.array, source.prior)
-        fuller[name] = replace(reports[name], offset=offset)
+    fuller = {name: replace(reports[name], offset=calibration.offsets.get(name)) for name in live.sources}
     write_source_attributes(path, {name: report.attributes() for name, report in fuller.items()})
     write_calibration(path, calibration, {"live_batch_difference_sigma": agreement})
     for name, source in live.sources.items():
@@ -56,11 +50,9 @@ def _agreement(recording: Recording, live: LiveEstimate) -> float:
     """Return the largest difference between live filter and batch estimate, in sigmas, under the same noise."""
     largest = 0.0
     for name, source in live.sources.items():
-        data = recording.sources[name]
-        if source.effects is None:
-            batch = solve(gram_of(recording, name, data), source.array, source.prior, source.noise_rps)
-        else:
-            batch = white_solution(recording, data, source.effects, source.prior, source.noise_rps)
+        taken_off = source.history.t_ns, source.history.offset_s
+        about = source.effects, source.prior, source.noise_rps, source.offset_sd_s, taken_off
+        batch = white_solution(recording, recording.sources[name], *about)
         x, _ = source.filter.state()
         sd = np.sqrt(np.diagonal(batch.covariance, axis1=1, axis2=2))
         largest = max(largest, float(np.abs((x - batch.x) / sd).max()))

@@ -16,6 +16,7 @@ from estimator.model import Prior, decode
 from estimator.reference import BodyRates, TableReadings, TableUncertainty
 from estimator.rows import BLOCK_S
 from estimator.sample_columns import SampleColumns
+from estimator.timing import expected_sd_s
 from station.table_watch import TableRow
 
 RECENT_S = 30.0
@@ -24,14 +25,21 @@ RECENT_S = 30.0
 _KEEP_EVERY = 5  # states are kept every so many-th block
 _ROWS_AT_ONCE = 20  # table readings are taken in by handfuls: a second at 20 Hz
 _RECENT_BLOCKS = round(RECENT_S / BLOCK_S)
+_MARGIN_NS = 100_000_000  # samples may turn out to be so much later than their stamps
+_LARGEST_S = 0.15  # of offsets that are taken off
+_SETTLED_S, _MOST_STEPS = 1e-4, 4
 _FEWEST_PAIRS = 20  # of blocks, for a correlation that says anything
 
 
 @dataclass(slots=True, eq=False)
 class History:
-    """What one filter said as it went: innovations by block, states and sigmas once a second."""
+    """What one filter said as it went: innovations by block, states and sigmas once a second.
+
+    ``offset_s`` is what was taken off the stamps of each block, whose last is at ``t_ns``.
+    """
 
     t_ns: list[int] = field(default_factory=list)
+    offset_s: list[float] = field(default_factory=list)
     nis: list[float] = field(default_factory=list)
     dof: list[int] = field(default_factory=list)
     normalised: list[Floats] = field(default_factory=list)
@@ -63,15 +71,27 @@ class LiveSource:
     """One source: samples not yet used, its filter, what the filter said."""
 
     def __init__(
-        self, array: SensorArray, rate_hz: float, noise_rps: float, prior: Prior, effects: SampleColumns | None = None
+        self,
+        array: SensorArray,
+        rate_hz: float,
+        noise_rps: float,
+        prior: Prior,
+        effects: SampleColumns | None = None,
+        timing_s: float = 0.0,
     ) -> None:
-        """``noise_rps`` is the data sheet's white noise of one sample; ``effects`` are those of an error model."""
+        """``noise_rps`` is the data sheet's white noise of one sample; ``effects`` are those of an error model.
+
+        ``timing_s`` is what the table states of the timing of its readings.
+        """
         self.array = array
         self.prior = prior
         self.noise_rps = np.full(len(array), noise_rps)
         self.effects = effects if effects is not None and effects.count else None
         self.notes = effects.notes if effects is not None else ()
-        self.filter = LiveFilter(array, self.noise_rps, prior, self.effects.count if self.effects else 0)
+        self.offset_sd_s = 0.0 if effects is not None and effects.holds_delay else expected_sd_s(timing_s)
+        further = self.effects.count if self.effects else 0
+        self.filter = LiveFilter(array, self.noise_rps, prior, further, self.offset_sd_s)
+        self._offset_s = 0.0  # what is taken off the stamps
         self.history = History()
         self._rows = max(round(BLOCK_S * rate_hz), 1)
         self._period_s = 1 / rate_hz
@@ -92,19 +112,11 @@ class LiveSource:
         """Use the samples that the table's readings cover, in whole blocks, at the end also the last part."""
         self._take_new()
         early = int(np.searchsorted(self._t, rates.starts_ns, side="left"))
-        ready = int(np.searchsorted(self._t, rates.final_until_ns, side="right"))
+        until_ns = rates.final_until_ns if everything else rates.final_until_ns - _MARGIN_NS
+        ready = int(np.searchsorted(self._t, until_ns, side="right"))
         whole = ready if everything else early + max(ready - early, 0) // self._rows * self._rows
-        if whole > early:
-            w = rates.at(self._t[early:whole])
-            if self._keeps_blocks:
-                self._sum(rates.starts_ns, w, self._t[early:whole], self._y[early:whole])
-            y, further = self._y[early:whole], None
-            if self.effects is not None:
-                further, expected = self.effects.at(rates, self._t[early:whole], self._temperature_c[early:whole])
-                y = y - expected
-            for start in range(0, whole - early, self._rows):
-                part = slice(start, min(start + self._rows, whole - early))
-                self._update(int(self._t[early + part.stop - 1]), w[part], y[part], further, part)
+        for start in range(early, whole, self._rows):
+            self._update(rates, slice(start, min(start + self._rows, whole)))
         start = max(whole, early)
         if start:
             self._t, self._y = self._t[start:], self._y[start:]
@@ -146,8 +158,10 @@ class LiveSource:
         """Return the blocks of the rows used so far; none before the first, or if they are not kept."""
         return (self._sums or BlockSums(len(self.array), 0, BLOCK_S, self._period_s)).blocks()
 
-    def _sum(self, origin_ns: int, w: Floats, t_ns: Stamps, y: Floats) -> None:
-        self._sums = self._sums or BlockSums(len(self.array), origin_ns, BLOCK_S, self._period_s)
+    def _sum(self, rates: BodyRates, part: slice) -> None:
+        self._sums = self._sums or BlockSums(len(self.array), rates.starts_ns, BLOCK_S, self._period_s)
+        t_ns, y = self._t[part], self._y[part]
+        w = rates.at(rates.earlier(t_ns, self._offset_s))
         known = np.isfinite(w).all(axis=1)
         self._sums.add(t_ns[known], w[known], y[known] - w[known] @ self.array.p.T)
 
@@ -164,31 +178,58 @@ class LiveSource:
         self._t = np.concatenate([self._t, t_ns[good]])
         self._y = np.vstack([self._y, rate[good]])
 
-    def _update(self, t_ns: int, w: Floats, y: Floats, further: Floats | None, part: slice) -> None:
-        known = np.isfinite(w).all(axis=1)
-        if further is not None:
-            known &= np.isfinite(y).all(axis=1)  # effects of a temperature that has not come yet
-        if not known.any():
+    def _update(self, rates: BodyRates, part: slice) -> None:
+        block = self._block(rates, part)
+        for _ in range(_MOST_STEPS):
+            # A ramp may tell that the offset is another than was taken off: then it is looked at again with that.
+            if block is None or block[3] is None:
+                break
+            found = float(np.clip(self.filter.tried(*block), -_LARGEST_S, _LARGEST_S))
+            if abs(found - self._offset_s) < _SETTLED_S:
+                break
+            self._offset_s = found
+            block = self._block(rates, part)
+        if block is None:
             return
-        innovation = self.filter.update(w[known], y[known], None if further is None else further[part][known])
+        innovation = self.filter.update(*block)
         history = self.history
-        history.t_ns.append(t_ns)
+        history.t_ns.append(int(self._t[part.stop - 1]))
+        history.offset_s.append(block[4])
         history.nis.append(innovation.nis)
         history.dof.append(innovation.dof)
         history.normalised.append(innovation.normalised)
         if len(history.t_ns) % _KEEP_EVERY == 0:
             states, sd = self.decoded()
-            history.state_t_ns.append(t_ns)
+            history.state_t_ns.append(history.t_ns[-1])
             history.states.append(states)
             history.sd.append(sd)
+        if self._keeps_blocks:
+            self._sum(rates, part)
+
+    def _block(
+        self, rates: BodyRates, part: slice
+    ) -> tuple[Floats, Floats, Floats | None, Floats | None, float] | None:
+        """Return what the filter takes of some samples, None if nothing is known of them."""
+        t_ns, y, further = rates.earlier(self._t[part], self._offset_s), self._y[part], None
+        w, wdot = rates.at(t_ns), rates.angular_acceleration_at(t_ns)
+        if self.effects is not None:
+            further, expected = self.effects.at(rates, t_ns, self._temperature_c[part])
+            y = y - expected
+        known = np.isfinite(w).all(axis=1) & np.isfinite(y).all(axis=1)  # not so: temperatures still to come
+        if wdot is not None:
+            known &= np.isfinite(wdot).all(axis=1)
+        if not known.any():
+            return None
+        chosen = [None if part is None else part[known] for part in (further, wdot)]
+        return w[known], y[known], chosen[0], chosen[1], self._offset_s
 
 
 class LiveEstimate:
     """All sources of a run on one table."""
 
-    def __init__(self, gimbals: tuple[str, ...], site: Site | None, timing_s: float = 0.0) -> None:
-        """Start without sources; ``timing_s`` is how well the table's readings are timed to the gyros'."""
-        self.rates = BodyRates(gimbals, site, timing_s)
+    def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
+        """Start without sources."""
+        self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
         self._rows: list[TableRow] = []
         self._gimbals = gimbals

@@ -17,6 +17,7 @@ from station.axis_profile import profile_lines
 from station.figures import STATE_UNITS, effect_units
 from station.investigation_printed import words
 from station.plan import WARMING_TIME_S, Plan
+from station.polling import too_steep
 from station.rich_table import rich_table
 from station.terminal import print_rendered
 
@@ -36,6 +37,7 @@ def print_plan(plan: Plan, console: Console) -> None:
         "missed": [gyro.name for gyro, of_gyro in reached if not of_gyro.all()],
         "combination": combination,
         "effects": _effects(found),
+        "too_steep": too_steep(plan.script, plan.bench.table.read_time_s),
         "partly_seen": any(f.seen.any() and not f.seen.all() for f in found.effects),
         "corrupted": [line for forecast in found.effects for line in _corrupted(forecast, found)],
         "words": words,

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from drivers.errors import DeviceRefused
 from drivers.seams import Turntable
 from station.errors import UsageError
+from station.polling import MARGIN_S, ramp_s, wanted_hz
 from station.script import Move, Rest, Rotate, Script
 from station.snapshot import AFTER_THIS_STEP, PAUSED
 from station.uncommanded import Commanded
@@ -92,6 +93,16 @@ class Sequencer:
         ramp_s = min(since_s, self._durations_s[self._index] - since_s)
         rate_rps = min(abs(step.rate_rps), step.acceleration_rps2 * max(ramp_s, 0.0))
         return math.copysign(rate_rps, self._way_rad)
+
+    def wanted_hz(self, now_s: float) -> float:
+        """Return how often the table should be read now, beyond what is usual: 0 but on ramps."""
+        step = self._script.steps[self._index]
+        if isinstance(step, Rest) or self.paused == PAUSED:
+            return 0.0
+        length_s = ramp_s(step.rate_rps, step.acceleration_rps2, self._way_rad)
+        since_s = now_s - self._step_began_s
+        near = min(since_s, self._durations_s[self._index] - since_s) < length_s + MARGIN_S
+        return wanted_hz(length_s) if near else 0.0
 
     def times_s(self, now_s: float) -> tuple[float, float]:
         """Return time done and time remaining by plan."""

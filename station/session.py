@@ -35,6 +35,7 @@ from station.loops import is_virtual
 from station.monitor import Monitor
 from station.open_bench import OpenBench, OpenImu
 from station.outcome import Outcome, Verdict, judge
+from station.polling import too_steep
 from station.reopening import Reopening
 from station.script import Script
 from station.sequencer import Sequencer
@@ -127,8 +128,7 @@ class Session:
         self._half_width_ns, self._late_s = 0, 0.0
         self._connected = False
         self._sync: asyncio.Future[Any] | None = None
-        stated = config.table.uncertainty
-        self._live = LiveEstimate(config.table.gimbals, config.site, stated.timing_s if stated else 0.0)
+        self._live = LiveEstimate(config.table.gimbals, config.site)
         told = {"operator": options.operator, "device_serial": options.device_serial}
         self._writer = RecordingWriter(path, _attributes(bench, script) | {k: v for k, v in told.items() if v})
         loop = asyncio.get_running_loop()
@@ -138,8 +138,6 @@ class Session:
         self._writer.add_table(config.table.gimbals, config.table.uncertainty)
         for imu in bench.imus:
             self._add_sources(imu)
-        for source in self._live.sources.values():
-            source.keep_blocks()
         self._ended_early = ""
         self._monitor = Monitor(bench, self._live, self._reopening, self._time_scale)
         self._early_end: EarlyEnd | None = None
@@ -243,12 +241,15 @@ class Session:
         for name, gyros in config.gyros_of(imu.source.names).items():
             array = config.array.select(gyros)
             noise = [config.noise.arw, config.noise.instability, config.noise.walk]
-            stated = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
-            self._writer.add_source(name, array, config.prior, stated)
+            about = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
+            self._writer.add_source(name, array, config.prior, about)
             effects = None
             if self._model is not None:
                 effects = SampleColumns(self._model, self._bench.table.gimbals, self._bench.site, array)
-            self._live.sources[name] = LiveSource(array, config.rate_hz, float(noise_rps), config.prior, effects)
+            stated = self._bench.table.uncertainty
+            timing_s = stated.timing_s if stated else 0.0
+            own = (array, config.rate_hz, float(noise_rps), config.prior, effects, timing_s)
+            self._live.sources[name] = LiveSource(*own)
 
     async def _work(self) -> None:
         table = self._open.table
@@ -276,13 +277,19 @@ class Session:
             self._phase = Phase.HOMING
             await table.home()
             await check_axes(table, axes)
+            loop = asyncio.get_running_loop()
+            began_s = loop.time()
+            for axis in axes:
+                await table.read(axis)
             tell = partial(self._event, EventKind.SCRIPT)
+            for text in too_steep(self._script, (loop.time() - began_s) / len(axes)):
+                self._event(EventKind.NOTE, text)
             sequencer = self._sequencer = Sequencer(table, self._script, self._end_step, tell)
             self._phase = Phase.RUNNING
             watch = watch_table(
                 table,
                 axes,
-                self._bench.table.poll_rate_hz,
+                lambda: max(self._bench.table.poll_rate_hz, sequencer.wanted_hz(loop.time())),
                 lambda: sequencer.driven_axis,
                 MotionGuard(table, sequencer.commanded),
                 self._take_row,

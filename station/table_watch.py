@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-import statistics
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
@@ -20,9 +19,6 @@ from station.uncommanded import MotionGuard
 
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
 _STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops that hears nothing
-_QUICK, _SLOW = 1.5, 4.0  # times the usual round trip: read again beyond the first, leave out beyond the second
-_TRIES = 2
-_ALWAYS_QUICK_NS = 1_000_000
 _IDLE_S = 0.4  # so often each axis is looked at that has not been told to turn: it may do so by itself
 
 
@@ -41,7 +37,8 @@ class TableRow(NamedTuple):
 class Aligner:
     """Turns readings of single axes, each at its own instant, into rows at one instant.
 
-    An angle is carried to the row's instant by the rate, a rate by interpolation between readings. A row is given
+    An angle is carried to the row's instant, that of the fastest axis' rate, by the rate, a rate by interpolation
+    between readings. A row is given
     when the rates around it are known: one reading later, or as many as a rate that is a mean lags behind. Around
     the corners of ramps a mean rate is not the rate: such rows are left out.
     """
@@ -56,7 +53,7 @@ class Aligner:
         """Take in one reading of all axes; return the rows that are known now."""
         self._readings.append(dict(states))
         if len(self._readings) > 1 and self._at_ns(-1) <= self._at_ns(-2):
-            self._readings.pop()  # an answer that came at the second try has the middle of both for its instant
+            self._readings.pop()  # its instant is of another axis than that of the reading before
             return []
         rows = []
         while self._next < len(self._readings) - 1 and self._rates_reach(self._next):
@@ -73,8 +70,10 @@ class Aligner:
         states = self._readings[index].values()
         if any(state.rate_window_ns for state in states):
             return sum(state.angle_t_ns for state in states) // len(states)
-        stamps = [t for state in states for t in (state.angle_t_ns, state.rate_t_ns)]
-        return sum(stamps) // len(stamps)
+        # A rate may bend between two readings, so the axis that is or was the fastest is to need no interpolation.
+        before = self._readings[max(index % len(self._readings) - 1, 0)]
+        now = self._readings[index]
+        return now[max(now, key=lambda axis: max(abs(now[axis].rate_rps), abs(before[axis].rate_rps)))].rate_t_ns
 
     def _rates_reach(self, index: int) -> bool:
         """Return whether rates up to the row's instant, and half the time that they are means of, are known."""
@@ -95,8 +94,9 @@ class Aligner:
             if state.rate_window_ns and _bent(times, series, state.rate_window_ns):
                 return []
             rates[column] = np.interp(0.0, times, series)
-            rate = rates[column] if state.rate_window_ns else state.rate_rps
-            angles[column] = state.angle_rad + rate * (at_ns - state.angle_t_ns) * 1e-9
+            between_ns = at_ns - state.angle_t_ns
+            rate = rates[column] if state.rate_window_ns else np.interp(-0.5 * between_ns, times, series)
+            angles[column] = state.angle_rad + rate * between_ns * 1e-9
         half_width_ns = max(state.half_width_ns for state in self._readings[index].values())
         return [TableRow(at_ns, angles, rates, half_width_ns)]
 
@@ -104,7 +104,7 @@ class Aligner:
         """Keep the readings whose rates rows to come still need."""
         window = max(state.rate_window_ns for state in self._readings[-1].values())
         oldest_ns = self._at_ns(self._next) - 2 * window
-        while self._next > 1 and all(state.rate_t_ns < oldest_ns or not window for state in self._readings[0].values()):
+        while self._next > 2 and all(state.rate_t_ns < oldest_ns or not window for state in self._readings[0].values()):
             self._readings.popleft()
             self._next -= 1
 
@@ -119,35 +119,10 @@ def _bent(times_ns: Floats, rates: Floats, window_ns: int) -> bool:
     return bool(np.abs(rate - line(t)).max() > _STRAIGHT_RPS)
 
 
-async def _read_quickly(
-    table: Turntable, axes: list[str], usual_ns: deque[int], guard: MotionGuard
-) -> dict[str, AxisState] | None:
-    """Read axes; again if the round trip was slow, and None if it stays so that the instant is not known.
-
-    DeviceFault if one does what it was not told.
-    """
-    best: dict[str, AxisState] | None = None
-    for _ in range(_TRIES):
-        states = {axis: await table.read(axis) for axis in axes}
-        for axis, state in states.items():
-            await guard.look(axis, state)
-        usual_ns.append(_slowest_ns(states))
-        if best is None or _slowest_ns(states) < _slowest_ns(best):
-            best = states
-        usual = statistics.median(usual_ns) + _ALWAYS_QUICK_NS
-        if _slowest_ns(best) <= _QUICK * usual:
-            return best
-    return best if best is not None and _slowest_ns(best) <= _SLOW * usual else None
-
-
-def _slowest_ns(states: Mapping[str, AxisState]) -> int:
-    return max(state.half_width_ns for state in states.values())
-
-
 async def watch_table(
     table: Turntable,
     axes: tuple[str, ...],
-    rate_hz: float,
+    rate_hz: Callable[[], float],
     driven_axis: Callable[[], str | None],
     guard: MotionGuard,
     on_row: Callable[[TableRow], None],
@@ -155,7 +130,8 @@ async def watch_table(
 ) -> None:
     """Read until cancelled; DeviceFault when an axis goes to fault, leaves operation or turns by itself.
 
-    ``on_lost`` opens a link again that was lost, or raises.
+    ``rate_hz`` says how often it is to be read now; a slow link gives what it can. ``on_lost`` opens a link again that
+    was lost, or raises.
 
     An axis that is driven or turns is read every time. Of the others the one is read that was not for the longest
     time, if that is 0.4 s, so that a slow bus has its time for what turns: what has not been told to move is still
@@ -164,29 +140,30 @@ async def watch_table(
     loop = asyncio.get_running_loop()
     states = {axis: await table.read(axis) for axis in axes}
     aligner = Aligner(axes)
-    usual_ns: deque[int] = deque(maxlen=51)
-    period_s = 1 / rate_hz
     due_s = loop.time()
     counter = itertools.count()
     checked_s, read_s = dict.fromkeys(axes, due_s), dict.fromkeys(axes, due_s)
+    turned: set[str] = set()
 
     async def read_once() -> None:
         count = next(counter)
-        busy = [a for a in axes if a == driven_axis() or states[a].rate_rps != 0.0]
+        busy = [a for a in axes if a == driven_axis() or states[a].rate_rps != 0.0 or a in turned]
         oldest = min((a for a in axes if a not in busy), key=lambda a: read_s[a], default=None)
         if oldest is not None and (not busy or loop.time() - read_s[oldest] >= _IDLE_S):
             busy.append(oldest)
         read_s.update(dict.fromkeys(busy, loop.time()))
-        fresh = await _read_quickly(table, busy, usual_ns, guard)
-        if fresh is not None:
-            states.update(fresh)
-            now_ns = states[busy[0]].angle_t_ns
-            for axis in axes:
-                if axis not in busy:
-                    still = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns, half_width_ns=0)
-                    states[axis] = still
-            for row in aligner.add(states):
-                on_row(row)
+        # An angle may be of before the stop that the rate is of: read once more.
+        turned.clear()
+        turned.update(axis for axis in busy if states[axis].rate_rps != 0.0)
+        states.update({axis: await table.read(axis) for axis in busy})
+        for axis in busy:
+            await guard.look(axis, states[axis])
+        now_ns = states[busy[0]].angle_t_ns
+        for axis in axes:
+            if axis not in busy:
+                states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns, half_width_ns=0)
+        for row in aligner.add(states):
+            on_row(row)
         for axis in axes:
             if (count + 1) % _STATUS_EVERY == 0 or loop.time() - checked_s[axis] >= _STATUS_AT_LATEST_S:
                 await check_axes(table, (axis,))
@@ -199,7 +176,7 @@ async def watch_table(
             except LinkLost as error:
                 await on_lost(error)
                 await check_axes(table, axes)
-            due_s = max(due_s + period_s, loop.time())
+            due_s = max(due_s + 1 / rate_hz(), loop.time())
             await asyncio.sleep(due_s - loop.time())
     finally:
         for row in aligner.last():

@@ -495,12 +495,8 @@ def _temperature(data: ImuData, grid_s: Floats) -> Floats | None:
 
 
 def _gimbals(reference: TableReadings, grid_s: Floats) -> tuple[Floats, Floats, Floats]:
-    rates = BodyRates.of(reference, None)
-    known_s = reference.t_ns * 1e-9
-    slopes = np.diff(reference.rate_rps, axis=0) / np.diff(known_s)[:, None]
-    between = np.clip(np.searchsorted(known_s, grid_s, side="right") - 1, 0, len(slopes) - 1)
-    angle, rate = rates.gimbals_at(np.round(grid_s * 1e9).astype(np.int64))
-    return angle, rate, slopes[between]
+    rates, grid_ns = BodyRates.of(reference, None), np.round(grid_s * 1e9).astype(np.int64)
+    return *rates.gimbals_at(grid_ns), rates.accelerations_at(grid_ns)
 
 
 def _smooth_temperature(t_s: Floats, temperature_c: Floats, grid_s: Floats) -> Floats:

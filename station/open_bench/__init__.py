@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from drivers.can_link import CanLink
 from drivers.link_lock import held
 from drivers.seams import ImuSource, Turntable
-from estimator.reference import TableUncertainty
 from station.bench import Bench
 from station.bench_imu import ON_CAN, ImuConfig
 from station.bench_table import TWIN
@@ -39,7 +38,6 @@ __all__ = [
 
 
 _GATHER_S = 0.005
-_HOST_DELAY_S = 0.001  # by which the arrival of a sample and the answer of a table may differ on one machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,16 +106,7 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
                 port = TCP_PORT.get(bench.table.protocol)
                 await stack.enter_async_context(held("table", link, port, f"bench {bench.name}"))
         imus = tuple([OpenImu(imu, await _source(imu, twins, time_scale)) for imu in used])
-        yield OpenBench(_as_timed(bench, time_scale), table, imus, twins.table.at_rest)
-
-
-def _as_timed(bench: Bench, time_scale: float) -> Bench:
-    """Return the bench with what its readings are timed to: in scaled time the host's own delays grow with it."""
-    if time_scale <= 1.0:
-        return bench
-    stated = bench.table.uncertainty or TableUncertainty()
-    timed = replace(stated, timing_s=max(stated.timing_s, _HOST_DELAY_S) * time_scale)
-    return replace(bench, table=replace(bench.table, uncertainty=timed))
+        yield OpenBench(bench, table, imus, twins.table.at_rest)
 
 
 async def _table(bench: Bench, twins: Twins, time_scale: float) -> Turntable:

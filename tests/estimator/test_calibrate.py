@@ -189,8 +189,10 @@ def test_lost_samples_are_counted_by_gyro(run: Recording) -> None:
 def test_gyros_on_sources_of_their_own_are_calibrated_as_one_array(run: Recording) -> None:
     data = run.sources["array"]
     singles = {f"node{i}": ImuData(data.array.select([i]), data.t_ns, data.rate_rps[:, i : i + 1]) for i in range(4)}
-    apart = calibrate(replace(run, sources=singles))
-    np.testing.assert_allclose(scores(apart), scores(calibrate(run)), atol=1e-9)
+    own = replace(run, attributes={"bench": ""})  # of the station's own, else errors of the reference may hang together
+    apart = calibrate(replace(own, sources=singles))
+    # Each source has an offset in time of its own.
+    np.testing.assert_allclose(scores(apart), scores(calibrate(own)), atol=0.01)
     assert [g.source for g in apart.gyros] == list(singles)
 
 

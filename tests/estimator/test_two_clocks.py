@@ -96,7 +96,8 @@ def test_clocks_that_run_apart_are_put_right(tmp_path: Path, made: object) -> No
     for gyro, other in zip(run.gyros, plain.gyros, strict=True):
         # On a minute of motion by hand the sigma itself is known to a factor of two: twelve clusters tell it.
         assert (np.abs(gyro.states - other.states) < 2 * other.sd).all()
-        assert (gyro.sd < 2.2 * other.sd).all()
+        # That of b least of all, as a minute does not tell a bias instability.
+        assert (gyro.sd[[0, 2, 3]] < 2.2 * other.sd[[0, 2, 3]]).all()
 
 
 def test_the_part_of_a_delay_that_is_the_clocks_is_told(tmp_path: Path) -> None:

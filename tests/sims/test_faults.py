@@ -87,6 +87,13 @@ def test_latency_and_jitter_delay_and_keep_the_order() -> None:
     assert late.std() == pytest.approx(0.005, rel=0.2)
 
 
+def test_a_share_of_what_a_device_sends_comes_late() -> None:
+    came = through(WireFaults(late=0.05, late_by_s=0.15), PIECES, period_s=0.5)
+    late_s = np.array([at - 0.5 * i for i, (at, _) in enumerate(came)])
+    assert set(np.round(late_s - late_s.min(), 6)) == {0.0, 0.15}
+    assert np.mean(late_s - late_s.min() > 0.1) == pytest.approx(0.05, abs=0.02)
+
+
 @pytest.mark.parametrize("share", [0.01, 0.2])
 def test_shares_are_what_they_say(share: float) -> None:
     sent = b"".join(PIECES)
