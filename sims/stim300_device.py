@@ -240,7 +240,7 @@ class Stim300Device:
         reply = utility_reply(self.settings, line)
         if reply is not None:
             self._write(encode_message(reply))
-            if reply.name == "xn" and reply.status == 0:
+            if reply.fields[:2] == ("xn", "0"):
                 self._mode = "normal"
 
     def _service(self, line: bytes) -> None:

@@ -7,7 +7,7 @@ from functools import partial
 from drivers.packaged import packaged_codes, packaged_toml
 from drivers.stim300 import LAYOUTS
 from drivers.stim300_special import BIT_RATES, RATES_HZ, Configuration
-from drivers.stim300_utility import DATAGRAM_CODES, UtilityDecoder, UtilityMessage
+from drivers.stim300_utility import DATAGRAM_CODES, UtilityMessage, parse_message
 
 _KNOWN = packaged_toml("sims", "codes.toml")["stim300"]
 _FILTERS_HZ = packaged_codes("sims", "stim300", "filter")
@@ -131,10 +131,10 @@ def utility_reply(settings: Settings, line: bytes) -> UtilityMessage | None:
     """Return the reply to one line, which may be damaged; None if it is none of utility mode's."""
     if not line.startswith(b"$"):
         return UtilityMessage(True, ("", "1")) if line else None
-    commands = UtilityDecoder().feed(line + b"\r")
-    if not commands:
+    command = parse_message(line + b"\r")
+    if command is None:
         return UtilityMessage(True, ("", "2"))
-    name, parameters = commands[0].name, commands[0].data
+    name, *parameters = command.fields
     answer = _utility_answers(settings).get(name)
     if answer is None:
         return UtilityMessage(True, ("", "3"))
