@@ -3,10 +3,6 @@
 import re
 from dataclasses import dataclass
 
-_IDENTIFIERS = (0x90, 0x91, 0x92, 0x93, 0x94, 0xA5, 0xA6, 0xA7, 0xF0, 0xF1, 0xF2, 0xF3, 0xF4, 0xF5, 0xF6, 0xF7)
-DATAGRAM_CODES = dict(zip("01234567lmnpqrst", _IDENTIFIERS, strict=True))
-"""Ids of normal datagrams by the code that service and utility mode have for them."""
-
 _LONGEST = 100  # characters, without the CR
 _MESSAGE = re.compile(rb"[$#][ -~]*,[0-9]{1,3}\r")
 

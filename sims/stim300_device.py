@@ -9,7 +9,7 @@ from drivers import stim300
 from drivers.arrays import Flags, Floats, Ints
 from drivers.stim300_special import BiasTrim, ExtendedError, PartNumber, SerialNumber, Special
 from drivers.stim300_units import ACCEL_LSB_G, GYRO_LSB_DEG, GYRO_LSB_DPS, UNITS
-from drivers.stim300_utility import DATAGRAM_CODES, UtilityMessage, encode_message
+from drivers.stim300_utility import UtilityMessage, encode_message
 from sims.burst import burst_of
 from sims.gyro import GyroArray
 from sims.stim300_output import GyroOutput
@@ -50,7 +50,7 @@ class Stim300Device:
         if left out. A clock with ``clock_ppm`` above 0 runs fast. A ``cold`` device is powered on when served: it
         names itself and its first half second carries the start-up bit; else it has been on for long.
         """
-        if identifier not in DATAGRAM_CODES.values():
+        if identifier not in stim300.DATAGRAM_CODES.values():
             raise ValueError(f"{identifier:02X} is no datagram of today's firmware")
         self.settings = Settings(
             rate_hz,
@@ -182,31 +182,20 @@ class Stim300Device:
 
     def _datagrams(self, raw: Ints, status: Ints, ticks: Ints, force_g: Floats, t_s: float, late_s: float) -> bytes:
         own = self.settings
-        layout = stim300.LAYOUTS[own.identifier]
         n = len(raw)
-        temperature = round(self._temperature_c(t_s) / stim300.TEMPERATURE_LSB_C)
         start_up = status & stim300.STATUS_START_UP
-        accel = np.round(force_g / ACCEL_LSB_G[own.accel_range_g]).astype(np.int64)
-        incl = np.round(force_g / stim300.INCLINOMETER_LSB_G).astype(np.int64)
-        temperatures = np.full((n, layout.clusters, 3), temperature)
+        temperature = np.full((n, 3), round(self._temperature_c(t_s) / stim300.TEMPERATURE_LSB_C))
         since_pps = (ticks % stim300.INTERNAL_RATE_HZ) * (1_000_000 // stim300.INTERNAL_RATE_HZ)
+        groups: dict[str, tuple[Ints, Ints]] = {
+            "gyro": (raw, status),
+            "accelerometer": (np.round(force_g / ACCEL_LSB_G[own.accel_range_g]).astype(np.int64), start_up),
+            "inclinometer": (np.round(force_g / stim300.INCLINOMETER_LSB_G).astype(np.int64), start_up),
+        }
+        groups |= {f"{name}_temperature": (temperature, start_up) for name in groups}
+        groups["extra"] = since_pps[:, None], start_up
+        latency_us = np.full(n, min(round(late_s * 1e6), _LONGEST_LATENCY_US))
         return stim300.encode(
-            stim300.Datagrams(
-                identifier=own.identifier,
-                gyro=raw,
-                gyro_status=status,
-                counter=ticks,
-                latency_us=np.full(n, min(round(late_s * 1e6), _LONGEST_LATENCY_US)),
-                accelerometer=accel,
-                accelerometer_status=start_up,
-                inclinometer=incl,
-                inclinometer_status=start_up,
-                temperatures=temperatures,
-                temperature_status=np.tile(start_up[:, None], layout.clusters),
-                extra=since_pps,
-                extra_status=start_up,
-            ),
-            line_termination=own.line_termination,
+            stim300.Datagrams(own.identifier, ticks, latency_us, groups), line_termination=own.line_termination
         )
 
     def _special(self, value: Special) -> bytes:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from functools import partial
 
 from drivers.packaged import packaged_codes, packaged_toml
-from drivers.stim300 import LAYOUTS
+from drivers.stim300 import DATAGRAM_CODES, LAYOUTS
 from drivers.stim300_special import BIT_RATES, RATES_HZ, Configuration
-from drivers.stim300_utility import DATAGRAM_CODES, UtilityMessage, parse_message
+from drivers.stim300_utility import UtilityMessage, parse_message
 
 _KNOWN = packaged_toml("sims", "codes.toml")["stim300"]
 _FILTERS_HZ = packaged_codes("sims", "stim300", "filter")

@@ -123,13 +123,11 @@ def _read_stim300(code: int | None, range_g: int, raw: bytes, names: Sequence[st
 
 
 def _datagram(data: Datagrams) -> Columns:
-    out = {"gyro": vouched(data.gyro, data.gyro_status), "time": data.counter.astype(np.float64)}
-    if data.accelerometer is not None and data.accelerometer_status is not None:
-        out["accelerometer"] = vouched(data.accelerometer, data.accelerometer_status)
-    if data.temperatures is not None and data.temperature_status is not None:
-        out["temperature"] = vouched(data.temperatures[:, 0], data.temperature_status[:, 0]).mean(axis=1)
-        out["temperature"] *= TEMPERATURE_LSB_C
-    return out
+    names = {"gyro": "gyro", "accelerometer": "accelerometer", "gyro_temperature": "temperature"}
+    out = {names[group]: vouched(*raw) for group, raw in data.groups.items() if group in names}
+    if "temperature" in out:
+        out["temperature"] = out["temperature"].mean(axis=1) * TEMPERATURE_LSB_C
+    return out | {"time": data.counter.astype(np.float64)}
 
 
 def _vectornav(raw: bytes, names: Sequence[str]) -> _Decoded:

@@ -11,10 +11,10 @@ from stim300_service import ServiceReader, ServiceReply
 from drivers.errors import BadReply, DeviceRefused, LinkLost
 from drivers.packaged import packaged_codes
 from drivers.seams import ByteLink, Identity
-from drivers.stim300 import SERVICE_MODE, UTILITY_MODE
+from drivers.stim300 import DATAGRAM_CODES, SERVICE_MODE, UTILITY_MODE
 from drivers.stim300_special import RATES_HZ
 from drivers.stim300_units import UNITS
-from drivers.stim300_utility import DATAGRAM_CODES, UtilityMessage, encode_message, parse_message
+from drivers.stim300_utility import UtilityMessage, encode_message, parse_message
 
 STATUS_TEXTS = packaged_codes("drivers", "stim300", "utility")
 """What the status of a reply means (table 10-2)."""

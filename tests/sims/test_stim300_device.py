@@ -42,8 +42,20 @@ class Sent:
     raw: bytes = b""
     parts: list[Datagrams | Special] = field(default_factory=list)
 
+    @property
+    def normal(self) -> list[Datagrams]:
+        return [part for part in self.parts if isinstance(part, Datagrams)]
+
     def joined(self, name: str) -> np.ndarray:
-        return np.concatenate([getattr(part, name) for part in self.parts if isinstance(part, Datagrams)])
+        return np.concatenate([getattr(part, name) for part in self.normal])
+
+    @property
+    def gyro(self) -> np.ndarray:
+        return np.concatenate([part.groups["gyro"][0] for part in self.normal])
+
+    @property
+    def status(self) -> np.ndarray:
+        return np.concatenate([part.groups["gyro"][1] for part in self.normal])
 
     @property
     def specials(self) -> list[Special]:
@@ -78,7 +90,7 @@ def test_after_power_on_it_names_itself_and_its_first_samples_carry_the_start_up
     assert [type(value) for value in sent.parts[:3]] == [PartNumber, SerialNumber, Configuration]
     assert sent.specials[0] == PartNumber("84167-440000-3321", "K")
     assert sent.specials[1] == SerialNumber("N25582405002002")
-    starting = (sent.joined("gyro_status") & STATUS_START_UP) != 0
+    starting = (sent.status & STATUS_START_UP) != 0
     np.testing.assert_array_equal(starting, np.arange(len(starting)) < 500)
     assert sent.raw.endswith(b"\r\n")
 
@@ -88,18 +100,16 @@ def test_it_sends_any_normal_datagram(identifier: int) -> None:
     sent = run(0.1, 500, identifier=identifier)
     assert {part.identifier for part in sent.parts if isinstance(part, Datagrams)} == {identifier}
     np.testing.assert_array_equal(np.diff(sent.joined("counter")) % 256, 4)
-    np.testing.assert_allclose(
-        sent.joined("gyro") * GYRO_LSB_DPS, np.tile(DPS, (len(sent.joined("gyro")), 1)), atol=1e-4
-    )
+    np.testing.assert_allclose(sent.gyro * GYRO_LSB_DPS, np.tile(DPS, (len(sent.gyro), 1)), atol=1e-4)
 
 
 @pytest.mark.parametrize("rate_hz", [125, 500, 2000])
 def test_increments_and_integrals_keep_the_whole_angle(rate_hz: int) -> None:
-    increments = run(2.0, rate_hz, gyro_unit="increment").joined("gyro")
+    increments = run(2.0, rate_hz, gyro_unit="increment").gyro
     np.testing.assert_allclose(increments.mean(axis=0) * GYRO_LSB_DEG * rate_hz, DPS, rtol=1e-4)
-    average = run(1.0, rate_hz, gyro_unit="average").joined("gyro")
+    average = run(1.0, rate_hz, gyro_unit="average").gyro
     np.testing.assert_allclose(average * GYRO_LSB_DPS, np.tile(DPS, (len(average), 1)), atol=0.1)
-    integral = run(2.0, rate_hz, gyro_unit="integrated").joined("gyro")
+    integral = run(2.0, rate_hz, gyro_unit="integrated").gyro
     unwrapped = np.unwrap(integral * GYRO_LSB_DEG, period=8.0, axis=0)
     np.testing.assert_allclose(unwrapped[-1] - unwrapped[0], DPS * (len(integral) - 1) / rate_hz, rtol=1e-4)
     assert integral.max() - integral.min() > (1 << 24) * 0.9  # it has gone round
@@ -116,7 +126,7 @@ def test_answers_take_the_place_of_samples() -> None:
 def test_a_reset_begins_anew() -> None:
     sent = run(1.0, act=lambda device: device.received(b"R\r"))
     assert [type(value) for value in sent.specials] == [PartNumber, SerialNumber, Configuration]
-    status = sent.joined("gyro_status")
+    status = sent.status
     assert not status[:900].any()
     assert (status[-900:] == STATUS_START_UP).all()
 
@@ -125,7 +135,7 @@ def test_a_stuck_gyro_keeps_its_output_while_the_others_go_on() -> None:
     def act(device: Stim300Device) -> None:
         device.stuck_gyro = 1
 
-    gyro = run(1.0, gyro_unit="integrated", act=act).joined("gyro")
+    gyro = run(1.0, gyro_unit="integrated", act=act).gyro
     moves = np.abs(np.diff(gyro[1100:], axis=0)).min(axis=0)
     assert moves[0] > 0
     assert np.ptp(gyro[1100:, 1]) == 0
@@ -137,8 +147,8 @@ def test_a_saturated_gyro_stands_at_its_range_and_says_nothing() -> None:
         device.saturated_gyro = 2
 
     sent = run(1.0, act=act)
-    assert (sent.joined("gyro")[1100:, 2] * GYRO_LSB_DPS == 400.0).all()
-    assert not sent.joined("gyro_status").any()
+    assert (sent.gyro[1100:, 2] * GYRO_LSB_DPS == 400.0).all()
+    assert not sent.status.any()
 
 
 def test_an_overload_is_told_by_status_and_error_register() -> None:
@@ -148,7 +158,7 @@ def test_an_overload_is_told_by_status_and_error_register() -> None:
         asyncio.get_running_loop().call_later(0.2, device.received, b"E\r")
 
     sent = run(1.0, act=act)
-    assert (sent.joined("gyro_status")[1100:] == STATUS_OVERLOAD | 0x02).all()
+    assert (sent.status[1100:] == STATUS_OVERLOAD | 0x02).all()
     assert [value.texts for value in sent.specials if isinstance(value, ExtendedError)] == [
         (),
         ("gyro Y is overloaded",),
@@ -156,7 +166,7 @@ def test_an_overload_is_told_by_status_and_error_register() -> None:
 
 
 def test_beyond_its_range_it_reports_an_overload_by_itself() -> None:
-    status = run(0.1, dps=np.array([410.0, -420.0, 399.0])).joined("gyro_status")
+    status = run(0.1, dps=np.array([410.0, -420.0, 399.0])).status
     assert (status == STATUS_OVERLOAD | 0x03).all()
 
 

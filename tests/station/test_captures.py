@@ -79,15 +79,9 @@ STIM300 = (
 
 def datagrams(count: int, gyro: np.ndarray) -> Datagrams:
     zero = np.zeros(count, dtype=np.int64)
-    return Datagrams(
-        0x94,
-        gyro.astype(np.int64),
-        zero,
-        np.arange(count) * 16 % 256,
-        zero + 300,
-        temperatures=np.full((count, 1, 3), 25 * 256),
-        temperature_status=zero[:, None],
-    )
+    warm = np.full((count, 3), 25 * 256)
+    groups = {"gyro": (gyro.astype(np.int64), zero), "gyro_temperature": (warm, zero)}
+    return Datagrams(0x94, np.arange(count) * 16 % 256, zero + 300, groups)
 
 
 @pytest.mark.parametrize(("output", "lsb_dps"), [("rate", 2.0**-14), ("increment", 125 * 2.0**-21)])
