@@ -57,7 +57,7 @@ class RegularClock:
         self._period_s = period_s
         self._counts = counts
         self._most = max(self.MOST, round(1 / period_s))
-        self._held: list[tuple[int, float, bytes]] = []  # arrival_ns, value, raw bytes
+        self._held: list[tuple[int, Floats | float, bytes]] = []  # arrival_ns, values, raw bytes
         self._last_raw = b""
         self._last_arrival_ns: int | None = None
         self._last_t_ns = -(2**62)
@@ -89,9 +89,9 @@ class RegularClock:
             sd_drift_ppm=math.hypot(found.sd_drift_ppm, hidden * 1e6 / math.sqrt(3)),
         )
 
-    def add(self, arrival_ns: int, value: float, raw: bytes) -> None:
-        """Take in one sample; ``raw`` is what equal samples share."""
-        self._held.append((arrival_ns, value, raw))
+    def add(self, arrival_ns: int, values: Floats | float, raw: bytes) -> None:
+        """Take in one sample, a number or a row (k,); ``raw`` is what equal samples share."""
+        self._held.append((arrival_ns, values, raw))
 
     def restart(self) -> None:
         """Begin anew after a break, whose length tells how many were lost; nothing must be held any more."""
@@ -104,7 +104,7 @@ class RegularClock:
         return len(self._held) >= max(2 * self.HOLD, self._look_again)
 
     def ready(self, *, everything: bool = False) -> tuple[Stamps, Stamps, Floats] | None:
-        """Return (t_ns, arrival_ns, value) of the samples that can be timed, or None while too few are held."""
+        """Return (t_ns, arrival_ns, values) of the samples that can be timed, or None while too few are held."""
         if not self._held or not (self.due or everything):
             return None
         arrival = np.array([row[0] for row in self._held], dtype=np.int64)
@@ -120,16 +120,16 @@ class RegularClock:
         rows, self._held, self._look_again = self._held[: len(kept)], self._held[len(kept) :], 0
         self._last_raw = rows[-1][2]
         arrival = arrival[: len(kept)][kept]
-        value = np.array([row[1] for row, keep in zip(rows, kept, strict=True) if keep])
+        values = np.array([row[1] for row, keep in zip(rows, kept, strict=True) if keep])
         t_ns = self._time_ns(place, arrival, own[: len(kept)][kept], known)
         later = t_ns > self._last_t_ns
         if not later.all():
             self._counts.samples -= int(np.count_nonzero(~later))
-            t_ns, arrival, value = t_ns[later], arrival[later], value[later]
+            t_ns, arrival, values = t_ns[later], arrival[later], values[later]
         if not len(t_ns):
             return None
         self._last_t_ns = int(t_ns[-1])
-        return t_ns, arrival, value
+        return t_ns, arrival, values
 
     def _too_early(self, place: Floats, arrival: Stamps) -> bool:
         """Return whether all samples seem to come well before they were taken."""

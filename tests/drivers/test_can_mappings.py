@@ -419,7 +419,7 @@ def test_random_frames_never_raise_and_are_not_kept(name: str, frames: int) -> N
                 sources = imu._sources.values()
                 waiting = sum(len(inlet.waiting) for source in sources for inlet in source.inlets)
                 pieces = sum(len(companion._pieces) for source in sources for companion in source._companions.values())
-                most = max(most, waiting + pieces + sum(len(source._regular._rows) for source in sources))
+                most = max(most, waiting + pieces + sum(len(source._clock._held) for source in sources))
         return most
 
     assert in_virtual_time(main) < 1000

@@ -364,7 +364,7 @@ def test_a_flood_of_random_frames_never_raises_and_is_not_kept(frames: int) -> N
         most = 0
         with suppress(LinkLost):
             async for _ in imu.blocks():
-                held = len(imu._waiting) + len(imu._accelerations._pieces) + len(imu._samples._rows)
+                held = len(imu._waiting) + len(imu._accelerations._pieces) + len(imu._clock._held)
                 most = max(most, held)
         return most
 
