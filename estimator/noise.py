@@ -27,11 +27,6 @@ class NoiseModel:
     instability: float = 0.0
     walk: float = 0.0
 
-    def allan_deviation(self, tau_s: Floats) -> Floats:
-        """Return the Allan deviation in rad/s at averaging times ``tau_s`` (IEEE Std 952, Annex C)."""
-        flicker = 2 * np.log(2) / np.pi * self.instability**2
-        return np.asarray(np.sqrt(self.arw**2 / tau_s + flicker + self.walk**2 * tau_s / 3))
-
 
 @dataclass(frozen=True, slots=True)
 class NoiseFound:
@@ -80,18 +75,12 @@ class MeansCovariance:
         return total
 
 
-def allan_deviation(rate_rps: Floats, period_s: float, per_decade: int = 5) -> tuple[Floats, Floats]:
-    """Return averaging times (t,) and the overlapping Allan deviation (t, m) of rates (n, m) evenly sampled.
+def allan_deviation(parts_rps: Sequence[Floats], period_s: float, per_decade: int = 5) -> tuple[Floats, Floats]:
+    """Return averaging times (t,) and the overlapping Allan deviation (t, m) of stretches (n, m), evenly sampled.
 
-    The times go up to a third of the span, where an estimate still rests on a few averages.
+    They do not follow on each other: each counts by its differences. The times go up to a third of the longest, where
+    an estimate still rests on a few averages.
     """
-    return allan_deviation_of_parts([rate_rps], period_s, per_decade)
-
-
-def allan_deviation_of_parts(
-    parts_rps: Sequence[Floats], period_s: float, per_decade: int = 5
-) -> tuple[Floats, Floats]:
-    """Return the same from stretches (n, m) that do not follow on each other; each counts by its differences."""
     longest = max((len(part) for part in parts_rps), default=0)
     if longest < _FEWEST_SAMPLES:
         return np.empty(0), np.empty((0, parts_rps[0].shape[1] if parts_rps else 0))

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import SITE
+from undone import compensate
 
 from estimator.array import SensorArray, dodecahedron, tetrahedron, triad
 from estimator.calibrate import calibrate
@@ -105,7 +106,7 @@ def test_the_rate_that_made_the_outputs_comes_back(array: SensorArray, sizes: di
         for effect in model.effects:
             values = [value.value for value in gyro.effects if value.effect == effect.called]
             outputs[:, i] += effect.effect(()).columns(conditions, array, i) @ values
-    assert np.abs(found.compensate(outputs, t_s, warm, force) - w).max() < 1e-12
+    assert np.abs(compensate(found, outputs, t_s, warm, force) - w).max() < 1e-12
     assert not found.left_out
 
 
@@ -122,10 +123,10 @@ def test_effects_of_rates_of_change_are_undone_to_what_the_sampling_allows() -> 
     for i, gyro in enumerate(gyros):
         a, b, gradient = (value.value for value in gyro.effects)
         outputs[:, i] += a * wdot @ array.j[i] + b * wdot @ array.k[i] + gradient * 0.02
-    error = np.abs(found.compensate(outputs, t_s, warm) - w)
+    error = np.abs(compensate(found, outputs, t_s, warm) - w)
     # What is left: half a period of angular jerk, and exp(-10) of the slope that the smoothing has not come up to.
     assert error[-1000:].max() < 4e-6
-    assert np.abs(Compensation(found.array, found.states).compensate(outputs, t_s) - w)[-1000:].max() > 1e-3
+    assert np.abs(compensate(Compensation(found.array, found.states), outputs, t_s) - w)[-1000:].max() > 1e-3
     assert smoothed_slope(t_s, warm)[-1] == pytest.approx(0.02, rel=1e-4)
 
 
@@ -157,8 +158,8 @@ def test_a_law_of_the_past_of_the_rate_or_with_a_jump_is_undone_but_for_its_effe
     outputs = w @ found.sensitivity.T - found.bias_rps
     for i, gyro in enumerate(gyros):
         outputs[:, i] += effect.columns(conditions, array, i) @ [value.value for value in gyro.effects]
-    error = found.compensate(outputs, t_s, warm) - w
-    bare = Compensation(found.array, found.states).compensate(outputs, t_s) - w
+    error = compensate(found, outputs, t_s, warm) - w
+    bare = compensate(Compensation(found.array, found.states), outputs, t_s) - w
     assert np.sqrt(np.mean(error**2)) < 0.02 * np.sqrt(np.mean(bare**2))
 
 
@@ -197,7 +198,7 @@ def test_a_lag_is_undone() -> None:
             value += (wanted - value) * 0.0005 / (tau + 0.0005)
             outputs[row, i] = value
     assert np.abs(outputs - inputs).max() > 0.3
-    assert np.abs(found.compensate(outputs - found.bias_rps, t_s) - w).max() < 1e-9
+    assert np.abs(compensate(found, outputs - found.bias_rps, t_s) - w).max() < 1e-9
 
 
 def test_the_twins_own_physics_is_undone() -> None:
@@ -245,8 +246,8 @@ def test_the_twins_own_physics_is_undone() -> None:
     temperature = data.temperature_c
     assert temperature is not None
     t_s = (data.t_ns[inside] - data.t_ns[0]) * 1e-9
-    error = found.compensate(data.rate_rps[inside], t_s, temperature[inside]) - w
-    bare = Compensation(found.array, found.states).compensate(data.rate_rps[inside], t_s) - w
+    error = compensate(found, data.rate_rps[inside], t_s, temperature[inside]) - w
+    bare = compensate(Compensation(found.array, found.states), data.rate_rps[inside], t_s) - w
     # The table's readings are those of encoders, and a temperature has steps of 0.01 degC.
     assert np.sqrt(np.mean(error**2)) < 5e-6 < 3e-4 < np.sqrt(np.mean(bare**2))
 
@@ -275,7 +276,7 @@ def test_gyros_in_a_plane_and_samples_without_temperature_are_refused() -> None:
     gyros, model = calibrated(triad(), {"thermal_bias": (1e-4,)})
     found = Compensation.of(gyros, {"imu": triad()}, model.text())
     with pytest.raises(CompensationError, match="without temperature"):
-        found.compensate(np.zeros((2, 3)), np.arange(2.0))
+        compensate(found, np.zeros((2, 3)), np.arange(2.0))
     with pytest.raises(CompensationError, match="do not span"):
         _ = Compensation.of(gyros[:2], {"imu": triad()}, model.text()).solution
 
@@ -283,7 +284,7 @@ def test_gyros_in_a_plane_and_samples_without_temperature_are_refused() -> None:
 def test_a_rate_that_cannot_be_undone_is_no_number() -> None:
     gyros, model = calibrated(triad(), {"scale_cubic": (0.5,)})
     found = Compensation.of(gyros, {"imu": triad()}, model.text())
-    rate = found.compensate(np.array([[0.1, 0.1, 0.1], [9.0, 9.0, 9.0]]), np.arange(2.0))
+    rate = compensate(found, np.array([[0.1, 0.1, 0.1], [9.0, 9.0, 9.0]]), np.arange(2.0))
     assert np.isfinite(rate[0]).all()
     assert np.isnan(rate[1]).all()
 
@@ -296,8 +297,8 @@ def test_what_a_simpler_form_holds_is_right_at_the_temperature_of_the_run() -> N
     found = Compensation.of(gyros, {"imu": array}, model.text())
     simple, dropped = found.simplified((), 31.0)
     outputs, t_s = np.random.default_rng(1).normal(0, 0.5, (20, 3)), np.arange(20.0)
-    exact = found.compensate(outputs, t_s, np.full(20, 31.0))
-    assert np.abs(simple.compensate(outputs, t_s) - exact).max() < 1e-12
+    exact = compensate(found, outputs, t_s, np.full(20, 31.0))
+    assert np.abs(compensate(simple, outputs, t_s) - exact).max() < 1e-12
     assert set(dropped) == {"thermal_bias", "thermal_scale", "thermal_bias_quadratic"}
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import yaml
 from support import station
+from undone import compensate, less_added
 
 from estimator.array import SensorArray, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.calibration import Calibration, EffectValue, GyroCalibration
@@ -182,7 +183,7 @@ def samples(exported: Exported) -> tuple[Any, ...]:
 
 def ours(exported: Exported) -> Any:
     """Return the body rates of our own compensation."""
-    return exported.compensation.compensate(*samples(exported))
+    return compensate(exported.compensation, *samples(exported))
 
 
 CASES = {
@@ -295,8 +296,8 @@ def test_a_bad_sample_is_told_and_soon_over(record: Record, form: str) -> None:
     rate[0], rate[20], rate[40, 1], rate[60, 2], warm[80], rate[100] = 0.0, 1e9, np.nan, np.inf, np.nan, -1e300
     t_s[120] = t_s[119]  # the same instant again
     bad = [20, 21, 40, 60, 80, 100, 101]  # the lag is undone by differences: after what is huge, the next is, too
-    assert not np.isfinite(exported.compensation.compensate(rate, t_s, warm, force)[bad]).any()
-    expected = np.delete(exported.compensation.compensate(rate, t_s, warm, force), bad, axis=0)
+    assert not np.isfinite(compensate(exported.compensation, rate, t_s, warm, force)[bad]).any()
+    expected = np.delete(compensate(exported.compensation, rate, t_s, warm, force), bad, axis=0)
     found, told = (by_python if form == "python" else by_c)(exported, rate, t_s, warm, force)
     assert np.isfinite(expected).all()
     assert np.abs(np.delete(found, bad, axis=0) - expected).max() < SAME
@@ -314,7 +315,7 @@ def test_json_and_yaml_hold_all_that_our_rates_are_made_of(record: Record, array
     rate, t_s, _, _ = samples(exported)
     plain = Compensation(exported.compensation.array, exported.compensation.states)
     found = (rate + np.array(held["bias_b_rps"])) @ np.array(held["solution_h"]).T
-    assert np.abs(found - plain.compensate(rate, t_s)).max() < SAME
+    assert np.abs(found - compensate(plain, rate, t_s)).max() < SAME
     assert held["identity"]["operator"] == "A. Müller"
     assert held["identity"]["serial_number"] == "SN 7 */ /* ü"
     called = [" ".join([entry["effect"], *([entry["law"]] if "law" in entry else [])]) for entry in held["effects"]]
@@ -339,7 +340,7 @@ def test_csv_holds_the_rows_that_our_rates_are_made_of(record: Record, array: st
     g = np.array([[float(row[f"g_{axis}"]) for axis in "xyz"] for row in rows])
     b = np.array([float(row["b_rps (rad/s)"]) for row in rows])
     plain = Compensation(exported.compensation.array, exported.compensation.states)
-    assert np.abs((rate + b) @ np.linalg.pinv(g).T - plain.compensate(rate, t_s)).max() < SAME
+    assert np.abs((rate + b) @ np.linalg.pinv(g).T - compensate(plain, rate, t_s)).max() < SAME
     asymmetry = [float(row["scale_asymmetry: part 0 (1)"]) for row in rows]
     assert asymmetry == [gyro.effects[0].value for gyro in exported.gyros]
 
@@ -361,7 +362,7 @@ def test_the_ros_file_holds_scale_misalignment_and_bias(
     assert held["bias"] == [0.0, 0.0, 0.0]
     plain, (rate, t_s, _, _) = at_mean_temperature(path, ())
     found = rate @ np.reshape(held["gyro_SM"], (3, 3)).T - held["gyro_bias"]
-    assert np.abs(found - plain.compensate(rate, t_s)).max() < SAME
+    assert np.abs(found - compensate(plain, rate, t_s)).max() < SAME
     for word in ("g sensitivity", "scale cubic", "delay", "accelerometer", "does not read gyro_SM"):
         assert word in said, word
 
@@ -378,7 +379,7 @@ def test_the_kalibr_file_predicts_the_outputs_that_we_undo(record: Record, array
     assert held["update_rate"] == pytest.approx(1 / PERIOD_S)
     assert held["gyroscope_noise_density"] == pytest.approx(1e-4)
     plain, (rate, t_s, _, force) = at_mean_temperature(path, ("g_sensitivity",))
-    w = plain.compensate(rate, t_s, None, force)
+    w = compensate(plain, rate, t_s, None, force)
     predicted = w @ (m @ c).T + force @ (a @ c).T - plain.bias_rps
     assert np.abs(predicted - rate).max() < SAME
 
@@ -404,7 +405,7 @@ def test_px4_takes_off_what_we_take_off(record: Record, thermal: bool, capsys: p
         offset = offset + sum(
             np.array([held[f"TC_G1_X{order}_{axis}"] for axis in range(3)]) * above**order for order in range(4)
         )
-    assert np.abs(rate - offset - plain.less_added(rate, t_s, warm)).max() < SAME
+    assert np.abs(rate - offset - less_added(plain, rate, t_s, warm)).max() < SAME
     for word in ("scale factor", "CAL_GYRO1_ID", "scale asymmetry"):
         assert word in said, word
 
@@ -428,7 +429,7 @@ def test_ardupilot_takes_off_what_we_take_off(
         found = found - polynomial(warm) + polynomial(held["INS_GYR2_CALTEMP"])
         assert held["INS_TCAL2_TMIN"] <= warm.min() + 1e-9
         assert held["INS_TCAL2_TMAX"] >= warm.max() - 1e-9
-    assert np.abs(found - plain.less_added(rate, t_s, warm)).max() < SAME
+    assert np.abs(found - less_added(plain, rate, t_s, warm)).max() < SAME
     assert "INS_GYR_CAL" in capsys.readouterr().err
     assert "INS_GYROFFS_X" in parameters(export(path, "ardupilot"))
 
@@ -481,7 +482,7 @@ def test_memory_of_a_law_outlives_a_bad_sample(record: Record, form: str) -> Non
     exported = exported_of(record(ARRAYS["four"], LAWS))
     rate, t_s, warm, force = samples(exported)
     rate[0, 1], rate[40, 1], warm[80], t_s[120] = np.nan, np.nan, np.nan, t_s[119]
-    expected = exported.compensation.compensate(rate, t_s, warm, force)
+    expected = compensate(exported.compensation, rate, t_s, warm, force)
     found, _ = (by_python if form == "python" else by_c)(exported, rate, t_s, warm, force)
     good = np.delete(np.arange(SAMPLES), [0, 40, 80])
     assert not np.isfinite(expected[[0, 40, 80]]).any()

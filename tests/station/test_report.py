@@ -16,6 +16,7 @@ import html5lib
 import numpy as np
 import pytest
 from test_investigate import ASYMMETRY, simulated
+from undone import compensate
 
 from estimator.array import tetrahedron
 from estimator.calibration import EffectValue, GyroCalibration
@@ -319,7 +320,7 @@ def test_the_snippet_gives_the_compensated_rate(run: Path, html: str) -> None:
     arrays = {name: data.array for name, data in recording.sources.items()}
     n = min(len(data.t_ns) for data in recording.sources.values())
     raw = np.hstack([data.rate_rps[:n] for data in recording.sources.values()])
-    ours = Compensation.of(calibration.gyros, arrays).compensate(raw, np.arange(n) * 0.01)
+    ours = compensate(Compensation.of(calibration.gyros, arrays), raw, np.arange(n) * 0.01)
     assert np.abs(body_rate(raw) - ours).max() < 1e-9
     # And of outputs that the states made, the rate that made them.
     w = np.random.default_rng(1).normal(size=(200, 3))
@@ -402,7 +403,7 @@ def test_the_snippet_undoes_a_law_by_itself(text: str) -> None:
     given = {"temperature_c": warm, "accel_mps2": force, "t_s": t_s}
     names = inspect.signature(defined["body_rate"]).parameters
     found = defined["body_rate"](raw, **{name: given[name] for name in names if name in given})
-    np.testing.assert_allclose(found, compensation.compensate(raw, t_s, warm, force), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found, compensate(compensation, raw, t_s, warm, force), rtol=0, atol=1e-9)
 
 
 def test_laws_that_were_constructed_are_printed_and_reported_in_words_and_as_formulas(
@@ -427,7 +428,7 @@ def test_laws_that_were_constructed_are_printed_and_reported_in_words_and_as_for
     compensation = Compensation.of(calibration.gyros, arrays, calibration.model)
     t_s = np.arange(200) * 0.01
     raw = np.random.default_rng(8).normal(size=(200, len(calibration.gyros)))
-    ours = compensation.compensate(raw, t_s, accel_mps2=np.full((200, 3), 5.0))
+    ours = compensate(compensation, raw, t_s, accel_mps2=np.full((200, 3), 5.0))
     assert np.abs(code_of(text)["body_rate"](raw, accel_mps2=np.full((200, 3), 5.0), t_s=t_s) - ours).max() < 1e-9
 
 
@@ -459,7 +460,7 @@ def test_the_snippet_undoes_every_effect_as_our_compensation_does() -> None:
     raw, t_s = rng.normal(size=(300, 4)), np.arange(300) * 0.01
     raw[50], raw[60], t_s[100] = np.nan, 1e6, t_s[99]
     warm, force = 25 + rng.normal(size=300) * 5, rng.normal(size=(300, 3)) * 9.8
-    ours = compensation.compensate(raw, t_s, warm, force)
+    ours = compensate(compensation, raw, t_s, warm, force)
     given = {"temperature_c": warm, "accel_mps2": force, "t_s": t_s}
     with np.errstate(over="ignore", invalid="ignore"):
         found = defined["body_rate"](raw, **given)
