@@ -78,11 +78,6 @@ def command(group: int, destination: int, values: bytes, source: int) -> Frame:
     return message(group, bytes([destination]) + values, source)
 
 
-def action(group: int, destination: int, source: int) -> Frame:
-    """Return the request to reset the algorithm or to save the configuration."""
-    return message(group, bytes([0, destination, 0]), source)
-
-
 @dataclass(frozen=True, slots=True)
 class Settings:
     """What the device is to do; None leaves it as it is. Nothing is saved: a power cycle undoes it.
@@ -167,14 +162,6 @@ def decode_accelerations(data: Octets, order: AxisOrder) -> tuple[Floats, Flags]
     return _decode(data, order, _MPS2_PER_BIT, _MPS2_OFFSET)
 
 
-def decode_slope(data: bytes) -> tuple[float, float] | None:
-    """Return pitch and roll in deg of an SSI2 message; NaN for no measurement, None for a wrong length."""
-    if len(data) != 8:
-        return None
-    pitch, roll = (int.from_bytes(data[i : i + 3], "little") for i in (0, 3))
-    return _slope(pitch), _slope(roll)
-
-
 def encode_rates(rates_dps: Floats, order: AxisOrder, tail: bytes = bytes(2)) -> bytes:
     """Return the data of ARI for rates x, y, z (3,) in deg/s; ``tail`` is figure of merit and latency."""
     return _encode(rates_dps, order, _DPS_PER_BIT, _DPS_OFFSET) + tail
@@ -206,7 +193,3 @@ def _encode(values: Floats, order: AxisOrder, per_bit: float, offset: float) -> 
         for field in fields
     ]
     return struct.pack("<3H", *raw)
-
-
-def _slope(raw: int) -> float:
-    return float("nan") if raw >> 16 >= _NO_MEASUREMENT >> 8 else raw * _DEG_PER_BIT + _DEG_OFFSET

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from drivers import mtdata2
 from drivers.can_imu import load_dbc
-from drivers.can_mappings import MappingError, load_mapping
 from drivers.can_signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.errors import DeviceError
 from drivers.packaged import packaged_toml
@@ -26,6 +25,7 @@ from drivers.xbus import Mid, XbusDecoder
 from estimator.errors import RecordingError
 from estimator.mapping import Capture, Protocols
 from estimator.strict_toml import StrictTable
+from station.can_mappings import MappingError, load_mapping
 
 Floats = NDArray[np.float64]
 Columns = dict[str, Floats]
