@@ -15,6 +15,7 @@ import numpy as np
 
 from drivers.arrays import Flags, Floats, Octets
 from drivers.can_signals import parameter_group
+from drivers.packaged import packaged_toml
 from drivers.seams import Frame
 
 SSI2, ARI, ACCS = 0xF029, 0xF02A, 0xF02D
@@ -28,12 +29,7 @@ INTERNAL_RATE_HZ = 100
 DIVIDERS = (0, 1, 2, 4, 5, 10, 20, 25, 50)
 RATES_HZ = tuple(INTERNAL_RATE_HZ / divider for divider in DIVIDERS[1:])
 FILTERS_HZ = (0, 2, 5, 10, 25, 40, 50)
-# fmt: off
-ORIENTATIONS = (
-    0x000, 0x009, 0x023, 0x02A, 0x041, 0x048, 0x062, 0x06B, 0x085, 0x08C, 0x092, 0x09B,
-    0x0C4, 0x0CD, 0x0D3, 0x0DA, 0x111, 0x118, 0x124, 0x12D, 0x150, 0x159, 0x165, 0x16C,
-)
-# fmt: on
+ORIENTATIONS: list[int] = packaged_toml("drivers", "codes.toml")["aceinna"]["orientation"]["codes"]
 PACKETS = {"ssi2": 1, "ari": 2, "accs": 4}
 
 AxisOrder = Literal["xyz", "sae"]
