@@ -50,8 +50,6 @@ class AceinnaImu(OneSource[FrameLink]):
         self._accelerations = Companion(follows=False)
         self._counts = SourceCounts()
         self._clock = RegularClock(1 / rate_hz, self._counts)
-        self.saturated = 0
-        """Samples with a rate at the end of the range, +-250 deg/s; their rates are NaN."""
 
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are rate and acceleration messages of a wrong length."""
@@ -160,10 +158,9 @@ class AceinnaImu(OneSource[FrameLink]):
         self._accelerations.forget(self._before)
         accel = np.full((len(pieces), 3), np.nan)
         accel[found] = _measured(*aceinna.decode_accelerations(_table(rows), self._order))
-        rates, saturated = aceinna.decode_rates(_table([piece.data for piece in pieces]), self._order)
-        self.saturated += int(saturated.any(axis=1).sum())
+        rates = _measured(*aceinna.decode_rates(_table([piece.data for piece in pieces]), self._order))
         temperature = np.full(len(pieces), np.nan)  # not on this wire
-        values = np.column_stack([np.radians(_measured(rates, saturated)), temperature, accel])
+        values = np.column_stack([np.radians(rates), temperature, accel])
         samples = [(piece.t_ns, row, piece.data) for piece, row in zip(pieces, values, strict=True)]
         return regular_block(self._clock, samples, gyros=3, everything=everything)
 

@@ -36,7 +36,7 @@ class RegularClock:
 
     Where arrivals jitter by less than the period each loss can be placed, a few samples later. Where they jitter
     by more, a sample's place is given as its mean over all that may have happened (forward-backward smoothing of
-    a hidden Markov chain), at the latest ``LONGEST_S`` later; losses are then right in number.
+    a hidden Markov chain), at the latest ``Lateness.LONGEST_S`` later; losses are then right in number.
 
     A sender that falls behind for seconds looks like one that loses. When it catches up, samples seem to come before
     they were taken. The clock then begins anew, and drops those whose times would run back: as many as have been
@@ -45,10 +45,6 @@ class RegularClock:
 
     HOLD = 8
     """How many later samples there must be before one is given its time."""
-    PROOF = Lateness.PROOF
-    """How many later samples must agree, in a steady rhythm, that one was lost or doubled."""
-    LONGEST_S = Lateness.LONGEST_S
-    """How long samples are held at the most for the sake of jitter, in a steady rhythm."""
     MOST = 256
     """How many are held at the most, should the rhythm not come back; or a second's, where that is more."""
 
