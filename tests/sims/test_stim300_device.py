@@ -278,8 +278,7 @@ def test_what_was_set_is_told_in_the_configuration() -> None:
     lines = (b"SERVICEMODE\r", b"f g,1\r", b"r 1\r", b"t 3,2,o\r", b"x N\r", b"C\r")
     (found,) = run(0.4, act=lambda device: [device.received(line) for line in lines]).specials
     assert isinstance(found, Configuration)
-    assert found.bit_rate == 1843200
-    assert found.data[3] & 0x0F == 0b1101  # two stop bits, odd parity, terminated
+    assert found.data[3] == 0b0011_1101  # 1843200 bit/s, two stop bits, odd parity, terminated
     assert (found.data[5], found.data[6] & 0xF0) == (0x11, 0x10)  # 33 Hz, each gyro
 
 
