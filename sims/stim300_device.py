@@ -10,7 +10,7 @@ from drivers.arrays import Flags, Floats, Ints
 from drivers.stim300_special import BiasTrim, ExtendedError, PartNumber, SerialNumber, Special
 from drivers.stim300_units import ACCEL_LSB_G, GYRO_LSB_DEG, GYRO_LSB_DPS, UNITS
 from drivers.stim300_utility import UtilityMessage, encode_message
-from sims.burst import burst_of
+from sims.burst import burst_of, copies_sent
 from sims.gyro import GyroArray
 from sims.stim300_output import GyroOutput
 from sims.stim300_settings import Refused, Settings, banner, service_lines, utility_reply
@@ -151,24 +151,15 @@ class Stim300Device:
         answers, self._answers = b"".join(self._answers), []
         skipped = min(self._replaced, len(wanted))
         self._replaced -= skipped
-        rows = np.repeat(np.arange(skipped, len(wanted)), self._copies(len(wanted) - skipped))
+        copies = copies_sent(self._random, len(wanted) - skipped, self.drop_share, self.double_share)
+        self.dropped += int((copies == 0).sum())
+        self.doubled += int((copies == 2).sum())
+        rows = np.repeat(np.arange(skipped, len(wanted)), copies)
         if not len(rows):
             return answers
         status = self._status(wanted, over)[rows]
         force = self._force_g(at)[np.minimum(np.searchsorted(ticks, wanted[rows]), len(ticks) - 1)]
         return answers + self._datagrams(raw[rows], status, wanted[rows], force, float(at[-1]), late_s)
-
-    def _copies(self, count: int) -> Ints:
-        """Return how often each of so many samples is sent."""
-        copies = np.ones(count, dtype=np.int64)
-        if self.drop_share or self.double_share:
-            dropped = self._random.random(count) < self.drop_share
-            doubled = ~dropped & (self._random.random(count) < self.double_share)
-            copies += doubled
-            copies -= dropped
-            self.dropped += int(dropped.sum())
-            self.doubled += int(doubled.sum())
-        return copies
 
     def _status(self, wanted: Ints, over: Flags) -> Ints:
         """Return the status byte of the gyros at each tick."""
