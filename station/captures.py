@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import mtdata2
+from drivers.arrays import Floats
 from drivers.can_imu import load_dbc
 from drivers.can_signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.errors import DeviceError
@@ -27,7 +27,6 @@ from estimator.mapping import Capture, Protocols
 from estimator.strict_toml import StrictTable
 from station.can_mappings import MappingError, load_mapping
 
-Floats = NDArray[np.float64]
 Columns = dict[str, Floats]
 _Decoded = tuple[Columns, tuple[str, ...]]
 
