@@ -52,3 +52,8 @@ def along(p: Sequence[Sequence[float]]) -> Mounting:
         else:
             angles.append((math.degrees(math.acos(max(-1.0, min(1.0, z)))), math.degrees(math.atan2(y, x))))
     return mounted(angles)
+
+
+def upright(t_s: Floats) -> Floats:
+    """Return the unit vector up in the axes of a device that stands upright, (n, 3), at instants (n,)."""
+    return np.tile([0.0, 0.0, 1.0], (len(t_s), 1))

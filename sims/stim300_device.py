@@ -11,6 +11,7 @@ from drivers.stim300_special import BiasTrim, ExtendedError, PartNumber, SerialN
 from drivers.stim300_units import ACCEL_LSB_G, GYRO_LSB_DEG, GYRO_LSB_DPS, UNITS
 from drivers.stim300_utility import UtilityMessage, encode_message
 from sims.burst import burst_of, copies_sent
+from sims.geometry import upright
 from sims.gyro import GyroArray
 from sims.stim300_output import GyroOutput
 from sims.stim300_settings import Refused, Settings, banner, service_lines, utility_reply
@@ -63,7 +64,7 @@ class Stim300Device:
         )
         self._write, self._base_hz = write, rate_hz
         self._temperature_c = gyros.temperature_c
-        self._force_g = specific_force_g or _level
+        self._force_g = specific_force_g or upright
         self._output = GyroOutput(gyros.sample, rate_hz)
         self._period_s = 1 / (rate_hz * (1 + clock_ppm * 1e-6))
         self._random = np.random.default_rng(seed)
@@ -76,6 +77,8 @@ class Stim300Device:
         self._held: Ints = np.zeros(3, dtype=np.int64)
         self.stuck_gyro: int | None = None
         """Gyro (0 to 2) whose output stays what it was."""
+        self.saturated_gyro: int | None = None
+        """Gyro (0 to 2) whose output is pegged at its range, without a word in the status."""
         self.overload_gyro: int | None = None
         """Gyro that the status calls overloaded."""
         self.drop_share = 0.0
@@ -85,15 +88,6 @@ class Stim300Device:
         self.dropped = self.doubled = 0
         if cold:
             self.reset()
-
-    @property
-    def saturated_gyro(self) -> int | None:
-        """Gyro whose output is pegged at its range, without a word in the status."""
-        return self._output.saturated
-
-    @saturated_gyro.setter
-    def saturated_gyro(self, gyro: int | None) -> None:
-        self._output.saturated = gyro
 
     def reset(self) -> None:
         """Start anew as after power-on: part number, serial number, configuration, then samples of a start-up."""
@@ -141,7 +135,7 @@ class Stim300Device:
         step = stim300.INTERNAL_RATE_HZ // own.rate_hz
         first = int(ticks[0]) - stim300.INTERNAL_RATE_HZ // self._base_hz
         wanted = np.arange(first // step + 1, int(ticks[-1]) // step + 1, dtype=np.int64) * step
-        raw, over = self._output.at(at, ticks, wanted, own.gyro_unit, own.rate_hz)
+        raw, over = self._output.at(at, ticks, wanted, own.gyro_unit, own.rate_hz, self.saturated_gyro)
         if self.stuck_gyro is not None:
             raw[:, self.stuck_gyro] = self._held[self.stuck_gyro]
         if len(raw):
@@ -250,7 +244,3 @@ class Stim300Device:
 
     def _print(self, lines: list[str]) -> None:
         self._write("\r".join([*lines, ">"]).encode("ascii") if lines else b"\r>")
-
-
-def _level(t_s: Floats) -> Floats:
-    return np.tile([0.0, 0.0, 1.0], (len(t_s), 1))

@@ -13,6 +13,7 @@ from drivers import vectornav
 from drivers.arrays import Floats, Ints
 from drivers.packaged import packaged_codes, packaged_toml
 from sims.burst import burst_of
+from sims.geometry import upright
 from sims.gyro import GyroArray
 
 STANDARD_GRAVITY_MPS2 = 9.80665
@@ -82,7 +83,7 @@ class VectorNavDevice:
         self.stuck_gyros: set[int] = set()
         self.range_rps = float(_GYRO_RANGE_RPS)
         self.loss, self.doubling = 0.0, 0.0
-        self._gyros, self._write, self._up = gyros, write, up or _upright
+        self._gyros, self._write, self._up = gyros, write, up or upright
         self._decoder = vectornav.VectorNavDecoder(binary=False)
         self._random = random.Random(serial)
         self._ticks_per_sample = vectornav.IMU_RATE_HZ // round(rate_hz)
@@ -331,9 +332,3 @@ def _attitude_deg(up: Floats) -> Floats:
     pitch = np.arcsin(np.clip(up[:, 0], -1.0, 1.0))
     roll = np.arctan2(-up[:, 1], -up[:, 2])
     return np.asarray(np.degrees(np.column_stack([np.zeros(len(up)), pitch, roll])))
-
-
-def _upright(t_s: Floats) -> Floats:
-    up = np.zeros((len(t_s), 3))
-    up[:, 2] = 1.0
-    return up
