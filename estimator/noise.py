@@ -75,11 +75,13 @@ class MeansCovariance:
         return total
 
 
-def allan_deviation(parts_rps: Sequence[Floats], period_s: float, per_decade: int = 5) -> tuple[Floats, Floats]:
-    """Return averaging times (t,) and the overlapping Allan deviation (t, m) of stretches (n, m), evenly sampled.
+def allan_deviation_of_parts(
+    parts_rps: Sequence[Floats], period_s: float, per_decade: int = 5
+) -> tuple[Floats, Floats]:
+    """Return averaging times (t,) and the overlapping Allan deviation (t, m) of rates evenly sampled.
 
-    They do not follow on each other: each counts by its differences. The times go up to a third of the longest, where
-    an estimate still rests on a few averages.
+    They come in stretches (n, m) that do not follow on each other; each counts by its differences. The times go up to
+    a third of the longest, where an estimate still rests on a few averages.
     """
     longest = max((len(part) for part in parts_rps), default=0)
     if longest < _FEWEST_SAMPLES:

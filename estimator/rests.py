@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.arrays import Floats, runs_of
-from estimator.noise import NoiseModel, allan_deviation, identify
+from estimator.noise import NoiseModel, allan_deviation_of_parts, identify
 from estimator.recording import ImuData, Recording
 from estimator.reference import RateReadings, TableReadings
 
@@ -43,7 +43,7 @@ def rest_noise(data: ImuData, reference: TableReadings | RateReadings) -> list[R
         rows = len(part) // width
         if rows:
             parts.append(part[: rows * width].reshape(rows, width, -1).mean(axis=1))
-    tau_s, deviation_rps = allan_deviation(parts, width * period_s)
+    tau_s, deviation_rps = allan_deviation_of_parts(parts, width * period_s)
     if not len(tau_s) or not (deviation_rps > 0).all():
         return []
     span_s = sum(map(len, parts)) * width * period_s

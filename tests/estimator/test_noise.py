@@ -8,13 +8,13 @@ from support import TABLE_1, direct_recording
 
 from estimator.calibrate import calibrate
 from estimator.calibration import Calibration
-from estimator.noise import MeansCovariance, NoiseModel, allan_deviation, identify
+from estimator.noise import MeansCovariance, NoiseModel, allan_deviation_of_parts, identify
 
 DPH = np.pi / 180 / 3600
 
 
-def deviation_of(noise: NoiseModel, tau_s: np.ndarray) -> np.ndarray:
-    """Return the Allan deviation in rad/s at averaging times ``tau_s`` (IEEE Std 952, Annex C)."""
+def allan_deviation(noise: NoiseModel, tau_s: np.ndarray | float) -> np.ndarray:
+    """Return the Allan deviation of a noise at averaging times (IEEE Std 952, Annex C)."""
     flicker = 2 * np.log(2) / np.pi * noise.instability**2
     return np.sqrt(noise.arw**2 / tau_s + flicker + noise.walk**2 * tau_s / 3)
 
@@ -24,7 +24,7 @@ def test_the_overlapping_allan_deviation_is_that_of_allantools() -> None:
     import allantools
 
     rate = np.cumsum(np.random.default_rng(1).standard_normal((5000, 2)), axis=0)
-    tau_s, deviation = allan_deviation([rate], 0.01)
+    tau_s, deviation = allan_deviation_of_parts([rate], 0.01)
     for channel in range(2):
         theirs, wanted, _, _ = allantools.oadev(rate[:, channel], rate=100.0, data_type="freq", taus=tau_s)
         np.testing.assert_allclose(theirs, tau_s, rtol=1e-12)
@@ -39,7 +39,7 @@ def test_the_covariance_of_means_has_the_allan_deviation_of_its_model() -> None:
     difference = np.eye(n - 1, n, 1) - np.eye(n - 1, n)
     found = np.sqrt(0.5 * np.mean(np.diag(difference @ covariance @ difference.T)))
     # The walk is taken at the middle of each mean, and flicker noise ends at a second: a little is left open.
-    assert found == pytest.approx(float(deviation_of(noise, np.array([length_s]))[0]), rel=0.06)
+    assert found == pytest.approx(float(allan_deviation(noise, length_s)), rel=0.06)
 
 
 def test_rests_alone_tell_the_random_walk_and_a_long_one_the_rest() -> None:
@@ -50,7 +50,7 @@ def test_rests_alone_tell_the_random_walk_and_a_long_one_the_rest() -> None:
         assert gyro.rest.noise.arw == pytest.approx(np.radians(0.005), rel=0.05)
     true = NoiseModel(arw=0.3, instability=0.05, walk=0.002)
     tau_s = np.geomspace(0.1, 20000, 25)
-    found = identify(tau_s, deviation_of(true, tau_s)[:, None], 60000.0)[0]
+    found = identify(tau_s, allan_deviation(true, tau_s)[:, None], 60000.0)[0]
     assert (found.arw, found.instability, found.walk) == pytest.approx((0.3, 0.05, 0.002), rel=1e-6)
 
 
