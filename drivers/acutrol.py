@@ -14,7 +14,7 @@ from drivers.exchange import Framed, Token
 PREFIX_LENGTH = 8  # of an answer on TCP
 
 OK = re.compile("OK")
-NUMBER = re.compile(r"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?")
+NUMBER = re.compile(r"[-+]?\d{1,15}(\.\d{0,15})?([eE][-+]?\d{1,2})?")
 NUMBERS = re.compile(rf"{NUMBER.pattern}(, ?{NUMBER.pattern})*")
 WORD = re.compile(r"(?!OK$)[A-Za-z][A-Za-z ]*")
 TEXT = re.compile(r"(?!OK$)[\x20-\x7e]*[A-Za-z][\x20-\x7e]*")

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from drivers import acutrol
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
 from drivers.exchange import Answer, Unanswered, UnexpectedReply
-from drivers.line_table import LineTable, kept
+from drivers.halting import kept
+from drivers.line_table import LineTable
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
 from drivers.unwrap import Unwrapper
 
@@ -29,7 +30,6 @@ _STUCK_S = 1.0  # an axis that has not begun to turn by then will not
 _LEAD_S = 0.06  # braking begins so much early, for the way of the command to the axis
 _MOST_LEGS = 8
 _HOMING_RATE_DPS = 30.0
-_STOP_MARGIN_S = 2.0
 _MODE_LIMIT_S = 1.0
 
 
@@ -58,7 +58,6 @@ class _Axis:
     own: AcutrolAxis
     unwrapper: Unwrapper = field(default_factory=lambda: Unwrapper(360.0))
     task: _Task | None = None
-    acceleration_dps2: float = math.inf
 
 
 class AcutrolTable(LineTable):
@@ -144,13 +143,14 @@ class AcutrolTable(LineTable):
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate (rate mode) until told otherwise."""
-        task = _Task(math.degrees(rate_rps), math.degrees(acceleration_rps2))
+        self._moved, task = axis, _Task(math.degrees(rate_rps), math.degrees(acceleration_rps2))
         self._axes[axis].task = task
         await self._turn(axis, task.rate_dps, task.acceleration_dps2)
         self._watch(axis, task)
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Start towards an angle from home; it goes on by itself, over as many turns as there are."""
+        self._moved = axis
         task = _Task(abs(math.degrees(rate_rps)), math.degrees(acceleration_rps2), math.degrees(angle_rad))
         self._axes[axis].task = task
         leg = await self._begin_leg(axis, task)
@@ -177,30 +177,30 @@ class AcutrolTable(LineTable):
             enabled, enabled and await self._reached(axis), fault, f"mode {mode.lower()}, interlock {interlock.lower()}"
         )
 
-    async def stop(self) -> None:
-        """Bring every axis to rest in rate mode, with the acceleration it is allowed, and wait for it.
+    async def stop(self) -> str:
+        """Bring every axis to rest in rate mode with the acceleration it is allowed, over a new connection if need be.
 
-        All are told before any is waited for; the first failure is raised at the end.
+        An axis that is switched off refuses rate mode, which does no harm.
         """
-        failures: list[DeviceError] = []
-        self._failure = None
-        for name, axis in self._axes.items():
-            axis.task = None
-            with kept(failures):
-                if (await self._mode(name)) != "off":
-                    await self._turn(name, 0.0, math.degrees(axis.own.limits.acceleration_rps2))
-        await self._wait_for_all(failures)
+        self._drop_tasks()
+
+        def lines(axis: str) -> tuple[str, ...]:
+            own = self._axes[axis].own
+            most_dps2 = math.degrees(own.limits.acceleration_rps2)
+            braking = f":lim:acc rate,{own.number},{most_dps2:.6f}"
+            return braking, f":demand:rate {own.number},0", f":mode:rate {own.number}", f":demand:rate {own.number},0"
+
+        return await self._rest(lines, self._read)
 
     async def abort(self) -> None:
         """Open every interlock at once, so that the drives lose their power, and wait for rest."""
-        failures: list[DeviceError] = []
+        self._drop_tasks()
+        await self._rest(lambda axis: (f":interlock:open {self._axes[axis].own.number}",), self._read)
+
+    def _drop_tasks(self) -> None:
         self._failure = None
         for axis in self._axes.values():
             axis.task = None
-            axis.acceleration_dps2 = math.degrees(axis.own.limits.acceleration_rps2)
-            with kept(failures):
-                await self._tell(f":interlock:open {axis.own.number}")
-        await self._wait_for_all(failures)
 
     async def reset_fault(self) -> None:
         """Reset the interlock of every axis that is in fault; DeviceFault if one stays."""
@@ -214,11 +214,15 @@ class AcutrolTable(LineTable):
                 raise DeviceFault(self._device, f"{fault}; it stays after a reset, its cause is still there")
 
     async def disable(self) -> None:
-        """Switch every axis off and open its interlock."""
+        """Switch every axis off and open its interlock; the first failure is raised once all have been tried."""
+        failures: list[DeviceError] = []
         for axis in self._axes.values():
             axis.task = None
-            await self._tell(f":mode:off {axis.own.number}")
-            await self._tell(f":interlock:open {axis.own.number}")
+            for line in (":mode:off", ":interlock:open"):
+                with kept(failures):
+                    await self._tell(f"{line} {axis.own.number}")
+        if failures:
+            raise failures[0]
 
     def close(self) -> None:
         """Drop the link and what watches over axes."""
@@ -343,7 +347,6 @@ class AcutrolTable(LineTable):
 
     async def _turn(self, axis: str, rate_dps: float, acceleration_dps2: float) -> None:
         number = self._axes[axis].own.number
-        self._axes[axis].acceleration_dps2 = acceleration_dps2
         await self._tell(f":lim:acc rate,{number},{acceleration_dps2:.6f}")
         await self._enter(axis, "rate")
         await self._tell(f":demand:rate {number},{rate_dps:.6f}")
@@ -363,24 +366,6 @@ class AcutrolTable(LineTable):
                 raise DeviceRefused(self._device, f"axis {axis} stays in mode {now} and does not enter mode {mode}")
             await asyncio.sleep(_POLL_S)
 
-    async def _wait_for_all(self, failures: list[DeviceError]) -> None:
-        """Wait for rest of every axis, then raise the first failure."""
-        for name in self._axes:
-            with kept(failures):
-                await self._wait_for_rest(name)
-        if failures:
-            raise failures[0]
-
-    async def _wait_for_rest(self, axis: str) -> None:
-        loop, own = asyncio.get_running_loop(), self._axes[axis]
-        deadline: float | None = None
-        while (rate := abs(math.degrees((await self._read(axis)).rate_rps))) > _AT_REST_DPS:
-            if deadline is None:
-                deadline = loop.time() + rate / own.acceleration_dps2 + _STOP_MARGIN_S
-            if loop.time() > deadline:
-                raise DeviceRefused(self._device, f"axis {axis} keeps turning after its stop: cut its power")
-            await asyncio.sleep(_POLL_S)
-
     async def _reached(self, axis: str) -> bool:
         task = self._axes[axis].task
         if task is None or task.target_deg is not None:
@@ -393,15 +378,10 @@ class AcutrolTable(LineTable):
         position = await self._ask(f":read:position {own.own.number}", acutrol.NUMBER)
         rate = await self._ask(f":read:rate {own.own.number}", acutrol.NUMBER)
         angle_s = (position.sent_s + position.received_s) / 2
-        rate_s = (rate.sent_s + rate.received_s) / 2
         angle_deg = own.unwrapper.place(angle_s, float(position.text), float(rate.text))
-        half_width_s = max(one.received_s - one.sent_s for one in (position, rate)) / 2
-        return AxisState(
-            round(angle_s * 1e9),
-            math.radians(angle_deg),
-            round(rate_s * 1e9),
-            math.radians(float(rate.text)),
-            round(half_width_s * 1e9),
+        return AxisState.told(
+            (position.sent_s, position.received_s, math.radians(angle_deg)),
+            (rate.sent_s, rate.received_s, math.radians(float(rate.text))),
         )
 
     async def _mode(self, axis: str) -> str:

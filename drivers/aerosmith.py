@@ -12,7 +12,7 @@ import asyncio
 import math
 import re
 
-from drivers.errors import BadReply, DeviceFault, DeviceRefused
+from drivers.errors import DeviceFault, DeviceRefused
 from drivers.exchange import Answer, Framed, Token
 from drivers.line_table import LineTable
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
@@ -29,7 +29,6 @@ _AT_REST_DPS = 0.02
 _ON_TARGET_DEG = 0.02
 _JOG_REACHED_DPS = 0.1
 _BEGUN_S = 0.3  # a motion that is to come has begun by then
-_STOP_LIMIT_S = 10.0
 _SETTLE_SHARE = 0.15  # of a time-out, in which nothing may follow the answer to a token
 
 
@@ -138,13 +137,9 @@ class AerosmithTable(LineTable):
         rate = _value(velocity, NUMBER)
         angle_s = (position.sent_s + position.received_s) / 2
         angle = self._unwrapper.place(angle_s, _value(position, NUMBER), rate)
-        half_width_s = max(one.received_s - one.sent_s for one in (position, velocity)) / 2
-        return AxisState(
-            round(angle_s * 1e9),
-            math.radians(angle),
-            round((velocity.sent_s + velocity.received_s) / 2 * 1e9),
-            math.radians(rate),
-            round(half_width_s * 1e9),
+        return AxisState.told(
+            (position.sent_s, position.received_s, math.radians(angle)),
+            (velocity.sent_s, velocity.received_s, math.radians(rate)),
         )
 
     async def status(self, axis: str) -> AxisStatus:
@@ -162,20 +157,15 @@ class AerosmithTable(LineTable):
         text = f"servo {'on' if self._servo_on else 'off'}, STA {word} (experimental driver: its bits are not known)"
         return AxisStatus(self._servo_on and not faulty, reached, fault, text)
 
-    async def stop(self) -> None:
-        """Stop (STO) and wait for rest."""
+    async def stop(self) -> str:
+        """Stop (STO) and wait for rest, over a new connection if need be."""
         self._target_deg, self._jog_dps = None, None
-        await self._start("STO")
-        await self._wait_for_rest()
+        return await self._rest(lambda axis: ("STO",), self.read)
 
     async def abort(self) -> None:
-        """Switch the servo off; a table that does not know SRV is stopped instead. Waits for rest."""
+        """Switch the servo off; a table that does not know SRV is stopped by STO all the same. Waits for rest."""
         self._target_deg, self._jog_dps, self._servo_on = None, None, False
-        try:
-            await self._tell("SRV0")
-        except (BadReply, DeviceRefused):
-            await self._start("STO")
-        await self._wait_for_rest()
+        await self._rest(lambda axis: ("STO", "SRV0"), self.read)
 
     async def reset_fault(self) -> None:
         """Switch the servo off and on, which is all there is; DeviceFault if the table still says fault."""
@@ -193,13 +183,6 @@ class AerosmithTable(LineTable):
         """Switch the servo off."""
         await self._tell("SRV0")
         self._servo_on = False
-
-    async def _wait_for_rest(self) -> None:
-        deadline = asyncio.get_running_loop().time() + _STOP_LIMIT_S
-        while abs(math.degrees((await self.read(self._axis)).rate_rps)) > _AT_REST_DPS:
-            if asyncio.get_running_loop().time() > deadline:
-                raise DeviceRefused(self._device, f"axis {self._axis} keeps turning after its stop: cut its power")
-            await asyncio.sleep(_POLL_S)
 
     def _whole_rate(self, rate_rps: float) -> int:
         rate = math.degrees(rate_rps)
@@ -220,8 +203,7 @@ class AerosmithTable(LineTable):
     async def _start(self, line: str) -> None:
         """Send a motion command, whose prompt may come at once or be held back, and see that it is not refused."""
         self._started_s = asyncio.get_running_loop().time()
-        await self._exchange.tell(line)
-        before = await self._exchange.get_in_step()
+        before = await self._exchange.get_in_step(line)
         if b"?" in before:
             raise self._refusal(line, before.decode("ascii", "replace"))
 

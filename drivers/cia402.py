@@ -5,6 +5,7 @@ from enum import Enum
 MODE_PROFILE_POSITION = 1
 MODE_PROFILE_VELOCITY = 3
 MODE_HOMING = 6
+DISABLE_VOLTAGE = 0x00  # controlword: to switch on disabled, from every state without a fault
 
 TARGET_REACHED = 1 << 10
 INTERNAL_LIMIT = 1 << 11  # a limit switch, or a set-point beyond what the drive allows

@@ -9,12 +9,14 @@ before the answer to the token is old: it is discarded and counted.
 
 import asyncio
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.errors import BadReply, LinkLost
 from drivers.seams import ByteLink
+from drivers.turn import Turn
 
 _LONGEST_ANSWER = 4096  # bytes; what is longer is no answer
 _ATTEMPTS = 2
@@ -109,16 +111,35 @@ class Exchange:
     def __init__(self, device: str, link: ByteLink, framing: Framing, timeout_s: float) -> None:
         """Each request is tried twice, ``timeout_s`` each time; getting back in step is part of that time."""
         self._device, self._link, self._framing, self._timeout_s = device, link, framing, timeout_s
-        self._turn = asyncio.Lock()
+        self._turn = Turn()
         self._in_doubt = True  # a serial line may hold answers to whoever asked before
         self._silence_s = float("-inf")  # when the controller was last found silent
+        self._failed = False  # since the link was opened, and not answered since
+        self._heard = b""  # last
         self.counts = ExchangeCounts()
 
     async def open(self) -> None:
         """Open the link and get in step; LinkLost if the controller does not answer."""
         await self._link.open()
-        self._in_doubt = True
+        self._in_doubt, self._failed = True, False
         await self.get_in_step()
+
+    async def tell_all(self, lines: Iterable[str]) -> None:
+        """Send lines at once, asking nothing first: for stopping. LinkLost if the link cannot be opened.
+
+        If it is lost, or the last request was not answered, that is on a new connection. An empty line goes before
+        them, which ends one that was cut on its way.
+        """
+        data = b"".join(map(self._framing.request, ("", *lines)))
+        async with self._turn:
+            if not self._failed:
+                with suppress(LinkLost):
+                    self._write(data)
+                    return
+            self.close()
+            await self._link.open()
+            self._failed = False
+            self._write(data)
 
     def close(self) -> None:
         """Close the link."""
@@ -149,20 +170,17 @@ class Exchange:
                     self.counts.malformed += 1
                     malformed += 1
                     if malformed == _MALFORMED_AT_MOST or not repeat:
+                        self._failed = True
                         raise UnexpectedReply(
                             self._device, f"answers {error.text[:60]!r} to {line!r}", error.text
                         ) from None
             raise self._silent(f"to {line!r}")
 
-    async def tell(self, line: str) -> None:
-        """Send a request without waiting for an answer; the stream is in doubt thereafter."""
-        async with self._turn:
-            self._write(self._framing.request(line))
-
-    async def get_in_step(self) -> bytes:
-        """Send a token and return what came before its answer; LinkLost if none comes."""
+    async def get_in_step(self, line: str | None = None) -> bytes:
+        """Send a request, if one is given, and a token; return what came before its answer; LinkLost if none comes."""
         arrived = asyncio.get_running_loop().time()
         async with self._turn:
+            self._write(b"" if line is None else self._framing.request(line))
             began = self._began(arrived)
             before = b""
             for attempt in range(1, _ATTEMPTS + 1):
@@ -176,16 +194,17 @@ class Exchange:
 
     def _began(self, arrived: float) -> float:
         """Return when a request's time began: earlier than now, to half a time-out's rest, if silence was met since."""
+        self._heard = b""
         now = asyncio.get_running_loop().time()
         return now - 1.5 * self._timeout_s if self._silence_s > arrived else now
 
     def _silent(self, to_what: str) -> LinkLost:
-        self._silence_s = asyncio.get_running_loop().time()
+        self._silence_s, self._failed = asyncio.get_running_loop().time(), True
         within = f"within {_ATTEMPTS * self._timeout_s:g} s, twice asked"
-        return LinkLost(
-            self._device,
-            f"no answer {to_what + ' ' if to_what else ''}{within}: is the controller on, and the link to it whole?",
-        )
+        why = "is the controller on, and the link to it whole?"
+        if self._heard:
+            why = f"what comes is none, or late ({self._heard[-20:]!r})"
+        return LinkLost(self._device, f"no answer {to_what + ' ' if to_what else ''}{within}: {why}")
 
     async def _be_in_step(self) -> None:
         if not self._in_doubt:
@@ -203,6 +222,7 @@ class Exchange:
         while True:
             chunk = await self._link.receive()
             received += chunk.data
+            self._heard = received
             framed = self._framing.answer(line, received)
             if framed is not None:
                 break
@@ -212,7 +232,7 @@ class Exchange:
         if beyond.strip(self._framing.idle) or not (framed.refused or pattern.fullmatch(framed.text)):
             raise self._malformed(received)
         # A refusal is one character, which noise can be: what it is about is asked in step.
-        self._in_doubt = framed.refused
+        self._in_doubt, self._failed = framed.refused, False
         return Answer(framed.text, framed.refused, repeated, sent_s, chunk.t_ns * 1e-9)
 
     def _malformed(self, received: bytes) -> _MalformedError:
@@ -229,6 +249,7 @@ class Exchange:
             while (found := token.find(before)) is None:
                 chunk = await self._link.receive()
                 before += chunk.data
+                self._heard = before
                 self.counts.discarded += max(len(before) - _KEEP_LOOKING_FOR_TOKEN, 0)
                 before = before[-_KEEP_LOOKING_FOR_TOKEN:]
             start, end = found

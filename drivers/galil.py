@@ -31,7 +31,7 @@ MOTOR_OFF, RUNNING, ON_LIMIT = 20, 21, 22
 ERROR_CODES = packaged_codes("drivers", "galil", "error")
 
 NOTHING = re.compile("")
-NUMBER = re.compile(r"-?\d+(\.\d+)?")
+NUMBER = re.compile(r"-?\d{1,15}(\.\d{1,15})?")
 TEXT = re.compile(r"[\x20-\x7e\n]+")
 _REVISION = re.compile(r"(\S+)\s+Rev\S*\s+(\S+)")
 _PROMPT = re.compile(rb"(?:\A|[\r\n])([:?])")

@@ -1,15 +1,15 @@
 """A turntable on a Galil DMC motion controller: up to eight axes on one controller, told apart by letter."""
 
-import asyncio
 import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from drivers import galil
-from drivers.errors import DeviceError, DeviceFault, DeviceRefused
+from drivers.errors import DeviceFault, DeviceRefused
 from drivers.exchange import Answer
-from drivers.line_table import LineTable, kept
+from drivers.halting import bring_to_rest
+from drivers.line_table import LineTable
 from drivers.seams import AxisLimits, AxisState, AxisStatus, ByteLink, Identity
 
 TURN = 2 * math.pi
@@ -18,8 +18,6 @@ VELOCITY_WINDOW_S = 0.25  # TV is the mean of the last 0.25 s at the default sam
 _LETTERS = "ABCDEFGH"
 _POLL_S = 0.02
 _HOMING_RATE_RPS = math.radians(30.0)
-_STOP_MARGIN_S = 2.0
-_AT_REST_RPS = math.radians(0.02)
 _LARGEST_COUNT = 2**31 - 1
 
 
@@ -140,7 +138,7 @@ class GalilTable(LineTable):
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate, in whole counts a second; a rate changes while it turns without a halt."""
-        letter = self._axes[axis].letter
+        self._moved, letter = axis, self._axes[axis].letter
         rate = self._rate(axis, rate_rps, acceleration_rps2)
         if (await self._switches(axis)).moving:
             if axis in self._jogs and await self._change_jog(axis, rate, acceleration_rps2):
@@ -153,7 +151,7 @@ class GalilTable(LineTable):
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Start a move to an angle from home; an axis that turns is brought to rest first."""
-        letter = self._axes[axis].letter
+        self._moved, letter = axis, self._axes[axis].letter
         target, rate = self._counts(axis, angle_rad), abs(self._rate(axis, rate_rps, acceleration_rps2))
         if abs(target) > _LARGEST_COUNT:
             raise DeviceRefused(self._device, f"axis {axis}: the controller cannot count to {target}: fewer turns")
@@ -170,15 +168,8 @@ class GalilTable(LineTable):
         letter, counts = self._axes[axis].letter, self._axes[axis].counts_per_turn
         position = await self._ask(f"TP{letter}", galil.NUMBER)
         velocity = await self._ask(f"TV{letter}", galil.NUMBER)
-        half_width_s = max(one.received_s - one.sent_s for one in (position, velocity)) / 2
-        return AxisState(
-            round((position.sent_s + position.received_s) / 2 * 1e9),
-            float(position.text) / counts * TURN,
-            round(((velocity.sent_s + velocity.received_s) / 2 - self._velocity_delay_s) * 1e9),
-            float(velocity.text) / counts * TURN,
-            round(half_width_s * 1e9),
-            round(2 * self._velocity_delay_s * 1e9),
-        )
+        angle, rate = ((one.sent_s, one.received_s, float(one.text) / counts * TURN) for one in (position, velocity))
+        return AxisState.told(angle, rate, 2 * self._velocity_delay_s)
 
     async def status(self, axis: str) -> AxisStatus:
         """Get condition: TS word, stop code, and the fault in words with both."""
@@ -194,28 +185,15 @@ class GalilTable(LineTable):
             text=f"{switches.text} (TS {switches.word}); SC {stop}, {galil.stop_text(stop)}",
         )
 
-    async def stop(self) -> None:
-        """Stop every axis with the deceleration it is allowed, and wait until all are at rest.
-
-        What goes wrong with one request does not keep the next from being sent; the first failure is raised.
-        """
-        failures: list[DeviceError] = []
-        for line in (self._hardest_deceleration(), f"ST{self._all_letters()}"):
-            with kept(failures):
-                await self._tell(line)
-        for axis in self._axes:
-            with kept(failures):
-                await self._wait_for_rest(axis)
-        if failures:
-            raise failures[0]
+    async def stop(self) -> str:
+        """Stop every axis with the deceleration it is allowed, over a new connection if need be."""
+        return await self._rest(lambda axis: (self._hardest_deceleration(), f"ST{self._axes[axis].letter}"), self.read)
 
     async def abort(self) -> None:
         """Stop at once, without a ramp, and wait for rest; the motors go off, as off-on-error is set."""
         self._powered.clear()
         self._jogs.clear()
-        await self._tell("AB")
-        for axis in self._axes:
-            await self._wait_for_rest(axis)
+        await self._rest(lambda axis: ("AB",), self.read)
 
     async def reset_fault(self) -> None:
         """Take the faults as seen; DeviceFault if the cause of one is still there.
@@ -284,29 +262,9 @@ class GalilTable(LineTable):
         return bool((await self._switches(axis)).moving)
 
     async def _halt(self, axis: str) -> None:
-        await self._tell(f"ST{self._axes[axis].letter}")
         self._jogs.pop(axis, None)
-        await self._wait_for_rest(axis)
-
-    async def _wait_for_rest(self, axis: str) -> None:
-        """Wait for the end of the motion; DeviceRefused if the axis keeps turning beyond what braking takes."""
-        loop, own = asyncio.get_running_loop(), self._axes[axis]
-        deadline: float | None = None
-        while True:
-            moving = (await self._switches(axis)).moving
-            rate = abs(float((await self._ask(f"TV{own.letter}", galil.NUMBER)).text)) / own.counts_per_turn * TURN
-            if not moving and rate <= _AT_REST_RPS:
-                return
-            if deadline is None:
-                deadline = loop.time() + await self._braking_s(axis, rate) + _STOP_MARGIN_S
-            if loop.time() > deadline:
-                raise DeviceRefused(self._device, f"axis {axis} keeps turning after its stop: cut its power")
-            await asyncio.sleep(_POLL_S)
-
-    async def _braking_s(self, axis: str, rate_rps: float) -> float:
-        own = self._axes[axis]
-        deceleration = float((await self._ask(f"MG _DC{own.letter}", galil.NUMBER)).text) / own.counts_per_turn * TURN
-        return rate_rps / max(deceleration, 1e-9)
+        line = f"ST{self._axes[axis].letter}"
+        await bring_to_rest(self._device, [axis], lambda _: self._tell(line), self.read, self._timeout_s)
 
     def _all_letters(self) -> str:
         return "".join(sorted(axis.letter for axis in self._axes.values()))

@@ -1,12 +1,12 @@
 """What drivers of tables have in common."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 
-from drivers.errors import BadReply, DeviceError, DeviceRefused, LinkLost
+from drivers.errors import DeviceRefused
 from drivers.exchange import Exchange, Framing
-from drivers.seams import AxisLimits, ByteLink
+from drivers.halting import bring_to_rest
+from drivers.seams import AxisLimits, AxisState, ByteLink
 
 _HOMING_LIMIT_S = 60.0
 
@@ -18,10 +18,19 @@ class LineTable:
         self, device: str, link: ByteLink, framing: Framing, timeout_s: float, limits: Mapping[str, AxisLimits]
     ) -> None:
         """A request is tried twice, each for ``timeout_s``; ``limits`` are by axis."""
-        self._device, self.limits = device, limits
+        self._device, self.limits, self._timeout_s = device, limits, timeout_s
+        self._moved = ""  # the axis that was told last to move
         self._exchange = Exchange(device, link, framing, timeout_s)
         self.counts = self._exchange.counts
         """Counts of what went wrong on the link."""
+
+    async def _rest(self, lines: Callable[[str], Sequence[str]], read: Callable[[str], Awaitable[AxisState]]) -> str:
+        """Bring all axes to rest by the lines that stop one, and return what was seen."""
+        axes = sorted(self.limits, key=lambda axis: axis != self._moved)
+
+        return await bring_to_rest(
+            self._device, axes, lambda axis: self._exchange.tell_all(lines(axis)), read, self._timeout_s
+        )
 
     def close(self) -> None:
         """Drop the link."""
@@ -40,12 +49,3 @@ class LineTable:
 
     async def _give_up_homing(self) -> None:
         """End a homing that the controller does by itself."""
-
-
-@contextmanager
-def kept(failures: list[DeviceError]) -> Iterator[None]:
-    """Keep what fails within, so that it keeps nothing else from being tried."""
-    try:
-        yield
-    except (LinkLost, BadReply, DeviceRefused) as error:
-        failures.append(error)

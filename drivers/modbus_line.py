@@ -11,9 +11,10 @@ from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from pymodbus.transport import NULLMODEM_HOST
 
-from drivers.errors import BadReply, DeviceRefused, LinkLost
+from drivers.errors import BadReply, DeviceError, DeviceRefused, LinkLost
 from drivers.modbus_order import READ, WRITE_ONE, LineCounts, Pending, Request, RtuGate, TcpGate
 from drivers.packaged import packaged_codes
+from drivers.turn import Turn
 
 # pymodbus dumps its recent frames at ERROR for every time-out; the station says it in one line of its own.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
@@ -23,6 +24,8 @@ _LISTEN = 0.0025
 _FORGOTTEN = 50  # time-outs, after which nothing on the way holds a reply back any more
 
 _EXCEPTIONS = packaged_codes("drivers", "modbus", "exception")
+_ASK_AGAIN = (5, 6, 11)  # acknowledge, busy, gateway target does not answer (Application Protocol V1.1b3, 7)
+_FIRST_PAUSE = 0.05  # of a time-out, before what was busy is asked again; doubled each time
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +60,14 @@ class _NoReply(Exception):
     """Nothing came that could be the answer."""
 
 
+class _Busy(DeviceRefused):
+    """A refusal for now."""
+
+
 class ModbusLine:
     """Asks one thing at a time, and believes only what must be its answer (``modbus_order``).
 
-    Every ``ask`` ends within two time-outs, bringing the line back into step included.
+    Every ``ask`` ends within two time-outs, bringing the line back into step and waiting for a busy drive included.
     """
 
     def __init__(
@@ -71,15 +78,24 @@ class ModbusLine:
         self._probes = probes
         self.counts = LineCounts()
         self._client: Any = None
-        self._lock = asyncio.Lock()
+        self._lock = Turn()
         self._rtu, self._tcp = RtuGate(self.counts), TcpGate(self.counts)
         self._unheard_until_s = 0.0
         self._pending: dict[int, Pending] = defaultdict(Pending)
         self._quiet_until_s = 0.0
+        self._failed = self._asking = False
+        self._ended = ""
+
+    @property
+    def sound(self) -> bool:
+        """Whether it is connected, and on TCP, where a new connection begins in step, the last request was answered."""
+        failed = self._failed and not isinstance(self._address, SerialPort)
+        return self._client is not None and bool(self._client.connected) and not failed
 
     async def open(self) -> None:
-        """Connect; LinkLost if nobody listens or the port cannot be opened."""
-        common: dict[str, Any] = {"reconnect_delay": 0, "name": self._device}
+        """Connect, anew if it was; LinkLost if nobody listens or the port cannot be opened."""
+        self.close()
+        self._failed, self._ended, self._unheard_until_s = False, "", 0.0
         if isinstance(self._address, SerialPort):
             line = self._address
             self._doubt_all()
@@ -92,14 +108,16 @@ class ModbusLine:
                 timeout=2 * self._timeout_s,
                 retries=0,
                 trace_packet=self._rtu,
-                **common,
+                reconnect_delay=0,
             )
         else:
             host, port = self._address
             reason = f"nothing answers at {_text(self._address)}; is the table's controller on, and the address right?"
             self._client = AsyncModbusTcpClient(
-                host, port=port, timeout=self._timeout_s, retries=1, trace_packet=self._tcp, **common
+                host, port=port, timeout=self._timeout_s, retries=1, trace_packet=self._tcp, reconnect_delay=0
             )
+        self._client.set_max_no_responses(1 << 30)  # it is ours to close
+        self._client.ctx.callback_disconnected = self._disconnected
         cancels = _cancels()
         try:
             connected = await self._client.connect()
@@ -117,43 +135,54 @@ class ModbusLine:
 
     async def ask(self, request: Request) -> Reply:
         """Return the reply, asking twice at most; LinkLost without one, BadReply, DeviceRefused with its code."""
-        async with self._lock:
-            self._check_connected()
-            began_s = self._now()
-            await self._hear_out()
-            foreign = self.counts.foreign
-            try:
-                if isinstance(self._address, SerialPort):
-                    return await self._ask_in_step(request, self._address, began_s)
-                return await self._execute(request, None)  # the client asks twice
-            except _NoReply as error:
-                self.counts.timeouts += 1
-                if self.counts.foreign > foreign:
-                    raise BadReply(
-                        self._device,
-                        f"{_who(request)} is answered with transaction numbers that were not asked; "
-                        "does a gateway in between change them?",
-                    ) from None
-                raise LinkLost(
-                    self._device,
-                    f"{_who(request)} does not answer within {2 * self._timeout_s:g} s, twice asked ({error})",
-                ) from None
+        return await self._answered(request, 2 * self._timeout_s, prompt=False)
 
     async def tell(self, request: Request) -> None:
-        """Send at once and wait one time-out for the echo, whatever else may still come: for stopping. LinkLost."""
+        """Send at once, whatever else may still come: for stopping, where others wait to be told. As ``ask``.
+
+        The echo is waited for half a time-out; on a serial line that was well so far, where both could collide, one.
+        """
+        patient = isinstance(self._address, SerialPort) and not self._failed
+        await self._answered(request, self._timeout_s if patient else self._timeout_s / 2, prompt=True)
+
+    async def _answered(self, request: Request, within_s: float, *, prompt: bool) -> Reply:
         async with self._lock:
             self._check_connected()
-            limit_s = self._now() + self._timeout_s
+            began_s, pause_s = self._now(), _FIRST_PAUSE * self._timeout_s
+            limit_s = began_s + within_s if prompt else None  # else the client asks twice
             await self._hear_out()
-            try:
-                if isinstance(self._address, SerialPort):
-                    await self._exchange(request, limit_s, self._address)
+            while True:
+                try:
+                    if not isinstance(self._address, SerialPort):
+                        reply = await self._execute(request, limit_s)
+                    elif prompt:
+                        reply = await self._exchange(request, began_s + within_s, self._address)
+                    else:
+                        reply = await self._ask_in_step(request, self._address, began_s)
+                except _Busy:
+                    limit_s = began_s + within_s
+                    if self._now() + pause_s > limit_s:
+                        self._failed = True
+                        raise
+                except _NoReply:
+                    self.counts.timeouts += 1
+                    self._failed = True
+                    self._check_connected()
+                    raise self._unanswered(request, within_s, prompt) from None
                 else:
-                    await self._execute(request, limit_s)
-            except _NoReply as error:
-                self.counts.timeouts += 1
-                message = f"{_who(request)} does not answer within {self._timeout_s:g} s ({error})"
-                raise LinkLost(self._device, message) from None
+                    self._failed = False
+                    return reply
+                await asyncio.sleep(pause_s)
+                pause_s *= 2
+
+    def _unanswered(self, request: Request, within_s: float, once: bool) -> DeviceError:
+        """Return what is to be said of a request to which no answer came."""
+        if self._tcp.wrong:
+            said = f"is answered for {request.register} not as Modbus has it: {self._tcp.wrong}"
+            return BadReply(self._device, f"{_who(request)} {said}")
+        said = f"does not answer within {within_s:g} s{'' if once else ', twice asked'}"
+        heard = "; what comes is late, damaged, or no answer to it" if self._rtu.heard else ""
+        return LinkLost(self._device, f"{_who(request)} {said}{heard}")
 
     async def _hear_out(self) -> None:
         """Wait a little for the reply to a request whose asker was cancelled, as a stop cancels all.
@@ -204,7 +233,7 @@ class ModbusLine:
         pending = self._pending[unit]
         left_s = deadline_s - self._now()
         if left_s <= 0:
-            raise _NoReply("late replies may still come")
+            raise _NoReply
         fresh = [probe for probe in self._probes[unit] if probe.head not in pending]
         probe = fresh[0] if fresh else max(self._probes[unit], key=lambda probe: pending.last(probe.head))
         wait_s = max(left_s / 2, self._timeout_s / 10)
@@ -236,14 +265,15 @@ class ModbusLine:
         sent_s = self._now()
         try:
             async with asyncio.timeout_at(limit_s):
+                self._asking = True
                 reply = await self._call(request)
         except asyncio.CancelledError:
             self._unheard_until_s = self._now() + _HEARD_OUT * self._timeout_s
             raise
-        except ModbusException as error:
-            raise _NoReply(_brief(error)) from None
-        except TimeoutError:
-            raise _NoReply("no reply that can be the answer") from None
+        except (ModbusException, TimeoutError):
+            raise _NoReply from None
+        finally:
+            self._asking = False
         received_s = self._now()
         _heed(cancels)
         return Reply(self._checked(request, reply), sent_s, received_s)
@@ -257,32 +287,30 @@ class ModbusLine:
         return await client.write_registers(request.address, list(request.words), device_id=unit)
 
     def _checked(self, request: Request, reply: Any) -> tuple[int, ...]:
+        """Return the words of a reply, which the gates have seen to be the answer."""
         if reply.isError():
             code = int(getattr(reply, "exception_code", 0))
             function = "write" if request.words else "read"
-            raise DeviceRefused(
+            raise (_Busy if code in _ASK_AGAIN else DeviceRefused)(
                 self._device,
                 f"{_who(request)} refuses to {function} 0x{request.address:04X} ({request.register}): "
                 f"Modbus exception {code}, {_EXCEPTIONS.get(code, 'unknown exception')}",
             )
-        words = tuple(reply.registers)
-        if request.function == READ:
-            right = len(words) == request.count
-        elif request.function == WRITE_ONE:
-            right = (reply.address, words) == (request.address, request.words)
-        else:
-            right = (reply.address, reply.count) == (request.address, request.count)
-        if not right or reply.function_code != request.function:
-            raise BadReply(
-                self._device,
-                f"{_who(request)}: the reply for {request.register} is that to another request "
-                f"(function {reply.function_code}, address 0x{reply.address:04X}, {len(words)} words)",
-            )
-        return words
+        return tuple(reply.registers)
+
+    def _disconnected(self, error: Exception | None) -> None:
+        """Keep why the connection ended, and let nobody wait for an answer any more."""
+        self._ended = "the controller closed it" if error is None else f"it broke ({error})"
+        if self._asking and not self._client.ctx.response_future.done():
+            self._client.ctx.response_future.set_exception(self._gone())
 
     def _check_connected(self) -> None:
         if self._client is None or not self._client.connected:
-            raise LinkLost(self._device, f"the connection to {_text(self._address)} is gone")
+            raise self._gone()
+
+    def _gone(self) -> LinkLost:
+        said = f"the connection to {_text(self._address)} is gone"
+        return LinkLost(self._device, f"{said}: {self._ended}" if self._ended else said)
 
     def _now(self) -> float:
         return asyncio.get_running_loop().time()
@@ -307,7 +335,3 @@ def _text(address: Address) -> str:
     if isinstance(address, SerialPort):
         return address.port
     return "the wire in memory" if address[0] == NULLMODEM_HOST else f"{address[0]}:{address[1]}"
-
-
-def _brief(error: Exception) -> str:
-    return str(error).removeprefix("Modbus Error: ").split(", continue")[0]

@@ -17,6 +17,14 @@ from pymodbus.framer import FramerRTU
 READ, WRITE_ONE, WRITE_MORE = 3, 6, 16
 _KINCO_BAD_READ = 0x81  # what Kinco's manuals print where the standard has 0x83
 _TCP_HEADER = 6
+_LONGEST_PDU = 253
+_FIELDS = (
+    ("protocol number", 2, 4),
+    ("unit id", 6, 7),
+    ("function code", 7, 8),
+    ("length", 4, 6),
+    ("byte count", 8, 9),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +115,8 @@ class RtuGate:
         self._expected: tuple[bytes, ...] = ()
         self._seen = 0
         self._damaged = False
+        self.heard = False
+        """Whether anything has come since the last request."""
 
     @property
     def answered(self) -> bool:
@@ -121,8 +131,9 @@ class RtuGate:
         """Return what the client may send or see of these bytes."""
         if sending:
             self._counts.corrupt += self._damaged
-            self._expected, self._seen, self._damaged = self._armed, 0, False
+            self._expected, self._seen, self._damaged, self.heard = self._armed, 0, False, False
             return data
+        self.heard = True
         frames = list(rtu_frames(data))
         if self._expected:
             self._damaged = len(data) > sum(map(len, frames))
@@ -139,39 +150,84 @@ class RtuGate:
 
 
 class TcpGate:
-    """Lets through what has the number of the last request, also where the client would take number 0 for any."""
+    """Lets through what answers the last request to the letter, and nothing else: the client chokes on the rest.
+
+    Header, unit id, function code, and the byte count or what is echoed, are all known before the reply comes
+    (Modbus Messaging on TCP/IP V1.0b, 3.1.3; Application Protocol V1.1b3, 6).
+    """
 
     def __init__(self, counts: LineCounts) -> None:
         """Begin before the first request; ``counts`` gets what is dropped."""
         self._counts = counts
-        self._number = b""
+        self._heads: tuple[bytes, ...] = ()
         self._seen = 0
         self.answered = True
         """Whether the reply to the last request has come."""
+        self.wrong = ""
+        """What was wrong with what came last in its place."""
 
     def __call__(self, sending: bool, data: bytes) -> bytes:
         """Return what the client may send or see of these bytes."""
         if sending:
-            self._number = data[:2]
-            self._seen = 0
-            self.answered = False
+            self._heads = tuple(_tcp_heads(data))
+            self._seen, self.answered, self.wrong = 0, False, ""
             return data
-        kept, at = b"", 0
-        while at < len(data):
-            end = at + _TCP_HEADER + int.from_bytes(data[at + 4 : at + 6])
-            if data[at : at + 2] == self._number:
-                kept += data[at:end]
-                self.answered = self.answered or end <= len(data)
-            elif self._seen < end <= len(data) and at + _TCP_HEADER <= len(data):
-                # Numbers count up from 1, and begin again long after everything old has come.
-                number, asked = int.from_bytes(data[at : at + 2]), int.from_bytes(self._number)
-                if 0 < number < asked:
-                    self._counts.late += 1
-                else:
-                    self._counts.foreign += 1
-                self._seen = end
-            at = end
-        return kept
+        self._seen = 0 if len(data) < self._seen else self._seen  # the client emptied its buffer
+        if self.answered:
+            return b""
+        for head in self._heads:
+            at = data.find(head)
+            end = at + _TCP_HEADER + int.from_bytes(head[4:6])
+            if at >= 0 and end <= len(data):
+                self.answered = True
+                self._count(data[:at])
+                return data[at:end]
+        self._count(data)
+        return b""
+
+    def _count(self, data: bytes) -> None:
+        """Count the frames that came in the answer's place, and keep what was wrong with the last."""
+        while self._seen + _TCP_HEADER + 1 < len(data):
+            frame = data[self._seen :]
+            size = int.from_bytes(frame[4:6])
+            if frame[2:4] != bytes(2) or not 2 <= size <= _LONGEST_PDU + 1:
+                self._counts.corrupt += 1
+                self.wrong = _difference(frame, self._heads[0])
+                self._seen = len(data)
+                return
+            if len(frame) < _TCP_HEADER + size:
+                return
+            self._seen += _TCP_HEADER + size
+            # Numbers count up from 1, and begin again long after everything old has come.
+            number, asked = int.from_bytes(frame[:2]), int.from_bytes(self._heads[0][:2])
+            if 0 < number < asked:
+                self._counts.late += 1
+            else:
+                self._counts.foreign += number != asked
+                self._counts.corrupt += number == asked
+                self.wrong = _difference(frame, self._heads[0])
+
+
+def _tcp_heads(request: bytes) -> Iterator[bytes]:
+    """Yield what a reply to this request begins with: the answer as far as it is known, then refusals."""
+    function = request[7]
+    if function == READ:
+        count = 2 * int.from_bytes(request[10:12])
+        yield request[:4] + struct.pack(">HBBB", 3 + count, request[6], READ, count)
+    else:
+        yield request[:4] + struct.pack(">H", 6) + request[6:12]
+    for code in (function | 0x80, *((_KINCO_BAD_READ,) if function == READ else ())):
+        yield request[:4] + struct.pack(">HBB", 3, request[6], code)
+
+
+def _difference(frame: bytes, head: bytes) -> str:
+    """Return in words where a frame differs first from what was awaited, the cause before what follows from it."""
+    if frame[:2] != head[:2]:
+        return "transaction numbers that were not asked; does a gateway in between change them?"
+    for name, start, end in _FIELDS[: None if head[7] == READ else -1]:
+        if frame[start:end] != head[start:end]:
+            return f"{name} {int.from_bytes(frame[start:end])} in place of {int.from_bytes(head[start:end])}"
+    return "an echo of something else"
 
 
 def rtu_frames(data: bytes) -> Iterator[bytes]:

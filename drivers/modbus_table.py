@@ -3,11 +3,12 @@
 import asyncio
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from functools import partial
 
 from drivers import cia402
-from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused, LinkLost
-from drivers.line_table import kept
+from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
+from drivers.halting import bring_to_rest, kept
 from drivers.modbus_line import Address, ModbusLine, Reply
 from drivers.modbus_order import LineCounts, Request
 from drivers.registers import DriveProfile
@@ -18,9 +19,6 @@ _POLL_S = 0.02
 _STATE_LIMIT_S = 2.0
 _HOMING_RATE_RPS = math.radians(30.0)
 _HOMING_LIMIT_S = 60.0
-_STOP_LIMIT_S = 10.0
-_AT_REST_RPS = math.radians(0.02)
-_FAILURES = (LinkLost, BadReply, DeviceRefused)
 _FAULTS = (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION)
 
 
@@ -52,6 +50,9 @@ class ModbusTable:
             probes.setdefault(drive.address or address, {})[drive.unit_id] = harmless
         lines = {where: ModbusLine(device, where, timeout_s, reads) for where, reads in probes.items()}
         self._lines = {axis: lines[drive.address or address] for axis, drive in self._axes.items()}
+        self._timeout_s = timeout_s
+        self._ready: set[str] = set()  # axes to which what the profile says was written since their line was opened
+        self._moved = ""  # the axis that was told last to move
 
     @property
     def limits(self) -> Mapping[str, AxisLimits]:
@@ -61,20 +62,25 @@ class ModbusTable:
     @property
     def counts(self) -> LineCounts:
         """Requests without an answer, and replies dropped, on all lines."""
-        each = [line.counts for line in set(self._lines.values())]
-        return LineCounts(
-            timeouts=sum(c.timeouts for c in each),
-            late=sum(c.late for c in each),
-            corrupt=sum(c.corrupt for c in each),
-            foreign=sum(c.foreign for c in each),
-        )
+        each = [astuple(line.counts) for line in set(self._lines.values())]
+        return LineCounts(*map(sum, zip(*each, strict=True)))
 
     async def open(self) -> None:
-        """Connect, read every drive's statusword and write what the profile says; LinkLost if one does not answer."""
+        """Connect, read every drive's state and write what the profile says; LinkLost if one does not answer.
+
+        A drive that is enabled may be driven by somebody else: it is not written to before the first command.
+        """
+        self._ready.clear()
         for line in dict.fromkeys(self._lines.values()):
             await line.open()
-        for axis in self._axes:
-            await self.status(axis)
+        idle = [axis for axis in self._axes if not (await self.status(axis)).enabled]
+        for axis in idle:
+            await self._make_ready(axis)
+
+    async def _make_ready(self, axis: str) -> None:
+        """Write what the profile says is to be written on a new connection, before the first command over it."""
+        if axis not in self._ready:
+            self._ready.add(axis)
             for name, value in self._profile.on_open:
                 await self._write(axis, name, value)
 
@@ -88,12 +94,12 @@ class ModbusTable:
             status = await self.status(axis)
             if status.fault:
                 raise DeviceFault(self._device, f"{status.fault}; clear its cause, then start with --reset-fault")
+            await self._leave_quick_stop(axis)
             steps = (
                 ("shutdown", cia402.DriveState.READY_TO_SWITCH_ON),
                 ("switch_on", cia402.DriveState.SWITCHED_ON),
                 ("enable", cia402.DriveState.OPERATION_ENABLED),
             )
-            await self._leave_quick_stop(axis)
             for command, state in steps:
                 if await self._state(axis) is cia402.DriveState.OPERATION_ENABLED:
                     break
@@ -138,6 +144,7 @@ class ModbusTable:
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate (profile-velocity mode) until told otherwise."""
+        self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_VELOCITY)
         await self._write_motion(axis, "acceleration", acceleration_rps2)
         await self._write_motion(axis, "deceleration", acceleration_rps2)
@@ -146,6 +153,7 @@ class ModbusTable:
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Start a move to an angle from home (profile-position mode)."""
+        self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_POSITION)
         await self._write_motion(axis, "profile_rate", abs(rate_rps))
         await self._write_motion(axis, "acceleration", acceleration_rps2)
@@ -156,16 +164,11 @@ class ModbusTable:
 
     async def read(self, axis: str) -> AxisState:
         """Measure angle and rate; each is stamped with the middle of its own round trip."""
-        angle = await self._lines[axis].ask(self._reading(axis, "position"))
-        rate = await self._lines[axis].ask(self._reading(axis, "rate"))
-        half_width_s = max(angle.received_s - angle.sent_s, rate.received_s - rate.sent_s) / 2
-        return AxisState(
-            round((angle.sent_s + angle.received_s) / 2 * 1e9),
-            self._value(axis, "position", angle) * TURN,
-            round((rate.sent_s + rate.received_s) / 2 * 1e9),
-            self._value(axis, "rate", rate) * TURN,
-            round(half_width_s * 1e9),
+        replies = {name: await self._lines[axis].ask(self._reading(axis, name)) for name in ("position", "rate")}
+        angle, rate = (
+            (one.sent_s, one.received_s, self._value(axis, name, one) * TURN) for name, one in replies.items()
         )
+        return AxisState.told(angle, rate)
 
     async def status(self, axis: str) -> AxisStatus:
         """Get state, target reached, and the fault in words."""
@@ -177,38 +180,34 @@ class ModbusTable:
             enabled=state is cia402.DriveState.OPERATION_ENABLED,
             target_reached=bool(word & cia402.TARGET_REACHED),
             fault=await self._fault_text(axis, word) if state in _FAULTS else "",
+            caution=f"axis {axis} was left in quick stop active: it holds, energised; a run takes it out of that"
+            if state is cia402.DriveState.QUICK_STOP_ACTIVE
+            else "",
             text=f"{state.text}, internal limit active" if word & cia402.INTERNAL_LIMIT else state.text,
         )
 
-    async def stop(self) -> None:
-        """Quick-stop every drive along its ramp and wait until all are at rest.
-
-        All are told before any is waited for, also those whose state cannot be read. What one drive answers does
-        not keep the others from being told; the first failure is raised at the end.
-        """
-        failures: list[DeviceError] = []
-        told = []
-        for axis in self._axes:
-            try:
-                if await self._state(axis) is cia402.DriveState.OPERATION_ENABLED:
-                    await self._command(axis, "quick_stop")
-            except _FAILURES as error:
-                failures.append(error)
-                if not await self._tell(axis, "quick_stop"):
-                    continue
-            told.append(axis)
-        await self._wait_for_rest(told, failures)
+    async def stop(self) -> str:
+        """Quick-stop every drive along its ramp, over a new connection if need be, and return what was seen."""
+        return await self._rest("quick_stop")
 
     async def abort(self) -> None:
-        """Stop every axis at once by the profile's abort command, asking nothing first, and wait for rest."""
-        unsure = [axis for axis in self._axes if not await self._tell(axis, "abort")]
-        failures: list[DeviceError] = []
-        told = [axis for axis in self._axes if axis not in unsure]
-        for axis in unsure:
-            with kept(failures):
-                await self._command(axis, "abort")
-                told.append(axis)
-        await self._wait_for_rest(told, failures)
+        """Stop every axis at once by the profile's abort command, as ``stop`` does."""
+        await self._rest("abort")
+
+    async def _rest(self, command: str) -> str:
+        """Tell all drives, asking nothing first; what one answers does not keep the others from being told."""
+        axes = sorted(self._axes, key=lambda axis: axis != self._moved)
+        return await bring_to_rest(self._device, axes, partial(self._tell, command), self.read, self._timeout_s)
+
+    async def _tell(self, command: str, axis: str) -> None:
+        """Send a command at once, also to a drive that does not take what the profile says of a new connection."""
+        line = self._lines[axis]
+        if not line.sound:
+            self._ready -= {other for other in self._axes if self._lines[other] is line}
+            await line.open()
+        with kept([]):
+            await self._make_ready(axis)
+        await line.tell(self._writing(axis, "controlword", self._profile.commands[command]))
 
     async def reset_fault(self) -> None:
         """Clear the fault of every drive that has one; DeviceFault if one stays."""
@@ -223,10 +222,26 @@ class ModbusTable:
                 raise DeviceFault(self._device, f"axis {axis} stays in fault: its cause is still there") from None
 
     async def disable(self) -> None:
-        """Take power off every drive."""
+        """Take power off every drive, and see that it is off; DeviceRefused if one stays energised.
+
+        The first failure is raised once all have been tried.
+        """
+        failures: list[DeviceError] = []
         for axis in self._axes:
-            await self._leave_quick_stop(axis)
-            await self._command(axis, "shutdown")
+            with kept(failures):
+                await self._leave_quick_stop(axis)
+                await self._command(axis, "shutdown")
+                state = await self._state(axis)
+                if state in (cia402.DriveState.OPERATION_ENABLED, cia402.DriveState.QUICK_STOP_ACTIVE):
+                    raise DeviceRefused(self._device, f"axis {axis} stays in {state.text}: it is still energised")
+        if failures:
+            raise failures[0]
+
+    async def _leave_quick_stop(self, axis: str) -> None:
+        """Take power off a drive that holds after its quick stop, as 605Ah = 5 to 8 has it (CiA 402 transition 12)."""
+        if await self._state(axis) is cia402.DriveState.QUICK_STOP_ACTIVE:
+            await self._write(axis, "controlword", cia402.DISABLE_VOLTAGE)
+            await self._wait_for_state(axis, cia402.DriveState.SWITCH_ON_DISABLED)
 
     def close(self) -> None:
         """Drop the connection."""
@@ -236,12 +251,6 @@ class ModbusTable:
     async def _state(self, axis: str) -> cia402.DriveState | None:
         return cia402.state_of(int(await self._read(axis, "statusword")))
 
-    async def _leave_quick_stop(self, axis: str) -> None:
-        """Disable the voltage of an axis that a quick stop holds: from there shutdown and switch on lead nowhere."""
-        if await self._state(axis) is cia402.DriveState.QUICK_STOP_ACTIVE:
-            await self._write(axis, "controlword", 0)
-            await self._wait_for_state(axis, cia402.DriveState.SWITCH_ON_DISABLED)
-
     async def _wait_for_state(self, axis: str, wanted: cia402.DriveState) -> None:
         deadline = asyncio.get_running_loop().time() + _STATE_LIMIT_S
         while (state := await self._state(axis)) is not wanted:
@@ -249,26 +258,6 @@ class ModbusTable:
                 now = state.text if state else "no known state"
                 raise DeviceRefused(self._device, f"axis {axis} stays in {now} and does not reach {wanted.text}")
             await asyncio.sleep(_POLL_S)
-
-    async def _tell(self, axis: str, command: str) -> bool:
-        """Send a command once, on the way out; return whether the drive echoed it."""
-        try:
-            await self._lines[axis].tell(self._writing(axis, "controlword", self._profile.commands[command]))
-        except _FAILURES:
-            return False
-        return True
-
-    async def _wait_for_rest(self, axes: list[str], failures: list[DeviceError]) -> None:
-        """Wait until these are at rest; raise the first failure, those given included."""
-        deadline = asyncio.get_running_loop().time() + _STOP_LIMIT_S
-        for axis in axes:
-            with kept(failures):
-                while abs(await self._read(axis, "rate")) * TURN > _AT_REST_RPS:
-                    if asyncio.get_running_loop().time() > deadline:
-                        raise DeviceRefused(self._device, f"axis {axis} keeps turning after quick stop: cut its power")
-                    await asyncio.sleep(_POLL_S)
-        if failures:
-            raise failures[0]
 
     async def _fault_text(self, axis: str, statusword: int) -> str:
         state = cia402.state_of(statusword)
@@ -294,6 +283,7 @@ class ModbusTable:
         await self._write(axis, register, value_rad / TURN)
 
     async def _write(self, axis: str, name: str, value: float) -> None:
+        await self._make_ready(axis)
         await self._lines[axis].ask(self._writing(axis, name, value))
 
     async def _read(self, axis: str, name: str) -> float:

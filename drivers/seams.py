@@ -1,11 +1,15 @@
 """The four seams to hardware, and the values that cross them. Nothing inherits from these to plug in."""
 
+from __future__ import annotations
+
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from drivers.arrays import Floats, Stamps
 from drivers.host_fit import Alignment
+
+_Told = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +46,26 @@ class AxisState:
     half_width_ns: int
     rate_window_ns: int = 0
 
+    @classmethod
+    def told(cls, angle: _Told, rate: _Told, window_s: float = 0.0) -> AxisState:
+        """Return the state of two round trips: when each was sent and here (s of the loop), and what it told."""
+        angle_s, rate_s = ((sent_s + here_s) / 2 for sent_s, here_s, _ in (angle, rate))
+        half_width_s = max(here_s - sent_s for sent_s, here_s, _ in (angle, rate)) / 2
+        at_ns, rate_ns, half_ns, mean_ns = (
+            round(t_s * 1e9) for t_s in (angle_s, rate_s - window_s / 2, half_width_s, window_s)
+        )
+        return cls(at_ns, angle[2], rate_ns, rate[2], half_ns, mean_ns)
+
 
 @dataclass(frozen=True, slots=True)
 class AxisStatus:
-    """Condition of one axis; ``fault`` is the device's own text, empty when there is none."""
+    """Condition of one axis; ``fault`` is the device's own text, ``caution`` what else to know; empty if nothing."""
 
     enabled: bool
     target_reached: bool
     fault: str
     text: str
+    caution: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +153,7 @@ class Turntable(Protocol):
         """Limits by axis."""
 
     async def open(self) -> None:
-        """Connect and see that every axis answers."""
+        """Connect and see that every axis answers; an axis that is enabled is told nothing by that."""
 
     async def identify(self) -> Identity:
         """Ask the controller what it is; empty where it cannot be asked."""
@@ -161,8 +176,13 @@ class Turntable(Protocol):
     async def status(self, axis: str) -> AxisStatus:
         """Get condition and fault."""
 
-    async def stop(self) -> None:
-        """Bring every axis to rest by a controlled stop and wait for it."""
+    async def stop(self) -> str:
+        """Bring every axis to rest by a controlled stop, whatever has become of the link, and say what was seen.
+
+        A link that is lost, or on which the last request was not answered, is opened again at once. Every axis is told,
+        the one that was moved last first, and watched until it stands. DeviceError, after some ten seconds without
+        news, tells what was seen last of those that may still turn.
+        """
 
     async def abort(self) -> None:
         """Stop every axis at once, as hard as the controller can, and wait for it."""

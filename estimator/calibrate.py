@@ -20,14 +20,17 @@ from estimator.model import decode, regressor_maps
 from estimator.modelled import Modelled, aligned, check_model, effect_notes, estimate_device, is_external
 from estimator.noise import NoiseFound, NoiseModel
 from estimator.parity import GyroParity, parity
+from estimator.poses import estimate as estimate_poses
+from estimator.reading_doubts import reading_doubts
 from estimator.recording import ImuData, Recording
-from estimator.reference import RateReadings, TableReadings, Turns
+from estimator.reference import Poses, RateReadings, TableReadings, Turns
 from estimator.rests import RestNoise, motion_notes, rest_noise
 from estimator.rows import BLOCK_S, gram_of, row_length_s, sample_noise, source_blocks
 
 Floats = NDArray[np.float64]
 
 _BLOCK_ROWS = 4  # fewer samples do not tell their scatter
+_EXCESS = 2.0  # mean square from which on it is told
 _CHANCE = 4.0  # standard deviations of the mean NIS
 _NEAR = 0.05  # to which the noise is known beside that
 
@@ -50,6 +53,7 @@ class _Estimate:
     dof: int = 0
     blocks: Blocks | None = None
     expected_nis: tuple[float, float] = (1.0, 0.0)
+    growth_s: float = 0.0
 
 
 def calibrate(
@@ -107,6 +111,8 @@ def calibrate(
     squares, dof = sum(one.squares for one in estimates), sum(one.dof for one in estimates)
     nis = squares / dof if dof and innovations else float("nan")
     doubts += _nis_doubts(nis, estimates)
+    if isinstance(recording.reference, TableReadings):
+        doubts += reading_doubts(recording.reference)
     order = [name for data in recording.sources.values() for name in data.array.names]
     return Calibration(
         tuple(sorted(gyros, key=lambda gyro: order.index(gyro.name))),
@@ -129,7 +135,9 @@ def _device(
     excluded: frozenset[str] | None,
 ) -> tuple[list[tuple[str, ImuData]], list[_Estimate], tuple[str, ...], tuple[str, ...]]:
     """Return the sources of one device as they were estimated, the estimates, notes, and doubts about the sigmas."""
-    if isinstance(recording.reference, Turns):
+    if isinstance(recording.reference, Poses):
+        return sources, *_laid(recording.reference, sources)
+    if isinstance(recording.reference, Turns) and model is None:
         return sources, [_white(recording, *pair) for pair in sources], (), ()
     try:
         delay_s = None
@@ -160,6 +168,23 @@ def _white(recording: Recording, source: str, data: ImuData) -> _Estimate:
     return _Estimate(found.x, lines, kinds, [()] * m, found.noise_rps, gram.rows * m)
 
 
+def _laid(poses: Poses, sources: list[tuple[str, ImuData]]) -> tuple[list[_Estimate], tuple[str, ...], tuple[str, ...]]:
+    """Return the estimates of sources of which gravity at rests is the reference, notes, and doubts."""
+    estimates, notes, doubts = list[_Estimate](), list[str](), list[str]()
+    for source, data in sources:
+        found, m = estimate_poses(data, poses, data.prior), len(data.array)
+        own = [found.covariance[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] for i in range(m)]
+        lines = [(Contribution("noise", covariance),) for covariance in own]
+        estimates.append(_Estimate(found.x, lines, [None] * m, [()] * m, found.noise_rps, len(data.t_ns) * m))
+        notes.append(f"{source}: gravity was carried over {found.turns} turns between {len(poses.up)} rests")
+        if found.excess > _EXCESS:
+            doubts.append(
+                f"{source}: the turns miss gravity by {np.sqrt(found.excess):.1f} times what noise and accelerometer "
+                "explain; the sigmas are larger by as much"
+            )
+    return estimates, tuple(notes), tuple(doubts)
+
+
 def _joint(recording: Recording, data: ImuData, found: Modelled) -> _Estimate:
     """Return the joint estimate of a source, with the innovations of its block means."""
     m = len(data.array)
@@ -174,13 +199,13 @@ def _joint(recording: Recording, data: ImuData, found: Modelled) -> _Estimate:
         squares, dof = _block_squares(blocks, data, found.x, noise_rps)
         samples = int(blocks.rows.sum()) * m
     else:
-        blocks, length_s, full = None, row_length_s(recording, data), int((found.run.weight > 0).sum())
+        blocks, full = None, int((found.run.weight > 0).sum())
+        length_s = found.run.length_s if found.run.stated_rps else row_length_s(recording, data)
         noise_rps = found.white / np.sqrt(length_s)
         squares = float(np.sum((found.left_rps / found.white) ** 2)) * found.run.length_s
         dof, samples = max((full - 4) * m, 0), round(full * found.run.length_s / length_s) * m
-    return _Estimate(
-        found.x, found.lines, found.noise, found.effects, noise_rps, samples, squares, dof, blocks, found.expected_nis
-    )
+    its = found.x, found.lines, found.noise, found.effects
+    return _Estimate(*its, noise_rps, samples, squares, dof, blocks, found.expected_nis, found.run.growth_s)
 
 
 def _gyros(recording: Recording, source: str, data: ImuData, found: _Estimate) -> list[GyroCalibration]:
@@ -229,7 +254,8 @@ def _parity(
     if len(blocks) < len(estimates):
         return []
     noise = [gyro.noise.mean for gyro in gyros if gyro.noise is not None]
-    return parity([data.array for _, data in sources], blocks, np.array([gyro.states for gyro in gyros]), noise)
+    states, growth_s = np.array([gyro.states for gyro in gyros]), max(one.growth_s for one in estimates)
+    return parity([data.array for _, data in sources], blocks, states, noise, growth_s)
 
 
 def _block_s(data: ImuData) -> float:

@@ -51,7 +51,6 @@ _LEFT_OUT = {
 
 
 _OF_THAT_TABLE = "it goes with the axes of the table that it was found on: away from that table it is not there"
-_TIMED = frozenset({"warm_up", "thermal_gradient", *OF_THE_PAST, "lag", "t", "Tdot", "a", "jolt"})
 _UNSTEADY = frozenset({"lag", "play", "last", "sign", "sqrt", "/"})
 """Functions of the rate that no iteration undoes: with memory, or of a slope without limit."""
 
@@ -153,16 +152,6 @@ class Compensation:
                 "own axes, no rate of the body"
             )
         return np.asarray(np.linalg.pinv(g))
-
-    @property
-    def needs(self) -> frozenset[str]:
-        """What samples must come with: "temperature", "specific force", "time"."""
-        needed = set().union(*(effect.known.effect(()).needs for effect in self.effects))
-        laws = [held.known.law for held in self.effects if held.known.law]
-        told = {held.name for held in self.effects}.union(*map(functions_of, laws), *map(variables_of, laws))
-        if told & _TIMED:
-            needed.add("time")
-        return frozenset(needed)
 
     def held(self, name: str) -> Floats | None:
         """Return the parameters (n, p) of an effect that there is once at most, None if there is none."""

@@ -4,7 +4,7 @@ import numpy as np
 
 from estimator.arrays import Floats
 from estimator.recording import Recording
-from estimator.reference import AttitudeReadings, TableReadings, Turns, rates_from_attitude
+from estimator.reference import AttitudeReadings, Poses, TableReadings, Turns, rates_from_attitude
 
 _STILL_DPS = 0.5
 
@@ -35,6 +35,9 @@ def _rates_rps(recording: Recording) -> list[Floats]:
     if isinstance(reference, Turns):
         seconds = (reference.t_end_ns - reference.t_start_ns)[:, None] * 1e-9
         return list((reference.turn_rad / np.maximum(seconds, 1e-9)).T)
+    if isinstance(reference, Poses):
+        data = next(iter(recording.sources.values()))
+        return list((data.rate_rps @ np.linalg.pinv(data.array.p).T).T)
     return list((rates_from_attitude(reference) if isinstance(reference, AttitudeReadings) else reference).rate_rps.T)
 
 

@@ -16,10 +16,11 @@ from estimator.foreign_rows import ForeignRows, foreign_reference, reference_row
 from estimator.held import updates
 from estimator.mapping import Extent, FileFormat, Mapping, ReferenceFile, Timing
 from estimator.mapping_columns import UNITS
-from estimator.mapping_reference import AngleColumn, MeasuredReference, Rests, SectionTurns
+from estimator.mapping_reference import AngleColumn, Gravity, MeasuredReference, Rests, SectionTurns
 from estimator.odd_samples import without_odd
+from estimator.poses import accelerometer_note, directions_up
 from estimator.recording import ImuData, Recording
-from estimator.reference import Reference, Turns
+from estimator.reference import Poses, Reference, Turns
 from estimator.rest_import import PartRests, earth_note, part_rests, rests_text
 from estimator.spans import Refused, Span, turn_spans
 from estimator.text_rows import Wanted
@@ -332,9 +333,12 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) 
         accel_mps2=_stack([part.accel_mps2 for part in parts]),
     )
     earth = isinstance(mapping.reference, (AngleColumn, Rests)) and mapping.reference.earth_rate
-    recording = Recording({SOURCE: data}, _reference(mapping, placed), mapping.site if earth else None)
+    poses = _poses(mapping.reference.gravity, placed) if isinstance(mapping.reference, Rests) else None
+    reference = poses or _reference(mapping, placed)
+    recording = Recording({SOURCE: data}, reference, mapping.site if earth else None)
     recording, found, factors = fitted(recording, SOURCE, mapping.gyro)
     notes = [f"{part.name}: {note}" if len(parts) > 1 else note for part in parts for note in part.notes] + found
+    notes += [accelerometer_note(poses)] if poses else []
     if earth and isinstance(mapping.reference, Rests):
         notes += earth_note(mapping, [part.rests for part in parts if part.rests])
     elif mapping.site and not earth:
@@ -371,6 +375,22 @@ def _reference(mapping: Mapping, placed: list[tuple[_Part, float]]) -> Reference
         np.array([span.turn_rad for span, _ in spans]),
         np.array([span.sd_rad for span, _ in spans]),
     )
+
+
+def _poses(gravity: Gravity | None, placed: list[tuple[_Part, float]]) -> Poses | None:
+    """Return the rests of all files with the directions up that their accelerometer gives."""
+    if gravity is None:
+        return None
+    force: list[Floats] = []
+    limits_s: list[Floats] = []
+    for part, start in placed:
+        if part.rests is not None and part.accel_mps2 is not None:
+            force += [np.nanmean(part.accel_mps2[rest.first : rest.stop], axis=0) for rest in part.rests.rests]
+            limits_s += [np.array(own) + start for own in part.rests.limits_s]
+    limits = np.array(limits_s)
+    up, doubt, shifts = directions_up(np.array(force), from_rests=gravity.from_rests)
+    sd = np.full(len(up), np.hypot(doubt, gravity.sd_rad))
+    return Poses(_ns(limits[:, 0]), _ns(limits[:, 1]), up, sd, shifts)
 
 
 def _ns(t_s: Floats) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ states.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -25,22 +25,18 @@ from estimator.noise import NoiseFound, NoiseModel
 from estimator.recording import ImuData, Recording
 from estimator.reference import TableReadings
 from estimator.tracing.evidence import Evidence, Term
+from estimator.tracing.growth import weighed
 from estimator.tracing.runs import Run
-from estimator.tracing.spectra import GyroSpectra, NoiseShapes, Stretch, Z, gyro_spectra
+from estimator.tracing.spectra import GyroSpectra, NoiseShapes, Z, gyro_spectra
 from estimator.tracing.tones import samples_of, tone_columns
 
 Floats = NDArray[np.float64]
 
-_OWN = 0.1  # share of the expectation on a gyro that does not follow the other gyros of its device
-_WHITE = 0.65  # expected before the data: that a kind of coloured noise is too small to matter
-_STATED_SPREAD = np.log(3.0)  # how far a device's instability may be from its data sheet
-_LEAST = 0.05  # expectation of no coloured noise at most, where the data sheet states some
 _LEAST_ARW = 1e-9  # rad/s/rtHz, below any gyro
 _ACCELERATING = 0.02  # change of rate from block to block, as a share of the largest rate, that counts as a ramp
 _FEWEST_STEADY = 40
 _ASIDE = 0.1  # weight of ramps while steady rates are fitted
 _ROWS_A_COLUMN = 4  # fewer and what is left of the blocks tells nothing of ramps
-_TELLING, _BY_CHANCE = 16.0, 1e-4  # degrees of freedom that tell a level of noise, and its probability by chance
 
 
 class TooShort(RecordingError):
@@ -87,10 +83,8 @@ class Joint:
     arw: Floats
     white: Floats
     expected_nis: tuple[float, float]
-    shapes: NoiseShapes
     weight: Floats
-    spectra: list[GyroSpectra]
-    profiles: list[_Profile]
+    evidence: Evidence
 
     def gyros_of(self, run: int) -> range:
         """Return which of the gyros are those of a run."""
@@ -106,10 +100,10 @@ class Joint:
         """Return instants (b,) and the rows (b, c + 1) of [states, z, laws] as they count: of white noise of one."""
         from scipy.fft import idct
 
-        spectra = self.spectra[gyro]
+        spectra = self.evidence.gyros[gyro]
         parts = []
         for stretch, columns in zip(spectra.stretches, spectra.columns, strict=True):
-            weight = (self.weight[:, gyro] @ (1 / self.shapes.density(stretch)))[stretch.band]
+            weight = (self.weight[:, gyro] @ (1 / self.evidence.density(spectra, stretch)))[stretch.band]
             parts.append(idct(columns * np.sqrt(weight)[:, None], axis=0, norm="ortho"))
         t_s = [self.runs[stretch.run].t_s[stretch.blocks] for stretch in spectra.stretches]
         return np.concatenate(t_s), np.vstack(parts)
@@ -126,13 +120,11 @@ class Joint:
             keeps = [(run.t_s < middle_s) == early for run in self.runs]
             runs = [_some(run, keep) for run, keep in zip(self.runs, keeps, strict=True)]
             columns = [c[:, keep] for c, keep in zip(self.columns, keeps, strict=True)]
-            spectra = _spectra(runs, columns)
-            _flatten(spectra, _level(spectra, self.arw))
-            _flatten(spectra, self.profiles)
-            means, covariances = _posterior(spectra, self.shapes, self.laws, self.weight)
-            found.append(
-                replace(self, runs=runs, columns=columns, means=means, covariances=covariances, spectra=spectra)
-            )
+            arw = {gyro.name: gyro.arw for gyro in self.evidence.gyros}
+            evidence = Evidence(_spectra(runs, columns, arw), self.evidence.shapes, self.evidence.excess)
+            own = evidence.posterior(_terms(self.laws), self.weight)
+            parts: dict[str, Any] = {"means": own.means, "covariances": own.covariances, "evidence": evidence}
+            found.append(replace(self, runs=runs, columns=columns, **parts))
         return found
 
 
@@ -150,29 +142,19 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
     ]
     if not all(len(run.t_s) for run in moved):
         raise TooShort("no block holds samples")
-    shapes = _shapes(max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in moved), stated)
-    spectra = _spectra(moved, columns)
-    white = np.array([gyro.arw for gyro in spectra])
-    weight = _weights(spectra, shapes, ordered)
-    means, covariances = _posterior(spectra, shapes, ordered, weight)
-    unused = np.concatenate([np.full(len(run.array), float((run.weight <= 0).sum())) for run in moved])
-    left = [_left(*each) for each in zip(spectra, means, covariances, _best(shapes, weight), strict=True)]
-    level = [own[1].sum() / max(own[2].sum() - none, 1.0) for own, none in zip(left, unused.tolist(), strict=True)]
-    arw = np.maximum(white * np.sqrt(level), _LEAST_ARW)
-    _flatten(spectra, _level(spectra, arw))
-    weight = _weights(spectra, shapes, ordered)
-    means, covariances = _posterior(spectra, shapes, ordered, weight)
-    left = [_left(*each) for each in zip(spectra, means, covariances, _best(shapes, weight), strict=True)]
-    profiles = [_Profile.of(*own) for own in left]
-    _flatten(spectra, profiles)
-    weight = _weights(spectra, shapes, ordered)
-    means, covariances = _posterior(spectra, shapes, ordered, weight)
-    noise = [_noise(own, shapes, share) for own, share in zip(arw.tolist(), weight.T, strict=True)]
-    chance = _expected_nis(spectra, shapes, weight)
-    white = np.maximum(white, 1e-3 * arw)
-    return Joint(
-        list(moved), ordered, columns, means, covariances, noise, arw, white, chance, shapes, weight, spectra, profiles
-    )
+    span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in moved)
+    evidence = Evidence(_spectra(moved, columns), NoiseShapes.over(span_s, stated))
+    terms = _terms(ordered)
+    least = np.concatenate([np.full(len(run.array), run.stated_rps * np.sqrt(run.length_s)) for run in moved])
+    evidence.settle(terms, least)
+    white = np.array([gyro.arw for gyro in evidence.gyros])
+    arw = np.maximum(white * np.sqrt(evidence.level), _LEAST_ARW)
+    weight = evidence.noise_weights(terms)
+    posterior = evidence.posterior(terms, weight)
+    noise = [_noise(own, evidence.shapes, share) for own, share in zip(arw.tolist(), weight.T, strict=True)]
+    white, chance = np.maximum(white, 1e-3 * arw), _expected_nis(evidence, weight)
+    found = posterior.means, posterior.covariances
+    return Joint(list(moved), ordered, columns, *found, noise, arw, white, chance, weight, evidence)
 
 
 def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableReadings) -> Run:
@@ -181,6 +163,8 @@ def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableRe
     w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)
     w[blocks.index], z[blocks.index] = blocks.w_rps, blocks.z_rps
     weight[blocks.index] = 2 * blocks.held_s >= blocks.length_s
+    stretch = np.zeros(b, dtype=np.intp)
+    weight, growth_s = weighed(w, z, weight, stretch)
     none = np.empty((0, 0))
     nowhere = Conditions(np.empty(0), *(np.empty((0, 3)),) * 2, none, none, none, (), np.empty((0, 3)))
     return Run(
@@ -192,13 +176,14 @@ def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableRe
         w_rps=w,
         z_rps=z,
         weight=weight,
-        stretch=np.zeros(b, dtype=np.intp),
+        stretch=stretch,
         grid=nowhere,
         fold=lambda columns: columns,
         recording=Recording({source: data}, reference),
         period_s=blocks.period_s,
         order=0,
         held=1,
+        growth_s=growth_s,
     )
 
 
@@ -230,58 +215,13 @@ def _some(run: Run, keep: NDArray[np.bool_]) -> Run:
     return replace(run, **parts)
 
 
-def _shapes(span_s: float, stated: NoiseModel | None) -> NoiseShapes:
-    """Return the noise models that a recording of this length can tell apart, by what a data sheet expects."""
-    ratios = (stated.instability, stated.walk) if stated is not None and stated.arw > 0 else (0.0, 0.0)
-    arw = stated.arw if stated is not None and stated.arw > 0 else 1.0
-    instability, chance_b = _expected(np.geomspace(0.7, 40, 9) / np.sqrt(span_s), ratios[0] / arw)
-    walk, chance_k = _expected(np.geomspace(0.3, 60, 7) / span_s, ratios[1] / arw)
-    b, k = (part.ravel() for part in np.meshgrid(instability, walk, indexing="ij"))
-    # One recording is of one power-on: no bias changes but by wandering.
-    return _OneRecording(b, k, np.zeros(len(b)), np.log(np.outer(chance_b, chance_k).ravel()), span_s)
-
-
-def _expected(sizes: Floats, stated: float) -> tuple[Floats, Floats]:
-    """Return none and these ratios to the angle random walk, and what is expected of each; ``stated``: 0 for none."""
-    values = np.concatenate([[0.0], sizes])
-    if stated <= 0:
-        return values, np.concatenate([[_WHITE], np.full(len(sizes), (1 - _WHITE) / len(sizes))])
-    least = sizes[0] / 2  # a size that cannot matter counts as none
-    chance = np.exp(-0.5 * (np.log(np.maximum(values, least) / max(stated, least)) / _STATED_SPREAD) ** 2)
-    chance[0] = chance[0] if stated < sizes[0] else min(chance[0], _LEAST)
-    return values, chance / chance.sum()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _OneRecording(NoiseShapes):
-    """Noise models of one recording of ``span_s``: its bias is that of its span, not that since power-on.
-
-    Flicker noise goes on to ten times the span, as in ``noise.MeansCovariance``, so that the mean of a stretch has
-    (ln 10 + 3/2) / pi of its square in variance; of a random walk the bias is its value in the middle.
-    """
-
-    span_s: float = 0.0
-
-    def density(self, stretch: Stretch) -> Floats:
-        out = NoiseShapes.density(self, stretch)
-        own_s = len(stretch.band) * stretch.length_s
-        flicker = (np.log(10 * self.span_s / own_s) + 1.5) / np.pi
-        walk = own_s / 12 + (self.span_s - own_s) / 3
-        out[:, 0] = 1 + own_s * (self.instability**2 * flicker + self.walk**2 * walk)
-        return out
-
-    def select(self, keep: NDArray[np.bool_]) -> NoiseShapes:
-        part = NoiseShapes.select(self, keep)
-        return _OneRecording(part.instability, part.walk, part.turn_on, part.log_prior, self.span_s)
-
-
 def _steadied(run: Run, columns: Floats) -> Run:
     """Return a run whose ramps count less where their residual says so.
 
     While an axis accelerates, what the table reports is off by its timing and by what lies between two readings.
     """
     good = np.flatnonzero(run.weight > 0)
-    if len(good) < _ROWS_A_COLUMN * (4 + columns.shape[2]):
+    if run.stated_rps or len(good) < _ROWS_A_COLUMN * (4 + columns.shape[2]):
         return run
     size = float(np.abs(run.w_rps[good]).max(initial=0.0))
     change = np.abs(np.diff(run.w_rps, axis=0, prepend=run.w_rps[:1])).max(axis=1)
@@ -291,7 +231,7 @@ def _steadied(run: Run, columns: Floats) -> Run:
     # What ramps alone show is fitted to them, everything else to steady rates.
     states, row, shares = run.state_columns()[:, good], np.where(ramp, _ASIDE, 1.0), []
     for i, own in enumerate(columns[:, good]):
-        both, z = np.hstack([states[i], own]), run.z_rps[good, i]
+        both, z = np.hstack([states[i], own]) * run.weight[good, None], run.z_rps[good, i] * run.weight[good]
         scale = np.maximum(np.linalg.norm(both, axis=0), 1e-300)
         rest = z - both @ (np.linalg.lstsq(both / scale * row[:, None], z * row, rcond=1e-8)[0] / scale)
         steady = float(np.mean(rest[~ramp] ** 2))
@@ -303,158 +243,36 @@ def _steadied(run: Run, columns: Floats) -> Run:
     return replace(run, weight=weight)
 
 
-def _spectra(runs: Sequence[Run], columns: Sequence[Floats]) -> list[GyroSpectra]:
-    spectra = gyro_spectra(runs)
+def _spectra(
+    runs: Sequence[Run], columns: Sequence[Floats], arw: Mapping[str, float] | None = None
+) -> list[GyroSpectra]:
+    spectra = gyro_spectra(runs, arw)
     if [gyro.name for gyro in spectra] != [name for run in runs for name in run.array.names]:
         raise TooShort("too few blocks of a gyro follow on each other")
     for gyro in spectra if columns[0].shape[2] else ():
         parts = []
         for stretch in gyro.stretches:
             run = runs[stretch.run]
-            own = columns[stretch.run][run.array.names.index(gyro.name)]
-            parts.append((own * run.weight[:, None])[stretch.blocks])
+            i = run.array.names.index(gyro.name)
+            parts.append(run.weighed(columns[stretch.run][i], i)[stretch.blocks])
         gyro.add(parts)
     return spectra
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Profile:
-    """By how much a noise is larger than its models say, by frequency: ``factor`` (f,) at ``hz`` (f,)."""
-
-    hz: Floats
-    factor: Floats
-
-    def at(self, hz: Floats) -> Floats:
-        """Return the factor (n,) at frequencies."""
-        return np.exp(np.interp(np.log(np.maximum(hz, 1e-12)), np.log(self.hz), np.log(self.factor)))
-
-    @classmethod
-    def of(cls, hz: Floats, squares: Floats, freedom: Floats) -> _Profile:
-        """Return that of what is left by band (n,); 1 where the difference may be chance."""
-        from scipy.special import gammainc, gammaincc  # of the chi-square; scipy.stats takes a second to import
-
-        group = np.floor(np.concatenate([[0.0], np.cumsum(freedom)[:-1]]) / _TELLING).astype(np.intp)
-        _, group = np.unique(group, return_inverse=True)
-        total, count = np.maximum(np.bincount(group, squares), 1e-12), np.bincount(group, freedom)
-        chance = 2 * np.minimum(gammaincc(count / 2, total / 2), gammainc(count / 2, total / 2))
-        middle = np.exp(np.bincount(group, np.log(np.maximum(hz, 1e-12))) / np.bincount(group))
-        return cls(middle, np.where(chance < _BY_CHANCE, total / count, 1.0))
+def _terms(laws: Sequence[Law]) -> list[Term]:
+    """Return ordered laws as terms; their columns are scaled by what is expected of them."""
+    count = [sum(len(law.sd) for law in laws if law.shared == shared) for shared in (False, True)]
+    own, shared = range(Z + 1, Z + 1 + count[0]), range(Z + 1 + count[0], Z + 1 + sum(count))
+    both = Term("own", tuple(own), shared=False), Term("shared", tuple(shared), shared=True)
+    return [term for term in both if term.columns]
 
 
-def _left(gyro: GyroSpectra, mean: Floats, covariance: Floats, shapes: NoiseShapes) -> tuple[Floats, Floats, Floats]:
-    """Return by band, in order, its frequency (n,), the squares left over those of noise, and their freedom."""
-    left = np.concatenate([-mean[:4], [1.0], -mean[4:]])
-    free = np.r_[0:4, Z + 1 : len(left)]
-    found: list[tuple[float, float, float]] = []
-    for stretch, products in zip(gyro.stretches, gyro.products, strict=True):
-        density = shapes.density(stretch)[0]
-        squares = np.maximum(np.einsum("i,bij,j->b", left, products, left), 0.0) / density
-        fitted = np.einsum("ij,bji->b", covariance, products[:, free][:, :, free]) / density
-        freedom = np.maximum(stretch.counts - fitted, 0.05 * stretch.counts)
-        found += zip(stretch.band_hz.tolist(), squares.tolist(), freedom.tolist(), strict=True)
-    hz, squares, freedom = np.array(sorted(found)).T
-    return hz, squares, freedom
-
-
-def _level(spectra: Sequence[GyroSpectra], arw: Floats) -> list[_Profile]:
-    """Return what makes the white noise of each gyro this (gyros,) at all frequencies."""
-    return [_Profile(np.ones(1), np.array([(own / g.arw) ** 2])) for g, own in zip(spectra, arw, strict=True)]
-
-
-def _best(shapes: NoiseShapes, weight: Floats) -> list[NoiseShapes]:
-    """Return by gyro the noise model that is most probable."""
-    return [_select(shapes, np.array([own])) for own in np.argmax(weight, axis=0)]
-
-
-def _flatten(spectra: Sequence[GyroSpectra], profiles: Sequence[_Profile]) -> None:
-    """Let frequencies count less by how much more noise they hold than the models of it say."""
-    for gyro, profile in zip(spectra, profiles, strict=False):
-        for i, stretch in enumerate(gyro.stretches):
-            factor = profile.at(stretch.band_hz)
-            gyro.products[i] = gyro.products[i] / factor[:, None, None]
-            gyro.columns[i] = gyro.columns[i] / np.sqrt(factor[stretch.band])[:, None]
-
-
-def _select(shapes: NoiseShapes, which: NDArray[np.intp]) -> NoiseShapes:
-    return shapes.select(np.isin(np.arange(len(shapes)), which))
-
-
-def _weights(spectra: Sequence[GyroSpectra], shapes: NoiseShapes, laws: Sequence[Law]) -> Floats:
-    """Return how probable each noise model is for each gyro (G, gyros), which is expected to be like the others."""
-    count = sum(len(law.sd) for law in laws)
-    terms = [Term("laws", tuple(range(Z + 1, Z + 1 + count)), shared=False)] if count else []
-    evidence = np.column_stack([Evidence([gyro], shapes).by_noise(terms) for gyro in spectra])
-    prior = shapes.log_prior[:, None]
-    if evidence.shape[1] == 1:
-        return _normal(evidence + prior)
-    others = _normal(prior + evidence.sum(axis=1, keepdims=True) - evidence)
-    return _normal(evidence + np.log((1 - _OWN) * others + _OWN * np.exp(prior)))
-
-
-def _normal(log: Floats) -> Floats:
-    weight = np.exp(log - log.max(axis=0))
-    return np.asarray(weight / weight.sum(axis=0))
-
-
-def _posterior(
-    spectra: Sequence[GyroSpectra], shapes: NoiseShapes, laws: Sequence[Law], weight: Floats
-) -> tuple[list[Floats], list[Floats]]:
-    """Return means (c,) and covariances (c, c) of [states, own laws, shared laws] by gyro, each under its own noise."""
-    parts = [_reduced(gyro, shapes, laws, own) for gyro, own in zip(spectra, weight.T, strict=True)]
-    h = parts[0].left.shape[-1] - 1
-    of_all = np.sum([np.einsum("g,gij->ij", part.weight, part.left) for part in parts], axis=0)
-    means, covariances = [], []
-    for part in parts:
-        # What the other gyros say of shared laws they say under their own noise.
-        left = part.left + (of_all - np.einsum("g,gij->ij", part.weight, part.left))
-        shared_covariance = np.linalg.inv(left[:, :h, :h] + np.eye(h))
-        shared = (shared_covariance @ left[:, :h, h:])[..., 0]
-        slope = part.gain[:, :, :h]
-        x = np.hstack([part.gain[:, :, h] - np.einsum("gij,gj->gi", slope, shared), shared])
-        across = -slope @ shared_covariance
-        own = part.inner - across @ slope.transpose(0, 2, 1)
-        whole = np.block([[own, across], [across.transpose(0, 2, 1), shared_covariance]])
-        mean = part.weight @ x
-        spread = x - mean
-        means.append(mean)
-        covariances.append(np.einsum("g,gij->ij", part.weight, whole + spread[:, :, None] * spread[:, None, :]))
-    return means, covariances
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Reduced:
-    """One gyro with its states and own laws eliminated, under the noise models that matter (G,).
-
-    ``inner`` (G, c, c) is their covariance, ``gain`` (G, c, h + 1) what they take of [shared laws, z], ``left``
-    (G, h + 1, h + 1) the products of these that are left.
-    """
-
-    weight: Floats
-    inner: Floats
-    gain: Floats
-    left: Floats
-
-
-def _reduced(gyro: GyroSpectra, shapes: NoiseShapes, laws: Sequence[Law], weight: Floats) -> _Reduced:
-    matter = np.flatnonzero(weight > 1e-4)
-    gram = Evidence([gyro], _select(shapes, matter)).grams[0]
-    count = sum(len(law.sd) for law in laws if not law.shared)
-    own = [*range(4), *range(Z + 1, Z + 1 + count)]
-    rest = [*range(Z + 1 + count, gram.shape[1]), Z]
-    precision = np.diag(np.concatenate([1 / gyro.prior, np.ones(count)]))
-    inner = np.asarray(np.linalg.inv(gram[:, own][:, :, own] + precision), dtype=np.float64)
-    across = gram[:, own][:, :, rest]
-    gain = inner @ across
-    left = gram[:, rest][:, :, rest] - across.transpose(0, 2, 1) @ gain
-    return _Reduced(weight[matter] / weight[matter].sum(), inner, gain, left)
-
-
-def _expected_nis(spectra: Sequence[GyroSpectra], shapes: NoiseShapes, weight: Floats) -> tuple[float, float]:
+def _expected_nis(evidence: Evidence, weight: Floats) -> tuple[float, float]:
     """Return mean and standard deviation that the mean NIS of blocks has, taken as white, under the noise found."""
     total = squares = count = 0.0
-    for gyro, own in zip(spectra, weight.T, strict=True):
+    for gyro, own in zip(evidence.gyros, weight.T, strict=True):
         for stretch in gyro.stretches:
-            density = (own @ shapes.density(stretch))[1:]  # the mean of a stretch is the bias
+            density = (own @ evidence.shapes.density(stretch))[1:]  # the mean of a stretch is the bias
             counts = stretch.counts[1:]
             total += float(counts @ density)
             squares += float(2 * counts @ density**2)

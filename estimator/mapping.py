@@ -176,6 +176,8 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
                 f'{mapping.name}: {key} = "from data" in [gyro] needs a rate, an angle or an attitude beside the '
                 "samples; against turns or rests state axes, unit and count"
             )
+    if isinstance(reference, Rests) and reference.gravity and mapping.accelerometer is None:
+        raise section.fail("kind", "gravity needs what feels it: add the table [accelerometer]")
     if not isinstance(reference, (AngleColumn, Rests)) or not reference.earth_rate:
         return
     if mapping.site is None:

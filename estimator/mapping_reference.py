@@ -10,7 +10,7 @@ import numpy as np
 from estimator.mapping_columns import Columns, Vector, body_axis, signed_axis, stated_columns
 from estimator.strict_toml import StrictTable
 
-KINDS = ("attitude", "rate", "angle", "turns", "rest")
+KINDS = ("attitude", "rate", "angle", "turns", "rest", "gravity")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +96,19 @@ class SectionTurns:
 
 
 @dataclass(frozen=True, slots=True)
+class Gravity:
+    """An accelerometer that says what points up, each direction to ``sd_rad``; ``from_rests``: its errors, too."""
+
+    from_rests: bool
+    sd_rad: float
+
+
+@dataclass(frozen=True, slots=True)
 class Rests:
     """The body rests: in sections if there are any, else in ``pose``, everywhere or where the samples are quiet.
 
     ``files`` are poses by name of file. At rest the output is within ``limit_rps``, for ``least_s`` or longer.
+    With ``gravity`` what the accelerometer feels there is the reference of the turns between.
     """
 
     everywhere: bool
@@ -110,6 +119,7 @@ class Rests:
     limit_rps: float
     least_s: float
     earth_rate: bool
+    gravity: Gravity | None = None
 
 
 MeasuredReference = AttitudeColumns | RateColumns | AngleColumn
@@ -135,7 +145,7 @@ def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignRefere
     elif kind == "turns":
         reference = _turns(section)
     else:
-        reference = _rests(section)
+        reference = _rests(section, by_gravity=kind == "gravity")
     if wide and isinstance(reference, (SectionTurns, Rests)) and reference.cuts.column:
         raise section.fail("section_column", "is for text files: write section_list, or start_s and end_s in sections")
     section.done()
@@ -223,7 +233,11 @@ def _pattern(section: StrictTable) -> re.Pattern[str]:
     return pattern
 
 
-def _rests(section: StrictTable) -> Rests:
+def _rests(section: StrictTable, *, by_gravity: bool) -> Rests:
+    gravity = None
+    if by_gravity:
+        from_rests = section.string("accelerometer", "from rests", one_of=("from rests", "stated")) == "from rests"
+        gravity = Gravity(from_rests, math.radians(section.number("sd_deg", 0.0 if from_rests else 0.1, least=0.0)))
     limit_rps = math.radians(section.number("rest_limit_dps", 2.0, positive=True))
     least_s = section.number("rest_s", 2.0, positive=True)
     earth_rate = section.flag("earth_rate", False)
@@ -239,7 +253,7 @@ def _rests(section: StrictTable) -> Rests:
         everywhere = section.string("where", "found", one_of=("found", "everywhere")) == "everywhere"
     listed = section.table("files", optional=True)
     files = _poses({name: listed.table(name) for name in listed.remaining()})
-    return Rests(everywhere, _pose(section), files, cuts, sections, limit_rps, least_s, earth_rate)
+    return Rests(everywhere, _pose(section), files, cuts, sections, limit_rps, least_s, earth_rate, gravity)
 
 
 def _poses(tables: dict[str, StrictTable]) -> dict[str, Pose]:

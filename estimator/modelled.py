@@ -21,8 +21,9 @@ from estimator.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
 from estimator.joint import Joint, Law, TooShort, expected_of, joint_estimate
 from estimator.noise import NoiseFound
 from estimator.recording import ImuData, Recording
-from estimator.reference import TableReadings, Turns
-from estimator.tracing.runs import Run, run_of
+from estimator.reference import Poses, TableReadings, Turns
+from estimator.tracing.candidates import WITHIN_TURNS
+from estimator.tracing.runs import FEWEST_TURNS, Run, growth_notes, run_of
 from estimator.tracing.spectra import Z
 from estimator.undeclared import undeclared_laws
 
@@ -84,18 +85,28 @@ class Device:
 
 
 def check_model(model: ErrorModel, recording: Recording) -> None:
-    """See that effects can be estimated against the reference of a recording at all; ModelError if not."""
-    if isinstance(recording.reference, Turns):
+    """See that a recording can show the effects of a model at all; ModelError if not."""
+    if isinstance(recording.reference, Poses):
+        raise ModelError(f"{recording.name}: against gravity between rests there are no effects yet: leave out --model")
+    if not isinstance(recording.reference, Turns):
+        return
+    within = [known.called for known in model.effects if known.called in WITHIN_TURNS]
+    if within:
         raise ModelError(
-            f"{recording.name}: of turns only their angles are known, not what happens within them, so no effects can "
-            "be estimated beside the states: leave out --model"
+            f"{recording.name}: of turns only their angles are known, not what happens within them, so "
+            f"{', '.join(within)} cannot be estimated: take them out of the model, or leave out --model"
+        )
+    if len(recording.reference.sd_rad) < FEWEST_TURNS:
+        raise ModelError(
+            f"{recording.name}: {len(recording.reference.sd_rad)} turns are too few to estimate effects beside the "
+            f"states, at least {FEWEST_TURNS} are needed: leave out --model"
         )
 
 
 def is_external(recording: Recording) -> bool:
     """Return whether the reference is another instrument's, whose stamps and errors nobody knows beforehand."""
     own = isinstance(recording.reference, TableReadings) and "bench" in recording.attributes
-    return not own and not at_rest(recording.reference)
+    return not own and not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
 
 
 def aligned(
@@ -144,6 +155,7 @@ def estimate_device(
     stated = sources[0][1].noise
     joint = plain = joint_estimate(runs, laws, stated)
     covariances, notes = _clustered(plain) if delay_s is not None else (plain.covariances, [])
+    notes += growth_notes(runs)
     unseen: list[Floats] | None = None
     if excluded is not None and model is None:
         further, runs = undeclared_laws(runs, excluded | {law.effect.name for law in laws})
@@ -364,7 +376,7 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
         first = np.flatnonzero(np.diff(cluster, prepend=-1))
         rest = both * (rows[:, Z] - both @ joint.means[g])[:, None]
         scores[cluster[first][:, None], place] += np.add.reduceat(rest, first, axis=0)
-        precision[place[:4]] = 1 / joint.spectra[g].prior
+        precision[place[:4]] = 1 / joint.evidence.gyros[g].prior
     white = np.linalg.inv(information + np.diag(precision))
     # So few clusters fit so many parameters: their scores are too small by these.
     meat = scores.T @ scores * (len(used) / max(len(used) - whole, len(used) / 4)) + np.diag(precision)

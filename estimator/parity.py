@@ -35,11 +35,16 @@ class GyroParity:
 
 
 def parity(
-    arrays: Sequence[SensorArray], blocks: Sequence[Blocks], states: Floats, noise: Sequence[NoiseModel]
+    arrays: Sequence[SensorArray],
+    blocks: Sequence[Blocks],
+    states: Floats,
+    noise: Sequence[NoiseModel],
+    growth_s: float = 0.0,
 ) -> list[GyroParity]:
     """Return the parity check of the gyros of one device, none for fewer than four.
 
-    ``arrays`` and ``blocks`` are those of its sources, ``states`` (n, 4) and ``noise`` (n) those of all its gyros.
+    ``arrays`` and ``blocks`` are those of its sources, ``states`` (n, 4) and ``noise`` (n) those of all its gyros;
+    ``growth_s`` says how the noise grows with the rate (``tracing.growth``).
     """
     names = [name for array in arrays for name in array.names]
     if len(names) < 4 or not all(len(b.index) for b in blocks):
@@ -63,7 +68,8 @@ def parity(
     # Outputs in units of their noise: then the null space weighs gyros as they deserve.
     left, singular, _ = np.linalg.svd(sense / sigma[:, None], full_matrices=True)
     null = left[:, len(singular) :].T
-    residual = (output / sigma) @ null.T * np.sqrt(held_s / length_s)[:, None]
+    grown = np.hypot(1, growth_s * np.linalg.norm(chosen[0].w_rps, axis=1))
+    residual = (output / sigma) @ null.T * (np.sqrt(held_s / length_s) / grown)[:, None]
     checks = []
     for i, name in enumerate(names):
         column = null[:, i]

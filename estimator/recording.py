@@ -26,7 +26,15 @@ from estimator.kinematics import Site, check_gimbals
 from estimator.model import Prior
 from estimator.noise import NoiseModel
 from estimator.prober import probe
-from estimator.reference import AttitudeReadings, RateReadings, Reference, TableReadings, TableUncertainty, Turns
+from estimator.reference import (
+    AttitudeReadings,
+    Poses,
+    RateReadings,
+    Reference,
+    TableReadings,
+    TableUncertainty,
+    Turns,
+)
 
 FORMAT = "turntable-recording"
 FORMAT_VERSION = 1
@@ -102,7 +110,7 @@ class RecordingWriter:
             except (OSError, ValueError) as error:
                 raise RecordingError(f"cannot create {path}: {_first_line(error)}") from None
             undone.pop_all()
-        self._pending: dict[str, list[NDArray[Any]]] = {}
+        self._pending: dict[str, list[Mapping[str, NDArray[Any]]]] = {}
         self._datasets: dict[str, Any] = {}
         self._lengths: dict[str, int] = {}
         self._file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
@@ -133,14 +141,20 @@ class RecordingWriter:
 
     def append(self, path: str, rows: NDArray[Any]) -> None:
         """Append rows to the dataset at ``path``, created by its first rows."""
-        self._pending.setdefault(path, []).append(rows)
+        group, _, name = path.rpartition("/")
+        self.append_rows(group, {name: rows})
 
-    def append_text(self, group: str, t_ns: Mapping[str, int], field_name: str, text: str) -> None:
-        """Append one row of stamps and one text (cut at 240 bytes) to a group such as events or steps."""
-        for key, value in t_ns.items():
-            self.append(f"{group}/{key}", np.array([value], dtype=np.int64))
+    def append_rows(self, group: str, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Append rows to several datasets of a group: all of them or, if this is interrupted, none."""
+        self._pending.setdefault(group, []).append(columns)
+
+    def append_text(
+        self, group: str, t_ns: Mapping[str, int], field_name: str, text: str, **more: NDArray[Any]
+    ) -> None:
+        """Append one row of stamps, one text (cut at 240 bytes) and ``more`` to a group such as events or steps."""
         raw = text.encode()[:TEXT_BYTES].decode(errors="ignore").encode()
-        self.append(f"{group}/{field_name}", np.array([raw], dtype=f"S{TEXT_BYTES}"))
+        stamps = {key: np.array([value], dtype=np.int64) for key, value in t_ns.items()}
+        self.append_rows(group, {**stamps, field_name: np.array([raw], dtype=f"S{TEXT_BYTES}"), **more})
 
     def flush(self) -> None:
         """Append what is pending and hand it to the operating system.
@@ -170,19 +184,21 @@ class RecordingWriter:
         )
 
     def _pending_bytes(self) -> int:
-        return sum(rows.nbytes for blocks in self._pending.values() for rows in blocks)
+        return sum(rows.nbytes for blocks in self._pending.values() for block in blocks for rows in block.values())
 
     def _write(self) -> None:
         with _told_of(self.path):
-            for path, blocks in self._pending.items():
-                rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-                dataset = self._datasets.get(path)
-                if dataset is None:
-                    self._datasets[path] = _create(self._file, path, rows, growing=True)
-                    self._lengths[path] = len(rows)
-                else:
-                    self._lengths[path] = _extend(dataset, self._lengths[path], rows)
-            self._pending.clear()
+            for group, blocks in self._pending.items():
+                lengths = {}
+                for name in dict.fromkeys(name for block in blocks for name in block):
+                    path, rows = f"{group}/{name}", np.concatenate([block[name] for block in blocks if name in block])
+                    if path not in self._datasets:
+                        self._datasets[path], lengths[path] = _create(self._file, path, rows, growing=True), len(rows)
+                    else:
+                        lengths[path] = _extend(self._datasets[path], self._lengths.get(path, 0), rows)
+                # At once: what was interrupted is written over, from where it began, the next time.
+                self._lengths, self._pending[group] = {**self._lengths, **lengths}, []
+            self._pending = {}
             self._file.flush()
 
     @property
@@ -395,6 +411,10 @@ def _read_reference(path: Path, file: Any) -> Reference:
         sd = _column(where, group, "sd_rad", 1, np.float64) if "sd_rad" in group else np.zeros(len(turn))
         start = _column(where, group, "t_start_ns", 1, np.int64)
         return Turns(start, _column(where, group, "t_end_ns", 1, np.int64), turn, sd)
+    if "up" in group:
+        limits = [_column(where, group, name, 1, np.int64) for name in ("t_start_ns", "t_end_ns")]
+        up, sd = _column(where, group, "up", 2, np.float64), _column(where, group, "sd_rad", 1, np.float64)
+        return Poses(limits[0], limits[1], up, sd, _column(where, group, "shifts", 3, np.float64))
     t_ns = _column(where, group, "t_ns", 1, np.int64)
     if "rate_rps" in group:
         return RateReadings(t_ns, _column(where, group, "rate_rps", 2, np.float64))

@@ -79,7 +79,21 @@ class Turns:
     sd_rad: Floats
 
 
-Reference = TableReadings | RateReadings | AttitudeReadings | Turns
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """Spans of rest with the direction up in each, body axes (k, 3), and its doubt (k,); between them hands turn.
+
+    ``shifts`` (q, k, 3): by how much what all directions have in common, an accelerometer, moves them, one sigma each.
+    """
+
+    t_start_ns: Stamps
+    t_end_ns: Stamps
+    up: Floats
+    sd_rad: Floats
+    shifts: Floats
+
+
+Reference = TableReadings | RateReadings | AttitudeReadings | Turns | Poses
 
 
 class _Rows:

@@ -36,19 +36,13 @@ class Repeatability:
 
 def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatability]:
     """Return how each gyro repeats over two runs or more of one device; gyros that are not in all are left out."""
-    from scipy.stats import chi2  # 0.8 s of import: only where runs are compared
-
     names = [gyro.name for gyro in runs[0] if all(any(g.name == gyro.name for g in run) for run in runs)]
     found = []
     for name in names:
         own = [next(g for g in run if g.name == name) for run in runs]
         states = np.array([g.states for g in own])
         noise = np.array([_type_a(g) for g in own])
-        weight = 1 / noise**2
-        mean = (weight * states).sum(axis=0) / weight.sum(axis=0)
-        squares = (weight * (states - mean) ** 2).sum(axis=0)
-        excess = squares - (len(own) - 1)
-        spread = weight.sum(axis=0) - (weight**2).sum(axis=0) / weight.sum(axis=0)
+        squares, spread = _moments(states, noise)
         found.append(
             Repeatability(
                 name,
@@ -56,11 +50,35 @@ def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatabili
                 states.mean(axis=0),
                 states.std(axis=0, ddof=1),
                 np.sqrt((noise**2).mean(axis=0)),
-                np.sqrt(np.maximum(excess, 0.0) / spread),
-                np.asarray(chi2.sf(squares, len(own) - 1) < _BY_CHANCE),
+                np.sqrt(np.maximum(squares - (len(own) - 1), 0.0) / spread),
+                _beyond_chance(squares, len(own) - 1),
             )
         )
     return found
+
+
+def between_runs(states: Floats, sd: Floats) -> Floats:
+    """Return the standard deviation (4,) of what is between runs of a device, from those of its gyros (runs, n, 4).
+
+    Zero where chance would give as much.
+    """
+    dof = states.shape[1] * (len(states) - 1)
+    squares, spread = np.sum(_moments(states, sd), axis=1)
+    return np.where(_beyond_chance(squares, dof), np.sqrt(np.maximum(squares - dof, 0.0) / spread), 0.0)
+
+
+def _moments(states: Floats, sd: Floats) -> tuple[Floats, Floats]:
+    """Return squares of states (runs, ...) about their weighted mean over runs, and the spread of the weights."""
+    weight = 1 / sd**2
+    whole = weight.sum(axis=0)
+    mean = (weight * states).sum(axis=0) / whole
+    return (weight * (states - mean) ** 2).sum(axis=0), whole - (weight**2).sum(axis=0) / whole
+
+
+def _beyond_chance(squares: Floats, dof: int) -> NDArray[np.bool_]:
+    from scipy.stats import chi2  # 0.8 s of import: only where runs are compared
+
+    return np.asarray(chi2.sf(squares, dof) < _BY_CHANCE)
 
 
 def _type_a(gyro: GyroCalibration) -> Floats:

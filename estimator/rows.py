@@ -14,6 +14,7 @@ from estimator.reference import (
     GAP_NS,
     AttitudeReadings,
     BodyRates,
+    Poses,
     RateReadings,
     TableReadings,
     Turns,
@@ -56,6 +57,7 @@ def observations(recording: Recording, source: str) -> Iterator[Observations]:
 
 
 def rows_of(recording: Recording, data: ImuData) -> Iterator[Observations]:
+    """Yield the same; none between poses, where no rate is known (``poses``)."""
     reference = recording.reference
     if isinstance(reference, TableReadings):
         yield from table_rows(recording, data)
@@ -63,8 +65,8 @@ def rows_of(recording: Recording, data: ImuData) -> Iterator[Observations]:
         yield from _rate_rows(reference, data)
     elif isinstance(reference, AttitudeReadings):
         yield from _means(data, rates_from_attitude(reference), MEAN_S)
-    else:
-        yield _segments(data, reference)
+    elif isinstance(reference, Turns):
+        yield turn_rows(data, reference)[0]
 
 
 def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
@@ -77,7 +79,7 @@ def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
 
 def _sampled(data: ImuData, first_ns: int, last_ns: int, at: Callable[[Stamps], Floats]) -> Iterator[Observations]:
     """Yield rows of the samples between two instants at which the body rate is a number."""
-    t_ns, rate = _in_order(data)
+    t_ns, rate = in_order(data)
     start, stop = np.searchsorted(t_ns, first_ns, side="left"), np.searchsorted(t_ns, last_ns, side="right")
     t_ns, rate = t_ns[start:stop], rate[start:stop]
     # Parts of whole blocks, so that a replay is cut as the live run was.
@@ -151,7 +153,7 @@ def row_length_s(recording: Recording, data: ImuData) -> float:
 def sample_noise(data: ImuData) -> Floats:
     """Return the white noise of one sample of each channel (m,), from differences of neighbours."""
     # Median of |N(0, 2 s^2)| is 0.954 s; the quantum is the floor for data rounded so that most do not differ.
-    rate = _in_order(data)[1]
+    rate = in_order(data)[1]
     quantum = _quantum(rate)
     floor = np.where(np.isfinite(quantum), quantum, 1e-9) / np.sqrt(12)
     return np.asarray(np.maximum(np.median(np.abs(np.diff(rate, axis=0)), axis=0) / 0.954, floor))
@@ -164,7 +166,7 @@ def _quantum(rate_rps: Floats) -> Floats:
     return np.array([float(column[column > 1e-9].min(initial=np.inf)) for column in steps.T])
 
 
-def _in_order(data: ImuData) -> tuple[Stamps, Floats]:
+def in_order(data: ImuData) -> tuple[Stamps, Floats]:
     t_ns, rate = data.t_ns, data.rate_rps
     finite = np.isfinite(rate).all(axis=1)
     if not finite.all():
@@ -177,7 +179,7 @@ def _in_order(data: ImuData) -> tuple[Stamps, Floats]:
 
 def _means(data: ImuData, reference: RateReadings, length_s: float) -> Iterator[Observations]:
     """Yield means of both sides over blocks: a reference that is too noisy to compare by sample."""
-    t_ns, rate = _in_order(data)
+    t_ns, rate = in_order(data)
     w = _between(reference, t_ns)
     rows = block_rows(data, length_s)
     inside = (t_ns >= reference.t_ns[0]) & (t_ns <= reference.t_ns[-1])
@@ -192,19 +194,22 @@ def _means(data: ImuData, reference: RateReadings, length_s: float) -> Iterator[
     yield Observations(w_mean[whole], y_mean[whole], None, t_mean[whole])
 
 
-def _segments(data: ImuData, turns: Turns) -> Observations:
-    """Return one row a segment: mean rate from the angle turned, mean output, weight from the doubt of both.
+def turn_rows(data: ImuData, turns: Turns) -> tuple[Observations, list[int]]:
+    """Return one row a turn: mean rate from its angle, mean output, weight from the doubt of both; and which have one.
 
-    The mean is over time, not over samples: foreign samples may be unevenly spaced.
+    The mean is over time, not over samples: foreign samples may be unevenly spaced. A weight of 1 is the noise of a
+    sample (``sample_noise``, that of the worst channel).
     """
-    t_ns, rate = _in_order(data)
+    t_ns, rate = in_order(data)
     white, quantum = float(sample_noise(data).max()), _quantum(rate)
-    w, y, weight = [], [], []
-    for start, end, turn, sd in zip(turns.t_start_ns, turns.t_end_ns, turns.turn_rad, turns.sd_rad, strict=True):
+    w, y, weight, which = [], [], [], list[int]()
+    limits = zip(turns.t_start_ns, turns.t_end_ns, turns.turn_rad, turns.sd_rad, strict=True)
+    for number, (start, end, turn, sd) in enumerate(limits):
         inside = (t_ns >= start) & (t_ns <= end)
         n = int(inside.sum())
         if n < 2:
             continue
+        which.append(number)
         t_s, part = (t_ns[inside] - start) * 1e-9, rate[inside]
         length_s = float(t_s[-1] - t_s[0])
         w.append(turn / length_s)
@@ -214,8 +219,8 @@ def _segments(data: ImuData, turns: Turns) -> Observations:
         # Noise of one sample relative to the noise of this mean.
         weight.append(white / np.sqrt(white**2 / n + (sd / length_s) ** 2 + float(stuck.max()) ** 2))
     if not w:
-        return Observations(np.empty((0, 3)), np.empty((0, len(data.array))), np.empty(0))
-    return Observations(np.array(w), np.array(y), np.array(weight))
+        return Observations(np.empty((0, 3)), np.empty((0, len(data.array))), np.empty(0)), which
+    return Observations(np.array(w), np.array(y), np.array(weight)), which
 
 
 def gram_of(recording: Recording, source: str, data: ImuData) -> Gram:
@@ -228,7 +233,7 @@ def gram_of(recording: Recording, source: str, data: ImuData) -> Gram:
             f"{recording.name}: {gram.rows} of {len(recording.reference.sd_rad)} turns hold samples of {source}: "
             "four states a gyro need four turns or rests at the least"
         )
-    if not isinstance(recording.reference, Turns) and gram.rows < 8:
+    if not isinstance(recording.reference, Turns | Poses) and gram.rows < 8:
         step_s = float(np.median(np.diff(recording.reference.t_ns, prepend=0))) * 1e-9
         seldom = f", whose readings are {step_s:.3g} s apart: read it more often" if step_s > GAP_NS * 1e-9 else ""
         raise RecordingError(

@@ -5,12 +5,11 @@ angles are told within one turn, a position demand is reached on the shorter way
 a rate demand of long ago still holds when rate mode is entered. The prefix of an answer is true in its length only.
 """
 
-import math
 import re
 from collections.abc import Callable, Mapping
 
 from sims.acutrol_axis import LIMITED_MODES, AclError, AcutrolAxisTwin
-from sims.line_controller import LineController
+from sims.line_controller import LineController, number
 from sims.table import TableModel
 
 _VTRIP = 1.1
@@ -51,13 +50,13 @@ class AcutrolController(LineController):
     def _is_powered(self) -> bool:
         return any(axis.powered for axis in self._axes.values())
 
-    def _answer(self, line: str) -> None:
+    def _take(self, line: bytes) -> None:
         if not line.strip():
             return
         for axis in self._axes.values():
             axis.update()
         try:
-            text = self._carry_out(line.strip().lower())
+            text = self._carry_out(line.decode("ascii", "replace").strip().lower())
         except AclError as error:
             text = str(error)
         self._answers += 1
@@ -104,7 +103,7 @@ class AcutrolController(LineController):
         elif subsystem == "read":
             return f"{axis.read(_full(word, _WORDS['read'])):.6f}"
         else:
-            axis.demand(_full(word, _WORDS["demand"]), _number(given[-1]))
+            axis.demand(_full(word, _WORDS["demand"]), number(given[-1], AclError("Parameter error")))
         return "OK"
 
     def _limit(self, what: str, query: bool, given: list[str]) -> str:
@@ -117,7 +116,7 @@ class AcutrolController(LineController):
         mode, axis = _full(given[0], LIMITED_MODES), self._axis(given[1])
         if query:
             return f"{axis.limits[what, mode]:.6f}"
-        axis.set_limit(what, mode, _number(given[2]))
+        axis.set_limit(what, mode, number(given[2], AclError("Parameter error")))
         return "OK"
 
     def _axis(self, text: str) -> AcutrolAxisTwin:
@@ -138,13 +137,3 @@ def _full(word: str, words: Mapping[str, object] | tuple[str, ...]) -> str:
         if word and full.startswith(word):
             return full
     raise AclError("Command not recognized")
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise AclError("Parameter error") from None
-    if not math.isfinite(value):
-        raise AclError("Parameter error")
-    return value

@@ -35,12 +35,12 @@ class AerosmithController(LineController):
     def _is_powered(self) -> bool:
         return self._servo_on
 
-    def _answer(self, line: str) -> None:
+    def _take(self, line: bytes) -> None:
         self._update()
         if self._held_prompt:
             self._held_prompt = False
             self._write(b">\r\n")
-        found = _COMMAND.fullmatch(line.strip())
+        found = _COMMAND.fullmatch(line.decode("ascii", "replace").strip())
         text = self._carry_out(found[1], float(found[2] or 0.0)) if found else "?"
         if text is None:
             self._held_prompt = True

@@ -3,6 +3,7 @@
 import math
 
 from drivers import galil
+from sims.line_controller import Refused
 from sims.table import FOLLOWING_ERROR, TableModel
 
 TURN = 2 * math.pi
@@ -10,15 +11,6 @@ _LARGEST_COUNT = 2**31 - 1
 _LARGEST_RATE = 12_000_000
 _LARGEST_ACCELERATION = 67_107_840
 _MOST_TORQUE_V = 9.9982
-
-
-class Refusal(Exception):
-    """A command that the controller refuses, with its TC code."""
-
-    def __init__(self, code: int) -> None:
-        """Keep the code."""
-        super().__init__(code)
-        self.code = code
 
 
 class GalilAxisTwin:
@@ -80,15 +72,15 @@ class GalilAxisTwin:
         if word in state:
             return state[word]
         if word not in self._settings:
-            raise Refusal(galil.UNRECOGNIZED)
+            raise Refused(galil.UNRECOGNIZED)
         return self._settings[word]
 
     def set(self, word: str, value: float) -> None:
         """Take a value; a jog under way follows at once."""
         if word in ("PA", "PR", "DP") and self._moving:
-            raise Refusal(galil.NOT_WHILE_RUNNING)
+            raise Refused(galil.NOT_WHILE_RUNNING)
         if word == "JG" and self._moving and self._mode != "JG":
-            raise Refusal(galil.NOT_JOGGING)
+            raise Refused(galil.NOT_JOGGING)
         self._check_range(word, value)
         if word in ("AC", "DC"):
             value = galil.floor_acceleration(value)
@@ -114,7 +106,7 @@ class GalilAxisTwin:
                 self._brake(self._to_rad(self._settings["DC"]))
             return
         if self._moving:
-            raise Refusal(galil.NOT_WHILE_RUNNING)
+            raise Refused(galil.NOT_WHILE_RUNNING)
         if word == "MO":
             self.motor_off = True
         elif word == "SH":
@@ -127,12 +119,12 @@ class GalilAxisTwin:
     def check_begin(self) -> None:
         """Refuse to begin what cannot be begun."""
         if self.motor_off:
-            raise Refusal(galil.MOTOR_OFF)
+            raise Refused(galil.MOTOR_OFF)
         if self._moving:
-            raise Refusal(galil.RUNNING)
+            raise Refused(galil.RUNNING)
         pressed = self._table.pressed.get(self._axis, 0)
         if pressed and pressed == self._direction():
-            raise Refusal(galil.ON_LIMIT)
+            raise Refused(galil.ON_LIMIT)
 
     def begin(self) -> None:
         """Start the motion that was set up."""
@@ -232,4 +224,4 @@ class GalilAxisTwin:
             "TL": (0, _MOST_TORQUE_V),
         }.get(word, (-_LARGEST_COUNT - 1, _LARGEST_COUNT))
         if not low <= value <= high:
-            raise Refusal(galil.OUT_OF_RANGE)
+            raise Refused(galil.OUT_OF_RANGE)

@@ -4,14 +4,13 @@ It is what the manuals and public code tables say; where they are silent it does
 what a program on a real controller has to do: a DMC has none of its own.
 """
 
-import math
 import re
 from collections.abc import Callable, Mapping
 
 from drivers.galil import LONGEST_LINE, UNRECOGNIZED
 from drivers.packaged import packaged_codes, packaged_toml
-from sims.galil_axis import GalilAxisTwin, Refusal
-from sims.line_controller import LineController
+from sims.galil_axis import GalilAxisTwin
+from sims.line_controller import LineController, Refused, number
 from sims.table import TableModel
 
 _LETTERS = "ABCDEFGH"
@@ -60,24 +59,22 @@ class GalilController(LineController):
 
     def received(self, data: bytes) -> None:
         """Take bytes from the host, cut anywhere; with echo on each is said again before it is obeyed."""
-        if not self._echo:
-            super().received(data)
-            return
-        for byte in data:
-            self._write(b"\r\n" if byte == 13 else bytes([byte]))
-            super().received(bytes([byte]))
+        for part in [bytes([byte]) for byte in data] if self._echo else [data]:
+            if self._echo:
+                self._write(part.replace(b"\r", b"\r\n"))
+            super().received(part)
 
     def _is_powered(self) -> bool:
         return any(not axis.motor_off for axis in self._axes.values())
 
-    def _answer(self, line: str) -> None:
+    def _take(self, line: bytes) -> None:
         for axis in self._axes.values():
             axis.update()
         try:
             if self._too_long:
-                raise Refusal(5)
-            text = self._command(line.strip(" "))
-        except Refusal as refusal:
+                raise Refused(5)
+            text = self._command(line.decode("ascii", "replace").strip(" "))
+        except Refused as refusal:
             self._error = refusal.code
             self._write(b"?")
             return
@@ -90,7 +87,7 @@ class GalilController(LineController):
             return self._revision
         match = _COMMAND.fullmatch(command)
         if match is None:
-            raise Refusal(UNRECOGNIZED)
+            raise Refused(UNRECOGNIZED)
         word, operand = match[1], match[2].strip()
         if word == "MG":
             return self._message(operand)
@@ -128,7 +125,7 @@ class GalilController(LineController):
             for axis in self._each(operand):
                 axis.act(word)
         else:
-            raise Refusal(UNRECOGNIZED)
+            raise Refused(UNRECOGNIZED)
         return ""
 
     def _setting(self, word: str, operand: str) -> str:
@@ -139,22 +136,22 @@ class GalilController(LineController):
         else:
             values = operand.split(",")
             if len(values) > len(_LETTERS):
-                raise Refusal(4)
+                raise Refused(4)
             given = {self._axis(_LETTERS[i]): value for i, value in enumerate(values) if value.strip()}
         if given and all(value.strip() == "?" for value in given.values()):
             return ",".join(self._number(axis.get(word), word) for axis in given)
         for axis, value in given.items():
-            axis.set(word, _parsed(value))
+            axis.set(word, number(value, Refused(4)))
         return ""
 
     def _own_setting(self, word: str, operand: str) -> str:
         """Set or tell what the controller has once, not for each axis."""
         own, values = self._own[word], [value.strip() for value in operand.split(",")]
         if len(values) > len(own):
-            raise Refusal(4)
+            raise Refused(4)
         for i, value in enumerate(values):
             if value not in ("", "?"):
-                own[i] = _parsed(value)
+                own[i] = number(value, Refused(4))
         return ",".join(f"{own[i]: g}" for i, value in enumerate(values) if value == "?")
 
     def _message(self, operand: str) -> str:
@@ -170,9 +167,9 @@ class GalilController(LineController):
                 name = part.strip()
                 parts.append(f"{self._axis(name[3:]).get(name[1:3]): .{decimals}f}")
             else:
-                parts.append(f"{_parsed(part): .{decimals}f}")
+                parts.append(f"{number(part, Refused(4)): .{decimals}f}")
         if not parts:
-            raise Refusal(4)
+            raise Refused(4)
         return "".join(parts)
 
     def _each(self, letters: str) -> list[GalilAxisTwin]:
@@ -181,7 +178,7 @@ class GalilController(LineController):
     def _axis(self, letter: str) -> GalilAxisTwin:
         axis = self._axes.get(letter.translate(_SYNONYMS))
         if axis is None:
-            raise Refusal(UNRECOGNIZED)
+            raise Refused(UNRECOGNIZED)
         return axis
 
     def _number(self, value: float, word: str) -> str:
@@ -196,13 +193,3 @@ class GalilController(LineController):
         for axis in self._axes.values():
             axis.update()
             axis.power_down()
-
-
-def _parsed(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise Refusal(4) from None
-    if not math.isfinite(value):
-        raise Refusal(4)
-    return value

@@ -55,5 +55,14 @@ def along(p: Sequence[Sequence[float]]) -> Mounting:
 
 
 def upright(t_s: Floats) -> Floats:
-    """Return the unit vector up in the axes of a device that stands upright, (n, 3), at instants (n,)."""
+    """Return the direction up (n, 3) of a device that stands with its third axis up."""
     return np.tile([0.0, 0.0, 1.0], (len(t_s), 1))
+
+
+def tilt_deg(up: Floats) -> Floats:
+    """Return roll, pitch, yaw (n, 3), from east, north, up to the axes in which ``up`` (n, 3) is given.
+
+    There is no magnetic heading, so yaw is 0.
+    """
+    roll, pitch = np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1.0, 1.0))
+    return np.asarray(np.degrees(np.column_stack([roll, pitch, np.zeros(len(up))])))

@@ -17,14 +17,15 @@ from pymodbus.framer import FramerRTU
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
-from pymodbus.transport import ModbusProtocol
 
 from drivers.modbus_line import Address, SerialPort
 from drivers.modbus_order import READ, WRITE_MORE, WRITE_ONE
 from drivers.registers import DriveProfile, Register
 from sims.drive import Drive
 from sims.faults import Line, Silence, WireFaults, damaged
+from sims.line_controller import Refused
 from sims.table import TableModel
+from sims.wires import ByteDevice, Write
 
 _BROADCAST = 0
 _MOST_READ, _MOST_WRITTEN = 125, 123  # registers a request
@@ -69,14 +70,6 @@ def pull_plug(server: ModbusTcpServer | ModbusSerialServer) -> None:
     server.close()
 
 
-class _Refused(Exception):
-    """A request that gets an exception reply."""
-
-    def __init__(self, code: ExcCodes) -> None:
-        super().__init__(code)
-        self.code = code
-
-
 class DriveRegisters:
     """Translates Modbus requests into reads and writes of one drive."""
 
@@ -91,7 +84,7 @@ class DriveRegisters:
         self._drive.heard()
         try:
             return pdu[:1] + self._carry_out(pdu[0], pdu[1:])
-        except _Refused as refusal:
+        except Refused as refusal:
             return _exception(pdu, refusal.code)
         except ValueError:  # what the drive has to say fits no register
             return _exception(pdu, ExcCodes.DEVICE_FAILURE)
@@ -101,7 +94,7 @@ class DriveRegisters:
         if function == READ:
             address, count = _unpacked(">HH", data)
             if not 1 <= count <= _MOST_READ:
-                raise _Refused(ExcCodes.ILLEGAL_VALUE)
+                raise Refused(ExcCodes.ILLEGAL_VALUE)
             registers = self._at(address, count)
             words = [word for r in registers for word in r.encode(self._drive.read(r.name), self._counts)]
             return bytes([2 * count]) + struct.pack(f">{count}H", *words)
@@ -111,10 +104,10 @@ class DriveRegisters:
         elif function == WRITE_MORE:
             address, count, size = _unpacked(">HHB", data[:5])
             if not 1 <= count <= _MOST_WRITTEN or size != 2 * count:
-                raise _Refused(ExcCodes.ILLEGAL_VALUE)
+                raise Refused(ExcCodes.ILLEGAL_VALUE)
             self._write(address, _unpacked(f">{count}H", data[5:]))
         else:
-            raise _Refused(ExcCodes.ILLEGAL_FUNCTION)
+            raise Refused(ExcCodes.ILLEGAL_FUNCTION)
         return data[:4]
 
     def _write(self, address: int, words: Sequence[int]) -> None:
@@ -122,9 +115,9 @@ class DriveRegisters:
             value = register.decode(words[: register.words], self._counts)
             words = words[register.words :]
             if not self._drive.commanded_by_us(register.name):
-                raise _Refused(ExcCodes.DEVICE_FAILURE)
+                raise Refused(ExcCodes.DEVICE_FAILURE)
             if not self._drive.accepts(register.name, value):
-                raise _Refused(ExcCodes.ILLEGAL_VALUE)
+                raise Refused(ExcCodes.ILLEGAL_VALUE)
             self._drive.write(register.name, value)
 
     def _at(self, address: int, count: int) -> list[Register]:
@@ -133,42 +126,27 @@ class DriveRegisters:
         while count:
             register = self._by_address.get(address)
             if register is None or register.words > count:
-                raise _Refused(ExcCodes.ILLEGAL_ADDRESS)
+                raise Refused(ExcCodes.ILLEGAL_ADDRESS)
             found.append(register)
             address, count = address + register.words, count - register.words
         return found
 
 
-class _Connection(ServerRequestHandler):
-    """One master's connection: the transport is the stock server's, frames and answers are ours."""
+class ModbusTcp:
+    """Drives by unit id behind a gateway on TCP; what a unit that is not there is asked it refuses (exception 0Bh)."""
 
-    def __init__(self, server: Any, drives: Mapping[int, DriveRegisters]) -> None:
-        super().__init__(server, server.trace_packet, None, server.trace_connect)  # type: ignore[no-untyped-call]
-        self._drives = drives
+    def __init__(self, drives: Mapping[int, DriveRegisters], write: Write) -> None:
+        """Begin with no request."""
+        self._drives, self._write = drives, write
         self._buffer = b""
 
-    def data_received(self, data: bytes) -> None:
-        self._buffer += self.trace_packet(False, data)
-        self._hear()
-
-    def _hear(self) -> None:
-        """Serve what is complete."""
-        raise NotImplementedError
-
-    def _say(self, frame: bytes) -> None:
-        if frame := self.trace_packet(True, frame):
-            self.send(frame)
-
-
-class _TcpConnection(_Connection):
-    """Requests follow each other; what a unit that is not there is asked, a gateway refuses (exception 0Bh)."""
-
-    def _hear(self) -> None:
+    def received(self, data: bytes) -> None:
+        """Answer each request in turn; ConnectionError when nobody can tell where the next one begins."""
+        self._buffer += data
         while len(self._buffer) >= _HEADER.size:
             number, protocol, length = _HEADER.unpack_from(self._buffer)
             if length not in _LENGTHS:
-                self.close()  # no telling where the next request begins
-                return
+                raise ConnectionError
             end = _HEADER.size + length
             if len(self._buffer) < end:
                 return
@@ -177,30 +155,33 @@ class _TcpConnection(_Connection):
                 continue  # discarded, says the implementation guide (4.4.2.1)
             drive = self._drives.get(unit)
             reply = drive.answer(pdu) if drive else _exception(pdu, ExcCodes.GATEWAY_NO_RESPONSE)
-            self._say(_HEADER.pack(number, 0, len(reply) + 1) + bytes([unit]) + reply)
+            self._write(_HEADER.pack(number, 0, len(reply) + 1) + bytes([unit]) + reply)
 
 
-class _RtuConnection(_Connection):
-    """A frame ends with 3.5 characters of silence; one that is whole by its length is answered at once.
+class ModbusRtu:
+    """Drives by unit id on a serial line; those that are not there are silent, a broadcast is answered by none.
 
-    Units that are not there are silent; a broadcast is carried out by all and answered by none (2.1, 2.5.1).
+    A frame ends with 3.5 characters of silence; one that is whole by its length is answered at once.
     """
 
-    def __init__(self, server: Any, drives: Mapping[int, DriveRegisters], silence_s: float) -> None:
-        super().__init__(server, drives)
-        self._silence_s = silence_s
+    def __init__(self, drives: Mapping[int, DriveRegisters], silence_s: float, write: Write) -> None:
+        """Must be made within a running loop."""
+        self._drives, self._write, self._silence_s = drives, write, silence_s
+        self._buffer = b""
+        self._loop = asyncio.get_running_loop()
         self._silence: asyncio.TimerHandle | None = None
 
-    def _hear(self) -> None:
+    def received(self, data: bytes) -> None:
+        """Take bytes from the master."""
         if self._silence is not None:
             self._silence.cancel()
-        self._buffer = self._buffer[-_LONGEST_FRAME - 1 :]
+        self._buffer = (self._buffer + data)[-_LONGEST_FRAME - 1 :]
         function = self._buffer[1] if len(self._buffer) > 1 else 0
         more = self._buffer[6] + 1 if function == WRITE_MORE and len(self._buffer) > 6 else 0
         if len(self._buffer) == 8 + more and function in (READ, WRITE_ONE, WRITE_MORE) and _is_sound(self._buffer):
             self._serve()
         else:
-            self._silence = self.loop.call_later(self._silence_s, self._serve)
+            self._silence = self._loop.call_later(self._silence_s, self._serve)
 
     def _serve(self) -> None:
         frame, self._buffer = self._buffer, b""
@@ -212,7 +193,35 @@ class _RtuConnection(_Connection):
                 drive.answer(pdu)
         elif unit in self._drives:
             reply = frame[:1] + self._drives[unit].answer(pdu)
-            self._say(reply + FramerRTU.compute_CRC(reply).to_bytes(2))
+            self._write(reply + FramerRTU.compute_CRC(reply).to_bytes(2))
+
+
+class _Connection(ServerRequestHandler):
+    """One master's connection to a stock server, whose transport it keeps."""
+
+    def __init__(self, server: Any, make: Callable[[Write], ByteDevice]) -> None:
+        super().__init__(server, server.trace_packet, None, server.trace_connect)  # type: ignore[no-untyped-call]
+        self._device = make(self._say)
+
+    def data_received(self, data: bytes) -> None:
+        try:
+            self._device.received(self.trace_packet(False, data))
+        except ConnectionError:
+            self.close()
+
+    def _say(self, frame: bytes) -> None:
+        if frame := self.trace_packet(True, frame):
+            self.send(frame)
+
+
+def drives_by_unit(
+    table: TableModel, profile: DriveProfile, unit_ids: Mapping[str, int], watchdog_s: float
+) -> dict[int, DriveRegisters]:
+    """Return a drive for each axis, by its unit id."""
+    return {
+        unit_id: DriveRegisters(Drive(table, axis, profile, watchdog_s), profile, table.data[axis].counts_per_turn)
+        for axis, unit_id in unit_ids.items()
+    }
 
 
 def modbus_server(
@@ -224,17 +233,13 @@ def modbus_server(
     faults: FaultyModbus | None = None,
 ) -> ModbusTcpServer | ModbusSerialServer:
     """Return a server, not yet listening, with one unit id an axis; at a host and port, or on a serial line."""
-    drives = {
-        unit_id: DriveRegisters(Drive(table, axis, profile, watchdog_s), profile, table.data[axis].counts_per_turn)
-        for axis, unit_id in unit_ids.items()
-    }
+    drives = drives_by_unit(table, profile, unit_ids, watchdog_s)
     trace = None if faults is None else faults.trace
     nobody = [SimDevice(1, simdata=[SimData(0, datatype=DataType.REGISTERS)])]  # the stock server wants to be given one
     server: ModbusTcpServer | ModbusSerialServer
-    welcome: Callable[[], ModbusProtocol]
     if not isinstance(address, SerialPort):
         server = ModbusTcpServer(nobody, address=address, trace_packet=trace)
-        welcome = partial(_TcpConnection, server, drives)
+        make: Callable[[Write], ByteDevice] = partial(ModbusTcp, drives)
     else:
         server = ModbusSerialServer(
             nobody,
@@ -244,14 +249,14 @@ def modbus_server(
             parity=address.parity,
             stopbits=address.stop_bits,
         )
-        welcome = partial(_RtuConnection, server, drives, address.silence_s)
-    server.callback_new_connection = welcome  # type: ignore[method-assign]
+        make = partial(ModbusRtu, drives, address.silence_s)
+    server.callback_new_connection = partial(_Connection, server, make)  # type: ignore[method-assign]
     if faults is not None:
         faults.server = server
     return server
 
 
-def _exception(pdu: bytes, code: ExcCodes) -> bytes:
+def _exception(pdu: bytes, code: int) -> bytes:
     return bytes((pdu[0] | 0x80, code))
 
 
@@ -260,7 +265,7 @@ def _unpacked(layout: str, data: bytes) -> tuple[int, ...]:
     try:
         return struct.unpack(layout, data)
     except struct.error:
-        raise _Refused(ExcCodes.ILLEGAL_VALUE) from None
+        raise Refused(ExcCodes.ILLEGAL_VALUE) from None
 
 
 def _is_sound(frame: bytes) -> bool:

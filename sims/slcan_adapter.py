@@ -10,16 +10,19 @@ from collections.abc import Callable
 import can
 from can.util import CAN_FD_DLC, len2dlc
 
+from sims.line_controller import LineDevice
+
 CR, BELL = b"\r", b"\a"
 
-_LONGEST = 10 + 2 * 64
 _FIFO = 64
 _STAMP_WRAP_MS = 60_000
 _FRAMES = "tTrRdDbB"
 
 
-class SlcanAdapter:
+class SlcanAdapter(LineDevice):
     """Bridges a byte stream to a bus: frames of the host go to ``on_message``, frames of the bus come by ``send``."""
+
+    longest = 10 + 2 * 64
 
     def __init__(
         self,
@@ -31,10 +34,9 @@ class SlcanAdapter:
         serial: str = "A123",
     ) -> None:
         """``clock`` in s stamps the frames once the host asks for stamps; without one they carry 0."""
-        self._write, self._on_message, self._clock = write, on_message, clock
+        super().__init__(write)
+        self._on_message, self._clock = on_message, clock
         self._version, self._serial = version, serial
-        self._line = bytearray()
-        self._too_long = False
         self.is_open = self._listens_only = self._stamps = False
         self._sends_itself = True
         self._waiting: deque[bytes] = deque()
@@ -44,18 +46,8 @@ class SlcanAdapter:
         """Raise bits of the status that F tells once: 1, 2 queues full, 4 warning, 8 overrun, 32 passive, 128 error."""
         self._flags |= bits
 
-    def received(self, data: bytes) -> None:
-        """Take bytes from the host, cut anywhere."""
-        for byte in data:
-            if byte != CR[0]:
-                self._too_long |= len(self._line) >= _LONGEST
-                if not self._too_long:
-                    self._line.append(byte)
-                continue
-            line, too_long = bytes(self._line), self._too_long
-            self._line.clear()
-            self._too_long = False
-            self._write(BELL if too_long else self._obey(line))
+    def _take(self, line: bytes) -> None:
+        self._write(BELL if self._too_long else self._obey(line))
 
     def send(self, msg: can.Message) -> None:
         """Take a frame from the bus, as a python-can bus would send it; nobody hears it while the channel is closed."""

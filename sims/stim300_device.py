@@ -13,20 +13,22 @@ from drivers.stim300_utility import UtilityMessage, encode_message
 from sims.burst import burst_of, copies_sent
 from sims.geometry import upright
 from sims.gyro import GyroArray
+from sims.line_controller import LineDevice, Refused
 from sims.stim300_output import GyroOutput
-from sims.stim300_settings import Refused, Settings, banner, service_lines, utility_reply
+from sims.stim300_settings import SERVICE_ERRORS, Settings, banner, service_lines, utility_reply
 
 _START_UP_TICKS = stim300.INTERNAL_RATE_HZ // 2
-_LONGEST_LINE = 200
 _LONGEST_LATENCY_US = 65_535
 _GYRO_OVERLOAD_BIT = 101  # of x in the extended error register
 
 
-class Stim300Device:
+class Stim300Device(LineDevice):
     """Sends datagrams in bursts of about 10 ms, as an operating system hands them over.
 
     Fault knobs are plain attributes, to be set at any time.
     """
+
+    longest = 200
 
     def __init__(
         self,
@@ -62,14 +64,14 @@ class Stim300Device:
             serial,
             part_number,
         )
-        self._write, self._base_hz = write, rate_hz
+        super().__init__(write)
+        self._base_hz = rate_hz
         self._temperature_c = gyros.temperature_c
         self._force_g = specific_force_g or upright
         self._output = GyroOutput(gyros.sample, rate_hz)
         self._period_s = 1 / (rate_hz * (1 + clock_ppm * 1e-6))
         self._random = np.random.default_rng(seed)
         self._mode = "normal"
-        self._typed = b""
         self._answers: list[bytes] = []
         self._replaced = 0  # normal datagrams that answers still stand in for
         self._ticks = self._start_up_until = 0
@@ -97,18 +99,13 @@ class Stim300Device:
         names = (PartNumber(own.part_number, own.revision), SerialNumber(own.serial), own.configuration())
         self._answers = [self._special(value) for value in names]
 
-    def received(self, data: bytes) -> None:
-        """Take bytes from the host, cut anywhere."""
-        self._typed += data
-        while b"\r" in self._typed:
-            line, _, self._typed = self._typed.partition(b"\r")
-            if self._mode == "normal":
-                self._command(line + b"\r")
-            elif self._mode == "utility":
-                self._utility(line)
-            else:
-                self._service(line)
-        self._typed = self._typed[-_LONGEST_LINE:]
+    def _take(self, line: bytes) -> None:
+        if self._mode == "normal":
+            self._command(line + b"\r")
+        elif self._mode == "utility":
+            self._utility(line)
+        else:
+            self._service(line)
 
     async def serve(self) -> None:
         """Send until cancelled."""
@@ -223,7 +220,7 @@ class Stim300Device:
             command = line.decode("latin-1").strip()
             lines = service_lines(self.settings, command, self._readings()) if command else []
         except Refused as refusal:
-            lines = [str(refusal)]
+            lines = [SERVICE_ERRORS[refusal.code]]
         if lines and lines[0].startswith("SYSTEM RETURNING"):
             self._write(lines[0].encode("ascii") + b"\r")
             self._mode = "normal"

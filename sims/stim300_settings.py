@@ -8,22 +8,20 @@ from drivers.packaged import packaged_codes, packaged_toml
 from drivers.stim300 import DATAGRAM_CODES, LAYOUTS
 from drivers.stim300_special import BIT_RATES, RATES_HZ, Configuration
 from drivers.stim300_utility import UtilityMessage, parse_message
+from sims.line_controller import Refused
 
 _KNOWN = packaged_toml("sims", "codes.toml")["stim300"]
 _FILTERS_HZ = packaged_codes("sims", "stim300", "filter")
 _PARITIES = ("n", "e", "o")
-_ERRORS = packaged_codes("sims", "stim300", "service")
+_CODES = {
+    "gyro_unit": ("0", "1", "2", "3", "8", "9", "10", "11"),
+    "gyro_filter": [*map(str, _FILTERS_HZ)],
+    "terminated": ("0", "1"),
+}
+SERVICE_ERRORS = packaged_codes("sims", "stim300", "service")
 _UNIT_NAMES = {0: "ANGULAR RATE", 1: "INCREMENTAL ANGLE", 2: "AVERAGE ANGULAR RATE", 3: "INTEGRATED ANGLE"}
 _BITS_A_BYTE = 10
 _MARGIN = 1.1
-
-
-class Refused(Exception):
-    """A command that cannot be obeyed: its error in service mode."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(_ERRORS[code])
-        self.code = code
 
 
 @dataclass(slots=True)
@@ -44,7 +42,7 @@ class Settings:
     saves_left: int = 9958
     stop_bits: int = 1
     parity: str = "n"
-    terminated: bool = False
+    terminated: int = 0
     gyro_filter: int = 4
 
     def configuration(self) -> Configuration:
@@ -105,22 +103,14 @@ class Settings:
         self._fit(self.rate_hz, identifier)
         self.identifier, self.line_termination = identifier, terminated
 
-    def set_gyro_unit(self, code: str) -> None:
-        """Set what the gyros put out."""
-        self.gyro_unit = int(_one_of(code, ("0", "1", "2", "3", "8", "9", "10", "11")))
+    def set_code(self, field: str, code: str) -> None:
+        """Set what is kept by a code of its own."""
+        setattr(self, field, int(_one_of(code, _CODES[field])))
 
-    def set_of_gyros(self, what: Callable[[str], None], cluster: str, code: str) -> None:
-        """Set something of the gyros, cluster "g", the only one that can be set."""
+    def set_of_gyros(self, field: str, cluster: str, code: str) -> None:
+        """Set something of a cluster; only that of the gyros can be set."""
         _one_of(cluster, ("g",))
-        what(code)
-
-    def set_gyro_filter(self, code: str) -> None:
-        """Set the low pass by its digit."""
-        self.gyro_filter = int(_one_of(code, tuple(map(str, _FILTERS_HZ))))
-
-    def set_termination(self, code: str) -> None:
-        """Switch the resistor between the wires of the receiver."""
-        self.terminated = _one_of(code, ("0", "1")) == "1"
+        self.set_code(field, code)
 
     def set_transmission(self, code: str, *more: str) -> None:
         """Set the bit rate, by its digit or as f and a number, then stop bits and parity if they are given."""
@@ -156,7 +146,7 @@ def utility_reply(own: Settings, line: bytes) -> UtilityMessage | None:
         "ig": (1, lambda axis: _one_of(axis.upper(), tuple("XYZ"))),
         "sm": (1, own.set_rate),
         "sd": (1, own.set_datagram),
-        "sgu": (1, own.set_gyro_unit),
+        "sgu": (1, partial(own.set_code, "gyro_unit")),
         "save": (0, own.save),
     }
     needed, act = acts.get(name, (0, lambda: None))
@@ -184,11 +174,11 @@ def service_lines(own: Settings, command: str, readings: Mapping[str, list[str]]
     given = [part.strip() for part in text.split(",")] if text else []
     setters: dict[str, tuple[Callable[..., None], int]] = {
         "d": (own.set_datagram, 2),
-        "f": (partial(own.set_of_gyros, own.set_gyro_filter), 2),
+        "f": (partial(own.set_of_gyros, "gyro_filter"), 2),
         "m": (own.set_rate, 1),
-        "r": (own.set_termination, 1),
+        "r": (partial(own.set_code, "terminated"), 1),
         "t": (own.set_transmission, max(len(given), 1)),
-        "u": (partial(own.set_of_gyros, own.set_gyro_unit), 2),
+        "u": (partial(own.set_of_gyros, "gyro_unit"), 2),
     }
     if name in setters:
         setter, count = setters[name]

@@ -3,7 +3,7 @@
 import asyncio
 import random
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -13,8 +13,9 @@ from drivers import vectornav
 from drivers.arrays import Floats, Ints
 from drivers.packaged import packaged_codes, packaged_toml
 from sims.burst import burst_of
-from sims.geometry import upright
+from sims.geometry import tilt_deg, upright
 from sims.gyro import GyroArray
+from sims.line_controller import Refused
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 128000, 230400, 460800, 921600)
@@ -36,18 +37,11 @@ _MEASURED: dict[str, int | list[int]] = _KNOWN["measured"]
 _ASYNC: dict[int, tuple[str, int]] = {int(kind): sentence for kind, sentence in _KNOWN["async"].items()}
 
 _BINARY = (75, 76, 77)
+_ONE_OF: dict[int, Sequence[int]] = {5: BAUD_RATES, 6: (0, *_ASYNC), 7: vectornav.ASCII_RATES_HZ}
 _GYRO_COMPENSATION = 84
 _MORE = packaged_codes("sims", "vectornav", "register")
 _GROUPS = {vectornav.COMMON, vectornav.TIME, vectornav.IMU, vectornav.ATTITUDE}  # a VN-100 has no others
 _CHECKSUM, _COMMAND, _TOO_FEW, _TOO_MANY, _PARAMETER, _REGISTER, _NOT_ALLOWED, _BAUD = 3, 4, 5, 6, 7, 8, 9, 12
-
-
-class _Refused(Exception):
-    """A command gets an error code for a reply."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(code)
-        self.code = code
 
 
 class VectorNavDevice:
@@ -135,7 +129,7 @@ class VectorNavDevice:
         """Return what is measured at these instants, (n, 17)."""
         rows = np.empty((len(at), len(_FORMATS)))
         up = self._up(at)
-        rows[:, _YPR] = _attitude_deg(up)
+        rows[:, _YPR] = tilt_deg(-up)[:, ::-1]  # from north, east, down
         rows[:, _MAG] = _MAG_GAUSS
         rows[:, _ACCEL] = up * STANDARD_GRAVITY_MPS2
         rows[:, _RAW_GYRO] = np.clip(self._gyros.sample(at), -self.range_rps, self.range_rps)
@@ -192,7 +186,7 @@ class VectorNavDevice:
             if command.header in ("VNASY", "VNKMD", "VNKAD"):
                 (choice,) = _exactly(1, command.fields)
                 if choice not in ("0", "1"):
-                    raise _Refused(_PARAMETER)
+                    raise Refused(_PARAMETER)
                 if command.header == "VNASY":
                     self._paused = choice == "0"
                 return command
@@ -205,8 +199,8 @@ class VectorNavDevice:
             elif command.header == "VNRST":
                 self._restart()
             elif command.header != "VNTAR":
-                raise _Refused(_COMMAND)
-        except _Refused as refusal:
+                raise Refused(_COMMAND)
+        except Refused as refusal:
             return _error(refusal.code)
         return command
 
@@ -214,7 +208,7 @@ class VectorNavDevice:
         """Return the frame of a binary output, 1 to 3, as it is now; one that is off is a wrong parameter."""
         layout = self._layouts.get(_BINARY[0] - 1 + output)
         if layout is None:
-            raise _Refused(_PARAMETER)
+            raise Refused(_PARAMETER)
         return _frames(layout, self._last[None], np.array([self._tick * _TICK_NS - self._zero_ns]))[0]
 
     def _read(self, command: vectornav.Sentence) -> vectornav.Sentence:
@@ -224,42 +218,35 @@ class VectorNavDevice:
         else:
             values = {**self._identity, **self._registers}.get(register, ())
         if not values:
-            raise _Refused(_REGISTER)
+            raise Refused(_REGISTER)
         return vectornav.Sentence("VNRRG", (f"{register:02d}", *values))
 
     def _store(self, command: vectornav.Sentence) -> vectornav.Sentence:
         if not command.fields:
-            raise _Refused(_TOO_FEW)
+            raise Refused(_TOO_FEW)
         register, values = _number(command.fields[0]), command.fields[1:]
         if register not in self._registers:
-            raise _Refused(_NOT_ALLOWED if register in self._identity or register in _COLUMNS else _REGISTER)
+            raise Refused(_NOT_ALLOWED if register in self._identity or register in _COLUMNS else _REGISTER)
         if register in _BINARY:
             if not values:
-                raise _Refused(_TOO_FEW)
+                raise Refused(_TOO_FEW)
             values = (*(str(_number(value)) for value in values[:2]), *values[2:])
             self._set_binary(register, values)
-        else:
-            self._check(register, _exactly(len(self._factory[register]), values))
+        elif not _fit(register, _exactly(len(self._factory[register]), values)):
+            raise Refused(_PARAMETER)
         before, self._registers[register] = self._registers[register], values
         if self._busy_bps() > int(self._registers[5][0]):
             self._registers[register] = before
             if register in _BINARY:
                 self._layouts[register] = _layout(before)
-            raise _Refused(_BAUD)
+            raise Refused(_BAUD)
         return vectornav.Sentence("VNWRG", (f"{register:02d}", *values))
-
-    def _check(self, register: int, values: tuple[str, ...]) -> None:
-        one_of = {5: BAUD_RATES, 6: (0, *_ASYNC), 7: vectornav.ASCII_RATES_HZ}.get(register)
-        if one_of is not None and _number(values[0]) not in one_of:
-            raise _Refused(_PARAMETER)
-        if register and not all(map(_DECIMAL.fullmatch, values)):
-            raise _Refused(_PARAMETER)
 
     def _set_binary(self, register: int, values: tuple[str, ...]) -> None:
         if len(values) < 3:
-            raise _Refused(_TOO_FEW)
+            raise Refused(_TOO_FEW)
         if not int(values[0]) <= 3:
-            raise _Refused(_PARAMETER)
+            raise Refused(_PARAMETER)
         self._layouts[register] = _layout(values)
 
     def _busy_bps(self) -> float:
@@ -275,14 +262,20 @@ def _error(code: int) -> vectornav.Sentence:
 
 def _exactly(count: int, values: tuple[str, ...]) -> tuple[str, ...]:
     if len(values) != count:
-        raise _Refused(_TOO_FEW if len(values) < count else _TOO_MANY)
+        raise Refused(_TOO_FEW if len(values) < count else _TOO_MANY)
     return values
 
 
 def _number(text: str) -> int:
     if not (text.isdecimal() and text.isascii() and len(text) < 10):
-        raise _Refused(_PARAMETER)
+        raise Refused(_PARAMETER)
     return int(text)
+
+
+def _fit(register: int, values: tuple[str, ...]) -> bool:
+    """Return whether a register takes these: 0 any text, the others numbers, some only certain ones."""
+    numbers = register == 0 or all(map(_DECIMAL.fullmatch, values))
+    return numbers and (register not in _ONE_OF or _number(values[0]) in _ONE_OF[register])
 
 
 def _layout(values: tuple[str, ...]) -> vectornav.Layout | None:
@@ -292,17 +285,17 @@ def _layout(values: tuple[str, ...]) -> vectornav.Layout | None:
         groups, fields = words[0], words[1:]
         header = bytes([0xFA, groups]) + b"".join(word.to_bytes(2, "little") for word in fields)
     except (ValueError, OverflowError):
-        raise _Refused(_PARAMETER) from None
+        raise Refused(_PARAMETER) from None
     if len(fields) != groups.bit_count():
-        raise _Refused(_TOO_FEW if len(fields) < groups.bit_count() else _TOO_MANY)
+        raise Refused(_TOO_FEW if len(fields) < groups.bit_count() else _TOO_MANY)
     if not groups:
         return None
     try:
         layout = vectornav.layout_of_header(header)
     except ValueError:
-        raise _Refused(_PARAMETER) from None
+        raise Refused(_PARAMETER) from None
     if not {group for group, _ in layout.masks} <= _GROUPS:
-        raise _Refused(_PARAMETER)
+        raise Refused(_PARAMETER)
     return layout
 
 
@@ -325,10 +318,3 @@ def _values(layout: vectornav.Layout, rows: Floats, time_ns: Ints) -> NDArray[np
 
 def _printed(row: Floats, register: int) -> tuple[str, ...]:
     return tuple(format(row[column], _FORMATS[column]) for column in _COLUMNS[register])
-
-
-def _attitude_deg(up: Floats) -> Floats:
-    """Return yaw, pitch, roll (n, 3), from north, east, down to body axes; no magnetic heading, so yaw is 0."""
-    pitch = np.arcsin(np.clip(up[:, 0], -1.0, 1.0))
-    roll = np.arctan2(-up[:, 1], -up[:, 2])
-    return np.asarray(np.degrees(np.column_stack([np.zeros(len(up)), pitch, roll])))

@@ -112,22 +112,6 @@ async def on_pty(make: Callable[[Write], ByteDevice], plug: Plug | None = None) 
         yield wire.name
 
 
-@asynccontextmanager
-async def pty_joint(plug: Plug | None = None) -> AsyncIterator[tuple[str, str]]:
-    """Join two pseudo-terminals like two serial ports by a cable; yield their names. ``plug`` is that of the second."""
-    with ExitStack() as stack:
-        ours, first = _open_pty(stack)
-        end = _PtyEnd(ours, first)
-        stack.callback(end.close)
-
-        def joined(write: Write) -> ByteDevice:
-            end.hear(write)
-            return end
-
-        async with on_pty(joined, plug) as second:
-            yield first, second
-
-
 class _Pty:
     """A pseudo-terminal that can be closed, as if unplugged, and opened again."""
 
@@ -191,8 +175,6 @@ class _PtyEnd:
         self._waiting.extend(data)
         if self._soon is None:  # what is written at one instant goes out in one piece
             self._soon = self._loop.call_soon(self._send)
-
-    received = write  # to be a device itself, which tells what it hears to whoever holds the terminal
 
     def _send(self) -> None:
         self._soon = None

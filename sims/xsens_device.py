@@ -12,6 +12,7 @@ from drivers.arrays import Flags, Floats, Ints
 from drivers.packaged import packaged_codes
 from drivers.xbus import Mid, XbusDecoder, encode
 from sims.burst import burst_of, copies_sent
+from sims.geometry import tilt_deg
 from sims.gyro import GyroArray
 
 _TICKS_PER_S = round(1 / mtdata2.SAMPLE_TIME_TICK_S)
@@ -221,7 +222,7 @@ class XsensDevice:
         made: dict[int, Callable[[], Floats | Ints]] = {
             mtdata2.RATE_OF_TURN: lambda: rate,
             mtdata2.ACCELERATION: lambda: force_g * _STANDARD_GRAVITY_MPS2,
-            mtdata2.EULER_ANGLES: lambda: _tilt_deg(force_g),
+            mtdata2.EULER_ANGLES: lambda: tilt_deg(force_g),
             mtdata2.TEMPERATURE: lambda: np.full((len(at), 1), self._gyros.temperature_c(float(at[-1]))),
             mtdata2.PACKET_COUNTER: lambda: (numbers % mtdata2.PACKET_COUNTER_MODULUS)[:, None],
             mtdata2.SAMPLE_TIME_FINE: lambda: (ticks % mtdata2.SAMPLE_TIME_MODULUS)[:, None],
@@ -229,9 +230,3 @@ class XsensDevice:
         }
         status = np.full((len(at), 1), _SELF_TEST_PASSED)  # byte and word
         return lambda kind: made[kind]() if kind in made else status
-
-
-def _tilt_deg(up: Floats) -> Floats:
-    """Return roll, pitch, yaw (n, 3) from east, north, up to body axes; no magnetic heading, so yaw is 0."""
-    roll, pitch = np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1.0, 1.0))
-    return np.asarray(np.degrees(np.column_stack([roll, pitch, np.zeros(len(up))])))

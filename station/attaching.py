@@ -17,7 +17,7 @@ from typing import Any
 from station.errors import UsageError
 from station.session_folder import socket_folders
 
-VERSION = 1
+VERSION = 2
 """Of the language on the socket."""
 _CONNECT_S = 5.0
 _STOP = b'{"do":"stop"}\n'

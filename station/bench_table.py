@@ -14,6 +14,7 @@ from station.tables import Table
 
 TWIN = "twin:"
 """The link that leads to a twin in memory."""
+_DIRECT_IDS = (0, 255)  # of a device that is at its address itself (Modbus Messaging on TCP/IP V1.0b, 4.4.1.2)
 PROTOCOLS = ("modbus", "galil", "acutrol", "aerosmith")
 
 
@@ -111,6 +112,10 @@ def read_table(table: Table, folder: Path) -> TableConfig:
         raise table.fail("fault_mask", "is the sum of the bits that mean a fault, 0 or more")
     if config.link == TWIN and (own := [axis for axis in config.axes.values() if axis.link]):
         raise table.fail("link", f"must be given, too, where an axis has a link of its own ({own[0].link})")
+    for axis in config.axes.values():
+        link = axis.link or config.link
+        if protocol == "modbus" and axis.address in _DIRECT_IDS and link != TWIN and not link.startswith("tcp:"):
+            raise table.fail(None, f"unit id {axis.address} is for a drive with a TCP address: give 1 to 247 on {link}")
     addresses = [(axis.link or config.link, axis.address) for axis in config.axes.values()]
     if len(set(addresses)) != len(addresses):
         raise table.fail(None, f"two axes have the same address at the controller: {[a for _, a in addresses]}")
@@ -176,8 +181,9 @@ def _address(table: Table, protocol: str) -> int | str:
         return table.string("letter", one_of="ABCDEFGH")
     if protocol == "aerosmith":
         return 1
-    key, most, what = ("unit_id", 247, "Modbus unit id") if protocol == "modbus" else ("number", 3, "axis number")
+    modbus = protocol == "modbus"
+    key, most, what = ("unit_id", 247, "Modbus unit id") if modbus else ("number", 3, "axis number")
     address = table.integer(key)
-    if not 1 <= address <= most:
-        raise table.fail(key, f"{address} is no {what}: give 1 to {most}")
+    if not 1 <= address <= most and not (modbus and address in _DIRECT_IDS):
+        raise table.fail(key, f"{address} is no {what}: give 1 to {most}{', on TCP also 0 or 255' if modbus else ''}")
     return address

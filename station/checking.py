@@ -114,13 +114,15 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
     check = DeviceCheck("table", bench.table.protocol, ", ".join(bench.table.links))
     loop = asyncio.get_running_loop()
     with _heard(check, _LOOK_AT_TABLE):
-        async with asyncio.timeout(_OPEN_S * time_scale):
+        async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
             await table.open()
             check.identity = await table.identify()
         for axis in bench.table.gimbals:
             status = await table.status(axis)
             if status.fault:
                 check.wrong.append(f"{status.fault}; clear its cause, then run with --reset-fault")
+            elif status.caution:
+                check.wrong.append(status.caution)
             trips = []
             for _ in range(_READINGS):
                 began = loop.time()
@@ -156,10 +158,10 @@ async def _check_imu(imu: OpenImu, time_scale: float) -> DeviceCheck:
     check = DeviceCheck(config.name, config.protocol, config.link)
     blocks: dict[str, list[ImuBlock]] = {}
     with _heard(check, _LOOK_AT_IMU):
-        async with asyncio.timeout(_OPEN_S * time_scale):
+        async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
             await source.open()
             check.identity = await source.identify()
-        blocks = await _listen(source, LISTEN_S * time_scale)
+        blocks = await _listen(source, LISTEN_S * max(time_scale, 1.0))
     if check.wrong:
         return check
     silent = [name for name in source.names if not sum(len(block.t_ns) for block in blocks.get(name, []))]

@@ -70,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         module = importlib.import_module(_MODULES.get(command, f"station.{command}_command"))
         return int(getattr(module, f"command_{command}")(arguments))
     except KeyboardInterrupt:
-        print("station: stopped by Ctrl-C before anything moved", file=sys.stderr)
+        print("station: stopped by Ctrl-C", file=sys.stderr)
         return EXIT_ABORTED
     except BrokenPipeError:
         sys.stderr.close()

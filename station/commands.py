@@ -23,7 +23,7 @@ from station.early_end import check_early_end
 from station.errors import EXIT_USAGE, UsageError
 from station.hosting import Host, introduction
 from station.lasting_streams import lasting_streams
-from station.loops import ScaledLoop, VirtualLoop
+from station.loops import ScaledLoop, VirtualLoop, run_to_end
 from station.open_bench import needs_only_memory, open_bench, serve_twins, with_links
 from station.outcome import Outcome
 from station.printing import print_calibration, print_verdict, refuse, result_object
@@ -59,7 +59,7 @@ def _run(arguments: argparse.Namespace) -> int:
             arguments.reset_fault, arguments.end_early, model, operator, serial, host is not None, scale or 1.0
         )
         with clock(bench, scale) as runner:
-            result = runner.run(drive(bench, script, path, options, arguments.json, host, arguments.bench))
+            result = run_to_end(runner, drive(bench, script, path, options, arguments.json, host, arguments.bench))
     except (UsageError, EstimatorError) as error:
         return refuse(str(error), arguments.json)
     except DeviceError as error:
@@ -187,7 +187,8 @@ async def drive(
         told = {key: getattr(options, key) for key in ("time_scale", "operator", "device_serial")}
         await host.begin(session, {**introduction(bench, bench_file, script, path, session.gyros), **told})
         result = await session.run()
-        await host.end(_run_object(result))
+        with suppress(asyncio.CancelledError):  # what was seen of the table is told whatever comes now
+            await host.end(_run_object(result))
         return result
 
 

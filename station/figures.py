@@ -5,7 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from drivers.packaged import packaged_toml
+
 UNKNOWN = "-"
+OUTCOME_STYLES = {
+    "PASS": "bold green",
+    "ESTIMATED": "bold blue",
+    "FAIL": "bold red",
+    "ABORTED": "bold yellow",
+    "FAULT": "bold red",
+}
+"""Colours of outcomes; the word always stands there too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +47,12 @@ STATE_UNITS = (
     ("sigma_k", "urad", 1e6),
 )
 """Name, unit and factor from SI of each state, for their sigmas."""
+
+
+def effect_units(purpose: str) -> dict[str, tuple[str, float]]:
+    """Return by SI unit what people read in its place, and the factor; ``purpose`` is "traced" or "planned"."""
+    units = packaged_toml("station", "units.toml")[purpose]
+    return {si: (shown, times * math.degrees(1) ** power) for si, (shown, times, power) in units.items()}
 
 
 def number(value: float | None, digits: int, *, signed: bool = False) -> str:

@@ -28,7 +28,7 @@ from station.bench import Bench
 from station.errors import UsageError
 from station.script import Script
 from station.session_folder import socket_folder
-from station.snapshot import Snapshot, json_object
+from station.snapshot import EventKind, Snapshot, json_object
 
 _log = logging.getLogger(__name__)
 
@@ -104,9 +104,9 @@ class Host:
         self._hidden.rename(self._path)  # a socket that is seen is listened to: whoever finds one deaf removes it
         self._showing = asyncio.get_running_loop().create_task(self._show())
 
-    def tell(self, t_s: float, text: str) -> None:
+    def tell(self, t_s: float, kind: EventKind, text: str) -> None:
         """Tell an event, at ``t_s`` of the loop's clock."""
-        self.events.append(_line("event", {"t_s": t_s, "text": text}))
+        self.events.append(_line("event", {"t_s": t_s, "event": kind, "text": text}))
         for client in self._clients:
             client.send_events()
 

@@ -19,7 +19,7 @@ from rich.table import Table
 from drivers.arrays import Flags, Floats
 from estimator.budget import table_budget
 from estimator.kinematics import body_rate
-from estimator.model import STATES, regressor_maps
+from estimator.model import regressor_maps
 from estimator.planning import UNSEEN, weighed
 from estimator.rows import BLOCK_S
 from station.bench import Bench
@@ -35,6 +35,7 @@ from station.rich_table import rich_table
 from station.script import Move, Rest, Rotate, Script, check
 from station.script_family import ways_of
 from station.script_search import LONGEST_S, Found, Needs, Search, sds_of
+from station.snapshot import by_state
 from station.terminal import print_rendered, stdout
 from station.whole_file import free_path
 
@@ -277,8 +278,8 @@ def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
             {
                 "device": device,
                 "name": name,
-                "required": {s: float(v) if math.isfinite(v) else None for s, v in zip(STATES, needed, strict=True)},
-                "sd": dict(zip(STATES, map(float, reached), strict=True)),
+                "required": by_state(needed),
+                "sd": by_state(reached),
             }
             for (device, name), needed, reached in zip(
                 improved.gyros, improved.wanted.sd, improved.found.sd, strict=True

@@ -14,7 +14,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from estimator.effects.constructed import readable
-from estimator.model import STATES
 from estimator.tracing.investigation import (
     Added,
     Errors,
@@ -24,28 +23,16 @@ from estimator.tracing.investigation import (
     ModelStep,
     Value,
 )
+from station.figures import effect_units
 from station.next_script import NextScript
 from station.rendering import rendered
 from station.residual_printed import residual_object, residual_tables
 from station.rich_table import rich_table
+from station.snapshot import by_state, json_object
 from station.terminal import print_rendered, stdout
 
 _DEG = 180 / math.pi
-_UNITS = {
-    "1": ("ppm", 1e6),
-    "1/K": ("ppm/degC", 1e6),
-    "1/(rad/s)": ("ppm per deg/s", 1e6 / _DEG),
-    "1/(rad/s)2": ("ppm per (deg/s)2", 1e6 / _DEG**2),
-    "rad": ("mrad", 1e3),
-    "rad/s": ("deg/s", _DEG),
-    "rad/s/K": ("deg/s/degC", _DEG),
-    "rad/s/K2": ("deg/s/degC2", _DEG),
-    "rad/s/g": ("deg/s/g", _DEG),
-    "rad/s/(K/s)": ("deg/s/(degC/min)", _DEG / 60),
-    "rad/s2": ("deg/s/h", _DEG * 3600),
-    "rad/s/rts": ("deg/h/rth", _DEG * 3600 * 60),
-}
-"""What a person reads instead of an SI unit, and its factor."""
+_UNITS = effect_units("traced")
 _COLOURS = {
     Finding.NOTHING: "bold green",
     Finding.ADDED: "bold green",
@@ -212,45 +199,47 @@ def investigation_object(
     found: Investigation, next_script: Path | None, recordings: Sequence[str], verification: Sequence[str]
 ) -> dict[str, Any]:
     """Return what --json prints: SI, shares between 0 and 1, null for what is not known."""
-    return {
-        "verdict": str(found.finding),
-        "reason": found.reason,
-        "added": [
-            {
-                "effect": added.effect,
-                "constructed": added.constructed,
-                "expression": added.expression,
-                "gyros": list(added.gyros),
-                "probability": _finite(added.probability),
-                "parameters": {name: [_finite(v.value), _finite(v.sd), v.unit] for name, v in added.parameters.items()},
-                "out_of_sample": added.out_of_sample and asdict(added.out_of_sample),
-                "same": list(added.same),
-            }
-            for added in found.added
-        ],
-        "rivals": [list(rivals) for rivals in found.rivals],
-        "unexplained": found.unexplained and asdict(found.unexplained),
-        "before": _errors(found.before),
-        "after": _errors(found.after),
-        "improvement": found.improvement and {k: _finite(v) for k, v in asdict(found.improvement).items()},
-        "in_sample": found.in_sample,
-        "next_script": None if next_script is None else str(next_script),
-        "models": [
-            {"effects": list(m.effects), "log_evidence": _finite(m.log_evidence), **_errors(m.errors)}
-            for m in found.models
-        ],
-        "gyros": {gyro.name: _gyro(gyro) for gyro in found.gyros},
-        "suspects": [
-            {"effect": s.effect, "log_evidence": _finite(s.log_evidence), "probability": _finite(s.probability)}
-            for s in found.suspects
-        ],
-        "residual": residual_object(found),
-        "left_out": dict(found.left_out),
-        "taken_back": list(found.taken_back),
-        "notes": list(found.notes),
-        "recordings": list(recordings),
-        "verification": list(verification),
-    }
+    whole: dict[str, Any] = json_object(
+        {
+            "verdict": str(found.finding),
+            "reason": found.reason,
+            "added": [
+                {
+                    "effect": added.effect,
+                    "constructed": added.constructed,
+                    "expression": added.expression,
+                    "gyros": added.gyros,
+                    "probability": added.probability,
+                    "parameters": {name: (v.value, v.sd, v.unit) for name, v in added.parameters.items()},
+                    "out_of_sample": added.out_of_sample,
+                    "same": added.same,
+                }
+                for added in found.added
+            ],
+            "rivals": found.rivals,
+            "unexplained": found.unexplained,
+            "before": found.before,
+            "after": found.after,
+            "improvement": found.improvement,
+            "in_sample": found.in_sample,
+            "next_script": None if next_script is None else str(next_script),
+            "models": [
+                {"effects": m.effects, "log_evidence": m.log_evidence, **asdict(m.errors)} for m in found.models
+            ],
+            "gyros": {gyro.name: _gyro(gyro) for gyro in found.gyros},
+            "suspects": [
+                {"effect": s.effect, "log_evidence": s.log_evidence, "probability": s.probability}
+                for s in found.suspects
+            ],
+            "residual": residual_object(found),
+            "left_out": dict(found.left_out),
+            "taken_back": found.taken_back,
+            "notes": found.notes,
+            "recordings": recordings,
+            "verification": verification,
+        }
+    )
+    return whole
 
 
 def empty_object(reason: str, recordings: Sequence[str], verification: Sequence[str]) -> dict[str, Any]:
@@ -260,27 +249,12 @@ def empty_object(reason: str, recordings: Sequence[str], verification: Sequence[
 
 def _gyro(gyro: GyroErrors) -> dict[str, Any]:
     return {
-        "before": _errors(gyro.before),
-        "after": _errors(gyro.after),
-        "states_before": _states(gyro.states_before),
-        "states_after": _states(gyro.states_after),
-        "sd_before": _states(gyro.sd_before),
-        "sd_after": _states(gyro.sd_after),
-        "moved_sigmas": _states(gyro.moved),
-        "phases": [
-            {key: _finite(value) if isinstance(value, float) else value for key, value in asdict(phase).items()}
-            for phase in gyro.phases
-        ],
+        "before": gyro.before,
+        "after": gyro.after,
+        "states_before": by_state(gyro.states_before),
+        "states_after": by_state(gyro.states_after),
+        "sd_before": by_state(gyro.sd_before),
+        "sd_after": by_state(gyro.sd_after),
+        "moved_sigmas": by_state(gyro.moved),
+        "phases": gyro.phases,
     }
-
-
-def _errors(errors: Errors) -> dict[str, float | None]:
-    return {key: _finite(value) for key, value in asdict(errors).items()}
-
-
-def _states(values: Any) -> dict[str, float | None]:
-    return dict(zip(STATES, map(_finite, values), strict=True))
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

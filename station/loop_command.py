@@ -25,6 +25,7 @@ from station.investigation_file import write_investigation
 from station.investigation_printed import exit_code_of
 from station.loop_printed import loop_object, print_loop, runs_object
 from station.loop_scripts import exploration_script, verification_script
+from station.loops import run_to_end
 from station.outcome import Outcome
 from station.progress import TracingProgress
 from station.script import Script, check, paper_script
@@ -71,7 +72,7 @@ class _Driver:
         began_s = self._now_s()
         options = RunOptions(self.arguments.reset_fault, time_scale=self.arguments.scale or 1.0)
         path = loop.folder / f"{number}-{purpose}.h5"
-        result = self._runner.run(drive(self._seeded(number), script, path, options, self.arguments.json))
+        result = run_to_end(self._runner, drive(self._seeded(number), script, path, options, self.arguments.json))
         loop.runs.append(Driven(purpose, script, result, self._now_s() - began_s))
         if result.verdict.outcome in (Outcome.ABORTED, Outcome.FAULT):
             loop.stopped = result.verdict

@@ -10,10 +10,13 @@ import asyncio
 import selectors
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from concurrent.futures import Executor
-from typing import Any
+from typing import Any, TypeVar
 
+T = TypeVar("T")
+
+_MOST_BREAKS = 100  # of a loop, after which there is no going on
 _SWITCH_S = 0.0005  # after which a thread that works lets in one that has just received something, to stamp it
 
 
@@ -89,3 +92,40 @@ class _VirtualSelector(selectors.DefaultSelector):
 def is_virtual(loop: asyncio.AbstractEventLoop) -> bool:
     """Return whether this loop's clock jumps."""
     return isinstance(loop, VirtualLoop)
+
+
+def run_to_end(runner: asyncio.Runner, work: Coroutine[Any, Any, T]) -> T:
+    """Run until ``work`` has ended by itself, whatever is raised in callbacks meanwhile.
+
+    KeyboardInterrupt and SystemExit stop a loop in the middle of everything, what else a callback raises ends in its
+    exception handler. What drives a table has to bring it to rest then: ``work`` is cancelled, with the exception as
+    the message, once, and the loop goes on. The exception is raised here only if ``work`` gives no result of its own.
+    """
+    loop = runner.get_loop()
+    task = loop.create_task(work)
+    broken: list[BaseException] = []
+
+    def cancel(error: BaseException) -> None:
+        broken.append(error)
+        if len(broken) == 1:
+            task.cancel(error)
+
+    def handle(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        if "exception" in context and context.keys() & {"handle", "transport"}:
+            cancel(context["exception"])
+        else:
+            loop.default_exception_handler(context)
+
+    loop.set_exception_handler(handle)
+    try:
+        while True:
+            try:
+                return loop.run_until_complete(task)
+            except BaseException as error:
+                if task.done() or len(broken) > _MOST_BREAKS:
+                    if broken and isinstance(error, asyncio.CancelledError):
+                        raise broken[0] from None
+                    raise
+                cancel(error)
+    finally:
+        loop.set_exception_handler(None)

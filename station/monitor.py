@@ -18,7 +18,7 @@ from station.live import LiveEstimate
 from station.open_bench import OpenBench
 from station.reopening import Reopening
 from station.sequencer import Sequencer
-from station.snapshot import AxisSnapshot, GyroSnapshot, Snapshot, SourceSnapshot
+from station.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot
 from station.table_watch import TableRow
 
 _OVER_S = 2.0  # of the host's clock: for rates and latencies
@@ -89,23 +89,24 @@ class Monitor:
         """Take it that nothing more will come: what a closed link does not say is no silence."""
         self._ended_s = asyncio.get_running_loop().time()
 
-    def brief(self, phase: str, times_s: tuple[float, float], paused: str = "") -> Snapshot:
-        """Return what a progress bar shows; ``times_s`` are those done and remaining."""
+    def brief(self, phase: Phase, times_s: tuple[float, float], sequencer: Sequencer | None) -> Snapshot:
+        """Return what a progress bar shows; ``times_s`` are those done and remaining, ``sequencer`` as for ``full``."""
         counts = [imu.source.counts(name) for imu in self._open.imus for name in imu.source.names]
         return Snapshot(
             phase,
+            sequencer.label if sequencer and phase is Phase.RUNNING else "",
             *times_s,
             samples=sum(c.samples for c in counts),
             lost=sum(c.lost for c in counts),
             nis_mean=self._live.nis_mean,
-            paused=paused,
+            paused=sequencer.paused if sequencer else "",
         )
 
-    def full(self, phase: str, times_s: tuple[float, float], sequencer: Sequencer | None) -> Snapshot:
+    def full(self, phase: Phase, times_s: tuple[float, float], sequencer: Sequencer | None) -> Snapshot:
         """Return all there is to see; ``sequencer`` is None before the script begins."""
         now_s = asyncio.get_running_loop().time() if self._ended_s is None else self._ended_s
         return replace(
-            self.brief(phase, times_s, sequencer.paused if sequencer else ""),
+            self.brief(phase, times_s, sequencer),
             nis_recent=self._live.nis_recent,
             whiteness=self._live.whiteness,
             axes=tuple(self._axis_snapshots(phase, now_s, sequencer)),
@@ -113,7 +114,7 @@ class Monitor:
             gyros=tuple(self._gyro_snapshots()),
         )
 
-    def _axis_snapshots(self, phase: str, now_s: float, sequencer: Sequencer | None) -> Iterator[AxisSnapshot]:
+    def _axis_snapshots(self, phase: Phase, now_s: float, sequencer: Sequencer | None) -> Iterator[AxisSnapshot]:
         nothing = np.full(len(self._axes), np.nan)
         angles, rates = (self._row.angle_rad, self._row.rate_rps) if self._row else (nothing, nothing)
         for axis, angle, rate in zip(self._axes, angles.tolist(), rates.tolist(), strict=True):

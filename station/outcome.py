@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -38,10 +39,11 @@ class Verdict:
     reason: str
 
 
-def judge(calibration: Calibration, limits: Limits | None) -> Verdict:
+def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str] = ()) -> Verdict:
     """Compare a calibration with the limits of its bench; the reason names every limit that is broken.
 
-    Without limits it is neither good nor bad. What speaks against its sigmas is told in any case.
+    Without limits it is neither good nor bad. What speaks against its sigmas is told in any case, ``causes``, what the
+    run itself may have done wrong, where a limit is broken.
     """
     if limits is None or not limits.stated:
         reasons = ("estimated; there are no limits to judge by", *calibration.doubts)
@@ -79,7 +81,7 @@ def judge(calibration: Calibration, limits: Limits | None) -> Verdict:
             "says which are ruled out"
         )
     if broken:
-        return Verdict(Outcome.FAIL, "; ".join([*broken, *calibration.doubts]))
+        return Verdict(Outcome.FAIL, "; ".join([*broken, *causes, *calibration.doubts]))
     good = "every state, its sigma, the innovations and the losses are within limits"
     return Verdict(Outcome.PASS, "; but ".join([good, *calibration.doubts]))
 

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from estimator.errors import EstimatorError
-from estimator.model import STATES
 from estimator.planning import EffectForecast, Forecast
 from station.bench import load_bench
 from station.errors import UsageError
@@ -23,6 +19,7 @@ from station.plan_printed import print_plan
 from station.printing import refuse
 from station.quantities import QuantityError, parse
 from station.script import Rest, Script, load_script, paper_script
+from station.snapshot import by_state, json_object
 from station.terminal import stdout
 
 
@@ -61,15 +58,15 @@ def plan_object(plan: Plan) -> dict[str, Any]:
         "duration_s": plan.script.duration_s,
         "steps": _steps(plan.script),
         "reached": bool(plan.reached.all()),
-        "required": dict(zip(STATES, map(_finite, plan.required), strict=True)),
+        "required": by_state(plan.required),
         "gyros": [
             {
                 "device": gyro.source,
                 "name": gyro.name,
-                "sd": _states(sd),
-                "sd_table": _states(table),
+                "sd": by_state(sd),
+                "sd_table": by_state(table),
                 "reached": bool(reached.all()),
-                "unseen": [_states(direction) for direction in gyro.unseen],
+                "unseen": [by_state(direction) for direction in gyro.unseen],
             }
             for gyro, sd, table, reached in zip(found.gyros, plan.sd, plan.table_sd, plan.reached, strict=True)
         ],
@@ -100,10 +97,10 @@ def _effect(forecast: EffectForecast, found: Forecast) -> dict[str, Any]:
                 "name": parameter.name,
                 "unit": parameter.unit,
                 "largest": parameter.largest,
-                "smallest": dict(zip(names, map(_finite, forecast.smallest[i]), strict=True)),
+                "smallest": dict(zip(names, json_object(forecast.smallest[i]), strict=True)),
                 "seen": bool(forecast.seen[i].all()),
                 "shift_of_largest": [
-                    {"gyro": gyro.name, **_states(shift), "sigmas": _states(sigmas)}
+                    {"gyro": gyro.name, **by_state(shift), "sigmas": by_state(sigmas)}
                     for gyro, shift, sigmas in zip(
                         found.gyros, forecast.shift[i], forecast.shift_sigmas[i], strict=True
                     )
@@ -124,11 +121,3 @@ def _steps(script: Script) -> list[dict[str, Any]]:
         }
         for step, duration_s in zip(script.steps, script.durations_s(), strict=True)
     ]
-
-
-def _states(values: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, float]:
-    return dict(zip(STATES, map(float, values), strict=True))
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -14,30 +14,13 @@ from estimator.effects.catalogue import TONE_HZ
 from estimator.effects.thermal import REFERENCE_C
 from estimator.planning import ALIKE, EffectForecast, Forecast
 from station.axis_profile import profile_lines
-from station.figures import STATE_UNITS
+from station.figures import STATE_UNITS, effect_units
 from station.investigation_printed import words
 from station.plan import WARMING_TIME_S, Plan
 from station.rich_table import rich_table
 from station.terminal import print_rendered
 
-_DEG = 180 / np.pi
-_AT_RPS = math.radians(100.0)
-_UNITS = {
-    "1": ("ppm", 1e6),
-    "1/K": ("ppm/K", 1e6),
-    "1/(rad/s)": ("ppm at 100 deg/s", 1e6 * _AT_RPS),
-    "1/(rad/s)2": ("ppm at 100 deg/s", 1e6 * _AT_RPS**2),
-    "rad": ("urad", 1e6),
-    "rad/s": ("deg/h", _DEG * 3600),
-    "rad/s/K": ("deg/h/K", _DEG * 3600),
-    "rad/s/K2": ("deg/h/K2", _DEG * 3600),
-    "rad/s/g": ("deg/h/g", _DEG * 3600),
-    "rad/s/(K/s)": ("deg/h/(K/min)", _DEG * 60),
-    "rad/s2": ("deg/h/min", _DEG * 3600 * 60),
-    "s": ("ms", 1e3),
-    "s2": ("ms2", 1e6),
-}
-"""What a person reads instead of an SI unit, and its factor."""
+_UNITS = effect_units("planned")
 _MARKED = 1.0  # shifts of the states below so many of their sigmas are not worth a word
 
 

@@ -16,23 +16,16 @@ from rich.table import Table
 
 from estimator.budget import UNSEEN
 from estimator.calibration import Calibration, GyroCalibration
-from estimator.model import STATES
 from estimator.noise import NoiseFound
 from estimator.repeatability import Repeatability
 from estimator.rests import RestNoise
 from station.errors import EXIT_USAGE
-from station.figures import STATE_FIGURES, STATE_UNITS
+from station.figures import OUTCOME_STYLES, STATE_FIGURES, STATE_UNITS
 from station.outcome import Outcome, Verdict
 from station.rich_table import rich_table
+from station.snapshot import by_state
 from station.terminal import print_rendered, stdout
 
-_COLOURS = {
-    Outcome.PASS: "bold green",
-    Outcome.ESTIMATED: "bold blue",
-    Outcome.FAIL: "bold red",
-    Outcome.ABORTED: "bold yellow",
-    Outcome.FAULT: "bold red",
-}
 _BUDGET_WORDS = {
     "noise": "noise (type A)",
     "effects": "effects of the model (type A)",
@@ -148,10 +141,7 @@ def repeatability_object(repeats: Sequence[Repeatability]) -> list[dict[str, Any
         {
             "name": gyro.name,
             "runs": gyro.runs,
-            **{
-                key: dict(zip(STATES, getattr(gyro, key).tolist(), strict=True))
-                for key in ("mean", "scatter", "expected", "between", "differs")
-            },
+            **{key: by_state(getattr(gyro, key)) for key in ("mean", "scatter", "expected", "between", "differs")},
         }
         for gyro in repeats
     ]
@@ -164,7 +154,7 @@ def _size(value: float) -> str:
 def print_verdict(verdict: Verdict, recording: Path) -> None:
     """Print how it ended, why, and where the recording is."""
     console = stdout()
-    console.print(f"[{_COLOURS[verdict.outcome]}]{verdict.outcome}[/]  {verdict.reason}", highlight=False)
+    console.print(f"[{OUTCOME_STYLES[verdict.outcome]}]{verdict.outcome}[/]  {verdict.reason}", highlight=False)
     console.print(f"recording: {recording}", highlight=False, soft_wrap=True)
 
 
@@ -195,7 +185,7 @@ def print_overview(lines: Sequence[OverviewLine], folder: str) -> None:
             escape(line.recording),
             escape(line.device),
             escape(line.script),
-            f"[{_COLOURS[outcome]}]{outcome}[/]",
+            f"[{OUTCOME_STYLES[outcome]}]{outcome}[/]",
             f"{line.seen:.2%}",
             f"{line.nis_mean:.3f}" if np.isfinite(line.nis_mean) else "",
             "" if outcome is Outcome.PASS else escape(line.verdict.reason),
@@ -217,9 +207,9 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
     gyros = [
         {
             "name": gyro.name,
-            **dict(zip(STATES, map(float, gyro.states), strict=True)),
-            "sd": dict(zip(STATES, map(float, gyro.sd), strict=True)),
-            "budget": {c.name: dict(zip(STATES, map(float, c.u), strict=True)) for c in gyro.budget},
+            **by_state(gyro.states),
+            "sd": by_state(gyro.sd),
+            "budget": {c.name: by_state(c.u) for c in gyro.budget},
             "noise": gyro.noise
             and {
                 "arw_rps_rthz": gyro.noise.mean.arw,

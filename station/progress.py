@@ -82,8 +82,8 @@ class RunProgress(Bar):
             f"{clock(snapshot.remaining_s)} left   {snapshot.samples} samples, {snapshot.lost} lost   "
             f"NIS {number(snapshot.nis_mean, 2)}"
         )
-        line = f"{snapshot.share:4.0%}  {snapshot.phase:<18} {detail}"
-        self._tell(line, snapshot.share, description=snapshot.phase, completed=snapshot.share, detail=detail)
+        line = f"{snapshot.share:4.0%}  {snapshot.doing:<18} {detail}"
+        self._tell(line, snapshot.share, description=snapshot.doing, completed=snapshot.share, detail=detail)
 
 
 class TracingProgress(Bar):

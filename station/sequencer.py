@@ -11,6 +11,7 @@ from drivers.seams import Turntable
 from station.errors import UsageError
 from station.script import Move, Rest, Rotate, Script
 from station.snapshot import AFTER_THIS_STEP, PAUSED
+from station.uncommanded import Commanded
 
 _WATCH_S = 0.05  # how often arrival is asked for, from this long before it is due
 _OVERDUE_S = 5.0
@@ -31,6 +32,7 @@ class Sequencer:
         """``on_step(label, start_ns, end_ns)`` is called after each step and pause; ``tell`` keeps what happened."""
         self._table, self._script, self._on_step, self._tell = table, script, on_step, tell
         self._target_rad: dict[str, float] = dict.fromkeys(table.limits, 0.0)
+        self._stands_since_s = dict.fromkeys(table.limits, asyncio.get_running_loop().time())
         self._durations_s = script.durations_s()
         self._index = 0
         self._step_began_s = 0.0
@@ -68,6 +70,14 @@ class Sequencer:
         self.paused = ""
         self._resumed.set()
 
+    def commanded(self, axis: str) -> Commanded:
+        """Return what an axis was told last."""
+        step, target = self._script.steps[self._index], self._target_rad[axis]
+        if isinstance(step, Rest) or axis != self.driven_axis:
+            return Commanded(target, target, 0.0, self._stands_since_s[axis])
+        start = target - self._way_rad
+        return Commanded(min(start, target), max(start, target), abs(step.rate_rps), self._step_began_s)
+
     async def going_on(self) -> None:
         """Wait for the end of a pause, if there is one."""
         if self.paused == PAUSED:
@@ -99,6 +109,8 @@ class Sequencer:
             else:
                 await self._drive(step, due_s)
             self._on_step(step.label, round(self._step_began_s * 1e9), round(loop.time() * 1e9))
+            if not isinstance(step, Rest):
+                self._stands_since_s[step.axis] = loop.time()
             if self.paused:
                 await self._hold()
 

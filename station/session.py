@@ -8,7 +8,8 @@ import importlib.metadata
 import logging
 import os
 import time
-from collections.abc import Callable, Iterator
+import traceback
+from collections.abc import Callable, Coroutine, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -19,6 +20,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import DeviceError, LinkLost
+from drivers.halting import first_look
 from drivers.seams import Identity, ImuBlock
 from estimator.calibration import Calibration
 from estimator.error_model import ErrorModel
@@ -37,18 +39,21 @@ from station.reopening import Reopening
 from station.script import Script
 from station.sequencer import Sequencer
 from station.signals import heeded_signals
-from station.snapshot import Snapshot
+from station.snapshot import EventKind, Phase, Snapshot
 from station.sources import SourceReport
 from station.table_watch import TableRow, check_axes, watch_table
+from station.uncommanded import MotionGuard
 
 _log = logging.getLogger(__name__)
 
 _FLUSH_S = 0.2  # what a killed station loses, at most, beyond what was on its way
 _FLUSH_SIMULATED_S = 2.0  # a simulated second lasts milliseconds
 _SYNC_S = 0.5
+_LATE_S = 0.03  # of the host, after which a computer may be why a run fails
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
 _STOP_LIMIT_S = 15.0
+_MOST_INTERRUPTIONS = 10  # of the way out, which is gone again after each
 _UNFINISHED = "the run did not end: the station died without closing the file"
 _NOTE = "note: "
 _TERMINAL_GONE = "the terminal is gone (SIGHUP): the run goes on"
@@ -98,27 +103,28 @@ class Session:
         options: RunOptions = RunOptions(),
         *,
         on_progress: Callable[[Callable[[], Snapshot]], None] = lambda look: None,
-        on_event: Callable[[float, str], None] | None = None,
+        on_event: Callable[[float, EventKind, str], None] | None = None,
     ) -> None:
         """Create the recording; nothing is opened yet. RecordingError if the file cannot be created.
 
-        ``on_event(t_s, text)`` is told of every event.
+        ``on_event(t_s, kind, text)`` is told of every event.
         """
         config, time_scale = bench.bench, options.time_scale
         self._model = options.model if options.model is not None and options.model.effects else None
         self._open, self._bench, self._script = bench, config, script
-        self._options, self._time_scale = options, time_scale
+        self._options, self._time_scale = options, max(time_scale, 1.0)  # below 1 devices are slow, too
         self._on_progress, self._on_event = on_progress, on_event
-        self._phase = "connecting"
+        self._phase = Phase.CONNECTING
         self._reason = ""
         self._running: asyncio.Task[None] | None = None
-        self._closed = False
+        self._verdict: Verdict | None = None
+        self._rested = self._closed = False
         self._terminal_gone = False
         self._sequencer: Sequencer | None = None
         self._last_seen_s: dict[str, float] = {}
         self._reports: dict[str, SourceReport] = {}
-        self._reopening = Reopening(self._moving, self._event, time_scale)
-        self._half_width_ns = 0
+        self._reopening = Reopening(self._moving, partial(self._event, EventKind.LINK), self._time_scale)
+        self._half_width_ns, self._late_s = 0, 0.0
         self._connected = False
         self._sync: asyncio.Future[Any] | None = None
         stated = config.table.uncertainty
@@ -135,34 +141,43 @@ class Session:
         for source in self._live.sources.values():
             source.keep_blocks()
         self._ended_early = ""
-        self._monitor = Monitor(bench, self._live, self._reopening, time_scale)
+        self._monitor = Monitor(bench, self._live, self._reopening, self._time_scale)
         self._early_end: EarlyEnd | None = None
         if options.end_early:
             configs = {name: imu.config for imu in bench.imus for name in imu.source.names}
             self._early_end = EarlyEnd(config, configs, self._live, time_scale)
 
     async def run(self) -> Result:
-        """Run to the end. Whatever happens, the table is brought to rest and the recording is closed."""
-        work = self._running = asyncio.get_running_loop().create_task(self._work())
-        if self._reason:
-            work.cancel()
-        verdict: Verdict | None = None
+        """Run to the end. Whatever is raised on the way, the table is brought to rest and the recording is closed.
+
+        What interrupts it, a KeyboardInterrupt or a cancel as well as an error, is its verdict, and what is left of the
+        way is gone then.
+        """
+        this = asyncio.current_task()
         with heeded_signals(self.stop, self._outlive if self._options.outlives_terminal else None):
-            try:
-                await work
-            except asyncio.CancelledError:
-                verdict = Verdict(Outcome.ABORTED, self._reason or "cancelled")
-            except DeviceError as error:
-                verdict = self._fault(error)
-            except BaseExceptionGroup as group:
-                verdict = self._verdict_of(group)
-            finally:
-                stop_error = await self._rest()
-            if stop_error:
-                verdict = verdict or Verdict(Outcome.FAULT, stop_error)
-                if stop_error not in verdict.reason:
-                    verdict = replace(verdict, reason=f"{verdict.reason}; {stop_error}")
-            return await self._conclude(verdict)
+            for _ in range(_MOST_INTERRUPTIONS):
+                try:
+                    return await self._go_through()
+                except BaseException as error:
+                    self._verdict = self._verdict or self._verdict_of(error)
+                    if this is not None and isinstance(error, asyncio.CancelledError):
+                        this.uncancel()
+            raise RuntimeError(f"the run could not be ended: {self._verdict}")
+
+    async def _go_through(self) -> Result:
+        """Work, bring the table to rest, conclude: from where an interruption left it."""
+        if self._running is None:
+            self._running = asyncio.get_running_loop().create_task(self._work())
+            if self._reason:
+                self._running.cancel()
+            await self._running
+        elif not self._running.done():
+            self._running.cancel()
+            await asyncio.wait({self._running}, timeout=_STOP_LIMIT_S * self._time_scale)
+        if not self._rested:
+            await self._rest()
+            self._rested = True
+        return await self._conclude()
 
     def snapshot(self) -> Snapshot:
         """Return the state of the run now, as a whole: for ten looks a second, not for each row."""
@@ -176,7 +191,7 @@ class Session:
     def stop(self, who: str = "the operator") -> None:
         """Bring the table to rest by a controlled stop and end the run, in whatever phase it is."""
         if not self._reason:
-            self._reason = f"stopped by {who} in phase {self._phase!r}"
+            self._reason = self._stopped_by(who)
         if self._running is not None:
             self._running.cancel()
 
@@ -199,18 +214,22 @@ class Session:
             raise UsageError(f"a note can have 1 to {most} bytes, this one has {size}")
         if self._closed:
             raise UsageError("the recording is closed: the note was not kept")
-        self._event(_NOTE + kept)
+        self._event(EventKind.NOTE, _NOTE + kept)
+
+    def _stopped_by(self, who: str) -> str:
+        label = self._brief().label
+        return f"stopped by {who} in {f'step {label!r}' if label else f'phase {self._phase.value!r}'}"
 
     def _script_under_way(self) -> Sequencer:
         """Return the sequencer; UsageError if there is no script under way."""
         if self._sequencer is None:
             raise UsageError("the script has not begun")
-        if self._running is None or self._running.done() or self._phase == "finishing":
+        if self._phase is not Phase.RUNNING:
             raise UsageError("the script has ended")
         return self._sequencer
 
     def _brief(self) -> Snapshot:
-        return self._monitor.brief(self._phase, self._times_s())
+        return self._monitor.brief(self._phase, self._times_s(), self._sequencer)
 
     def _times_s(self) -> tuple[float, float]:
         """Return time done and time remaining by plan."""
@@ -235,10 +254,7 @@ class Session:
         table = self._open.table
         axes = self._bench.table.gimbals
         async with asyncio.TaskGroup() as group:
-            services = [group.create_task(self._keep_flushing())]
-            await table.open()
-            self._connected = True
-            self._writer.set_attributes(_identity("table_", await table.identify()))
+            services = [self._serve(group, self._keep_flushing())]
             for imu in self._open.imus:
                 await imu.source.open()
                 identity = await imu.source.identify()
@@ -246,34 +262,57 @@ class Session:
                     self._writer.set_source(name, _identity("", identity))
                 if identity.serial and not self._options.device_serial and len(self._open.imus) == 1:
                     self._writer.set_attributes({"device_serial": identity.serial})
-                services.append(group.create_task(self._acquire(imu)))
+                services.append(self._serve(group, self._acquire(imu)))
+            await table.open()  # the last: what is not there is known before the table is touched
+            await first_look(table, take_over=self._options.reset_fault)
+            self._connected = True  # from here on it is ours to stop
+            self._writer.set_attributes(_identity("table_", await table.identify()))
             await self._first_samples()
-            services.append(group.create_task(self._watch_silence()))
+            services.append(self._serve(group, self._watch_silence()))
             if self._options.reset_fault:
                 await table.reset_fault()
-            self._phase = "enabling"
+            self._phase = Phase.ENABLING
             await table.enable()
-            self._phase = "homing"
+            self._phase = Phase.HOMING
             await table.home()
             await check_axes(table, axes)
-            sequencer = self._sequencer = Sequencer(table, self._script, self._end_step, self._event)
+            tell = partial(self._event, EventKind.SCRIPT)
+            sequencer = self._sequencer = Sequencer(table, self._script, self._end_step, tell)
+            self._phase = Phase.RUNNING
             watch = watch_table(
                 table,
                 axes,
                 self._bench.table.poll_rate_hz,
                 lambda: sequencer.driven_axis,
+                MotionGuard(table, sequencer.commanded),
                 self._take_row,
                 lambda error: self._reopening.restore(table, error),
             )
-            services.append(group.create_task(watch))
-            self._event("script begins")
+            services.append(self._serve(group, watch))
+            tell("script begins")
             if self._early_end is None:
                 await sequencer.run()
             else:
                 await self._run_until_enough(group, sequencer, self._early_end)
-            self._phase = "finishing"
+            self._phase = Phase.STOPPING
             for service in services:
                 service.cancel()
+
+    @staticmethod
+    def _serve(group: asyncio.TaskGroup, service: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        """Begin what goes on all the run; a task group takes a cancel that nobody asked for as a good end of it."""
+
+        async def serve() -> None:
+            task = asyncio.current_task()
+            try:
+                await service
+            except asyncio.CancelledError:
+                if task is not None and task.cancelling():
+                    raise
+            raise RuntimeError(f"{name} has ended by itself")
+
+        name = getattr(service, "__qualname__", "a service")
+        return group.create_task(serve())
 
     async def _run_until_enough(self, group: asyncio.TaskGroup, sequencer: Sequencer, early_end: EarlyEnd) -> None:
         """Run the script to its end, or until enough has been seen: the table is then still to be stopped."""
@@ -290,7 +329,7 @@ class Session:
             done_s, left_s = sequencer.times_s(now_s)
             where = f"after {done_s:.1f} s of {done_s + left_s:.1f} s, in step {sequencer.label!r}"
             self._ended_early = f"{where}: {enough.result()}"
-            self._event(f"ended early {where}: enough seen")
+            self._event(EventKind.SCRIPT, f"ended early {where}: enough seen")
         script.cancel()
         enough.cancel()
 
@@ -311,11 +350,11 @@ class Session:
     def _take_block(self, name: str, block: ImuBlock) -> None:
         self._last_seen_s[name] = asyncio.get_running_loop().time()
         self._monitor.take_block(name, block)
-        for key in ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter"):
-            if (values := getattr(block, key)) is not None:
-                self._writer.append(f"imu/{name}/{key}", values)
+        keys = ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter")
+        columns = {key: values for key in keys if (values := getattr(block, key)) is not None}
         if block.accel_mps2 is not None:
-            self._writer.append(f"imu/{name}/accel_mps2", self._in_body_axes(name, block.accel_mps2))
+            columns["accel_mps2"] = self._in_body_axes(name, block.accel_mps2)
+        self._writer.append_rows(f"imu/{name}", columns)
         self._live.sources[name].add(block)
 
     def _in_body_axes(self, name: str, accel_mps2: Floats) -> Floats:
@@ -324,15 +363,10 @@ class Session:
         return np.asarray(np.linalg.solve(p, accel_mps2.T).T) if p.shape == (3, 3) else accel_mps2
 
     def _take_row(self, row: TableRow) -> None:
-        self._writer.append("table/t_ns", np.array([row.t_ns], dtype=np.int64))
-        self._writer.append("table/angle_rad", row.angle_rad[None])
-        self._writer.append("table/rate_rps", row.rate_rps[None])
-        self._writer.append("table/half_width_ns", np.array([row.half_width_ns], dtype=np.int64))
+        self._writer.append_rows("table", {key: np.array([value]) for key, value in row._asdict().items()})
         self._half_width_ns = max(self._half_width_ns, row.half_width_ns)
         self._live.add_row(row)
         self._monitor.take_row(row)
-        if self._sequencer is not None and self._phase != "finishing":
-            self._phase = self._sequencer.label
         self._on_progress(self._brief)
 
     async def _first_samples(self) -> None:
@@ -369,40 +403,83 @@ class Session:
         """
         loop = asyncio.get_running_loop()
         sync_due_s = loop.time()
-        every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S * self._time_scale
+        every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S * self._options.time_scale
         while True:
+            due_s = loop.time() + every_s
             await asyncio.sleep(every_s)
+            self._late_s = max(self._late_s, (loop.time() - due_s) / self._options.time_scale)
             self._monitor.mark()
             if self._sync is not None and not self._sync.done():
                 continue  # a write now would wait for the disk, and everything for that write
             self._writer.flush()
             if not is_virtual(loop) and loop.time() >= sync_due_s:
-                sync_due_s = loop.time() + _SYNC_S * self._time_scale
+                sync_due_s = loop.time() + _SYNC_S * self._options.time_scale
                 self._sync = loop.run_in_executor(None, os.fsync, self._writer.descriptor)
 
-    async def _rest(self) -> str:
-        """Bring the table to rest; return what went wrong with that, in words."""
-        table = self._open.table
-        self._phase = "coming to rest"
+    async def _rest(self) -> None:
+        """Bring the table to rest; what goes wrong with that is part of the verdict."""
+        self._phase = Phase.STOPPING
+        if not self._connected:
+            return
+        trouble = await self._tried(self._open.table.stop())
+        if trouble:
+            self._event(EventKind.NOT_AT_REST, f"controlled stop not confirmed: {trouble}")
+            aborted = await self._tried(self._open.table.abort())  # as hard as the controller can
+            trouble = f"it did not come to rest by a controlled stop ({trouble})"
+            if aborted:
+                trouble = f"the table was not seen to come to rest ({aborted}): use the emergency stop"
+        if not trouble or not aborted:
+            off = await self._tried(self._open.table.disable())
+            trouble = trouble or (off and f"the table is at rest, but its power may be on ({off})")
+            self._event(EventKind.AT_REST, "table at rest")
+        if trouble:
+            verdict = self._verdict or Verdict(Outcome.FAULT, trouble)
+            self._verdict = replace(verdict, reason="; ".join(dict.fromkeys((verdict.reason, trouble))))
+
+    async def _tried(self, what: Coroutine[Any, Any, object]) -> str:
+        """Do what ends a motion; return in words what went wrong."""
         try:
-            if self._connected:
-                async with asyncio.timeout(_STOP_LIMIT_S * self._time_scale):
-                    await table.stop()
-                    await table.disable()
-                self._event("table at rest")
+            async with asyncio.timeout(_STOP_LIMIT_S * self._time_scale):
+                await what
         except (DeviceError, TimeoutError) as error:
-            reason = str(error) or "no answer in time"
-            self._event(f"controlled stop not confirmed: {reason}")
-            return f"the stop could not be confirmed ({reason}): the table's own watchdog must stop it"
-        finally:
-            self._monitor.end()
-            table.close()
-            for imu in self._open.imus:
-                imu.source.close()
+            return str(error) or "no answer in time"
         return ""
 
-    async def _conclude(self, verdict: Verdict | None) -> Result:
+    async def _conclude(self) -> Result:
+        if not self._closed:
+            await self._close()
+        calibration, agreement = None, float("nan")
+        verdict = self._verdict
+        if verdict is None:
+            self._phase = Phase.ESTIMATING
+            try:
+                self._live.finish()
+                # In a thread: who looks on is not to think that the session hangs.
+                about = (self._writer.path, self._live, self._model, self._bench.excluded, dict(self._reports))
+                work = partial(final_estimate, *about)
+                calibration, agreement, self._reports = await asyncio.get_running_loop().run_in_executor(None, work)
+                verdict = judge(calibration, self._bench.limits, self._causes())
+            except EstimatorError as error:
+                verdict = Verdict(Outcome.FAIL, str(error))
+        try:
+            write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
+        except RecordingError as error:
+            verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
+        reports = tuple(self._reports.values())
+        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports)
+
+    def _causes(self) -> list[str]:
+        """Return what may have made a run fail beside its gyros: samples at other instants, a late computer."""
+        late = f"this computer did not keep up: the run waited for it for up to {self._late_s * 1e3:.0f} ms"
+        found = [report.mistimed for report in self._reports.values()]
+        return [cause for cause in (*found, late if self._late_s > _LATE_S else "") if cause]
+
+    async def _close(self) -> None:
+        """Close all links, and the recording."""
+        self._monitor.end()
+        self._open.table.close()
         for imu in self._open.imus:
+            imu.source.close()
             for name, block in imu.source.flush():
                 self._take_block(name, block)
             for name in imu.source.names:
@@ -414,50 +491,39 @@ class Session:
         if self._sync is not None:
             with suppress(OSError):
                 await self._sync
-        self._closed = True
         self._writer.close()
-        calibration, agreement = None, float("nan")
-        if verdict is None:
-            self._phase = "estimating"
-            try:
-                self._live.finish()
-                # In a thread: who looks on is not to think that the session hangs.
-                about = (self._writer.path, self._live, self._model, self._bench.excluded, dict(self._reports))
-                work = partial(final_estimate, *about)
-                calibration, agreement, self._reports = await asyncio.get_running_loop().run_in_executor(None, work)
-                verdict = judge(calibration, self._bench.limits)
-            except EstimatorError as error:
-                verdict = Verdict(Outcome.FAIL, str(error))
-        try:
-            write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
-        except RecordingError as error:
-            verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
-        reports = tuple(self._reports.values())
-        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports)
+        self._closed = True
 
     def _end_step(self, label: str, start_ns: int, end_ns: int) -> None:
         self._writer.append_text("steps", {"t_start_ns": start_ns, "t_end_ns": end_ns}, "label", label)
 
-    def _event(self, text: str) -> None:
+    def _event(self, kind: EventKind, text: str) -> None:
         now_ns = round(asyncio.get_running_loop().time() * 1e9)
-        self._writer.append_text("events", {"t_ns": now_ns}, "text", text)
+        self._writer.append_text("events", {"t_ns": now_ns}, "text", text, kind=np.array([kind.encode()], dtype="S16"))
         if self._on_event is not None:
-            self._on_event(now_ns * 1e-9, text)
+            self._on_event(now_ns * 1e-9, kind, text)
 
     def _device_of(self, source: str) -> str:
         return next(imu.config.name for imu in self._open.imus if source in imu.source.names)
 
-    def _verdict_of(self, group: BaseExceptionGroup[BaseException]) -> Verdict:
-        """Return the verdict for what ended the tasks: a device's error first, else a defect of the station."""
-        errors = list(_leaves(group))
-        for error in errors:
-            if isinstance(error, DeviceError):
-                return self._fault(error)
+    def _verdict_of(self, error: BaseException) -> Verdict:
+        """Return the verdict for what ended the run: a device's error first, a stop, else a defect of the station."""
+        errors = list(_leaves(error))
+        for device_error in errors:
+            if isinstance(device_error, DeviceError):
+                return self._fault(device_error)
         first = errors[0]
         if isinstance(first, EstimatorError):
             return Verdict(Outcome.FAULT, str(first))
-        _log.error("the run ended by a defect of the station", exc_info=first)
-        return Verdict(Outcome.ABORTED, f"defect of the station, please report it: {type(first).__name__}: {first}")
+        if isinstance(first, KeyboardInterrupt):
+            return Verdict(Outcome.ABORTED, self._reason or self._stopped_by("Ctrl-C"))
+        if isinstance(first, asyncio.CancelledError):
+            return Verdict(Outcome.ABORTED, self._reason or "cancelled")
+        _log.debug("the run ended by a defect of the station", exc_info=first)
+        at = traceback.extract_tb(first.__traceback__)[-1:]
+        where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in at)
+        what = f"defect of the station, please report it: {type(first).__name__}: {first}{where}"
+        return Verdict(Outcome.ABORTED, what)
 
     def _fault(self, error: DeviceError) -> Verdict:
         if error.device == "table":
@@ -467,15 +533,18 @@ class Session:
     def _outlive(self) -> None:
         if not self._terminal_gone and not self._closed:
             self._terminal_gone = True
-            self._event(_TERMINAL_GONE)
+            self._event(EventKind.TERMINAL, _TERMINAL_GONE)
 
 
-def _leaves(group: BaseExceptionGroup[BaseException]) -> Iterator[BaseException]:
-    for error in group.exceptions:
-        if isinstance(error, BaseExceptionGroup):
-            yield from _leaves(error)
-        else:
-            yield error
+def _leaves(error: BaseException) -> Iterator[BaseException]:
+    """Yield what is in groups, and what a cancel was for."""
+    if isinstance(error, BaseExceptionGroup):
+        for one in error.exceptions:
+            yield from _leaves(one)
+    elif isinstance(error, asyncio.CancelledError) and error.args and isinstance(error.args[0], BaseException):
+        yield from _leaves(error.args[0])
+    else:
+        yield error
 
 
 def _attributes(bench: OpenBench, script: Script) -> dict[str, Any]:

@@ -8,11 +8,36 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, is_dataclass
+from enum import StrEnum
 from functools import cache
 from typing import Any, get_args, get_origin, get_type_hints
 
+from estimator.model import STATES
+
 AFTER_THIS_STEP, PAUSED = "after this step", "paused"
 """Words of ``Snapshot.paused``, beside ""."""
+
+
+class Phase(StrEnum):
+    """Where a run is; the label of a step is another matter, and may be any text."""
+
+    CONNECTING = "connecting"
+    ENABLING = "enabling"
+    HOMING = "homing"
+    RUNNING = "running"
+    STOPPING = "coming to rest"
+    ESTIMATING = "estimating"
+
+
+class EventKind(StrEnum):
+    """What an event is about; its text is for people."""
+
+    SCRIPT = "script"
+    LINK = "link"
+    NOTE = "note"
+    AT_REST = "at rest"
+    NOT_AT_REST = "not seen at rest"
+    TERMINAL = "terminal"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +94,15 @@ class SourceSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """State of a run at one instant; times in seconds of the loop's clock.
+    """State of a run at one instant; times in seconds of the loop's clock. ``label``: of the step under way, or "".
 
     ``nis_mean`` per degree of freedom over the whole run, ``nis_recent`` over the last half minute; ``whiteness``:
     correlation of the innovations with those of the block before, 0 for a good filter. ``paused``: "",
     ``AFTER_THIS_STEP`` or ``PAUSED``.
     """
 
-    phase: str
+    phase: Phase
+    label: str
     elapsed_s: float
     remaining_s: float
     samples: int
@@ -88,6 +114,11 @@ class Snapshot:
     axes: tuple[AxisSnapshot, ...] = ()
     sources: tuple[SourceSnapshot, ...] = ()
     gyros: tuple[GyroSnapshot, ...] = ()
+
+    @property
+    def doing(self) -> str:
+        """What is under way, in words: the step's label while the script runs."""
+        return self.label or self.phase
 
     @property
     def share(self) -> float:
@@ -108,6 +139,11 @@ def json_object(value: Any) -> Any:
     if is_dataclass(value):  # dataclasses.asdict copies all that it meets, and costs four times as much
         return {name: json_object(getattr(value, name)) for name in value.__dataclass_fields__}
     return value
+
+
+def by_state(values: Any) -> dict[str, Any]:
+    """Return what there is of each state (4,) by the state's name, as JSON can hold it."""
+    return dict(zip(STATES, json_object(values), strict=True))
 
 
 def snapshot_of(found: Mapping[str, Any]) -> Snapshot:

@@ -9,6 +9,8 @@ from drivers.sampling import Alignment
 from drivers.seams import SourceCounts
 from estimator.timing import TimeOffset
 
+_TIMED_S, _SIGMAS = 0.0005, 4.0  # an offset that is told lies beyond both
+
 
 @dataclass(frozen=True, slots=True)
 class SourceReport:
@@ -42,6 +44,13 @@ class SourceReport:
             "clock": self.clock and asdict(self.clock),
             "offset_to_table": self.offset and asdict(self.offset),
         }
+
+    @property
+    def mistimed(self) -> str:
+        """Say so if the samples were not taken when the table was read."""
+        if self.offset is None or abs(self.offset.offset_s) < max(_TIMED_S, _SIGMAS * self.offset.sd_s):
+            return ""
+        return f"{self.name} is {self.offset.offset_s * 1e3:+.2f} ± {self.offset.sd_s * 1e3:.2f} ms against the table"
 
     def text(self) -> str:
         """Return one line for people."""

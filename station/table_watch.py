@@ -16,13 +16,14 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import DeviceFault, LinkLost
 from drivers.seams import AxisState, Turntable
+from station.uncommanded import MotionGuard
 
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
 _STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops that hears nothing
 _QUICK, _SLOW = 1.5, 4.0  # times the usual round trip: read again beyond the first, leave out beyond the second
 _TRIES = 2
 _ALWAYS_QUICK_NS = 1_000_000
-_IDLE_EVERY = 4  # while an axis turns, another is looked at in every so many-th reading
+_IDLE_S = 0.4  # so often each axis is looked at that has not been told to turn: it may do so by itself
 
 
 _STRAIGHT_RPS = math.radians(0.02)  # by which mean rates may bend where a ramp's corner is not
@@ -118,11 +119,18 @@ def _bent(times_ns: Floats, rates: Floats, window_ns: int) -> bool:
     return bool(np.abs(rate - line(t)).max() > _STRAIGHT_RPS)
 
 
-async def _read_quickly(table: Turntable, axes: list[str], usual_ns: deque[int]) -> dict[str, AxisState] | None:
-    """Read axes; again if the round trip was slow, and None if it stays so that the instant is not known."""
+async def _read_quickly(
+    table: Turntable, axes: list[str], usual_ns: deque[int], guard: MotionGuard
+) -> dict[str, AxisState] | None:
+    """Read axes; again if the round trip was slow, and None if it stays so that the instant is not known.
+
+    DeviceFault if one does what it was not told.
+    """
     best: dict[str, AxisState] | None = None
     for _ in range(_TRIES):
         states = {axis: await table.read(axis) for axis in axes}
+        for axis, state in states.items():
+            await guard.look(axis, state)
         usual_ns.append(_slowest_ns(states))
         if best is None or _slowest_ns(states) < _slowest_ns(best):
             best = states
@@ -141,15 +149,17 @@ async def watch_table(
     axes: tuple[str, ...],
     rate_hz: float,
     driven_axis: Callable[[], str | None],
+    guard: MotionGuard,
     on_row: Callable[[TableRow], None],
     on_lost: Callable[[LinkLost], Awaitable[None]],
 ) -> None:
-    """Read until cancelled; DeviceFault when an axis goes to fault or leaves operation by itself.
+    """Read until cancelled; DeviceFault when an axis goes to fault, leaves operation or turns by itself.
 
     ``on_lost`` opens a link again that was lost, or raises.
 
-    An axis that is driven or turns is read every time, of the others one in turn: what stands still and has
-    not been told to move is still there, and a slow bus has its time for what turns.
+    An axis that is driven or turns is read every time. Of the others the one is read that was not for the longest
+    time, if that is 0.4 s, so that a slow bus has its time for what turns: what has not been told to move is still
+    there, or is seen to move within a second.
     """
     loop = asyncio.get_running_loop()
     states = {axis: await table.read(axis) for axis in axes}
@@ -158,15 +168,16 @@ async def watch_table(
     period_s = 1 / rate_hz
     due_s = loop.time()
     counter = itertools.count()
-    checked_s = dict.fromkeys(axes, due_s)
+    checked_s, read_s = dict.fromkeys(axes, due_s), dict.fromkeys(axes, due_s)
 
     async def read_once() -> None:
         count = next(counter)
         busy = [a for a in axes if a == driven_axis() or states[a].rate_rps != 0.0]
-        in_turn = axes[count // _IDLE_EVERY % len(axes)]
-        if not busy or (count % _IDLE_EVERY == 0 and in_turn not in busy):
-            busy.append(in_turn)
-        fresh = await _read_quickly(table, busy, usual_ns)
+        oldest = min((a for a in axes if a not in busy), key=lambda a: read_s[a], default=None)
+        if oldest is not None and (not busy or loop.time() - read_s[oldest] >= _IDLE_S):
+            busy.append(oldest)
+        read_s.update(dict.fromkeys(busy, loop.time()))
+        fresh = await _read_quickly(table, busy, usual_ns, guard)
         if fresh is not None:
             states.update(fresh)
             now_ns = states[busy[0]].angle_t_ns

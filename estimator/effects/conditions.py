@@ -49,7 +49,7 @@ class Conditions:
             return np.zeros(len(self.t_s))
         if self.causal:
             return smoothed_slope(self.t_s, self.temperature_c)
-        return np.asarray(np.gradient(self.temperature_c, self.period_s))
+        return np.asarray(np.gradient(self.temperature_c, self.t_s))
 
     @property
     def offers(self) -> frozenset[str]:

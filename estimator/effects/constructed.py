@@ -103,12 +103,6 @@ def of_each_gyro(law: str) -> bool:
     return any(name in ("u", "a", "gs") or name.startswith("u_") for name in variables_of(law))
 
 
-def depends_on(law: str) -> tuple[str, ...]:
-    """Return what a law depends on: rate, direction, acceleration, temperature, time, gravity, angle."""
-    found = [VARIABLES[name][0] for name in variables_of(law)]
-    return tuple(dict.fromkeys([*(["direction"] if "last(" in law or "sign(" in law else []), *found]))
-
-
 def in_words(law: str) -> str:
     """Return a law as a sentence's object: "bias proportional to temperature lagged by 58 s"."""
     words = [_words(tree) for tree in parsed(law)]

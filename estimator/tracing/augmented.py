@@ -64,18 +64,12 @@ class Augmented:
         own = [part for part in parts if not part.term.shared and part.tone is None]
         tones = [part for part in parts if part.tone is not None]
         shared = [part for part in parts if part.term.shared]
-        h = len(posterior.shared)
         means, covariances = [], []
         added = sum(part.width for part in tones)
-        for name, mean, covariance, cross in zip(
-            names, posterior.own, posterior.own_covariance, posterior.cross, strict=True
-        ):
-            c = len(mean)
-            whole = np.zeros((c + h + added, c + h + added))
-            whole[:c, :c] = covariance
-            whole[c : c + h, c : c + h] = posterior.shared_covariance
-            whole[:c, c : c + h], whole[c : c + h, :c] = cross, cross.T
-            at, amplitudes = c + h, []
+        for name, mean, covariance in zip(names, posterior.means, posterior.covariances, strict=True):
+            at, amplitudes = len(mean), []
+            whole = np.zeros((at + added,) * 2)
+            whole[:at, :at] = covariance
             for part in tones:
                 assert part.tone is not None
                 size = part.candidate.largest[0]
@@ -83,7 +77,7 @@ class Augmented:
                 span = np.arange(at, at + part.width)
                 whole[span, span] = (part.tone.sd[name] / size) ** 2
                 at += part.width
-            means.append(np.concatenate([mean, posterior.shared, *amplitudes]))
+            means.append(np.concatenate([mean, *amplitudes]))
             covariances.append(whole)
         return cls(
             tuple(names),

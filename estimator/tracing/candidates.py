@@ -28,6 +28,8 @@ _BY_ITSELF = frozenset({"warm_up", "bias_step", "tone", "table_rate", "latency",
 OF_TIME = frozenset({"warm_up", "bias_step", "bias_drift"})
 """Effects of which all gyros have the same columns."""
 _OF_ENCODERS = ("table_harmonic", "dead_band")
+WITHIN_TURNS = ("latency", "bandwidth", "acceleration_sensitivity")
+"""Effects that come to nothing over a turn from rest to rest."""
 _OTHER_ORDERS = (3, 5, 6)
 # Log odds of an effect against the others before the data. What refines a simpler effect is rarer than that effect.
 # A bias over temperature is in every data sheet; its gradient without it one part in a hundred may have, while beside
@@ -124,6 +126,10 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
     if foreign and gimbals:
         listed = [candidate for candidate in listed if candidate.called not in _OF_ENCODERS]
         left_out |= dict.fromkeys(_OF_ENCODERS, "an encoder that is read from outside may have the same by itself")
+    if any(run.stated_rps for run in runs):
+        listed = [candidate for candidate in listed if candidate.called not in WITHIN_TURNS]
+        why = "a turn from rest to rest comes to the same angle however late it is felt"
+        left_out |= dict.fromkeys(WITHIN_TURNS, why)
     chosen = []
     for candidate in listed:
         missing = candidate.effect.needs - offers

@@ -38,16 +38,6 @@ def held(runs: Sequence[Run], mask: Mask) -> list[Run]:
     return [replace(run, weight=run.weight * out) for run, out in zip(runs, mask, strict=True)]
 
 
-def without(runs: Sequence[Run], model: Augmented, mask: Mask, shapes: NoiseShapes) -> tuple[list[Term], Evidence]:
-    """Return the terms of a model, tones apart, and the evidence of all but what is left out.
-
-    Tones are taken off as they were found on all steps: a fifth of them says nothing else of a line.
-    """
-    kept = [replace(run, weight=run.weight * ~out) for run, out in zip(runs, mask, strict=True)]
-    evidence, terms = together(kept, model, shapes)
-    return terms, evidence
-
-
 def together(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> tuple[Evidence, list[Term]]:
     """Return the evidence of runs with the effects of a model, tones taken off, what it does not fit being noise."""
     spectra, terms = _spectra(runs, model)
@@ -68,7 +58,7 @@ def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) ->
     orders = list(dict.fromkeys(run.order for run in runs))
     by_run = None
     if len(orders) > 1:
-        by_run = _predicted(evidence, terms, [_of_recording(runs, order) for order in orders])
+        by_run = _predicted(evidence, terms, [_of_recordings(runs, [order]) for order in orders])
     evidence, terms = together([_cut(run) for run in runs], model, shapes)
     count = max(len(gyro.stretches) for gyro in evidence.gyros)
     if count < 2:
@@ -81,11 +71,17 @@ def told_by(
     evidence: Evidence, terms: Sequence[Term], runs: Sequence[Run], orders: Collection[int]
 ) -> dict[str, float]:
     """Return by effect how much more probable it makes some recordings beside the others, predicted from the rest."""
-    return _predicted(evidence, terms, [lambda _, stretch: runs[stretch.run].order in orders])
+    return _predicted(evidence, terms, [_of_recordings(runs, orders)])
 
 
-def _of_recording(runs: Sequence[Run], order: int) -> Fold:
-    return lambda _, stretch: runs[stretch.run].order == order
+def by_run(evidence: Evidence, runs: Sequence[Run]) -> list[Evidence]:
+    """Return the evidence of each recording alone."""
+    orders = {run.order for run in runs}
+    return [evidence.without(_of_recordings(runs, orders - {own})) for own in sorted(orders)]
+
+
+def _of_recordings(runs: Sequence[Run], orders: Collection[int]) -> Fold:
+    return lambda _, stretch: runs[stretch.run].order in orders
 
 
 def _of_number(out: int) -> Fold:
@@ -135,7 +131,8 @@ def _spectra(runs: Sequence[Run], model: Augmented) -> tuple[list[GyroSpectra], 
         whole: dict[int, Floats] = {}
         for number in {stretch.run for stretch in gyro.stretches}:
             run = runs[number]
-            whole[number] = model.columns(run, number, run.array.names.index(gyro.name)) * run.weight[:, None]
+            own = run.array.names.index(gyro.name)
+            whole[number] = run.weighed(model.columns(run, number, own), own)
         tones = [whole[s.run][s.blocks, start - 1 :] @ model.mean[g, start - 1 :] for s in gyro.stretches]
         gyro.subtract(tones)
         if terms:

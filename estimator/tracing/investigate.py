@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.effects.constructed import NAME, depends_on, in_words
-from estimator.kinematics import EARTH_RATE_RPS
-from estimator.model import decode
+from estimator.effects.constructed import NAME, in_words
+from estimator.model import STATES, decode
 from estimator.recording import Recording
+from estimator.repeatability import between_runs
 from estimator.tracing.augmented import Augmented, Part
-from estimator.tracing.candidates import Candidate, candidates_of
+from estimator.tracing.candidates import candidates_of
 from estimator.tracing.composing import laws_of
 from estimator.tracing.evidence import Evidence, Posterior, Term
 from estimator.tracing.faults import Fault
-from estimator.tracing.held_out import FOLDS, Mask, by_step, held, out_of_sample, together, told_by, without
+from estimator.tracing.held_out import FOLDS, by_run, by_step, held, out_of_sample, together, told_by
 from estimator.tracing.investigation import (
     Added,
     Finding,
@@ -30,7 +30,7 @@ from estimator.tracing.investigation import (
 )
 from estimator.tracing.open_world import SIZES_RPS, OpenWorld
 from estimator.tracing.residual import Residual, residuals
-from estimator.tracing.runs import BLOCK_S, Run, runs_of, same_devices
+from estimator.tracing.runs import BLOCK_S, Run, growth_notes, runs_of, same_devices
 from estimator.tracing.search import CERTAIN, Choice, Found, Search
 from estimator.tracing.spectra import GyroSpectra, NoiseShapes, gyro_spectra
 from estimator.tracing.verification import Judged, Truth, drawn, judge, sum_of
@@ -46,7 +46,6 @@ _CONFIRMED = 2.0
 _VISIBLE = 3.0
 _SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
-_NEAR_EARTH = 1.3
 _UNLIKE_NOISE = 0.1  # share of the residual's power beyond the noise: less is 5 % of a sigma
 _MATTERS = 1e-2  # share of the probability below which what may act is not averaged over
 _OF_THETA = {"warm_up": "time constant", "bias_step": "instant", "dead_band": "width"}
@@ -85,7 +84,7 @@ def investigate(
     tell(0.0, "reading")
     runs, notes, faults = _all_runs(recordings)
     held_back, more, _ = _all_runs(verification, len(recordings))
-    notes += more
+    notes += [*more, *growth_notes([*runs, *held_back])]
     _same(recordings, verification, runs, held_back)
     if held_back and _at_rest(runs) != _at_rest(held_back):
         still, turning = ("recordings", "verification run") if _at_rest(runs) else ("verification run", "recordings")
@@ -151,7 +150,7 @@ def _trace(
     traced, left_out = _prepared(runs)
     found = traced.search.run(most, tell)
     if _lawful(runs):
-        found = traced.search.composed(found, _laws(runs), most)
+        found = traced.search.composed(found, laws_of(runs), most)
     return replace(traced, found=found), left_out
 
 
@@ -160,16 +159,10 @@ def _lawful(runs: Sequence[Run]) -> bool:
     return not any(by_turns(run.recording.reference) and run.turns for run in runs)
 
 
-def _laws(runs: Sequence[Run]) -> list[Candidate]:
-    """Return the laws to try; in rests, horizontal Earth rate of headings that nobody knows has laws of its own."""
-    known = not _at_rest(runs) or any(run.recording.site is not None for run in runs)
-    return [law for law in laws_of(runs) if known or "gravity" not in depends_on(law.law)]
-
-
 def _prepared(runs: Sequence[Run], only: Sequence[str] | None = None) -> tuple[Traced, dict[str, str]]:
     spectra = gyro_spectra(runs)
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
-    search = Search(runs, spectra, Evidence(spectra, NoiseShapes.over(span_s)))
+    search = Search(runs, spectra, Evidence(spectra, NoiseShapes.over(span_s, several=True)))
     candidates, left_out = candidates_of(runs)
     search.add([c for c in candidates if only is None or c.called in only])
     for candidate in search.leave_out_unexcited() if candidates and only is None else []:
@@ -198,7 +191,9 @@ def _conclude(
     before, after = _model(traced, [], weight), _model(traced, certain, weight)
     opened = traced.search.open_world([c.term for c in certain if c.tone is None])
     judged = _judged(traced, held_back, before, after, verification, certain)
-    judged = replace(judged, gyros=_owned_up(traced, judged.gyros, after, [*certain, *doubtful], opened))
+    between = _between_runs(traced, [c.term for c in certain if c.tone is None])
+    notes += _between_notes(between)
+    judged = replace(judged, gyros=_owned_up(traced, judged.gyros, after, [*certain, *doubtful], opened, between))
     residuals_of = _left(traced.runs, 0, before, after), _left(held_back, len(traced.runs), before, after)
     unexplained = _unexplained(residuals_of[0][1]) if opened.probability > CERTAIN else _beyond_noise(traced)
     # What leaves as much of its kind as it explains is a part of what is unexplained, and no rival of anything.
@@ -296,32 +291,61 @@ def _with_held_back(
     return *together(runs, _model(traced, choices, weight), traced.search.evidence.shapes), runs
 
 
+def _between_runs(traced: Traced, terms: Sequence[Term]) -> Floats:
+    """Return the standard deviation (4,) of the states from recording to recording, zero where that may be chance."""
+    evidence = traced.search.evidence
+    weight = evidence.noise_weight(terms) * (evidence.shapes.turn_on == 0)  # else runs are expected to differ
+    alone = [part for part in by_run(evidence, traced.runs) if all(gyro.stretches for gyro in part.gyros)]
+    if len(alone) < 2 or not weight.any():
+        return np.zeros(4)
+    found = [part.posterior(terms, weight / weight.sum()) for part in alone]
+    means = np.array([[mean[:4] for mean in one.means] for one in found])
+    variances = np.array([[np.diag(c)[:4] for c in one.covariances] for one in found])
+    return between_runs(means, np.sqrt(variances))
+
+
+def _between_notes(between: Floats) -> list[str]:
+    """Return, in words, which states differ from run to run."""
+    sizes = between * [1e6, np.degrees(3600), 1e3, 1e3]
+    words = zip(STATES, sizes.tolist(), ("ppm", "deg/h", "mrad", "mrad"), strict=True)
+    told = [f"{name.split('_r')[0]} differs by {size:.2g} {unit}" for name, size, unit in words if size]
+    return [f"{', '.join(told)} from run to run: the sigmas are those of another run"] if told else []
+
+
 def _owned_up(
-    traced: Traced, gyros: Sequence[GyroErrors], after: Augmented, choices: Sequence[Choice], opened: OpenWorld
+    traced: Traced,
+    gyros: Sequence[GyroErrors],
+    after: Augmented,
+    choices: Sequence[Choice],
+    opened: OpenWorld,
+    between: Floats,
 ) -> tuple[GyroErrors, ...]:
-    """Return errors with sigmas of the states that hold what may act beside the model: rivals, and what has no name."""
+    """Return errors with states that are the mean over what may act beside the model: rivals, and what has no name.
+
+    Their sigmas are those of the same mixture, with what is ``between`` runs (4,).
+    """
     search = traced.search
     closed = np.log1p(-min(opened.probability, 1 - 1e-12))
     sets = [(terms, value + closed) for terms, value in search.alternatives(choices)]
     sure = [c.term for c in choices if c.probability >= CERTAIN and c.tone is None]
-    top = max(value for _, value in sets)
     share = opened.by_size - np.logaddexp.reduce(opened.by_size) + np.log(max(opened.probability, 1e-30))
     base = np.logaddexp.reduce([value for _, value in sets]) - closed
     sets += [([*sure, search.open_term(float(s))], base + w) for s, w in zip(SIZES_RPS, share, strict=True)]
     total = np.logaddexp.reduce([value for _, value in sets])
-    weights = [(terms, float(np.exp(value - total))) for terms, value in sets if value > top - 50 or value > total - 50]
-    weights = [(terms, w) for terms, w in weights if w > _MATTERS]
+    weights = [(terms, np.exp(value - total)) for terms, value in sets if value > total + np.log(_MATTERS)]
     scale = sum(w for _, w in weights)
     posteriors = [(search.evidence.posterior(terms), w / scale) for terms, w in weights]
     known = []
     for gyro in gyros:
         g = after.names.index(gyro.name)
-        covariance = np.zeros((4, 4))
+        mean = np.sum([w * posterior.means[g][:4] for posterior, w in posteriors], axis=0)
+        covariance = np.diag(between**2)
         for posterior, w in posteriors:
-            apart = posterior.own[g][:4] - after.mean[g, :4]
-            covariance += w * (posterior.own_covariance[g][:4, :4] + np.outer(apart, apart))
-        sd = np.sqrt(np.diag(decode(after.mean[g, :4], covariance)[1]))
-        known.append(replace(gyro, sd_after=np.maximum(sd, gyro.sd_after)))
+            apart = posterior.means[g][:4] - mean
+            covariance += w * (posterior.covariances[g][:4, :4] + np.outer(apart, apart))
+        states, covariance = decode(mean, covariance)
+        moved = gyro.moved + (states - gyro.states_after) / gyro.sd_before
+        known.append(replace(gyro, states_after=states, moved=moved, sd_after=np.sqrt(np.diag(covariance))))
     return tuple(known)
 
 
@@ -379,25 +403,11 @@ def _with_copies(traced: Traced, choice: Choice) -> Choice:
     if choice.tone is not None:
         return choice
     copies = traced.search.copies(choice, traced.found.terms)
-    if choice.candidate.called == "g_sensitivity" and _like_earth_rate(traced, choice):
-        copies = ["earth_rate", *copies]
     if not copies:
         return choice
     rivals = tuple(dict.fromkeys((choice.candidate.called, *copies)))
     share = min(choice.probability, 1 / len(rivals))
     return replace(choice, probability=share, share=share, rivals=rivals)
-
-
-def _like_earth_rate(traced: Traced, choice: Choice) -> bool:
-    """Return whether what depends on pose is no larger than Earth rate, which nothing has taken off.
-
-    With headings that nobody knows, rests have any horizontal part of it.
-    """
-    if any(run.recording.site is not None for run in traced.runs):
-        return False
-    model = _model(traced, [choice], traced.search.evidence.noise_weight([choice.term]))
-    sizes = model.mean[:, model.slice_of(0)] * choice.candidate.largest
-    return float(np.linalg.norm(sizes, axis=1).max()) < _NEAR_EARTH * EARTH_RATE_RPS
 
 
 def _model(traced: Traced, choices: Sequence[Choice], weight: Floats) -> Augmented:
@@ -425,12 +435,7 @@ def _judged(
     evidence, terms, _ = _with_held_back(traced, held_back, choices)
     posterior = evidence.posterior(terms)
     all_of_it = _estimated(after, posterior)
-    misfit: dict[tuple[str, int], float] = {}
-    for gyro, left in zip(evidence.gyros, evidence.misfit, strict=True):
-        for stretch, squares in zip(gyro.stretches, left, strict=True):
-            key = gyro.name, stretch.run
-            misfit[key] = misfit.get(key, 0.0) + squares
-    truth = Truth(all_of_it, misfit)
+    truth = Truth(all_of_it, evidence.misfit)
     if not held_back:
         return _cross_validated(traced, before, after, choices, truth)
     tones = [c.tone.found.frequency_hz for c in choices if c.tone is not None]
@@ -439,7 +444,7 @@ def _judged(
     if fine_s < BLOCK_S:
         runs = _all_runs(verification, held_back[0].order, fine_s)[0]
         scale = len(runs[0].t_s) / len(held_back[0].t_s)
-        truth = replace(truth, misfit={key: scale * squares for key, squares in misfit.items()})
+        truth = replace(truth, misfit={key: scale * squares for key, squares in truth.misfit.items()})
     first = len(traced.runs)
     return judge(runs, first, before, after, True, drawn(runs, first, before, after, truth))
 
@@ -447,12 +452,8 @@ def _judged(
 def _estimated(model: Augmented, posterior: Posterior) -> Augmented:
     """Return a model with another estimate; its tones stay as they are."""
     mean, covariance = model.mean.copy(), model.covariance.copy()
-    h = len(posterior.shared)
-    for g in range(len(mean)):
-        c = len(posterior.own[g])
-        mean[g, : c + h] = np.concatenate([posterior.own[g], posterior.shared])
-        both = [[posterior.own_covariance[g], posterior.cross[g]], [posterior.cross[g].T, posterior.shared_covariance]]
-        covariance[g, : c + h, : c + h] = np.block(both)
+    for g, (own, its) in enumerate(zip(posterior.means, posterior.covariances, strict=True)):
+        mean[g, : len(own)], covariance[g, : len(own), : len(own)] = own, its
     return replace(model, mean=mean, covariance=covariance)
 
 
@@ -464,12 +465,15 @@ def _cross_validated(
         return judge(traced.runs, 0, before, after, False, drawn(traced.runs, 0, before, after, truth))
     # The models are those of all the data; errors by step hold what a fit without that step would have said.
     weight = traced.search.evidence.noise_weight([c.term for c in choices])
-    full = _model(traced, choices, weight)
     parts = []
     share = replace(truth, misfit={key: squares / FOLDS for key, squares in truth.misfit.items()})
     for mask in by_step(traced.runs):
         runs = held(traced.runs, mask)
-        old, new = _models_without(traced, full, mask, weight)
+        # Tones stay as they were found on all steps: a fifth of them says nothing else of a line.
+        rest = held(traced.runs, [~out for out in mask])
+        evidence, terms = together(rest, after, traced.search.evidence.shapes)
+        old = _estimated(before, evidence.posterior([], weight))
+        new = _estimated(after, evidence.posterior(terms, weight))
         errors = drawn(runs, 0, old, new, share)
         parts.append((judge(runs, 0, old, new, False, errors), errors))
     whole = {name: sum_of(errors[name] for _, errors in parts) for name in after.names}
@@ -483,23 +487,6 @@ def _cross_validated(
         before=replace(judged.before, coverage95=cover[0]),
         after=replace(judged.after, coverage95=cover[1]),
     )
-
-
-def _models_without(traced: Traced, full: Augmented, mask: Mask, weight: Floats) -> tuple[Augmented, Augmented]:
-    """Return the first model and the last of all but what is left out, the noise as found on all."""
-    terms, evidence = without(traced.runs, full, mask, traced.search.evidence.shapes)
-    old, new = (
-        Augmented.of(
-            [gyro.name for gyro in evidence.gyros],
-            evidence.posterior(chosen, weight),
-            parts_of,
-            full.prior,
-            full.arw,
-            (full.instability, full.walk),
-        )
-        for chosen, parts_of in (([], []), (terms, list(full.parts)))
-    )
-    return old, new
 
 
 def _added(traced: Traced, choice: Choice, model: Augmented, told: OutOfSample | None) -> Added:
@@ -571,7 +558,7 @@ def _beyond_noise(traced: Traced) -> Unexplained | None:
     """
     evidence = traced.search.evidence
     best = int(np.argmax(evidence.noise_weight([c.term for c in traced.found.choices if c.tone is None])))
-    misfit = sum(map(sum, evidence.misfit))
+    misfit = sum(evidence.misfit.values())
     noise = sum(
         float(evidence.shapes.density(s)[best] @ s.counts) * gyro.arw**2 / s.length_s
         for gyro in evidence.gyros

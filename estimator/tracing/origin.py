@@ -55,9 +55,9 @@ class Split:
     spare: int
 
 
-def shape_of(model: Augmented, stretch: Stretch) -> Floats:
-    """Return the variance (b,) that the noise of a model has at each frequency, over that of its white noise."""
-    shapes = NoiseShapes(np.array([model.instability]), np.array([model.walk]), np.zeros(1), np.zeros(1))
+def shape_of(model: Augmented, stretch: Stretch, span_s: float = 0.0) -> Floats:
+    """Return the variance (b,) of a model's noise by frequency, over its white noise, the bias over ``span_s``."""
+    shapes = NoiseShapes(np.array([model.instability]), np.array([model.walk]), np.zeros(1), np.zeros(1), span_s)
     return np.asarray(shapes.density(stretch)[0][stretch.band])
 
 

@@ -144,7 +144,7 @@ def _whitened(
             continue
         i = run.array.names.index(name)
         rests = np.column_stack([rest[number][:, i] for rest in left])
-        whole = np.hstack([regressors.columns(number, i), *own, rests]) * (run.weight[:, None] / arw)
+        whole = run.weighed(np.hstack([regressors.columns(number, i), *own, rests]), i) / arw
         for blocks in run.stretches():
             good = float((run.weight[blocks] > 0).sum())
             if good < _FEWEST_BLOCKS:

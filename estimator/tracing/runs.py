@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +15,16 @@ from estimator.array import SensorArray
 from estimator.blocks import BlockSums
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
+from estimator.effects.scale import scale_asymmetry, scale_cubic, scale_quadratic
+from estimator.effects.thermal import thermal_bias, thermal_scale
 from estimator.health import usable
-from estimator.kinematics import AXES, GRAVITY_MPS2, specific_force
+from estimator.kinematics import AXES, EARTH_RATE_RPS, GRAVITY_MPS2, specific_force
 from estimator.model import Prior, regressor_maps
 from estimator.recording import ImuData, Recording
-from estimator.reference import AttitudeReadings, BodyRates, TableReadings, Turns
-from estimator.rows import table_rows
+from estimator.reference import AttitudeReadings, BodyRates, Poses, TableReadings, Turns
+from estimator.rows import sample_noise, table_rows, turn_rows
 from estimator.tracing.faults import Fault, held_samples, saturations, split_faulty, without_stuck
+from estimator.tracing.growth import weighed
 from estimator.tracing.investigation import InvestigationError
 from estimator.turned import REST_RPS, Turned, by_turns
 
@@ -39,6 +43,11 @@ _GAP_S = 5.0  # a longer gap ends a stretch: what the noise did meanwhile is not
 _FEWEST_BLOCKS = 40
 _JUMP, _JUMP_C = 8.0, 0.5  # sigmas, degC
 _SMOOTH_S = 0.2  # accelerometers also feel vibration
+FEWEST_TURNS = 12
+"""Turns and rests of known angle below which nothing is traced."""
+_TILTED = 0.02  # rad by which the direction up differs between poses
+_SENSED = 0.5  # of a turn: what it is off by shows in gyros about its axis
+_TURN_STEPS = 125  # instants within a turn, or a rest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,10 +55,17 @@ class Run:
     """One source of one recording, as means over blocks of ``length_s``.
 
     ``t_s`` (b,) is the middle of each block on the recording's clock, ``w_rps`` (b, 3) and ``z_rps`` (b, m) are means
-    of body rate and output error, ``weight`` (b,) is 1, or 0 for blocks that hold too few samples. ``grid`` are the
+    of body rate and output error, ``weight`` (b,) is 1 at rest, less where noise has
+    grown with the rate (``growth_s``, see ``tracing.growth``), 0 for blocks that hold too few samples. ``grid`` are the
     conditions at even instants, ``fold`` takes columns on that grid (N, c) to block means (b, c). ``stretch`` (b,)
     numbers stretches without a gap; blocks are evenly spaced within each. ``order`` is the number of the recording
     among all that are looked at, ``held`` for how many samples each value is held.
+
+    Of turns of which only the angle is known a block is a turn or a rest, from its beginning to its end; ``length_s``
+    is their mean distance, ``weight`` goes by their doubt, and ``stated_rps`` is the doubt at weight 1 (else 0).
+
+    ``pose`` (b,) numbers poses of a body at rest of which nobody knows the heading; ``earth_rps`` (b, m) is how much of
+    the horizontal part of Earth rate, one sigma, each gyro may have in them. None where that is known, or one constant.
     """
 
     name: str
@@ -67,6 +83,10 @@ class Run:
     period_s: float
     order: int
     held: int
+    stated_rps: float = 0.0
+    pose: NDArray[np.intp] | None = None
+    earth_rps: Floats | None = None
+    growth_s: float = 0.0
 
     @property
     def array(self) -> SensorArray:
@@ -82,6 +102,21 @@ class Run:
         """Return the block means (b, parameters) of an effect's regressors for one gyro."""
         return self.fold(effect.columns(self.grid, self.array, gyro))
 
+    def weighed(self, columns: Floats, gyro: int) -> Floats:
+        """Return columns (b, c) as they count of a gyro; of what it may have of the Earth in a pose they are rid."""
+        out = columns * self.weight[:, None]
+        if self.pose is None or self.earth_rps is None:
+            return out
+        first = np.flatnonzero(np.diff(self.pose, prepend=-1))
+        sizes = np.diff([*first, len(out)])
+        count = np.maximum(np.add.reduceat(self.weight, first), 1.0)
+        steps = np.diff(self.z_rps[:, gyro])[(self.weight[1:] > 0) & (self.weight[:-1] > 0)]
+        noise = max(float(np.median(np.abs(steps))) / 0.954, 1e-12)
+        # A constant with an expectation, taken out of white noise: the root of the inverse of their covariance.
+        share = 1 - 1 / np.hypot(1.0, np.sqrt(count) * self.earth_rps[first, gyro] / noise)
+        mean = np.add.reduceat(out, first, axis=0) * (share / count)[:, None]
+        return np.asarray(out - np.repeat(mean, sizes, axis=0) * self.weight[:, None])
+
     def state_columns(self) -> Floats:
         """Return the regressors (m, b, 4) of the states of every gyro."""
         one = np.column_stack([np.ones(len(self.t_s)), self.w_rps])
@@ -91,7 +126,7 @@ class Run:
     def step_s(self) -> float:
         """Return the usual time between readings of the reference."""
         reference = self.recording.reference
-        return 0.0 if isinstance(reference, Turns) else float(np.median(np.diff(reference.t_ns))) * 1e-9
+        return 0.0 if isinstance(reference, (Turns, Poses)) else float(np.median(np.diff(reference.t_ns))) * 1e-9
 
     @property
     def turns(self) -> bool:
@@ -123,11 +158,6 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
 
     Raises InvestigationError if there is nothing to trace in it.
     """
-    if isinstance(recording.reference, Turns):
-        raise InvestigationError(
-            f"{recording.name}: of turns only their angles are known, not what happens within them; effects are traced "
-            "against a table, a rate, an attitude, or rests"
-        )
     fine = isinstance(recording.reference, TableReadings)
     runs: list[Run] = []
     notes: list[str] = []
@@ -153,6 +183,16 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
             run = _run(recording, label, part, block_s, order, held)
             if run is not None:
                 runs.append(run)
+    if isinstance(recording.reference, Poses):
+        raise InvestigationError(
+            f"{recording.name}: gravity between rests tells what three gyros do together, for which nothing is traced; "
+            'station calibrate gives the states, and imported with kind = "rest" the rests can be traced'
+        )
+    if not runs and isinstance(recording.reference, Turns):
+        raise InvestigationError(
+            f"{recording.name}: {len(recording.reference.sd_rad)} turns and rests of known angle are too few to trace "
+            f"anything: at least {FEWEST_TURNS} are needed, with turns of both signs, of several rates"
+        )
     if not runs:
         raise InvestigationError(
             f"{recording.name}: too little data: no source has {_FEWEST_BLOCKS * BLOCK_S:g} s of samples that the "
@@ -173,6 +213,8 @@ def _hold_delay_s(data: ImuData, held: int) -> float:
 
 
 def _run(recording: Recording, source: str, data: ImuData, block_s: float, order: int, held: int) -> Run | None:
+    if isinstance(recording.reference, Turns):
+        return _run_of_turns(recording, recording.reference, source, data, order)
     measured = (
         _by_turns(recording, data, block_s) if by_turns(recording.reference) else _by_samples(recording, data, block_s)
     )
@@ -182,6 +224,10 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
     b, m, length_s = len(index), len(data.array), measured.length_s
     w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)
     w[where], z[where], weight[where] = measured.w_rps, measured.z_rps, measured.full
+    stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1).astype(np.intp)
+    growth_s = 0.0
+    if not by_turns(recording.reference):  # else what grows with the motion is what the other instrument gets wrong
+        weight, growth_s = weighed(w, z, weight, stretch)
     t_s = np.asarray(measured.origin_s + (index + 0.5) * length_s, dtype=np.float64)
     steps = max(round(length_s / _GRID_S), 1)
     offsets = (np.arange(steps) + 0.5) / steps * length_s
@@ -196,7 +242,7 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
 
     grid = replace(_conditions(recording, data, grid_s, w, steps), delayed_rps=delayed_rps)
     stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1)
-    return Run(
+    run = Run(
         recording.name,
         source,
         data,
@@ -205,14 +251,104 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         w,
         z,
         weight,
-        stretch.astype(np.intp),
+        stretch,
         grid,
         lambda columns: columns.reshape(b, steps, -1).mean(axis=1),
         recording,
         float(np.median(np.diff(data.t_ns))) * 1e-9,
         order,
         held,
+        growth_s=growth_s,
     )
+    return run if run.turns or grid.gimbals else replace(run, **_unknown_earth(run))
+
+
+def _unknown_earth(run: Run) -> dict[str, Any]:
+    """Return ``pose`` and ``earth_rps`` of a run at rest, where there are several poses and north is not stated."""
+    up, good, site = run.fold(run.grid.specific_force_mps2) / GRAVITY_MPS2, run.weight > 0, run.recording.site
+    size = EARTH_RATE_RPS * (np.cos(site.latitude_rad) if site else np.sqrt(0.5))
+    if not good.any() or not np.isfinite(up).all():
+        return {}
+    level = run.w_rps - np.sum(run.w_rps * up, axis=1, keepdims=True) * up
+    if site and np.median(np.linalg.norm(level[good], axis=1)) > 0.5 * size:
+        return {}
+    # A pose ends where the body was moved and points elsewhere then.
+    pose, ups, before = np.zeros(len(up), dtype=np.intp), np.zeros_like(up), -1
+    begins = good & (np.diff(np.where(good, run.stretch, -1), prepend=-1) != 0)
+    starts = np.flatnonzero(begins).tolist()
+    for start, stop in pairwise([*starts, len(up)]):
+        mean = np.median(up[start:stop][good[start:stop]], axis=0)
+        new = before >= 0 and np.linalg.norm(mean - ups[before]) > _TILTED
+        pose[start:] += new
+        ups[start:] = mean if new or before < 0 else ups[before]
+        before = start
+    if not pose[-1]:
+        return {}
+    across = 1 - np.clip((ups @ run.array.p.T) ** 2, 0.0, 1.0)
+    return {"pose": pose, "earth_rps": size * np.sqrt(across / 2)}
+
+
+def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData, order: int) -> Run | None:
+    """Return turns and rests as blocks; how a body turned on the way to its stop the gyros themselves tell."""
+    rows, which = turn_rows(data, turns)
+    if len(which) < FEWEST_TURNS:
+        return None
+    assert rows.weight is not None
+    start_s, end_s = turns.t_start_ns[which] * 1e-9, turns.t_end_ns[which] * 1e-9
+    edges = np.linspace(start_s, end_s, _TURN_STEPS + 1, axis=1)
+    first, last = edges[:, :-1].ravel(), edges[:, 1:].ravel()
+    felt = Turned.of_rates(data.t_ns, data.rate_rps, np.inf).means(first, last) @ np.linalg.pinv(data.array.p).T
+    felt = np.nan_to_num(felt).reshape(len(which), _TURN_STEPS, 3)
+    turning = np.abs(turns.turn_rad[which]).max(axis=1) > 0
+    w = (felt - felt.mean(axis=1, keepdims=True)) * turning[:, None, None] + rows.w_rps[:, None]
+    grid_s, t_s = 0.5 * (first + last), 0.5 * (start_s + end_s)
+    slope = np.gradient(w, axis=1) / np.diff(edges, axis=1)[:, :, None]
+    none = np.empty((len(grid_s), 0))
+    grid = Conditions(
+        grid_s,
+        w.reshape(-1, 3),
+        slope.reshape(-1, 3),
+        *(none, none, none),
+        (),
+        _force(recording, data, grid_s),
+        _temperature(data, grid_s),
+        recording.site,
+    )
+    run = Run(
+        recording.name,
+        source,
+        data,
+        float(t_s[-1] - t_s[0]) / (len(t_s) - 1),
+        t_s,
+        rows.w_rps,
+        rows.y_rps - rows.w_rps @ data.array.p.T,
+        rows.weight / rows.weight.max(),
+        np.zeros(len(t_s), dtype=np.intp),
+        grid,
+        lambda columns: columns.reshape(len(t_s), len(columns) // len(t_s), -1).mean(axis=1),
+        recording,
+        float(np.median(np.diff(data.t_ns))) * 1e-9,
+        order,
+        1,
+        float(sample_noise(data).max() / rows.weight.max()),
+    )
+    return replace(run, weight=run.weight / np.where(turning, _more_than_stated(run), 1.0))
+
+
+def _more_than_stated(run: Run) -> float:
+    """Return how many times as wrong as stated turns are, at least 1, by what no law of scale or temperature fits."""
+    effects = [scale_asymmetry(), scale_quadratic(), scale_cubic()]
+    effects += [thermal_scale(), thermal_bias()] if run.grid.temperature_c is not None else []
+    squares = freedom = 0.0
+    for i, states in enumerate(run.state_columns()):
+        columns = np.hstack([states, *(run.columns(effect, i) for effect in effects)]) * run.weight[:, None]
+        left, size, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-30), full_matrices=False)
+        left = left[:, size > 1e-6 * size[0]]
+        turning = np.abs(run.w_rps @ run.array.p[i]) > _SENSED * np.linalg.norm(run.w_rps, axis=1)
+        z = run.z_rps[:, i] * run.weight
+        squares += float(np.sum((z - left @ (left.T @ z))[turning] ** 2))
+        freedom += float(np.sum(1 - np.sum(left**2, axis=1)[turning]))
+    return max(float(np.sqrt(squares / max(freedom, 1.0))) / run.stated_rps, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -316,10 +452,7 @@ def _even(known: NDArray[np.int64], length_s: float) -> tuple[NDArray[np.int64],
 
 
 def _conditions(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floats, steps: int) -> Conditions:
-    temperature = None
-    if data.temperature_c is not None and np.isfinite(data.temperature_c).any():
-        known = np.isfinite(data.temperature_c)
-        temperature = _smooth_temperature(_seconds(data.t_ns[known]), data.temperature_c[known], grid_s)
+    temperature = _temperature(data, grid_s)
     reference = recording.reference
     if by_turns(reference):
         return _conditions_by_turns(recording, data, grid_s, w_rps, steps, temperature)
@@ -353,8 +486,12 @@ def _conditions_by_turns(
     return Conditions(grid_s, w, wdot, angle, rate, slope, gimbals, force, temperature_c, recording.site)
 
 
-def _seconds(t_ns: Stamps) -> Floats:
-    return np.asarray(t_ns * 1e-9, dtype=np.float64)
+def _temperature(data: ImuData, grid_s: Floats) -> Floats | None:
+    if data.temperature_c is None or not np.isfinite(data.temperature_c).any():
+        return None
+    known = np.isfinite(data.temperature_c)
+    t_s = np.asarray(data.t_ns[known] * 1e-9, dtype=np.float64)
+    return _smooth_temperature(t_s, data.temperature_c[known], grid_s)
 
 
 def _gimbals(reference: TableReadings, grid_s: Floats) -> tuple[Floats, Floats, Floats]:
@@ -412,6 +549,19 @@ def _force(recording: Recording, data: ImuData, grid_s: Floats) -> Floats:
     kernel = np.ones(width) / width
     smooth = [np.convolve(np.pad(c, width, mode="edge"), kernel, "same")[width:-width] for c in accel.T]
     return np.column_stack([np.interp(grid_s, t_s, column) for column in smooth])
+
+
+def growth_notes(runs: Sequence[Run]) -> list[str]:
+    """Return, in words, which runs have noise that grows with the rate."""
+    found = []
+    for run in (run for run in runs if run.growth_s):
+        fastest = float(np.linalg.norm(run.w_rps, axis=1).max())
+        times = float(np.hypot(1, run.growth_s * fastest))
+        found.append(
+            f"{run.name or run.source}: noise grows with the rate, to {times:.1f} times that at rest at "
+            f"{np.degrees(fastest):.0f} deg/s: fast motion counts for less"
+        )
+    return found
 
 
 def same_devices(first: Sequence[Run], other: Sequence[Run]) -> str:

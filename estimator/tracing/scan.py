@@ -44,11 +44,8 @@ class Scan:
         columns = [*range(4), *(c for t in terms for c in t.columns)]
         self._runs, self._spectra = runs, spectra
         self._roots, self._bases, self._rest = [], [], []
-        for gyro, excess in zip(spectra, evidence.excess, strict=True):
-            density = [
-                (evidence.shapes.density(s)[best] * more)[s.band]
-                for s, more in zip(gyro.stretches, excess, strict=True)
-            ]
+        for gyro in spectra:
+            density = [evidence.density(gyro, s)[best][s.band] for s in gyro.stretches]
             root = (
                 np.concatenate([np.sqrt(s.length_s / d) for s, d in zip(gyro.stretches, density, strict=True)])
                 / gyro.arw
@@ -63,14 +60,15 @@ class Scan:
 
     def _turn(self, candidate: Candidate, gyro: GyroSpectra) -> Floats:
         alike = candidate.called in OF_TIME or (candidate.law and not of_each_gyro(candidate.law))
+        alike = alike and all(run.earth_rps is None for run in self._runs)
         source = str([s.run for s in gyro.stretches])
         key = candidate.name, float(candidate.theta or 0.0), source if alike else gyro.name
         if key not in self._kept:
             parts = []
             for stretch in gyro.stretches:
                 run = self._runs[stretch.run]
-                columns = candidate.columns(run, run.array.names.index(gyro.name))
-                parts.append(cosines((columns * run.weight[:, None])[stretch.blocks]))
+                own = run.array.names.index(gyro.name)
+                parts.append(cosines(run.weighed(candidate.columns(run, own), own)[stretch.blocks]))
             self._kept[key] = np.vstack(parts)
         return self._kept[key]
 

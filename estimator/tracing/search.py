@@ -365,12 +365,11 @@ class Search:
         own = [c for t in model if not t.shared for c in t.columns]
         shared = [c for t in model if t.shared for c in t.columns]
         predicted = [np.zeros(run.z_rps.shape) for run in self._runs]
-        for gyro, mean in zip(self.evidence.gyros, posterior.own, strict=True):
+        for gyro, mean in zip(self.evidence.gyros, posterior.means, strict=True):
             columns = self._time_columns(gyro, [*range(4), *own, *shared])
-            whole = np.concatenate([mean, posterior.shared])
             for stretch, part in zip(gyro.stretches, columns, strict=True):
                 run = self._runs[stretch.run]
-                predicted[stretch.run][stretch.blocks, run.array.names.index(gyro.name)] = part @ whole
+                predicted[stretch.run][stretch.blocks, run.array.names.index(gyro.name)] = part @ mean
         return predicted
 
     def _time_columns(self, gyro: GyroSpectra, columns: Sequence[int]) -> list[Floats]:
@@ -390,7 +389,8 @@ class Search:
             for stretch in gyro.stretches:
                 run = self._runs[stretch.run]
                 waves = tone_columns(tone.frequency_hz, run, self._samples[stretch.run])
-                parts.append((waves @ fit.at(gyro.name, stretch.run) * run.weight)[stretch.blocks])
+                heard = (waves @ fit.at(gyro.name, stretch.run))[:, None]
+                parts.append(run.weighed(heard, run.array.names.index(gyro.name))[stretch.blocks, 0])
             gyro.subtract(parts)
         self._samples = without_tone(fit, self._samples)
         self.evidence.refresh()
@@ -454,19 +454,20 @@ class Search:
             return bool(np.abs(np.median(of_it) - 1) < _LOST)
         posterior = self.evidence.posterior([*model, term])
         if candidate.called == "earth_rate":  # is as long as it is
-            length = float(np.linalg.norm(posterior.shared[-len(term.columns) :]))
+            length = float(np.linalg.norm(posterior.means[0][-len(term.columns) :]))
             return length < 1 + _LOST
         at = 4 + sum(len(t.columns) for t in model if not t.shared)
-        sizes = [posterior.shared[-len(term.columns) :]] if term.shared else [m[at:] for m in posterior.own]
+        where = slice(-len(term.columns), None) if term.shared else slice(at, at + len(term.columns))
+        sizes = [mean[where] for mean in posterior.means]
         return bool(np.sqrt(np.mean(np.square(sizes))) < _IMPLAUSIBLE)
 
     def _sizes(self, candidate: Candidate, term: Term, model: Sequence[Term]) -> Floats:
         """Return the first parameter of an effect beside a model, by gyro."""
         posterior = self.evidence.posterior([*model, term])
         if term.shared:
-            return np.asarray(posterior.shared[-len(term.columns) :][:1] * candidate.largest[0])
+            return np.asarray(posterior.means[0][-len(term.columns) :][:1] * candidate.largest[0])
         at = 4 + sum(len(t.columns) for t in model if not t.shared)
-        return np.asarray(np.array([mean[at] for mean in posterior.own]) * candidate.largest[0])
+        return np.asarray(np.array([mean[at] for mean in posterior.means]) * candidate.largest[0])
 
     def _exchanged(self, chosen: list[str], terms: dict[str, Term]) -> tuple[list[str], dict[str, Term]]:
         """Try to remove and to exchange each effect, until nothing makes the model more probable."""
@@ -537,7 +538,7 @@ class Search:
                 continue
             theirs = np.array(term.columns)
             left = 0.0
-            for gram, mean in zip(base.reduced, posterior.own, strict=True):
+            for gram, mean in zip(base.reduced, posterior.means, strict=True):
                 sizes = mean[at : at + len(mine)]
                 cross = gram[best][np.ix_(theirs, mine)] @ sizes
                 inner = gram[best][np.ix_(theirs, theirs)] + np.eye(len(theirs)) / SCALES[0] ** 2
@@ -603,7 +604,7 @@ class Search:
                 run = self._runs[stretch.run]
                 gyro = run.array.names.index(spectra.name)
                 columns = [candidate.columns(run, gyro) for candidate in candidates]
-                whole[stretch.run] = np.hstack(columns) * run.weight[:, None]
+                whole[stretch.run] = run.weighed(np.hstack(columns), gyro)
             parts.append(whole[stretch.run][stretch.blocks])
         return parts
 

@@ -13,13 +13,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.noise import NoiseModel
 from estimator.tracing.runs import Run
 
 Floats = NDArray[np.float64]
 
 _BANDS_A_DECADE = 8
 _UNLIKE = 5.0  # over the root of how many frequencies tell it: by so much levels of noise differ that are not the same
+_FEWEST, _FEWEST_TURNS = 10, 2  # blocks of a stretch; of turns each is a row of its own
 _SINGLE = 12  # so many of the lowest frequencies of a stretch have a band of their own
+_WHITE = 0.6  # expected before the data: that a kind of coloured noise is too small to matter
+_STATED_SPREAD = np.log(3.0)  # how far a device's instability may be from its data sheet
+_LEAST = 0.05  # expectation of no coloured noise at most, where the data sheet states some
+_TURN_ON, _TURN_ON_EXPECTED = np.array([0.0, 0.2, 2.0, 50.0]), np.array([0.45, 0.2, 0.2, 0.15])
 
 
 def cosines(columns: Floats) -> Floats:
@@ -33,7 +39,7 @@ def cosines(columns: Floats) -> Floats:
 class Stretch:
     """A stretch of a run: its blocks, and the band (b,) that each of its frequencies (b,) in Hz falls into.
 
-    ``level`` is the variance of its white noise over that of all runs.
+    ``level`` is the variance of its white noise over that of all runs, ``used`` the share of blocks that hold data.
     """
 
     run: int
@@ -45,6 +51,7 @@ class Stretch:
     length_s: float
     alone: bool
     level: float = 1.0
+    used: float = 1.0
 
     @classmethod
     def of(cls, run: int, blocks: slice, length_s: float, alone: bool) -> Stretch:
@@ -68,45 +75,59 @@ class Stretch:
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseShapes:
     """Noise models to choose among: ratios to the angle random walk of bias instability (rtHz), walk (Hz), and the
-    standard deviation of a bias from stretch to stretch (rtHz); (G,) each, with their log expectations.
+    standard deviation of a bias from recording to recording (rtHz); (G,) each, with their log expectations.
+
+    ``span_s`` is the length of the longest recording. A bias is that of a recording: of flicker noise, which goes on to
+    ten times the span as in ``noise.MeansCovariance``, the mean of a stretch has (ln 10 + 3/2) / pi of its square in
+    variance; of a random walk the bias is its value in the middle, or at power-on if there are several recordings.
     """
 
     instability: Floats
     walk: Floats
     turn_on: Floats
     log_prior: Floats
+    span_s: float
 
     @classmethod
-    def over(cls, span_s: float) -> NoiseShapes:
-        """Return those that recordings of this length can tell apart."""
-        instability = np.concatenate([[0.0], np.geomspace(1.0, 60.0, 6) / np.sqrt(span_s)])
-        walk = np.concatenate([[0.0], np.geomspace(0.5, 40.0, 4) / span_s])
-        turn_on = np.array([0.0, 0.5, 50.0])  # none beyond the wander, some, anything
+    def over(cls, span_s: float, stated: NoiseModel | None = None, *, several: bool = False) -> NoiseShapes:
+        """Return those that one or ``several`` recordings of this length can tell; ``stated`` by a data sheet."""
+        arw = stated.arw if stated is not None else 0.0
+        ratios = (stated.instability / arw, stated.walk / arw) if stated is not None and arw > 0 else (0.0, 0.0)
+        instability, chance_b = _expected(np.geomspace(1.0, 60, 6) / np.sqrt(span_s), ratios[0])
+        walk, chance_k = _expected(np.geomspace(0.5, 40, 4) / span_s, ratios[1])
+        turn_on, chance_t = (_TURN_ON, _TURN_ON_EXPECTED) if several else (np.zeros(1), np.ones(1))
         b, k, t = (part.ravel() for part in np.meshgrid(instability, walk, turn_on, indexing="ij"))
-        chance = (
-            np.where(b == 0, 0.4, 0.6 / 6)
-            * np.where(k == 0, 0.6, 0.4 / 4)
-            * np.array([0.45, 0.3, 0.25])[np.searchsorted(turn_on, t)]
-        )
-        return cls(b, k, t, np.log(chance))
+        return cls(b, k, t, np.log(np.einsum("b,k,t->bkt", chance_b, chance_k, chance_t).ravel()), span_s)
 
     def select(self, keep: NDArray[np.bool_]) -> NoiseShapes:
         """Return only these."""
-        return NoiseShapes(self.instability[keep], self.walk[keep], self.turn_on[keep], self.log_prior[keep])
+        parts = (self.instability[keep], self.walk[keep], self.turn_on[keep], self.log_prior[keep])
+        return NoiseShapes(*parts, self.span_s)
 
     def density(self, stretch: Stretch) -> Floats:
         """Return the variance (G, bands) of a coefficient in each band over that of white noise."""
-        hz = np.maximum(stretch.band_hz, 1e-12)
-        circle = 2 * np.pi * hz
+        circle = 2 * np.pi * np.maximum(stretch.band_hz, 1e-12)
         out = stretch.level + self.instability[:, None] ** 2 / circle + (self.walk[:, None] / circle) ** 2
-        span_s = len(stretch.band) * stretch.length_s
-        wander = self.instability**2 * np.log(10 + span_s) / np.pi + self.walk**2 * span_s
-        # The mean of a stretch holds what the bias has wandered to since another stretch, and since power-on.
-        out[:, 0] = stretch.level + span_s * (wander + (0.0 if stretch.alone else self.turn_on**2))
+        own_s = len(stretch.band) * stretch.length_s
+        flicker = (np.log(10 * max(self.span_s / own_s, 1.0)) + 1.5) / np.pi
+        walk_s = own_s / 12 + max(self.span_s - own_s, 0.0) / 3 + (0.0 if stretch.alone else self.span_s)
+        bias = self.instability**2 * flicker + self.walk**2 * walk_s + (0.0 if stretch.alone else self.turn_on**2)
+        out[:, 0] = stretch.level + own_s * bias
         return np.asarray(out)
 
     def __len__(self) -> int:
         return len(self.instability)
+
+
+def _expected(sizes: Floats, stated: float) -> tuple[Floats, Floats]:
+    """Return none and these ratios to the angle random walk, and what is expected of each; ``stated``: 0 for none."""
+    values = np.concatenate([[0.0], sizes])
+    if stated <= 0:
+        return values, np.concatenate([[_WHITE], np.full(len(sizes), (1 - _WHITE) / len(sizes))])
+    least = sizes[0] / 2  # a size that cannot matter counts as none
+    chance = np.exp(-0.5 * (np.log(np.maximum(values, least) / max(stated, least)) / _STATED_SPREAD) ** 2)
+    chance[0] = chance[0] if stated < sizes[0] else min(chance[0], _LEAST)
+    return values, chance / chance.sum()
 
 
 @dataclass(slots=True, eq=False)
@@ -189,15 +210,18 @@ def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) ->
                 continue
             i = run.array.names.index(name)
             prior = run.prior.variances()
-            both = np.column_stack([run.state_columns()[i], run.z_rps[:, i]]) * run.weight[:, None]
+            both = run.weighed(np.column_stack([run.state_columns()[i], run.z_rps[:, i]]), i)
             for blocks in run.stretches():
-                if blocks.stop - blocks.start >= 10:
-                    stretches.append(Stretch.of(number, blocks, run.length_s, alone))
+                if blocks.stop - blocks.start >= (_FEWEST_TURNS if run.stated_rps else _FEWEST):
+                    used = float(np.mean(run.weight[blocks] > 0))
+                    stretches.append(replace(Stretch.of(number, blocks, run.length_s, alone), used=used))
                     parts.append(both[blocks])
         if prior is None or not stretches:
             continue
-        white = arw[name] if arw is not None else _white(parts, stretches)
+        stated = [runs[s.run].stated_rps * np.sqrt(s.length_s) for s in stretches]
+        white = arw[name] if arw is not None else max(_white(parts, stretches), min(stated))
         stretches = _levelled(parts, stretches, white)
+        stretches = [replace(s, level=max(s.level, (d / white) ** 2)) for s, d in zip(stretches, stated, strict=True)]
         gyro = GyroSpectra(name, prior, white, stretches, [np.empty((len(p), 0)) for p in parts])
         gyro.add(parts)
         found.append(gyro)
@@ -221,4 +245,5 @@ def _white(parts: Sequence[Floats], stretches: Sequence[Stretch]) -> float:
         [np.sqrt(s.length_s) * cosines(part)[len(part) // 2 :] for part, s in zip(parts, stretches, strict=True)]
     )
     rest = rows[:, Z] - rows[:, :Z] @ np.linalg.lstsq(rows[:, :Z], rows[:, Z], rcond=1e-10)[0]
-    return float(max(np.median(np.abs(rest)) / 0.6745, 1e-9))
+    free = 1 - rows.shape[1] / max(len(rows), 2 * rows.shape[1])  # what the states take of a few rows
+    return float(max(np.median(np.abs(rest)) / 0.6745 / np.sqrt(free), 1e-9))

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from estimator.model import decode
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigation import Errors, GyroErrors, Improvement, PhaseErrors, ResidualView
+from estimator.tracing.origin import shape_of
 from estimator.tracing.runs import Run
+from estimator.tracing.spectra import Stretch
 
 Floats = NDArray[np.float64]
 
@@ -27,7 +29,6 @@ _RAMP_SHARE = 0.02  # of the steepest acceleration of a run: what counts as a ra
 _FEWEST = 2
 _DRAWN = 400
 _MISFIT_DOF = 50.0  # of what no model fits: coherent with the motion, so far fewer than blocks
-_LONG = 30.0
 _APART = 1.0  # sigmas of an interval by which models differ, to be told apart by it
 _FEWEST_JUDGED = 20
 _DIRECTION = 1e-3  # share of a direction that must be left beside the mean to count as another
@@ -70,6 +71,9 @@ class _Sums:
 def phases_of(run: Run) -> list[Phase]:
     """Return the phases of a run in order."""
     grid = run.grid
+    if run.stated_rps:  # each turn is one
+        kinds = np.where(np.abs(run.w_rps).max(axis=1) > 0, "steady", "rest").tolist()
+        return [Phase(slice(n, n + 1), kind) for n, kind in enumerate(kinds)]
     if grid.gimbals:
         steep = np.abs(run.fold(np.abs(grid.acceleration_rps2))).max(axis=1)
         top = np.abs(run.fold(np.abs(grid.rate_rps))).max(axis=1)
@@ -143,12 +147,12 @@ def drawn(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, 
         for number, run in enumerate(runs):
             if name not in run.array.names:
                 continue
-            columns = after.columns(run, first + number, run.array.names.index(name)) * run.weight[:, None]
+            columns = after.columns(run, first + number, run.array.names.index(name))[run.weight > 0]
             gram = columns.T @ columns
             squares = [np.einsum("mi,ij,mj->m", true - x, gram, true - x) for x in (old, after.mean[g])]
             left = truth.misfit.get((name, first + number), 0.0)
             chance = random.chisquare(_MISFIT_DOF, _DRAWN) / _MISFIT_DOF
-            own = Drawn(squares[0] + left * chance, squares[1] + left * chance, float(run.weight.sum()))
+            own = Drawn(squares[0] + left * chance, squares[1] + left * chance, float(len(columns)))
             sums[name] = sums[name] + own if name in sums else own
     return sums
 
@@ -178,7 +182,7 @@ def judge(
                 if len(keep) < 1:
                     continue
                 basis = _basis(said_after[keep] - said_before[keep], sigma)
-                noise = _noise(after, g, basis, run, len(keep), sigma)
+                noise = _noise(after, basis, run, len(keep), sigma)
                 rests = [run.z_rps[keep, i] - said[keep] for said in (said_before, said_after)]
                 scores = [basis.T @ rest for rest in rests]
                 doubts = [
@@ -263,16 +267,11 @@ def _basis(difference: Floats, sigma: float) -> Floats:
     return np.column_stack([mean, other / size])
 
 
-def _noise(model: Augmented, g: int, basis: Floats, run: Run, blocks: int, sigma: float) -> Floats:
+def _noise(model: Augmented, basis: Floats, run: Run, blocks: int, sigma: float) -> Floats:
     """Return the variance of each projection: white noise, and what the bias wanders about where it was known."""
-    white = np.full(basis.shape[1], sigma**2)
-    arw = float(model.arw[g])
-    length_s = blocks * run.length_s
     span_s = float(run.t_s[-1] - run.t_s[0]) + run.length_s
-    # Flicker noise of all times longer than the phase, up to many runs: the bias was found in others.
-    flicker = model.instability**2 * np.log(10 + _LONG * span_s / max(length_s, run.length_s)) / np.pi
-    wander = arw**2 * (flicker + model.walk**2 * span_s / 3)
-    return np.asarray(white + wander * basis.sum(axis=0) ** 2)
+    mean = shape_of(model, Stretch.of(0, slice(0, blocks), run.length_s, True), span_s)[0]
+    return np.asarray(sigma**2 * (1 + (mean - 1) * basis.sum(axis=0) ** 2 / blocks))
 
 
 def sum_of(errors: Iterable[Drawn]) -> Drawn:

@@ -10,6 +10,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
 
 from drivers.can_link import CanLink
+from drivers.link_lock import held
 from drivers.seams import ImuSource, Turntable
 from estimator.reference import TableUncertainty
 from station.bench import Bench
@@ -91,15 +92,21 @@ def needs_only_memory(bench: Bench) -> bool:
 async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[OpenBench]:
     """Build links, twins and drivers; all twins end with the context.
 
-    ``time_scale`` is how fast the loop's clock runs: what waits for a host, not for physics, is stretched by
-    it.
+    ``time_scale`` is how fast the loop's clock runs: what waits for a host, not for physics, is stretched by it, and
+    not shortened where it is below 1, as devices are slow then, too. The table's links are held: DeviceRefused if
+    another program of this machine has one.
     """
     used = [imu for imu in bench.imus if imu.used]
     if not used:
         raise BenchError("no device of the bench is used: set used = true, or name one with --device")
     async with AsyncExitStack() as stack:
+        time_scale = max(time_scale, 1.0)
         twins = Twins(bench, stack, time_scale)
         table = await _table(bench, twins, time_scale)
+        for link in bench.table.links:
+            if link != TWIN:
+                port = TCP_PORT.get(bench.table.protocol)
+                await stack.enter_async_context(held("table", link, port, f"bench {bench.name}"))
         imus = tuple([OpenImu(imu, await _source(imu, twins, time_scale)) for imu in used])
         yield OpenBench(_as_timed(bench, time_scale), table, imus, twins.table.at_rest)
 

@@ -24,7 +24,7 @@ _ANSWER_S = 0.25  # one try of a question to a sensor, of which there are two: s
 BAUD = {"modbus": 19200, "galil": 115200, "acutrol": 115200, "aerosmith": 9600}
 BAUD |= {"stim300": 921600, "vectornav": 115200, "xsens": 921600}
 """Bits a second of a serial link that states none."""
-TCP_PORT = {"acutrol": 9888, "galil": 23}
+TCP_PORT = {"modbus": 502, "acutrol": 9888, "galil": 23}
 """TCP port of a link that states none."""
 
 

@@ -13,10 +13,9 @@ from typing import Any
 import can
 
 from drivers.errors import DeviceError
-from drivers.modbus_line import SerialPort
 from sims.slcan_adapter import SlcanAdapter
 from sims.socketcand_server import SocketcandServer
-from sims.wires import ByteDevice, Plug, Write, on_pty, on_tcp, pty_joint
+from sims.wires import ByteDevice, Plug, Write, on_pty, on_tcp
 from station.bench import Bench
 from station.bench_imu import ON_CAN, ImuConfig
 from station.open_bench.twins import Twins
@@ -60,17 +59,14 @@ class _Serving:
         said = {"protocol": config.protocol, "watchdog_s": self._twins.watchdog_s}
         if config.protocol == "modbus":
             said |= {"protocol": f"modbus-{'rtu' if wire == 'serial' else 'tcp'}", "unit_ids": addresses}
-            if wire == "serial":
-                plug = Plug()
-                ours, theirs = await self._stack.enter_async_context(pty_joint(plug))
-                await self._twins.serve_modbus(SerialPort(ours), plug)
-                return {"link": f"serial://{theirs}", **said}
+        else:
+            said["axes"] = addresses
+        if wire == "serial":
+            return {"link": await self._pty("table", self._twins.table_device), **said}
+        if config.protocol == "modbus":
             server = await self._twins.serve_modbus((self._host, port))
             bound = server.transport.sockets[0].getsockname()
             return {"link": f"tcp://{bound[0]}:{bound[1]}", **said}
-        said["axes"] = addresses
-        if wire == "serial":
-            return {"link": await self._pty("table", self._twins.table_device), **said}
         return {"link": await self._tcp("table", self._twins.table_device, port), **said}
 
     async def imu(self, imu: ImuConfig) -> str:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import logging
 import math
 from collections.abc import Callable, Coroutine
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack
 from functools import partial
 from typing import Any
 
@@ -18,6 +19,7 @@ from drivers.can_link import CanLink
 from drivers.can_memory import MemoryBus
 from drivers.errors import DeviceError
 from drivers.modbus_line import Address, SerialPort
+from drivers.registers import DriveProfile
 from drivers.seams import ByteLink, FrameLink
 from sims.aceinna_device import AceinnaDevice
 from sims.acutrol_controller import AcutrolController
@@ -31,7 +33,7 @@ from sims.geometry import MOUNTS_DEG, Mounting, along, mounted
 from sims.gyro import GyroArray, GyroTruth
 from sims.hidden import Hidden, HiddenError
 from sims.hidden.table import TableFaults
-from sims.modbus import FaultyModbus, modbus_server, pull_plug
+from sims.modbus import FaultyModbus, ModbusRtu, drives_by_unit, modbus_server, pull_plug
 from sims.stim300_device import Stim300Device
 from sims.table import AxisData, TableModel
 from sims.vectornav_device import VectorNavDevice
@@ -43,6 +45,7 @@ from station.errors import BenchError
 from station.open_bench.faults import read_faults, turn_knobs, turn_node_knobs
 from station.tables import Table
 
+_log = logging.getLogger(__name__)
 _wires = itertools.count(1)
 _STANDARD_GRAVITY_MPS2 = 9.80665
 
@@ -52,7 +55,7 @@ class Twins:
 
     def __init__(self, bench: Bench, stack: AsyncExitStack, time_scale: float) -> None:
         self.bench, self._stack = bench, stack
-        self.watchdog_s = bench.twin.watchdog_s * time_scale  # it waits for a host
+        self.watchdog_s = bench.twin.watchdog_s * max(time_scale, 1.0)  # it waits for a host
         loop = asyncio.get_running_loop()
         truths = bench.twin.truths.again()
         start = truths.quantities("start", "angle", len(bench.table.gimbals), 0.0)
@@ -89,36 +92,35 @@ class Twins:
         await self.serve_modbus(address)
         return address
 
-    async def serve_modbus(self, address: Address, plug: Plug | None = None) -> Any:
-        """Serve the drives at a host and port, or on a serial line with this plug; return pymodbus's server."""
-        config = self.bench.table
-        assert config.profile is not None
-        units = {name: int(axis.address) for name, axis in config.axes.items()}
+    async def serve_modbus(self, address: tuple[str, int]) -> Any:
+        """Serve the drives at a host and port; return pymodbus's server."""
         faults = self._faults.wires["table"]
-        server = modbus_server(
-            self.table,
-            config.profile,
-            units,
-            address,
-            self.watchdog_s,
-            FaultyModbus(faults, self._seed("table")) if faults.any else None,
-        )
+        wire = FaultyModbus(faults, self._seed("table")) if faults.any else None
+        server = modbus_server(self.table, *self._drives(), address, self.watchdog_s, wire)
         try:
             await server.serve_forever(background=True)
         except RuntimeError:
-            where = address.port if isinstance(address, SerialPort) else f"{address[0]}:{address[1]}"
+            where = f"{address[0]}:{address[1]}"
             raise DeviceError("table twin", f"cannot listen on {where}; is the port free?") from None
         self._stack.push_async_callback(server.shutdown)
-        if plug is None:
-            plug = Plug()
-            plug.attach(partial(pull_plug, server), lambda: self.run(server.listen()))
-            self._stack.callback(plug.detach)
+        plug = Plug()
+        plug.attach(partial(pull_plug, server), lambda: self.run(server.listen()))
+        self._stack.callback(plug.detach)
         plug.schedule(faults.unplug_s, faults.replug_s)
         return server
 
+    def _drives(self) -> tuple[DriveProfile, dict[str, int]]:
+        """Return the profile of the drives, and their unit ids."""
+        config = self.bench.table
+        assert config.profile is not None
+        return config.profile, {name: int(axis.address) for name, axis in config.axes.items()}
+
     def table_device(self, write: Write) -> ByteDevice:
-        """Return the controller that speaks lines of text."""
+        """Return the controller, or the drives on a serial line."""
         config, watchdog_s = self.bench.table, self.watchdog_s
+        if config.protocol == "modbus":
+            drives = drives_by_unit(self.table, *self._drives(), watchdog_s)
+            return ModbusRtu(drives, SerialPort("").silence_s, write)
         if config.protocol == "galil":
             letters = {name: str(axis.address) for name, axis in config.axes.items()}
             window_s = config.velocity_window_s
@@ -205,8 +207,9 @@ class Twins:
 
         async def end() -> None:
             task.cancel()
-            with suppress(asyncio.CancelledError):
-                await task
+            await asyncio.wait({task})
+            if not task.cancelled() and (error := task.exception()) is not None:
+                _log.error("a twin has ended by itself: %r", error)
 
         self._stack.push_async_callback(end)
 

@@ -99,7 +99,8 @@ def _stop_words(run: LiveRun) -> tuple[str, str]:
         ended = f"the run has ended: {run.outcome or 'no result'}"
         if run.at_rest:
             return f"{ended}, table at rest", "rest"
-        return (f"{ended}; TABLE NOT SEEN AT REST: {_EMERGENCY}", "armed") if run.moved else (ended, "")
+        unseen = run.moved or run.unconfirmed
+        return (f"{ended}; TABLE NOT SEEN AT REST: {_EMERGENCY}", "armed") if unseen else (ended, "")
     if run.at_rest:
         return f"{'STOP sent, ' if run.stop_asked else ''}table at rest", "rest"
     if run.unconfirmed:

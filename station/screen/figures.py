@@ -10,15 +10,6 @@ from rich.text import Text
 from station.figures import STATE_FIGURES
 from station.rendering import rendered
 
-OUTCOME_STYLES = {
-    "PASS": "bold green",
-    "ESTIMATED": "bold blue",
-    "FAIL": "bold red",
-    "ABORTED": "bold yellow",
-    "FAULT": "bold red",
-}
-"""Colours of outcomes; the word always stands there too."""
-
 
 def columns(rows: Sequence[Sequence[str]], *, left: int = 1, gap: str = "  ") -> list[str]:
     """Return rows of cells as lines: the first ``left`` columns left-aligned, the others right-aligned."""

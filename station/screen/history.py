@@ -14,10 +14,9 @@ from textual.binding import Binding
 from textual.containers import Horizontal
 from textual.widgets import DataTable, Input, Label, Static
 
-from station.figures import STATE_FIGURES, number
+from station.figures import OUTCOME_STYLES, STATE_FIGURES, number
 from station.screen.archive import Entry
 from station.screen.base import Field, StationScreen
-from station.screen.figures import OUTCOME_STYLES
 from station.screen.plots import trend_plot
 
 _COLUMNS = ("when", "device", "script", "outcome", "operator", "accepted", "file")

@@ -12,13 +12,11 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from station.snapshot import Snapshot, snapshot_of
+from station.snapshot import EventKind, Phase, Snapshot, snapshot_of
 
 _MOST_EVENTS = 500
 _MOST_POINTS = 1200
-_AT_REST, _UNCONFIRMED = "table at rest", "controlled stop not confirmed"  # how events of a session begin
-_STILL = ("connecting", "enabling")  # phases in which nothing has been moved
-_STOPPING = ("coming to rest", "estimating")  # phases after the script
+_MOVING, _ENDING = (Phase.HOMING, Phase.RUNNING), (Phase.STOPPING, Phase.ESTIMATING)
 
 
 class Stage(Enum):
@@ -104,7 +102,7 @@ class LiveRun:
     @property
     def stop_heard(self) -> bool:
         """Whether the session is seen to bring the table to rest, or to have ended."""
-        ending = self.snapshot is not None and self.snapshot.phase in _STOPPING
+        ending = self.snapshot is not None and self.snapshot.phase in _ENDING
         return ending or self.at_rest or self.stage is Stage.ENDED
 
     @property
@@ -138,7 +136,7 @@ class LiveRun:
             if kind == "snapshot":
                 self._take_snapshot(snapshot_of(message))
             elif kind == "event":
-                self._take_event(float(message["t_s"]), str(message["text"]))
+                self._take_event(float(message["t_s"]), EventKind(message["event"]), str(message["text"]))
             elif kind == "course":
                 self._take_course(message["points"])
             elif kind == "result":
@@ -157,10 +155,10 @@ class LiveRun:
         if self.stage is not Stage.ENDED:
             self.stage, self.trouble = Stage.ENDED, why
 
-    def _take_event(self, t_s: float, text: str) -> None:
+    def _take_event(self, t_s: float, kind: EventKind, text: str) -> None:
         self.events.append((t_s, text))
-        self.at_rest = self.at_rest or text.startswith(_AT_REST)
-        self.unconfirmed = self.unconfirmed or text.startswith(_UNCONFIRMED)
+        self.at_rest = self.at_rest or kind is EventKind.AT_REST
+        self.unconfirmed = self.unconfirmed or kind is EventKind.NOT_AT_REST
 
     def _take_course(self, points: Sequence[Mapping[str, Any]]) -> None:
         """Put before the trends what was before them."""
@@ -177,7 +175,7 @@ class LiveRun:
 
     def _take_snapshot(self, snapshot: Snapshot) -> None:
         self.snapshot = snapshot
-        self.moved = self.moved or snapshot.phase not in (*_STILL, *_STOPPING)
+        self.moved = self.moved or snapshot.phase in _MOVING or snapshot.elapsed_s > 0
         for gyro in snapshot.gyros:
             if all(map(math.isfinite, gyro.values)) and all(map(math.isfinite, gyro.sds)):
                 self.trends.setdefault(gyro.name, Trend()).add(snapshot.elapsed_s, gyro.values, gyro.sds)

@@ -15,11 +15,11 @@ from textual.app import ComposeResult
 from textual.containers import Horizontal
 from textual.widgets import Button, Static
 
-from station.figures import STATE_FIGURES, number
+from station.figures import OUTCOME_STYLES, STATE_FIGURES, number
 from station.screen.archive import Entry, GyroEntry, Whole, last_before
 from station.screen.base import StationScreen
 from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.figures import OUTCOME_STYLES, columns, headed, state_heads, templated, titled
+from station.screen.figures import columns, headed, state_heads, templated, titled
 from station.screen.investigated import investigation_lines
 from station.screen.live_run import Trend
 from station.screen.plots import gyro_plots

@@ -12,10 +12,10 @@ from textual.app import ComposeResult
 from textual.containers import Container, Vertical
 from textual.widgets import Input, Static
 
-from station.figures import STATE_FIGURES, clock, number
+from station.figures import OUTCOME_STYLES, STATE_FIGURES, clock, number
 from station.screen.bars import SILENCE_S, Lines, StopBar
 from station.screen.base import Field, StationDialog, StationScreen
-from station.screen.figures import OUTCOME_STYLES, columns, headed, state_heads
+from station.screen.figures import columns, headed, state_heads
 from station.screen.live_run import LiveRun, Stage, Trend
 from station.screen.plots import bar, gyro_plots
 from station.snapshot import PAUSED, Snapshot
@@ -157,7 +157,7 @@ def _progress(run: LiveRun, width: int) -> list[Text]:
         return [Text(_STAGE_WORDS[run.stage]), Text(f"recording: {run.recording}", "dim")]
     share = f" {snapshot.share:4.0%}"
     head = Text.assemble(
-        (snapshot.phase, "bold"),
+        (snapshot.doing, "bold"),
         f"   {clock(snapshot.remaining_s)} left of {clock(snapshot.elapsed_s + snapshot.remaining_s)}",
     )
     if snapshot.paused:

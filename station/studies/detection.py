@@ -31,32 +31,11 @@ RISE_C = 8.0
 SITE = Site(math.pi / 4, 0.0)
 STATES = np.tile([0.005, math.radians(0.1), math.radians(0.1), math.radians(-0.1)], (4, 1))
 AXES = "zyx"
-KNOWN = (
-    "thermal_bias",
-    "g_sensitivity",
-    "scale_asymmetry",
-    "scale_cubic",
-    "latency",
-    "warm_up",
-    "bias_drift",
-    "table_harmonic",
-    "tone",
-    "acceleration_sensitivity",
-    "thermal_scale",
-    "earth_rate",
-)
-UNKNOWN: Mapping[str, frozenset[str]] = {
-    "hysteresis": frozenset({"direction"}),
-    "rate_dependent_delay": frozenset({"acceleration"}),
-    "motor_current_gain": frozenset({"acceleration"}),
-    "encoder_eccentricity": frozenset({"angle"}),
-    "thermal_lag": frozenset({"temperature"}),
-}
+_GIVEN = packaged_toml("station.studies", "detection.toml")
+KNOWN = tuple(_GIVEN["known"])
+UNKNOWN: Mapping[str, frozenset[str]] = {name: frozenset(on) for name, on in _GIVEN["unknown"].items()}
 """Effects that are not in the catalogue, and what the residual depends on."""
-EQUIVALENT: Mapping[str, frozenset[str]] = {
-    "thermal_lag": frozenset({"thermal_bias", "thermal_gradient", "warm_up"}),
-    "motor_current_gain": frozenset({"scale_asymmetry", "latency", "bandwidth", "acceleration_sensitivity"}),
-}
+EQUIVALENT: Mapping[str, frozenset[str]] = {name: frozenset(same) for name, same in _GIVEN["equivalent"].items()}
 """Effects of the catalogue that say the same physics in other words: a lagging bias is a bias with its gradient."""
 
 
@@ -108,7 +87,7 @@ class Ended:
 def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "exponential") -> Hidden:
     """Return what the twin is given: size 1 is that of METHOD 3, gyros from 0.5 to 1.5 of it with either sign."""
     random = np.random.default_rng([seed, 4711])
-    tables: dict[str, Any] = {"temperature": {"rise": f"{RISE_C} degC", **_SHAPES[shape]}}
+    tables: dict[str, Any] = {"temperature": {"rise": f"{RISE_C} degC", **_GIVEN["temperatures"][shape]}}
 
     def each(value: float) -> Floats:
         return np.asarray(value * size * random.uniform(0.5, 1.5, 4) * random.choice([-1.0, 1.0], 4))
@@ -127,7 +106,6 @@ def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "expo
                 return f"{random.uniform(low, high):.9g} {unit}"
         return given
 
-    given = packaged_toml("station.studies", "detection.toml")
     for effect in effects:
         match effect:
             case "table_harmonic":
@@ -146,15 +124,8 @@ def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "expo
             case "earth_rate" | "nothing":
                 pass
             case _:
-                tables[effect] = {key: drawn(value) for key, value in given[effect].items()}
+                tables[effect] = {key: drawn(value) for key, value in _GIVEN["sizes"][effect].items()}
     return Hidden.of(tables)
-
-
-_SHAPES: Mapping[str, dict[str, str]] = {
-    "exponential": {"time_constant": "250 s"},
-    "linear": {"shape": "linear", "over": "360 s"},
-    "cycle": {"shape": "cycle", "over": "300 s"},
-}
 
 
 def recordings_of(case: Case) -> tuple[Recording, Recording, Recording]:

@@ -55,6 +55,13 @@ class Kill:
     at_rest: bool
 
 
+def watched_bench(folder: Path) -> Path:
+    """Write the built-in bench with drives that stop when their master falls silent; return where."""
+    path = folder / "watched.toml"
+    path.write_text(default_bench_text().replace('watchdog = "0 s"', 'watchdog = "1 s"'), encoding="utf-8")
+    return path
+
+
 def kill_once(twin: TwinProcess, path: Path, script: Path, after_s: float) -> Kill:
     """Start a run, kill it ``after_s`` after its first sample is on file, and look at what is left."""
     run = subprocess.Popen(
@@ -78,13 +85,6 @@ def kill_once(twin: TwinProcess, path: Path, script: Path, after_s: float) -> Ki
     missing = killed_at - (zero + min(last_s))
     time.sleep(WATCHDOG_AND_RAMP_S)
     return Kill(after_s, turning, outcome, missing, table_at_rest(twin.links["table"]))
-
-
-def watched_bench(folder: Path) -> Path:
-    """Write the built-in bench, with drives that watch for their master's silence."""
-    path = folder / "bench.toml"
-    path.write_text(default_bench_text().replace('watchdog = "0 s"', 'watchdog = "1 s"'))
-    return path
 
 
 def table_at_rest(link: str) -> bool:

@@ -84,7 +84,7 @@ async def stop_once(pid: int, after_s: float) -> tuple[float, dict[str, object]]
     async for message in session.messages():
         if message["kind"] == "result":
             break
-        if message.get("phase") == "turn" and not due_s:
+        if message.get("label") == "turn" and not due_s:
             due_s = time.monotonic() + after_s
         if due_s and not said_s and time.monotonic() >= due_s:
             await asyncio.sleep(random.uniform(0, 0.1))  # not in step with the snapshots

@@ -229,6 +229,25 @@ def test_a_stopped_table_can_be_enabled_and_moved_again(transport: str) -> None:
     virtually(main)
 
 
+def test_a_drive_that_holds_after_its_quick_stop_is_told_of_and_can_be_used_again(transport: str) -> None:
+    async def main() -> None:
+        async with twin(transport) as (table, model):
+            await table.enable()
+            await table.jog("y", 20 * DEG, 50 * DEG)
+            await asyncio.sleep(1.0)
+            assert "seen at rest" in await table.stop()
+            status = await table.status("y")
+            assert (status.enabled, status.fault) == (False, "")
+            assert "axis y was left in quick stop active: it holds, energised" in status.caution
+            table.close()
+            await table.open()  # the next run
+            await table.reset_fault()
+            await table.enable()
+            assert (await table.status("y")).enabled
+
+    virtually(main)
+
+
 def test_a_tripped_axis_says_fault_and_its_table_is_not_enabled_until_it_is_reset(transport: str) -> None:
     async def main() -> None:
         async with twin(transport) as (table, model):

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from compensating import compensate, needs_of
 from support import SITE
-from undone import compensate
 
 from estimator.array import SensorArray, dodecahedron, tetrahedron, triad
 from estimator.calibrate import calibrate
@@ -172,7 +172,7 @@ def test_what_the_laws_need_is_said() -> None:
         "u**4": set(),
     }.items():
         gyros, model = calibrated(triad(), {f"constructed {law}": (1e-3,)})
-        assert Compensation.of(gyros, {"imu": triad()}, model.text()).needs == needs, law
+        assert needs_of(Compensation.of(gyros, {"imu": triad()}, model.text())) == needs, law
 
 
 def test_a_law_of_the_axes_of_a_table_stays_with_that_table() -> None:

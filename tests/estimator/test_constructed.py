@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.effects.conditions import Conditions
-from estimator.effects.constructed import LawError, constructed, depends_on, in_words, lagged, last_sign, played
+from estimator.effects.constructed import LawError, constructed, in_words, lagged, last_sign, played
 from estimator.effects.effect import Axes
 
 AXES = Axes(np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0]), np.array([-0.8, 0.0, 0.6]))
@@ -63,7 +63,5 @@ def test_what_is_no_law_is_refused(text: str) -> None:
         constructed(text)
 
 
-def test_a_law_says_in_words_what_it_is_and_what_it_depends_on() -> None:
+def test_a_law_says_in_words_what_it_is() -> None:
     assert in_words("lag(T, 58)") == "bias proportional to temperature above 25 degC lagged by 58 s"
-    assert depends_on("last(rate_z)") == ("direction", "rate")
-    assert set(depends_on("lag(T, 58)*gx")) == {"temperature", "gravity"}

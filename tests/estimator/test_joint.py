@@ -100,6 +100,23 @@ def test_halves_that_disagree_are_told() -> None:
     assert any("the two halves of this recording disagree: k of" in doubt for doubt in doubts)
 
 
+def test_noise_that_grows_with_the_rate_is_told_and_what_is_slow_counts_for_more() -> None:
+    recording = direct_recording(5)
+    data = recording.sources["array"]
+    sd = 0.05 * np.sqrt(100) * np.abs(data.rate_rps) / 20  # at 20 deg/s ten times the noise at rest
+    added = sd * np.random.default_rng(1).standard_normal(sd.shape)
+    growing = replace(recording, sources={"array": replace(data, rate_rps=data.rate_rps + added)})
+    plain, found = calibrate(recording), calibrate(growing)
+    assert not any("grows with the rate" in note for note in plain.notes)
+    assert any("grows with the rate" in note for note in found.notes)
+    assert found.doubts == ()
+    assert not any(check.suspect for check in found.parity)
+    assert np.abs(scores(found)).max() < 3.5
+    alike = np.sqrt(1 + np.mean(sd**2) / (100 * np.radians(0.005) ** 2))  # if all samples had the mean noise
+    biases = [np.mean([gyro.sd[1] for gyro in calibration.gyros]) for calibration in (plain, found)]
+    assert biases[1] < 0.6 * alike * biases[0]
+
+
 def test_states_are_stated_for_their_conditions() -> None:
     said = calibrate(with_hidden({"temperature": {"rise": "8 degC", "time_constant": "250 s"}})).holds_for
     assert "0 to 20 about x, 0 to 20 about y, 0 to 20 about z deg/s (x, y, z in one direction)" in said

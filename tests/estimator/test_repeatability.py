@@ -13,7 +13,7 @@ from estimator.array import triad
 from estimator.calibrate import calibrate
 from estimator.calibration import GyroCalibration
 from estimator.recording import write_recording
-from estimator.repeatability import repeatability, same_device
+from estimator.repeatability import between_runs, repeatability, same_device
 
 DPH = np.pi / 180 / 3600
 
@@ -38,6 +38,17 @@ def test_a_bias_that_differs_from_switch_on_to_switch_on_is_found() -> None:
         [False, gyro.name == "gyro3", False, False] for gyro in repeats
     ]
     assert repeats[2].between[1] == pytest.approx(np.std(shifts, ddof=1), rel=0.15)
+
+
+def test_what_differs_between_runs_of_all_gyros_is_one_component_of_variance() -> None:
+    random = np.random.default_rng(2)
+    sd = np.tile([20e-6, 1.0 * DPH, 1e-5, 1e-5], (3, 4, 1))
+    states = TABLE_1 + sd * random.standard_normal(sd.shape)
+    assert not between_runs(states, sd).any()
+    shifted = states + np.array([0.0, 12.0 * DPH, 0.0, 0.0]) * random.standard_normal((3, 4, 1))
+    between = between_runs(shifted, sd)
+    assert between[1] == pytest.approx(12 * DPH, rel=0.5)
+    assert not between[[0, 2, 3]].any()
 
 
 @pytest.mark.full

@@ -35,6 +35,20 @@ def test_clean_recordings_lack_nothing() -> None:
     assert 0.9 <= ended.coverage_after <= 1.0
 
 
+@pytest.mark.full
+def test_a_bias_that_differs_from_run_to_run_is_told_and_in_the_sigma() -> None:
+    recordings = recordings_of(Case((), 1.0, 3))
+    shifts = DEG / 3600 * np.array([[50, -40, 10, -30], [-60, 30, 40, 20], [10, 20, -50, 40]])
+    moved = [changed(r, rate_rps=r.sources["array"].rate_rps + own) for r, own in zip(recordings, shifts, strict=True)]
+    found, still = investigate(moved), investigate(recordings)
+    assert any("b differs by" in note and "from run to run" in note for note in found.notes)
+    assert not any("from run to run" in note for note in still.notes)
+    assert found.finding == Finding.NOTHING
+    for gyro, own in zip(found.gyros, still.gyros, strict=True):
+        assert 20 * DEG / 3600 < gyro.sd_after[1] < 80 * DEG / 3600
+        assert gyro.sd_after[0] < 1.3 * own.sd_after[0]
+
+
 @pytest.mark.full  # the short form is the command's, in tests/station
 def test_an_effect_is_named_added_and_takes_the_error_away_on_a_run_that_was_not_used() -> None:
     calibration, exploration, verification = recordings_of(Case(("scale_asymmetry",), 1.0, 4))

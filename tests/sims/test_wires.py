@@ -15,7 +15,7 @@ from drivers.reopen import reopen
 from drivers.seams import ByteLink
 from sims.galil_controller import GalilController
 from sims.table import AxisData, TableModel
-from sims.wires import ByteDevice, Plug, Write, in_memory, on_pty, on_tcp, pty_joint
+from sims.wires import ByteDevice, Plug, Write, in_memory, on_pty, on_tcp
 
 
 class Parrot:
@@ -244,22 +244,6 @@ def test_the_last_station_at_a_port_is_served() -> None:
                 await received(first, 1)
             first.close()
             second.close()
-
-    really(main)
-
-
-def test_two_ports_joined_by_a_cable() -> None:
-    async def main() -> None:
-        async with pty_joint() as (one, other):
-            a, b = SerialLink("a", one, 19200), SerialLink("b", other, 19200)
-            await a.open()
-            await b.open()
-            a.write(b"ping")
-            assert await received(b, 4) == b"ping"
-            b.write(b"pong")
-            assert await received(a, 4) == b"pong"
-            a.close()
-            b.close()
 
     really(main)
 

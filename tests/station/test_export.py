@@ -15,8 +15,8 @@ import h5py
 import numpy as np
 import pytest
 import yaml
+from compensating import compensate, less_added
 from support import station
-from undone import compensate, less_added
 
 from estimator.array import SensorArray, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.calibration import Calibration, EffectValue, GyroCalibration

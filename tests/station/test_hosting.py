@@ -27,7 +27,7 @@ from test_run import bench_file, events, run_json
 
 from station.attaching import RemoteSession, running_sessions
 from station.errors import UsageError
-from station.snapshot import AxisSnapshot, GyroSnapshot, Snapshot, SourceSnapshot, json_object, snapshot_of
+from station.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot, json_object, snapshot_of
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="Unix sockets")
 
@@ -177,7 +177,7 @@ def watched(place: Path, tmp_path_factory: pytest.TempPathFactory) -> Watched:
             with suppress(BlockingIOError):
                 flooding.send(FLOOD)
             snapshot = snapshot_of(message)
-            if snapshot.phase == "first turn" and not asked:
+            if snapshot.label == "first turn" and not asked:
                 asked = True
                 session.resume()
                 session.pause()
@@ -190,7 +190,7 @@ def watched(place: Path, tmp_path_factory: pytest.TempPathFactory) -> Watched:
                     seen.killed_after = victim.stdout.readline()
                     victim.kill()
                     session.resume()
-            if snapshot.phase == "last rest" and len(seen.refusals()) < 3:
+            if snapshot.label == "last rest" and len(seen.refusals()) < 3:
                 session.pause()
                 session.ask_course()
         for far in (deaf, flooding):
@@ -221,7 +221,7 @@ def watched(place: Path, tmp_path_factory: pytest.TempPathFactory) -> Watched:
 
 def test_a_session_says_what_it_is_first(watched: Watched) -> None:
     hello = watched.hello
-    assert (hello["kind"], hello["version"]) == ("hello", 1)
+    assert (hello["kind"], hello["version"]) == ("hello", 2)
     assert hello["script"]["name"] == "turns"
     assert hello["script"]["duration_s"] == 27
     assert hello["script"]["steps"][1] == {"label": "first turn", "start_s": 3, "end_s": 11}
@@ -253,7 +253,7 @@ def test_no_client_disturbs_the_run_deaf_flooding_or_killed(watched: Watched) ->
 
 
 def test_snapshots_show_axes_sources_and_gyros(watched: Watched) -> None:
-    turning = next(s for s in watched.snapshots() if s.phase == "second turn" and 3 < s.remaining_s - 8 < 5)
+    turning = next(s for s in watched.snapshots() if s.label == "second turn" and 3 < s.remaining_s - 8 < 5)
     outer, middle, inner = turning.axes
     assert (outer.name, middle.name, inner.name) == ("z", "y", "x")
     assert middle.state == "turning"
@@ -335,11 +335,11 @@ def test_stop_ends_the_run_at_once_in_every_phase(place: Path, tmp_path: Path, p
                 hasty.sendall(b'{"do":"stop"}\n')
         async for message in session.messages():
             messages.append(message)
-            if phase == "pause" and message.get("phase") == "rest" and not message["paused"]:
+            if phase == "pause" and message.get("label") == "rest" and not message["paused"]:
                 session.pause()
-            if phase == "pause" == message.get("phase"):
+            if phase == "pause" == message.get("label"):
                 await asyncio.to_thread(say_nonsense, run.socket)
-            if message.get("phase") == phase != "connecting":
+            if message.get("label") == phase != "connecting":
                 assert session.stop()
         assert not session.stop()  # there is nobody any more
         session.close()
@@ -522,7 +522,7 @@ def test_the_one_device_that_tells_its_serial_number_is_recorded_by_it(
 
 def test_a_snapshot_comes_through_json_as_it_was() -> None:
     snapshot = Snapshot(
-        "homing", 1.5, 2.5, 10, 1, float("nan"), 0.9, -0.1, "after this step",
+        Phase.HOMING, "", 1.5, 2.5, 10, 1, float("nan"), 0.9, -0.1, "after this step",
         (AxisSnapshot("x", 0.1, -0.2, 0.3, "turning"),),
         (SourceSnapshot("s", "d", 99.5, 10, 1, 2, 3, 4, 0.001, float("nan"), 25.0, "ok"),),
         (GyroSnapshot("g", "s", (1.0, 2.0, 3.0, 4.0), (0.1, 0.2, 0.3, float("nan")), 1.1),),

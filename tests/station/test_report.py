@@ -15,8 +15,8 @@ import h5py
 import html5lib
 import numpy as np
 import pytest
+from compensating import compensate
 from test_investigate import ASYMMETRY, simulated
-from undone import compensate
 
 from estimator.array import tetrahedron
 from estimator.calibration import EffectValue, GyroCalibration

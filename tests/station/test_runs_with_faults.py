@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from faults import Fault, campaign, ended, faults_of
 
@@ -38,6 +40,12 @@ def test_a_link_that_drops_at_rest_is_opened_again_and_the_loss_counted() -> Non
     assert found.outcome == "FAIL"  # of its sigmas: the script is short
     assert not found.reason.startswith("stim300:")
     assert "lost" in found.reason
+
+
+def test_samples_that_come_late_are_named_where_a_run_fails() -> None:
+    found = ended(("rtu_stim300", (Fault("stim300", "latency", 'latency = "15 ms"'),), 0))
+    assert found.outcome == "FAIL"
+    assert re.search(r"stim300 is \+1[45]\.\d\d ± \d\.\d\d ms against the table", found.reason), found.reason
 
 
 @pytest.mark.full

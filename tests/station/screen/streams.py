@@ -28,7 +28,7 @@ from station.open_bench import open_bench
 from station.printing import result_object
 from station.script import load_script
 from station.session import RunOptions, Session
-from station.snapshot import json_object
+from station.snapshot import EventKind, json_object
 
 STREAMS = Path(__file__).parents[2] / "data" / "screen"
 RECORDING = "recordings/run-20261121-101502.h5"
@@ -67,8 +67,8 @@ async def listen(folder: Path, act: Callable[[Session, float], None], end: str =
     loop = asyncio.get_running_loop()
     said: list[dict[str, Any]] = []
 
-    def tell(t_s: float, text: str) -> None:
-        said.append({"at_s": loop.time(), "kind": "event", "t_s": t_s, "text": text})
+    def tell(t_s: float, kind: EventKind, text: str) -> None:
+        said.append({"at_s": loop.time(), "kind": "event", "t_s": t_s, "event": kind, "text": text})
 
     async def watch(session: Session) -> None:
         while True:
@@ -80,7 +80,7 @@ async def listen(folder: Path, act: Callable[[Session, float], None], end: str =
         told = {"operator": "A. Operator", "device_serial": "SN-0042"}
         session = Session(opened, script, folder / "run.h5", options=RunOptions(**told), on_event=tell)
         hello = introduction(bench, "bench.toml", script, Path(RECORDING), session.gyros)
-        head = {"at_s": 0.0, "kind": "hello", "version": 1, "pid": 4242, "time_scale": 5.0, **hello, **told}
+        head = {"at_s": 0.0, "kind": "hello", "version": 2, "pid": 4242, "time_scale": 5.0, **hello, **told}
         watching = asyncio.create_task(watch(session))
         result = await session.run()
         watching.cancel()
@@ -115,9 +115,9 @@ class Replay:
     ``after_stop`` from there on.
     """
 
-    def __init__(self, name: str, until_s: float, *, after_stop: str = "") -> None:
-        """Listen."""
-        self._lines = _lines(name)
+    def __init__(self, name: str, until_s: float, *, after_stop: str = "", label: str = "") -> None:
+        """Listen; ``label`` is that of every step."""
+        self._lines = [{**line, **({"label": label} if label and line.get("label") else {})} for line in _lines(name)]
         self._until_s = until_s
         self._clients: list[socket.socket] = []
         self._after = _lines(after_stop) if after_stop else []

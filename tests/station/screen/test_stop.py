@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import h5py
+import pytest
 from conftest import HistoryFirst, keys, until
 from streams import Replay
 from textual import events
@@ -20,7 +21,7 @@ from station.screen.choices import Choices
 from station.screen.dialogs import ChooseDialog
 from station.screen.live_run import LiveRun, Stage
 from station.screen.prospects import Prospect
-from station.snapshot import GyroSnapshot, Snapshot, json_object
+from station.snapshot import GyroSnapshot, Phase, Snapshot, json_object
 
 PROSPECT = Prospect(bench="built-in twins", all_twins=True)
 CHOICES = Choices("bench.toml", "short.toml", Path("recordings"), "A. Operator", "SN-0042", 1.0)
@@ -115,7 +116,7 @@ def test_who_attaches_late_sees_how_the_estimates_went() -> None:
     late = {"t_s": 2.0, "gyros": {"g": [[0.2] * 4, [0.5] * 4], "unknown": [[None] * 4, [1.0] * 4]}}
     run = LiveRun()
     gyro = GyroSnapshot("g", "s", (0.3,) * 4, (0.4,) * 4, 1.0)
-    run.take({"kind": "snapshot", **json_object(Snapshot("x", 2.0, 1, 1, 0, 1.0, gyros=(gyro,)))})
+    run.take({"kind": "snapshot", **json_object(Snapshot(Phase.RUNNING, "x", 2.0, 1, 1, 0, 1.0, gyros=(gyro,)))})
     run.take({"kind": "course", "points": [early, late]})
     run.take({"kind": "course", "points": [{}]})
     assert run.trends["g"].times_s == [1.0, 2.0]
@@ -188,3 +189,20 @@ def test_a_run_that_is_refused_says_why(place: Path) -> None:
         await until(pilot, lambda: "no [[step]] in it" in str(app.screen.query_one("#progress").render()))
 
     driven(app, drive)
+
+
+@pytest.mark.parametrize("label", ["estimating", "coming to rest", "table at rest"])
+def test_a_label_of_a_step_says_nothing_of_the_run(place: Path, label: str) -> None:
+    with Replay("pass", 20.0, label=label) as session:
+        app = StationApp(CHOICES, attach=True)
+
+        async def drive(pilot: Pilot[None]) -> None:
+            await pilot.press("f3")
+            await until(pilot, lambda: "running, 0:22 left" in said_by_bar(app))
+            await until(pilot, lambda: label in str(app.screen.query_one("#progress").render()))
+            await pilot.press("f9")
+            await until(pilot, lambda: "sent; waiting" in said_by_bar(app))
+            session.vanish()
+            await until(pilot, lambda: "TABLE NOT SEEN AT REST: USE THE EMERGENCY STOP" in said_by_bar(app))
+
+        driven(app, drive)

@@ -1,16 +1,48 @@
-"""The error model undone sample by sample: what every exported form must come to, from the effects' own regressors."""
-
-from __future__ import annotations
+"""The compensation carried out on arrays of samples, as the reference for what exports and reports write."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from estimator.arrays import Floats
-from estimator.compensation import MOST_ITERATIONS, TOLERANCE_RPS, Acts, Compensation, CompensationError
+from estimator.compensation import MOST_ITERATIONS, OF_THE_PAST, TOLERANCE_RPS, Acts, Compensation, CompensationError
 from estimator.effects.conditions import Conditions
+from estimator.effects.constructed import functions_of, variables_of
+
+Floats = NDArray[np.float64]
+_TIMED = frozenset({"warm_up", "thermal_gradient", *OF_THE_PAST, "lag", "t", "Tdot", "a", "jolt"})
+
+
+def needs_of(of: Compensation) -> frozenset[str]:
+    """What samples must come with: "temperature", "specific force", "time"."""
+    needed = set().union(*(effect.known.effect(()).needs for effect in of.effects))
+    laws = [held.known.law for held in of.effects if held.known.law]
+    told = {held.name for held in of.effects}.union(*map(functions_of, laws), *map(variables_of, laws))
+    if told & _TIMED:
+        needed.add("time")
+    return frozenset(needed)
+
+
+def less_added(
+    of: Compensation,
+    rate_rps: Floats,
+    t_s: Floats,
+    temperature_c: Floats | None = None,
+    accel_mps2: Floats | None = None,
+) -> Floats:
+    """Return outputs (N, n) in rad/s rid of bias and of all effects that do not depend on the rate.
+
+    Arguments as for ``compensate``.
+    """
+    _check(of, temperature_c, accel_mps2)
+    conditions = _conditions(t_s, np.zeros((len(t_s), 3)), temperature_c, accel_mps2)
+    left = np.array(rate_rps, dtype=np.float64)
+    lag = of.held("bandwidth")
+    if lag is not None:
+        left += lag[:, 0] * _slope(left, t_s)
+    return left + (of.bias_rps - _effects(of, Acts.ADDED, conditions))
 
 
 def compensate(
-    own: Compensation,
+    of: Compensation,
     rate_rps: Floats,
     t_s: Floats,
     temperature_c: Floats | None = None,
@@ -24,47 +56,34 @@ def compensate(
 
     Raises CompensationError for gyros that do not span space, and if something is lacking.
     """
-    left = less_added(own, rate_rps, t_s, temperature_c, accel_mps2)
-    w = _inverted(own, left, t_s, temperature_c, accel_mps2)
-    if any(effect.acts is Acts.MOTION for effect in own.effects):
+    left = less_added(of, rate_rps, t_s, temperature_c, accel_mps2)
+    w = _inverted(of, left, t_s, temperature_c, accel_mps2)
+    if any(effect.acts is Acts.MOTION for effect in of.effects):
         moved = _conditions(t_s, w, temperature_c, accel_mps2, _slope(w, t_s))
-        w = _inverted(own, left - _effects(own, Acts.MOTION, moved), t_s, temperature_c, accel_mps2)
+        w = _inverted(of, left - _effects(of, Acts.MOTION, moved), t_s, temperature_c, accel_mps2)
     return w
 
 
-def less_added(
-    own: Compensation,
-    rate_rps: Floats,
-    t_s: Floats,
-    temperature_c: Floats | None = None,
-    accel_mps2: Floats | None = None,
-) -> Floats:
-    """Return outputs (N, n) in rad/s rid of bias and of all effects that do not depend on the rate; as above."""
+def _check(of: Compensation, temperature_c: Floats | None, accel_mps2: Floats | None) -> None:
     given = {"temperature": temperature_c, "specific force": accel_mps2}
-    lacking = [what for what, values in given.items() if values is None and what in own.needs]
+    lacking = [what for what, values in given.items() if values is None and what in needs_of(of)]
     if lacking:
         raise CompensationError(f"the effects of these gyros cannot be undone without {' and '.join(lacking)}")
-    conditions = _conditions(t_s, np.zeros((len(t_s), 3)), temperature_c, accel_mps2)
-    left = np.array(rate_rps, dtype=np.float64)
-    lag = own.held("bandwidth")
-    if lag is not None:
-        left += lag[:, 0] * _slope(left, t_s)
-    return left + (own.bias_rps - _effects(own, Acts.ADDED, conditions))
 
 
 def _inverted(
-    own: Compensation, left: Floats, t_s: Floats, temperature_c: Floats | None, accel_mps2: Floats | None
+    of: Compensation, left: Floats, t_s: Floats, temperature_c: Floats | None, accel_mps2: Floats | None
 ) -> Floats:
     """Return body rates (N, 3) from outputs (N, n) that only the rate has a part in."""
-    solution = own.solution.T
+    solution = of.solution.T
     with np.errstate(over="ignore", invalid="ignore"):  # of infinities, and of rows that come to no end
         w = left @ solution
-        if not any(effect.acts is Acts.RATE for effect in own.effects):
+        if not any(effect.acts is Acts.RATE for effect in of.effects):
             return np.asarray(w)
         change = np.full(len(w), np.inf)
         for _ in range(MOST_ITERATIONS):
             before = w
-            w = (left - _effects(own, Acts.RATE, _conditions(t_s, w, temperature_c, accel_mps2))) @ solution
+            w = (left - _effects(of, Acts.RATE, _conditions(t_s, w, temperature_c, accel_mps2))) @ solution
             change = np.abs(w - before).sum(axis=1)
             if not (change > TOLERANCE_RPS).any():
                 break
@@ -72,15 +91,15 @@ def _inverted(
     return np.asarray(w)
 
 
-def _effects(own: Compensation, acts: Acts, conditions: Conditions) -> Floats:
+def _effects(of: Compensation, acts: Acts, conditions: Conditions) -> Floats:
     """Return what effects that act like this add to the outputs (N, n), by their own regressors."""
-    added = np.zeros((len(conditions.t_s), len(own.array)))
-    for held in own.effects:
+    added = np.zeros((len(conditions.t_s), len(of.array)))
+    for held in of.effects:
         if held.acts is acts:
             effect = held.known.effect(())
             with np.errstate(all="ignore"):  # a law may divide by zero, and samples may be no numbers
                 for gyro, values in enumerate(held.values):
-                    added[:, gyro] += effect.columns(conditions, own.array, gyro) @ values
+                    added[:, gyro] += effect.columns(conditions, of.array, gyro) @ values
     return added
 
 

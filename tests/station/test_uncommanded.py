@@ -1,0 +1,81 @@
+"""An axis that turns though nobody told it to: a fault within a second, with every axis stopped."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from pathlib import Path
+
+import h5py
+import pytest
+from faults import BENCHES
+
+from station.bench import Bench, load_bench
+from station.loops import VirtualLoop
+from station.open_bench import open_bench
+from station.outcome import Outcome
+from station.script import load_script
+from station.session import Result, RunOptions, Session
+
+SCRIPT = """
+[[step]]
+kind = "rest"
+duration = "4 s"
+[[step]]
+kind = "rotate"
+axis = "{driven}"
+rate = "20 deg/s"
+duration = "{turn} s"
+acceleration = "20 deg/s2"
+[[step]]
+kind = "rest"
+duration = "4 s"
+"""
+
+
+def run(folder: Path, bench: Bench, turn: int, time_scale: float = 1.0) -> Result:
+    (folder / "script.toml").write_text(SCRIPT.format(driven=bench.table.gimbals[-1], turn=turn))
+
+    async def main() -> Result:
+        script, options = load_script(folder / "script.toml"), RunOptions(time_scale=time_scale)
+        async with open_bench(bench, time_scale=time_scale) as opened:
+            result = await Session(opened, script, folder / "r.h5", options).run()
+            await asyncio.sleep(0.01)
+            assert opened.at_rest()
+            return result
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        return runner.run(main())
+
+
+def bench_with(folder: Path, name: str, fault: str) -> Bench:
+    path = folder / "bench.toml"
+    path.write_text(f"{(BENCHES / name).with_suffix('.toml').read_text()}\n[twin.fault]\n{fault}\n")
+    return load_bench(path)
+
+
+@pytest.mark.parametrize("at_s", [3.0, 8.0], ids=["at rest", "while another turns"])
+@pytest.mark.parametrize(
+    ("name", "within_s"),
+    # What a Galil does not hold for a motion it does not stop: it is switched off when that has been seen.
+    [("acutrol_vectornav", 1.0), ("galil_j1939", 4.0), ("rtu_stim300", 1.0), ("two_triads", 1.0)],
+)
+def test_an_axis_that_turns_by_itself_is_a_fault_within_a_second(
+    tmp_path: Path, name: str, within_s: float, at_s: float
+) -> None:
+    axis = load_bench((BENCHES / name).with_suffix(".toml")).table.gimbals[0]
+    result = run(tmp_path, bench_with(tmp_path, name, f'axis = "{axis}"\nat = "{at_s} s"\nkind = "runaway"'), 8)
+    assert result.verdict.outcome is Outcome.FAULT
+    assert re.match(
+        rf"table: axis {axis} turns at \d+\.\d deg/s; it was told to (stand|turn at up to 20.0 deg/s)",
+        result.verdict.reason,
+    ), result.verdict.reason
+    with h5py.File(result.recording) as file:
+        assert file["events/text"][-1] == b"table at rest"
+        assert at_s < file["events/t_ns"][-1] * 1e-9 < at_s + within_s
+
+
+@pytest.mark.parametrize("name", ["galil_xsens", "rtu_stim300", "two_triads"])
+def test_limits_that_wait_for_a_host_leave_devices_their_time_when_all_is_slow(tmp_path: Path, name: str) -> None:
+    bench = load_bench((BENCHES / name).with_suffix(".toml"))
+    assert run(tmp_path, bench, 4, time_scale=0.01).verdict.outcome is Outcome.FAIL  # of its sigmas: it is short

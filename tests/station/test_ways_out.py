@@ -1,0 +1,168 @@
+"""Whatever ends a run, wherever: every axis at rest by a controlled stop, the recording closed, the truth told."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import h5py
+import pytest
+from faults import BENCHES
+from test_run import bench_file, events
+
+import station
+from estimator.recording import read_recording
+from station.bench import load_bench
+from station.cli import main
+from station.loops import VirtualLoop, run_to_end
+from station.open_bench import open_bench
+from station.outcome import Outcome
+from station.script import load_script
+from station.session import Result, Session
+
+SCRIPT = '[[step]]\nkind = "rest"\nduration = "1 s"\n' + "".join(
+    f'[[step]]\nkind = "rotate"\naxis = "{axis}"\nrate = "40 deg/s"\nacceleration = "40 deg/s2"\nduration = "3 s"\n'
+    for axis in "xz"
+)
+ERRORS = (KeyboardInterrupt, MemoryError, OSError, ValueError, SystemExit, asyncio.CancelledError)
+TOP = Path(station.__file__).parents[1]
+OURS = tuple(str(TOP / package) + os.sep for package in ("station", "drivers", "estimator"))
+_CALLBACKS = 5700  # of such a run, about
+
+
+class Injector:
+    """Raises once, when so many callbacks of the loop have run: in one more, or ``lines`` later in our own code."""
+
+    def __init__(self, at: int, error: type[BaseException], lines: int = 0) -> None:
+        self.at, self.error, self.lines = at, error, lines
+        self.callbacks = 0
+
+    def count(self, handle: asyncio.Handle) -> None:
+        self.callbacks += 1
+        if self.callbacks == self.at:
+            if self.lines:
+                sys.settrace(self.trace)
+            else:
+                asyncio.get_running_loop().call_soon(self.strike)
+
+    def strike(self) -> None:
+        sys.settrace(None)
+        raise self.error("injected")
+
+    def trace(self, frame: FrameType, event: str, _argument: Any) -> Any:
+        if not frame.f_code.co_filename.startswith(OURS):
+            return None
+        if event == "line":
+            self.lines -= 1
+            if self.lines == 0:
+                self.strike()
+        return self.trace
+
+
+@contextmanager
+def injected(injector: Injector) -> Iterator[None]:
+    """Count the callbacks of every loop."""
+    run = asyncio.Handle._run  # type: ignore[attr-defined]
+
+    def counted(handle: asyncio.Handle) -> None:
+        injector.count(handle)
+        run(handle)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(asyncio.Handle, "_run", counted)
+        try:
+            yield
+        finally:
+            sys.settrace(None)
+
+
+def bench_without_watchdog(folder: Path) -> Path:
+    """Drives that go on turning when nobody stops them."""
+    return bench_file(folder)
+
+
+def ended(folder: Path, injector: Injector) -> tuple[Result, bool]:
+    """Run with an injection; return how it ended and whether the table is at rest."""
+    (folder / "script.toml").write_text(SCRIPT)
+    bench, script = load_bench(bench_without_watchdog(folder)), load_script(folder / "script.toml")
+
+    async def run() -> tuple[Result, bool]:
+        async with open_bench(bench) as opened:
+            session = Session(opened, script, folder / "run.h5")
+            with injected(injector):
+                result = await session.run()
+            await asyncio.sleep(0.01)  # rates that a drive calls zero end within that
+            return result, opened.at_rest()
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        return run_to_end(runner, run())
+
+
+def check(folder: Path, injector: Injector) -> None:
+    result, at_rest = ended(folder, injector)
+    assert at_rest
+    with h5py.File(result.recording) as file:
+        assert file.attrs["outcome"] == str(result.verdict.outcome)
+        assert file.attrs["reason"] == result.verdict.reason
+        rows = len(file["table/t_ns"]) if "t_ns" in file["table"] else 0
+    if rows:
+        assert [text for text in events(result.recording) if "rest" in text] == ["table at rest"]
+    if rows > 1:
+        read_recording(result.recording)
+
+
+def points(count: int) -> list[Injector]:
+    """Return injections spread over a run: of every kind of exception, in callbacks and in lines of our own."""
+    dice = random.Random(count)
+    spread = [round((i + dice.random()) / count * _CALLBACKS) + 1 for i in range(count)]
+    return [
+        Injector(at, ERRORS[i % len(ERRORS)], dice.randrange(1, 60) if i // len(ERRORS) % 2 else 0)
+        for i, at in enumerate(spread)
+    ]
+
+
+@pytest.mark.parametrize("injector", points(18), ids=lambda one: f"{one.error.__name__} at {one.at} line {one.lines}")
+def test_whatever_is_raised_wherever_the_table_comes_to_rest_and_the_file_is_closed(
+    tmp_path: Path, injector: Injector
+) -> None:
+    check(tmp_path, injector)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("injector", points(300), ids=lambda one: f"{one.error.__name__} at {one.at} line {one.lines}")
+def test_the_same_at_300_points(tmp_path: Path, injector: Injector) -> None:
+    check(tmp_path, injector)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
+def test_the_command_says_what_was_seen_and_not_that_nothing_moved(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], error: type[BaseException]
+) -> None:
+    (tmp_path / "script.toml").write_text(SCRIPT)
+    path = tmp_path / "run.h5"
+    files = ["--bench", bench_without_watchdog(tmp_path), "--script", tmp_path / "script.toml", "-o", path]
+    with injected(Injector(_CALLBACKS // 2, error)):
+        assert main(["run", *map(str, files)]) == Outcome.ABORTED.exit_code
+    said = capsys.readouterr()
+    assert ("stopped by Ctrl-C in step" if error is KeyboardInterrupt else "MemoryError") in said.out
+    assert "Traceback" not in said.err
+    assert "before anything moved" not in said.err + said.out
+    assert events(path)[-1] == "table at rest"
+
+
+def test_a_device_that_is_not_there_is_known_before_the_table_is_touched(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = ["--bench", BENCHES / "rtu_stim300.toml", "-o", tmp_path / "run.h5"]
+    assert main(["run", *map(str, files), "--link", "stim300=serial:///dev/none"]) == Outcome.FAULT.exit_code
+    assert "stim300: " in capsys.readouterr().out
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert "table_model" not in file.attrs
+        assert "text" not in file.get("events", {})
