@@ -15,6 +15,7 @@ import numpy as np
 
 from drivers.arrays import Flags, Floats, Octets
 from drivers.can_signals import parameter_group
+from drivers.packaged import packaged_toml
 from drivers.seams import Frame
 
 SSI2, ARI, ACCS = 0xF029, 0xF02A, 0xF02D
@@ -28,12 +29,7 @@ INTERNAL_RATE_HZ = 100
 DIVIDERS = (0, 1, 2, 4, 5, 10, 20, 25, 50)
 RATES_HZ = tuple(INTERNAL_RATE_HZ / divider for divider in DIVIDERS[1:])
 FILTERS_HZ = (0, 2, 5, 10, 25, 40, 50)
-# fmt: off
-ORIENTATIONS = (
-    0x000, 0x009, 0x023, 0x02A, 0x041, 0x048, 0x062, 0x06B, 0x085, 0x08C, 0x092, 0x09B,
-    0x0C4, 0x0CD, 0x0D3, 0x0DA, 0x111, 0x118, 0x124, 0x12D, 0x150, 0x159, 0x165, 0x16C,
-)
-# fmt: on
+ORIENTATIONS: list[int] = packaged_toml("drivers", "codes.toml")["aceinna"]["orientation"]["codes"]
 PACKETS = {"ssi2": 1, "ari": 2, "accs": 4}
 
 AxisOrder = Literal["xyz", "sae"]
@@ -76,11 +72,6 @@ def request(group: int, destination: int, source: int, *, standard: bool = False
 def command(group: int, destination: int, values: bytes, source: int) -> Frame:
     """Return a set request: the destination comes first in the data, not in the identifier."""
     return message(group, bytes([destination]) + values, source)
-
-
-def action(group: int, destination: int, source: int) -> Frame:
-    """Return the request to reset the algorithm or to save the configuration."""
-    return message(group, bytes([0, destination, 0]), source)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,14 +158,6 @@ def decode_accelerations(data: Octets, order: AxisOrder) -> tuple[Floats, Flags]
     return _decode(data, order, _MPS2_PER_BIT, _MPS2_OFFSET)
 
 
-def decode_slope(data: bytes) -> tuple[float, float] | None:
-    """Return pitch and roll in deg of an SSI2 message; NaN for no measurement, None for a wrong length."""
-    if len(data) != 8:
-        return None
-    pitch, roll = (int.from_bytes(data[i : i + 3], "little") for i in (0, 3))
-    return _slope(pitch), _slope(roll)
-
-
 def encode_rates(rates_dps: Floats, order: AxisOrder, tail: bytes = bytes(2)) -> bytes:
     """Return the data of ARI for rates x, y, z (3,) in deg/s; ``tail`` is figure of merit and latency."""
     return _encode(rates_dps, order, _DPS_PER_BIT, _DPS_OFFSET) + tail
@@ -206,7 +189,3 @@ def _encode(values: Floats, order: AxisOrder, per_bit: float, offset: float) -> 
         for field in fields
     ]
     return struct.pack("<3H", *raw)
-
-
-def _slope(raw: int) -> float:
-    return float("nan") if raw >> 16 >= _NO_MEASUREMENT >> 8 else raw * _DEG_PER_BIT + _DEG_OFFSET

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Octets, Stamps
-from drivers.can_samples import Companion, CountedSamples, Piece, RegularSamples, block_of
+from drivers.can_samples import Companion, Piece, block_of, regular_block
 from drivers.can_signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.errors import DeviceError
-from drivers.sampling import Alignment, CounterClock
+from drivers.sampling import Alignment, CounterClock, RegularClock
 from drivers.seams import Frame, FrameLink, Identity, ImuBlock, SourceCounts
 
 BUILT_IN_DBC = Path(__file__).with_name("gyro_nodes.dbc")
@@ -248,14 +248,12 @@ class _Source:
         self._before = 0  # place of the last leading frame given
         self._temperature_c = float("nan")
         self._count = signals.time or signals.counter
-        self._regular = RegularSamples(1 / rate_hz, self.counts)
-        self._counted: CountedSamples | None = None
+        self._clock: RegularClock | CounterClock = RegularClock(1 / rate_hz, self.counts)
         if self._count is not None:
             tick_s = signals.time.scale if signals.time is not None else 1 / rate_hz
             bits = min(self._count.bits, _COUNT_BITS)
             self._mask = (1 << bits) - 1
-            clock = CounterClock(tick_s, 1 << bits, max(round(1 / (rate_hz * tick_s)), 1), self.counts)
-            self._counted = CountedSamples(clock)
+            self._clock = CounterClock(tick_s, 1 << bits, max(round(1 / (rate_hz * tick_s)), 1), self.counts)
 
     @property
     def inlets(self) -> list[_Inlet]:
@@ -263,29 +261,26 @@ class _Source:
 
     @property
     def alignment(self) -> Alignment | None:
-        return self._regular.alignment if self._counted is None else self._counted.alignment
+        return self._clock.alignment
 
     def restart(self) -> None:
         """Begin anew after a break; nothing must be held any more."""
-        if self._counted is None:
-            self._regular.restart()
+        if isinstance(self._clock, RegularClock):
+            self._clock.restart()
 
     def block(self, *, everything: bool = False) -> ImuBlock | None:
         """Return what can be timed of what has come, or None."""
-        pieces = self._whole(everything=everything)
-        gyros = len(self._signals.rates)
-        if self._counted is not None:
-            if not pieces:
-                return None
-            values, counted, count = self._rows(pieces)
-            arrival_ns = np.array([piece.t_ns for piece in pieces], dtype=np.int64)
-            return self._counted.block(arrival_ns[counted], count[counted], values[counted], gyros)
-        if pieces:
-            values, _, _ = self._rows(pieces)
-            arrival_ns = np.array([piece.t_ns for piece in pieces], dtype=np.int64)
-            self._regular.add(arrival_ns, values, [piece.data for piece in pieces])
-        ready = self._regular.ready(everything=everything)
-        return None if ready is None else block_of(*ready, gyros)
+        pieces, gyros = self._whole(everything=everything), len(self._signals.rates)
+        if isinstance(self._clock, RegularClock):
+            values = self._rows(pieces)[0] if pieces else np.empty((0, gyros))
+            samples = [(piece.t_ns, row, piece.data) for piece, row in zip(pieces, values, strict=True)]
+            return regular_block(self._clock, samples, gyros, everything=everything)
+        if not pieces:
+            return None
+        values, counted, count = self._rows(pieces)
+        arrival_ns = np.array([piece.t_ns for piece in pieces], dtype=np.int64)[counted]
+        new, t_ns = self._clock.stamp(count[counted], arrival_ns)
+        return block_of(t_ns, arrival_ns[new], values[counted][new], gyros, count[counted][new]) if len(t_ns) else None
 
     def _whole(self, *, everything: bool) -> list[Piece]:
         """Take the leading frames whose companions have come, or will not come any more."""

@@ -5,13 +5,14 @@ time) may be in that message or in others. Frames of one instant win the bus in 
 a message of a smaller one is looked for just before the leading frame, a message of a larger one just after it.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Stamps
-from drivers.sampling import Alignment, CounterClock, RegularClock
-from drivers.seams import ImuBlock, SourceCounts
+from drivers.sampling import RegularClock
+from drivers.seams import ImuBlock
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,67 +63,14 @@ class Companion:
         self._pieces = kept if self.follows else kept[-1:]
 
 
-class RegularSamples:
-    """Rows of values timed by their own regular rhythm; held back until ``RegularClock`` can tell."""
-
-    def __init__(self, period_s: float, counts: SourceCounts) -> None:
-        """Start empty, for rows that come every ``period_s``."""
-        self._clock = RegularClock(period_s, counts)
-        self._rows: list[Floats] = []
-        self._first = 0  # serial number of the first row kept
-
-    @property
-    def alignment(self) -> Alignment | None:
-        """The sender's clock against the loop's; None in the first seconds."""
-        return self._clock.alignment
-
-    def add(self, arrival_ns: Stamps, values: Floats, raw: list[bytes]) -> None:
-        """Take in rows (n, k); ``raw`` is what equal samples share."""
-        serial = self._first + len(self._rows)
-        self._rows.extend(values)
-        for i, (t_ns, data) in enumerate(zip(arrival_ns.tolist(), raw, strict=True)):
-            self._clock.add(t_ns, float(serial + i), data)
-
-    def restart(self) -> None:
-        """Begin anew after a break; nothing must be held any more."""
-        self._clock.restart()
-
-    def ready(self, *, everything: bool = False) -> tuple[Stamps, Stamps, Floats] | None:
-        """Return (t_ns, arrival_ns, values (n, k)) of the rows that can be timed, or None."""
-        if not (everything or self._clock.due):
-            return None
-        ready = self._clock.ready(everything=everything)
-        if ready is None:
-            return None
-        t_ns, arrival_ns, serial = ready
-        chosen = serial.astype(np.int64) - self._first
-        values = np.array([self._rows[i] for i in chosen])
-        done = int(chosen[-1]) + 1
-        del self._rows[:done]
-        self._first += done
-        return t_ns, arrival_ns, values
-
-
-class CountedSamples:
-    """Rows of values timed by the device's own counter or clock, at once."""
-
-    def __init__(self, clock: CounterClock) -> None:
-        """Take the clock with its tick and wrap."""
-        self._clock = clock
-
-    @property
-    def alignment(self) -> Alignment | None:
-        """The device's clock against the loop's; None in the first seconds."""
-        return self._clock.alignment
-
-    def block(self, arrival_ns: Stamps, count: Stamps, values: Floats, gyros: int) -> ImuBlock | None:
-        """Return the new ones of these rows as a block, or None."""
-        if not len(count):
-            return None
-        new, t_ns = self._clock.stamp(count, arrival_ns)
-        if not len(t_ns):
-            return None
-        return block_of(t_ns, arrival_ns[new], values[new], gyros, count[new])
+def regular_block(
+    clock: RegularClock, rows: Iterable[tuple[int, Floats, bytes]], gyros: int, *, everything: bool = False
+) -> ImuBlock | None:
+    """Give the clock rows as ``block_of`` takes them, and return those that can be timed, or None."""
+    for arrival_ns, values, raw in rows:
+        clock.add(arrival_ns, values, raw)
+    ready = clock.ready(everything=everything)
+    return None if ready is None else block_of(*ready, gyros)
 
 
 def block_of(t_ns: Stamps, arrival_ns: Stamps, values: Floats, gyros: int, counter: Stamps | None = None) -> ImuBlock:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Flags, Floats, Ints, Octets
 from drivers.errors import DeviceError
+from drivers.packaged import packaged_toml
 
 MessageKey = tuple[int, bool]
 """What tells a message on the bus: its identifier, or the number of its parameter group; whether 29 bits are meant."""
@@ -31,22 +32,7 @@ UNITS = {
 }
 """What a signal can be, and the size in SI of the units it may have; a temperature without any is in degC."""
 _KELVIN = 273.15
-_SPELLINGS = (
-    ("degrees", "deg"),
-    ("degree", "deg"),
-    ("°", "deg"),
-    ("µ", "u"),
-    ("μ", "u"),
-    ("dps", "deg/s"),
-    ("/sec", "/s"),
-    ("/hr", "/h"),
-    ("²", "2"),
-    ("^", ""),
-    ("**", ""),
-    ("/s/s", "/s2"),
-    ("deg c", "degc"),
-    (" ", ""),
-)
+_SPELLINGS: dict[str, str] = packaged_toml("drivers", "codes.toml")["unit"]["spelling"]
 _WINDOW = 8  # bytes looked at for one signal
 _NO_MEASUREMENT = 0xFB  # SAE J1939-71: at and above it the top byte says reserved, indicator, error, not available
 
@@ -54,7 +40,7 @@ _NO_MEASUREMENT = 0xFB  # SAE J1939-71: at and above it the top byte says reserv
 def plain_unit(text: str) -> str:
     """Return the spelling used here of a unit as DBC files write it: ``°/s``, ``deg/sec``, ``dps`` are deg/s."""
     text = text.strip().lower()
-    for written, plain in _SPELLINGS:
+    for written, plain in _SPELLINGS.items():
         text = text.replace(written, plain)
     return {"c": "degC", "degc": "degC", "celsius": "degC", "k": "K", "degk": "K"}.get(text, text)
 

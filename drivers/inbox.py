@@ -10,7 +10,7 @@ _MOST_BYTES = 1 << 22  # half a minute of the fastest serial line
 
 
 class Inbox:
-    """Chunks in their order, and the end of the link. What nobody takes is dropped, oldest first, and counted."""
+    """Chunks in their order, and the end of the link. What nobody takes is dropped, oldest first."""
 
     def __init__(self, device: str) -> None:
         """Start empty."""
@@ -20,8 +20,6 @@ class Inbox:
         self._wake = asyncio.Event()
         self.ended = ""
         """Why nothing more will come; empty while it may."""
-        self.dropped = 0
-        """Number of bytes dropped."""
 
     def begin(self) -> None:
         """Forget what was there, for a link that is opened again."""
@@ -34,9 +32,7 @@ class Inbox:
         self._chunks.append(chunk)
         self._bytes += len(chunk.data)
         while self._bytes > _MOST_BYTES:
-            lost = len(self._chunks.popleft().data)
-            self._bytes -= lost
-            self.dropped += lost
+            self._bytes -= len(self._chunks.popleft().data)
         self._wake.set()
 
     def end(self, reason: str) -> None:

@@ -7,11 +7,11 @@ import numpy as np
 
 from drivers import aceinna
 from drivers.arrays import Flags, Floats, Octets
-from drivers.can_samples import Companion, Piece, RegularSamples, block_of
+from drivers.can_samples import Companion, Piece, regular_block
 from drivers.errors import DeviceRefused, LinkLost
 from drivers.loop_scale import loop_scale
 from drivers.one_source import OneSource
-from drivers.sampling import Alignment
+from drivers.sampling import Alignment, RegularClock
 from drivers.seams import Frame, FrameLink, Identity, ImuBlock, SourceCounts
 
 _GATHER_S = 0.03
@@ -49,9 +49,7 @@ class AceinnaImu(OneSource[FrameLink]):
         self._waiting: list[Piece] = []
         self._accelerations = Companion(follows=False)
         self._counts = SourceCounts()
-        self._samples = RegularSamples(1 / rate_hz, self._counts)
-        self.saturated = 0
-        """Samples with a rate at the end of the range, +-250 deg/s; their rates are NaN."""
+        self._clock = RegularClock(1 / rate_hz, self._counts)
 
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are rate and acceleration messages of a wrong length."""
@@ -59,7 +57,7 @@ class AceinnaImu(OneSource[FrameLink]):
 
     def alignment(self, name: str) -> Alignment | None:
         """Get how the device's clock lies to the loop's; None while that is not known."""
-        return self._samples.alignment
+        return self._clock.alignment
 
     async def open(self) -> None:
         """Open the bus and send the settings; DeviceRefused if the device does not take one.
@@ -85,7 +83,7 @@ class AceinnaImu(OneSource[FrameLink]):
         """Yield blocks as the frames come; LinkLost when the bus is gone. Begun again, it goes on after the break."""
         for name, held in self.flush():
             yield name, held
-        self._samples.restart()
+        self._clock.restart()
         while True:
             self._take(await self._link.receive())
             if (block := self._block()) is not None:
@@ -151,23 +149,20 @@ class AceinnaImu(OneSource[FrameLink]):
 
     def _block(self, *, everything: bool = False) -> ImuBlock | None:
         pieces, self._waiting = self._waiting, []
-        if pieces:
-            places = [piece.order for piece in pieces]
-            found, rows = self._accelerations.matched(self._before, places, places[-1] + 1)
-            self._before = places[-1]
-            self._accelerations.forget(self._before)
-            accel = np.full((len(pieces), 3), np.nan)
-            accel[found] = _measured(*aceinna.decode_accelerations(_table(rows), self._order))
-            rates, saturated = aceinna.decode_rates(_table([piece.data for piece in pieces]), self._order)
-            self.saturated += int(saturated.any(axis=1).sum())
-            temperature = np.full(len(pieces), np.nan)  # not on this wire
-            values = np.column_stack([np.radians(_measured(rates, saturated)), temperature, accel])
-            arrival_ns = np.array([piece.t_ns for piece in pieces], dtype=np.int64)
-            self._samples.add(arrival_ns, values, [piece.data for piece in pieces])
-        else:
+        if not pieces:
             self._accelerations.idle()
-        ready = self._samples.ready(everything=everything)
-        return None if ready is None else block_of(*ready, gyros=3)
+            return regular_block(self._clock, [], gyros=3, everything=everything)
+        places = [piece.order for piece in pieces]
+        found, rows = self._accelerations.matched(self._before, places, places[-1] + 1)
+        self._before = places[-1]
+        self._accelerations.forget(self._before)
+        accel = np.full((len(pieces), 3), np.nan)
+        accel[found] = _measured(*aceinna.decode_accelerations(_table(rows), self._order))
+        rates = _measured(*aceinna.decode_rates(_table([piece.data for piece in pieces]), self._order))
+        temperature = np.full(len(pieces), np.nan)  # not on this wire
+        values = np.column_stack([np.radians(rates), temperature, accel])
+        samples = [(piece.t_ns, row, piece.data) for piece, row in zip(pieces, values, strict=True)]
+        return regular_block(self._clock, samples, gyros=3, everything=everything)
 
 
 def _agree(group: int, asked: bytes, told: bytes) -> bool:

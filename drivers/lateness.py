@@ -52,7 +52,9 @@ class Lateness:
     """
 
     PROOF = 32
+    """How many later samples must agree, in a steady rhythm, that one was lost or doubled."""
     LONGEST_S = 0.3
+    """How long samples are held at the most for the sake of jitter, in a steady rhythm."""
 
     def __init__(self, period_s: float) -> None:
         """Know nothing yet of samples that are taken every ``period_s``."""

@@ -32,11 +32,6 @@ class MemoryLink:
         near._send, far._send = far.deliver, near.deliver
         return near, far
 
-    @property
-    def dropped(self) -> int:
-        """Number of bytes that nobody took in time."""
-        return self._inbox.dropped
-
     async def open(self) -> None:
         """Take hold of this end, after ``close`` again; LinkLost while the wire is unplugged."""
         self._inbox.begin()

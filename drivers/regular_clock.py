@@ -36,7 +36,7 @@ class RegularClock:
 
     Where arrivals jitter by less than the period each loss can be placed, a few samples later. Where they jitter
     by more, a sample's place is given as its mean over all that may have happened (forward-backward smoothing of
-    a hidden Markov chain), at the latest ``LONGEST_S`` later; losses are then right in number.
+    a hidden Markov chain), at the latest ``Lateness.LONGEST_S`` later; losses are then right in number.
 
     A sender that falls behind for seconds looks like one that loses. When it catches up, samples seem to come before
     they were taken. The clock then begins anew, and drops those whose times would run back: as many as have been
@@ -45,10 +45,6 @@ class RegularClock:
 
     HOLD = 8
     """How many later samples there must be before one is given its time."""
-    PROOF = Lateness.PROOF
-    """How many later samples must agree, in a steady rhythm, that one was lost or doubled."""
-    LONGEST_S = Lateness.LONGEST_S
-    """How long samples are held at the most for the sake of jitter, in a steady rhythm."""
     MOST = 256
     """How many are held at the most, should the rhythm not come back; or a second's, where that is more."""
 
@@ -57,7 +53,7 @@ class RegularClock:
         self._period_s = period_s
         self._counts = counts
         self._most = max(self.MOST, round(1 / period_s))
-        self._held: list[tuple[int, float, bytes]] = []  # arrival_ns, value, raw bytes
+        self._held: list[tuple[int, Floats | float, bytes]] = []  # arrival_ns, values, raw bytes
         self._last_raw = b""
         self._last_arrival_ns: int | None = None
         self._last_t_ns = -(2**62)
@@ -89,9 +85,9 @@ class RegularClock:
             sd_drift_ppm=math.hypot(found.sd_drift_ppm, hidden * 1e6 / math.sqrt(3)),
         )
 
-    def add(self, arrival_ns: int, value: float, raw: bytes) -> None:
-        """Take in one sample; ``raw`` is what equal samples share."""
-        self._held.append((arrival_ns, value, raw))
+    def add(self, arrival_ns: int, values: Floats | float, raw: bytes) -> None:
+        """Take in one sample, a number or a row (k,); ``raw`` is what equal samples share."""
+        self._held.append((arrival_ns, values, raw))
 
     def restart(self) -> None:
         """Begin anew after a break, whose length tells how many were lost; nothing must be held any more."""
@@ -104,7 +100,7 @@ class RegularClock:
         return len(self._held) >= max(2 * self.HOLD, self._look_again)
 
     def ready(self, *, everything: bool = False) -> tuple[Stamps, Stamps, Floats] | None:
-        """Return (t_ns, arrival_ns, value) of the samples that can be timed, or None while too few are held."""
+        """Return (t_ns, arrival_ns, values) of the samples that can be timed, or None while too few are held."""
         if not self._held or not (self.due or everything):
             return None
         arrival = np.array([row[0] for row in self._held], dtype=np.int64)
@@ -120,16 +116,16 @@ class RegularClock:
         rows, self._held, self._look_again = self._held[: len(kept)], self._held[len(kept) :], 0
         self._last_raw = rows[-1][2]
         arrival = arrival[: len(kept)][kept]
-        value = np.array([row[1] for row, keep in zip(rows, kept, strict=True) if keep])
+        values = np.array([row[1] for row, keep in zip(rows, kept, strict=True) if keep])
         t_ns = self._time_ns(place, arrival, own[: len(kept)][kept], known)
         later = t_ns > self._last_t_ns
         if not later.all():
             self._counts.samples -= int(np.count_nonzero(~later))
-            t_ns, arrival, value = t_ns[later], arrival[later], value[later]
+            t_ns, arrival, values = t_ns[later], arrival[later], values[later]
         if not len(t_ns):
             return None
         self._last_t_ns = int(t_ns[-1])
-        return t_ns, arrival, value
+        return t_ns, arrival, values
 
     def _too_early(self, place: Floats, arrival: Stamps) -> bool:
         """Return whether all samples seem to come well before they were taken."""

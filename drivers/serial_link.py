@@ -47,11 +47,6 @@ class SerialLink:
         self._inbox = Inbox(device)
         self._reader: _Reader | None = None
 
-    @property
-    def dropped(self) -> int:
-        """Number of bytes that nobody took in time."""
-        return self._inbox.dropped
-
     async def open(self) -> None:
         """Open the port and start to read; LinkLost if it cannot be opened."""
         self.close()

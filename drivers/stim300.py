@@ -3,6 +3,7 @@
 import re
 import struct
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,15 +48,16 @@ class Layout:
     extra: bool = False  # PPS or AUX group
 
     @property
-    def clusters(self) -> int:
-        """Number of three-axis clusters."""
-        return 1 + self.accelerometer + self.inclinometer
+    def groups(self) -> tuple[tuple[str, int, int], ...]:
+        """Groups in their order: name, how many numbers, and of how many bytes each. A status byte follows each."""
+        clusters = ["gyro", *(name for name in ("accelerometer", "inclinometer") if getattr(self, name))]
+        temperatures = [(f"{name}_temperature", 3, 2) for name in clusters if self.temperature]
+        return (*((name, 3, 3) for name in clusters), *temperatures, *([("extra", 1, 3)] if self.extra else []))
 
     @property
     def size(self) -> int:
         """Bytes from the id to the CRC, without line termination."""
-        temperatures = 7 * self.clusters if self.temperature else 0
-        return 1 + 10 * self.clusters + temperatures + (4 if self.extra else 0) + 3 + 4
+        return 1 + sum(numbers * width + 1 for _, numbers, width in self.groups) + 3 + 4
 
     @property
     def padding(self) -> int:
@@ -63,40 +65,32 @@ class Layout:
         return -(self.size - 4) % 4
 
 
-def _layouts() -> dict[int, Layout]:
-    kinds = [Layout(bool(i & 1), bool(i & 2), bool(i & 4)) for i in range(8)]
-    plain = (0x90, 0x91, 0x92, 0x93, 0x94, 0xA5, 0xA6, 0xA7)
-    pps = (0xF0, 0xF1, 0xF2, 0xF3, 0xF4, 0xF5, 0xF6, 0xF7)
-    aux = (0x98, 0x99, 0x9A, 0x9B, 0x9C, 0xAD, 0xAE, 0xAF)
-    table = dict(zip(plain, kinds, strict=True))
-    for ids in (pps, aux):
-        for identifier, kind in zip(ids, kinds, strict=True):
-            table[identifier] = Layout(kind.accelerometer, kind.inclinometer, kind.temperature, extra=True)
-    return table
-
-
-LAYOUTS = _layouts()
+_PLAIN_IDS = (0x90, 0x91, 0x92, 0x93, 0x94, 0xA5, 0xA6, 0xA7)
+_PPS_IDS = (0xF0, 0xF1, 0xF2, 0xF3, 0xF4, 0xF5, 0xF6, 0xF7)
+_AUX_IDS = (0x98, 0x99, 0x9A, 0x9B, 0x9C, 0xAD, 0xAE, 0xAF)
+LAYOUTS = {
+    identifier: Layout(bool(i & 1), bool(i & 2), bool(i & 4), extra=ids is not _PLAIN_IDS)
+    for ids in (_PLAIN_IDS, _PPS_IDS, _AUX_IDS)
+    for i, identifier in enumerate(ids)
+}
+DATAGRAM_CODES = dict(zip("01234567lmnpqrst", (*_PLAIN_IDS, *_PPS_IDS), strict=True))
+"""Ids of normal datagrams by the code that service and utility mode have for them."""
 
 _ANY_ID = re.compile(b"[" + b"".join(re.escape(bytes([i])) for i in (*LAYOUTS, *SPECIAL_LAYOUTS)) + b"]")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Datagrams:
-    """Consecutive normal datagrams of one kind, raw: clusters (n, 3) and their status (n,); None where absent."""
+    """Consecutive normal datagrams of one kind, raw.
+
+    ``groups`` has the numbers (n, k) and the status (n,) of each group of the layout: gyro, accelerometer,
+    inclinometer, NAME_temperature of each of these, and extra (PPS, us since the last pulse, or AUX).
+    """
 
     identifier: int
-    gyro: Ints
-    gyro_status: Ints
     counter: Ints
     latency_us: Ints
-    accelerometer: Ints | None = None
-    accelerometer_status: Ints | None = None
-    inclinometer: Ints | None = None
-    inclinometer_status: Ints | None = None
-    temperatures: Ints | None = None  # (n, clusters, 3)
-    temperature_status: Ints | None = None  # (n, clusters)
-    extra: Ints | None = None  # (n,) PPS, us since the last pulse, or AUX
-    extra_status: Ints | None = None
+    groups: Mapping[str, tuple[Ints, Ints]]
     ends: Ints | None = None  # (n,) bytes fed to the decoder up to the end of each
 
 
@@ -182,31 +176,18 @@ class Stim300Decoder:
 
 
 def encode(datagrams: Datagrams, *, line_termination: bool = False) -> bytes:
-    """Return the bytes of normal datagrams as the device sends them; ValueError if a cluster of the id is missing."""
+    """Return the bytes of normal datagrams as the device sends them; ValueError if a group of the id is missing."""
     layout = LAYOUTS[datagrams.identifier]
-    rows = np.zeros((len(datagrams.gyro), layout.size - 4), dtype=np.uint8)
+    rows = np.zeros((len(datagrams.counter), layout.size - 4), dtype=np.uint8)
     rows[:, 0] = datagrams.identifier
     column = 1
-    clusters = [(datagrams.gyro, datagrams.gyro_status)]
-    if layout.accelerometer:
-        clusters.append(_present(datagrams.accelerometer, datagrams.accelerometer_status))
-    if layout.inclinometer:
-        clusters.append(_present(datagrams.inclinometer, datagrams.inclinometer_status))
-    for values, status in clusters:
-        rows[:, column : column + 9] = _big_endian(values, 3)
-        rows[:, column + 9] = status
-        column += 10
-    if layout.temperature:
-        temperatures, statuses = _present(datagrams.temperatures, datagrams.temperature_status)
-        for cluster in range(layout.clusters):
-            rows[:, column : column + 6] = _big_endian(temperatures[:, cluster], 2)
-            rows[:, column + 6] = statuses[:, cluster]
-            column += 7
-    if layout.extra:
-        extra, status = _present(datagrams.extra, datagrams.extra_status)
-        rows[:, column : column + 3] = _big_endian(extra[:, None], 3)
-        rows[:, column + 3] = status
-        column += 4
+    for name, numbers, width in layout.groups:
+        if name not in datagrams.groups:
+            raise ValueError(f"this datagram needs values and status of {name}, which its id names")
+        values, status = datagrams.groups[name]
+        rows[:, column : column + numbers * width] = _big_endian(values, width)
+        column += numbers * width + 1
+        rows[:, column - 1] = status
     rows[:, column] = datagrams.counter % COUNTER_MODULUS
     rows[:, column + 1 : column + 3] = _big_endian(datagrams.latency_us[:, None], 2)
     padding, tail = bytes(layout.padding), _LINE_END if line_termination else b""
@@ -256,45 +237,13 @@ def _intact(reversed_view: bytes, start: int, size: int, padding: bytes) -> bool
 
 def _parse(rows: Octets, layout: Layout, ends: Ints) -> Datagrams:
     column = 1
-    values: list[Ints | None] = [None, None, None]
-    status: list[Ints | None] = [None, None, None]
-    for slot, present in enumerate((True, layout.accelerometer, layout.inclinometer)):
-        if present:
-            values[slot] = _signed(rows[:, column : column + 9], 3)
-            status[slot] = rows[:, column + 9].astype(np.int64)
-            column += 10
-    temperatures = temperature_status = extra = extra_status = None
-    if layout.temperature:
-        groups = rows[:, column : column + 7 * layout.clusters].reshape(len(rows), layout.clusters, 7)
-        temperatures = _signed(groups[:, :, :6].reshape(len(rows), -1), 2).reshape(len(rows), layout.clusters, 3)
-        temperature_status = groups[:, :, 6].astype(np.int64)
-        column += 7 * layout.clusters
-    if layout.extra:
-        extra, extra_status = _signed(rows[:, column : column + 3], 3)[:, 0], rows[:, column + 3].astype(np.int64)
-        column += 4
-    gyro, gyro_status = _present(values[0], status[0])
-    return Datagrams(
-        identifier=int(rows[0, 0]),
-        gyro=gyro,
-        gyro_status=gyro_status,
-        counter=rows[:, column].astype(np.int64),
-        latency_us=rows[:, column + 1].astype(np.int64) * 256 + rows[:, column + 2],
-        accelerometer=values[1],
-        accelerometer_status=status[1],
-        inclinometer=values[2],
-        inclinometer_status=status[2],
-        temperatures=temperatures,
-        temperature_status=temperature_status,
-        extra=extra,
-        extra_status=extra_status,
-        ends=ends,
-    )
-
-
-def _present(values: Ints | None, status: Ints | None) -> tuple[Ints, Ints]:
-    if values is None or status is None:
-        raise ValueError("this datagram needs values and status of every group that its id names")
-    return values, status
+    groups = {}
+    for name, numbers, width in layout.groups:
+        values = _signed(rows[:, column : column + numbers * width], width)
+        column += numbers * width + 1
+        groups[name] = values, rows[:, column - 1].astype(np.int64)
+    latency_us = rows[:, column + 1].astype(np.int64) * 256 + rows[:, column + 2]
+    return Datagrams(int(rows[0, 0]), rows[:, column].astype(np.int64), latency_us, groups, ends)
 
 
 def _signed(raw: Octets, width: int) -> Ints:

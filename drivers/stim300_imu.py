@@ -170,15 +170,15 @@ class Stim300Imu(OneSource[ByteLink]):
         if not len(t_ns):
             return None
         counter = data.counter[new]
-        rate = self._gyro.rates(stim300.vouched(data.gyro[new], data.gyro_status[new]), counter, t_ns, self._ticks)
-        temperature = np.full(len(t_ns), np.nan)
-        if data.temperatures is not None and data.temperature_status is not None:
-            temperature = data.temperatures[new, 0].mean(axis=1) * stim300.TEMPERATURE_LSB_C
-            temperature[(data.temperature_status[new, 0] & _NO_TEMPERATURE) != 0] = np.nan
-        accel = None
-        if data.accelerometer is not None and data.accelerometer_status is not None:
-            raw = stim300.vouched(data.accelerometer[new], data.accelerometer_status[new])
-            accel = self._accel.rates(raw, counter, t_ns, self._ticks)
+        raw = {name: (values[new], status[new]) for name, (values, status) in data.groups.items()}
+        rate = self._gyro.rates(stim300.vouched(*raw["gyro"]), counter, t_ns, self._ticks)
+        temperature, accel = np.full(len(t_ns), np.nan), None
+        if "gyro_temperature" in raw:
+            values, status = raw["gyro_temperature"]
+            temperature = values.mean(axis=1) * stim300.TEMPERATURE_LSB_C
+            temperature[(status & _NO_TEMPERATURE) != 0] = np.nan
+        if "accelerometer" in raw:
+            accel = self._accel.rates(stim300.vouched(*raw["accelerometer"]), counter, t_ns, self._ticks)
         centre_ns = round(self._gyro.centre_s * 1e9)
         return ImuBlock(t_ns - centre_ns, arrival_ns[new], rate, temperature, counter, accel)
 

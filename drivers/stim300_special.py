@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from drivers.flags import flag
 from drivers.packaged import packaged_codes
 
 RATES_HZ = (125, 250, 500, 1000, 2000)
@@ -65,10 +64,6 @@ class SerialNumber:
         return cls("N" + "".join(_DIGITS[d] for d in _nibbles(payload[1:8])))
 
 
-def _contents(configuration: Configuration) -> int:
-    return configuration.data[2]
-
-
 @dataclass(frozen=True, slots=True)
 class Configuration:
     """How the device is set (table 5-16), read from its 21 bytes; None stands for what no table names."""
@@ -116,11 +111,6 @@ class Configuration:
         return cls(payload)
 
     @property
-    def revision(self) -> str:
-        """Revision of the part, one letter."""
-        return chr(self.data[0])
-
-    @property
     def firmware(self) -> int:
         """Revision of the firmware."""
         return self.data[1]
@@ -131,17 +121,10 @@ class Configuration:
         code = self.data[2] >> 5
         return RATES_HZ[code] if code < _EXTERNAL_TRIGGER else None
 
-    pps = flag(_contents, 0x10, "Whether normal datagrams carry the PPS (or AUX) group.")
-    temperature = flag(_contents, 0x08, "Whether normal datagrams carry temperatures.")
-    inclinometer = flag(_contents, 0x04, "Whether normal datagrams carry the inclinometers.")
-    accelerometer = flag(_contents, 0x02, "Whether normal datagrams carry the accelerometers.")
-    line_termination = flag(_contents, 0x01, "Whether normal datagrams end with CR LF.")
-
     @property
-    def bit_rate(self) -> int | None:
-        """Bits a second on the line; None for a rate of the user's own."""
-        code = self.data[3] >> 4
-        return BIT_RATES[code] if code < len(BIT_RATES) else None
+    def accelerometer(self) -> bool:
+        """Whether normal datagrams carry the accelerometers."""
+        return bool(self.data[2] & 0x02)
 
     @property
     def gyros_on(self) -> tuple[bool, bool, bool]:

@@ -8,10 +8,10 @@ import numpy as np
 
 from drivers import vectornav
 from drivers.arrays import Flags, Stamps
-from drivers.can_samples import RegularSamples, block_of
+from drivers.can_samples import regular_block
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
 from drivers.one_source import OneSource
-from drivers.sampling import Alignment, CounterClock
+from drivers.sampling import Alignment, CounterClock, RegularClock
 from drivers.seams import ByteChunk, ByteLink, Identity, ImuBlock, SourceCounts
 
 Output = Literal["binary", "ascii"]
@@ -117,7 +117,7 @@ class VectorNavImu(OneSource[ByteLink]):
 
     def flush(self) -> list[tuple[str, ImuBlock]]:
         """Return what is still held back for its timing: ASCII output has no time stamp."""
-        block = self._regular_block(everything=True)
+        block = regular_block(self._regular, [], gyros=3, everything=True)
         return [] if block is None else [(self._device, block)]
 
     def _start_clocks(self) -> None:
@@ -125,7 +125,7 @@ class VectorNavImu(OneSource[ByteLink]):
         period_ns = round(1e9 / self._rate_hz)
         self._stamped = CounterClock(1e-9, _STAMP_MODULUS, period_ns, counts=self._counts)
         self._newest_ns = -1
-        self._regular = RegularSamples(1 / self._rate_hz, self._counts)
+        self._regular = RegularClock(1 / self._rate_hz, self._counts)
 
     def _of_frames(self, chunk: ByteChunk, frames: vectornav.Frames) -> ImuBlock | None:
         if frames.layout != LAYOUT:
@@ -168,13 +168,7 @@ class VectorNavImu(OneSource[ByteLink]):
         if len(row) != _IMU_FIELDS:
             self._unreadable += 1
             return None
-        arrival_ns = np.array([chunk.t_ns], dtype=np.int64)
-        self._regular.add(arrival_ns, row[None, _SHOWN], [sentence.text.encode("ascii")])
-        return self._regular_block()
-
-    def _regular_block(self, *, everything: bool = False) -> ImuBlock | None:
-        ready = self._regular.ready(everything=everything)
-        return None if ready is None else block_of(*ready, gyros=3)
+        return regular_block(self._regular, [(chunk.t_ns, row[_SHOWN], sentence.text.encode("ascii"))], gyros=3)
 
     def _complain(self, sentence: vectornav.Sentence) -> None:
         """Raise DeviceFault if the device reports a fault of its own."""

@@ -171,8 +171,3 @@ def firmware_of(data: bytes) -> str:
     """Return the firmware of the answer to REQ_FIRMWARE: three numbers, and the build where there is one."""
     version = ".".join(str(part) for part in data[:3])
     return f"{version} build {int.from_bytes(data[3:7], 'big')}" if len(data) >= 7 else version
-
-
-def hardware_of(data: bytes) -> str:
-    """Return the hardware version of the answer to REQ_HARDWARE."""
-    return ".".join(str(part) for part in data[:2])

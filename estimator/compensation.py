@@ -16,9 +16,9 @@ from enum import StrEnum
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.array import TOLERANCE, SensorArray
+from estimator.arrays import Floats
 from estimator.calibration import GyroCalibration
 from estimator.effects.constructed import NAME as CONSTRUCTED
 from estimator.effects.constructed import VARIABLES, functions_of, variables_of
@@ -26,8 +26,6 @@ from estimator.effects.thermal import REFERENCE_C
 from estimator.error_model import ErrorModel, KnownEffect
 from estimator.errors import EstimatorError
 from estimator.model import decode, predicted_output
-
-Floats = NDArray[np.float64]
 
 MOST_ITERATIONS = 30
 """After which effects of the rate that are not undone to ``TOLERANCE_RPS`` are beyond what the model can be undone."""

@@ -16,8 +16,8 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.effects.constructed import NAME as CONSTRUCTED
 from estimator.effects.constructed import axes_of, constructed
 from estimator.effects.drift import bias_drift, warm_up
@@ -30,8 +30,6 @@ from estimator.effects.thermal import thermal_bias, thermal_bias_quadratic, ther
 from estimator.errors import EstimatorError
 from estimator.prober import probe
 from estimator.tracing.augmented import Augmented, Part
-
-Floats = NDArray[np.float64]
 
 FORMAT = "turntable-error-model"
 FORMAT_VERSION = 1

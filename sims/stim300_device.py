@@ -9,8 +9,8 @@ from drivers import stim300
 from drivers.arrays import Flags, Floats, Ints
 from drivers.stim300_special import BiasTrim, ExtendedError, PartNumber, SerialNumber, Special
 from drivers.stim300_units import ACCEL_LSB_G, GYRO_LSB_DEG, GYRO_LSB_DPS, UNITS
-from drivers.stim300_utility import DATAGRAM_CODES, UtilityMessage, encode_message
-from sims.burst import burst_of
+from drivers.stim300_utility import UtilityMessage, encode_message
+from sims.burst import burst_of, copies_sent
 from sims.geometry import upright
 from sims.gyro import GyroArray
 from sims.line_controller import LineDevice, Refused
@@ -53,7 +53,7 @@ class Stim300Device(LineDevice):
         if left out. A clock with ``clock_ppm`` above 0 runs fast. A ``cold`` device is powered on when served: it
         names itself and its first half second carries the start-up bit; else it has been on for long.
         """
-        if identifier not in DATAGRAM_CODES.values():
+        if identifier not in stim300.DATAGRAM_CODES.values():
             raise ValueError(f"{identifier:02X} is no datagram of today's firmware")
         self.settings = Settings(
             rate_hz,
@@ -79,6 +79,8 @@ class Stim300Device(LineDevice):
         self._held: Ints = np.zeros(3, dtype=np.int64)
         self.stuck_gyro: int | None = None
         """Gyro (0 to 2) whose output stays what it was."""
+        self.saturated_gyro: int | None = None
+        """Gyro (0 to 2) whose output is pegged at its range, without a word in the status."""
         self.overload_gyro: int | None = None
         """Gyro that the status calls overloaded."""
         self.drop_share = 0.0
@@ -88,15 +90,6 @@ class Stim300Device(LineDevice):
         self.dropped = self.doubled = 0
         if cold:
             self.reset()
-
-    @property
-    def saturated_gyro(self) -> int | None:
-        """Gyro whose output is pegged at its range, without a word in the status."""
-        return self._output.saturated
-
-    @saturated_gyro.setter
-    def saturated_gyro(self, gyro: int | None) -> None:
-        self._output.saturated = gyro
 
     def reset(self) -> None:
         """Start anew as after power-on: part number, serial number, configuration, then samples of a start-up."""
@@ -139,7 +132,7 @@ class Stim300Device(LineDevice):
         step = stim300.INTERNAL_RATE_HZ // own.rate_hz
         first = int(ticks[0]) - stim300.INTERNAL_RATE_HZ // self._base_hz
         wanted = np.arange(first // step + 1, int(ticks[-1]) // step + 1, dtype=np.int64) * step
-        raw, over = self._output.at(at, ticks, wanted, own.gyro_unit, own.rate_hz)
+        raw, over = self._output.at(at, ticks, wanted, own.gyro_unit, own.rate_hz, self.saturated_gyro)
         if self.stuck_gyro is not None:
             raw[:, self.stuck_gyro] = self._held[self.stuck_gyro]
         if len(raw):
@@ -149,24 +142,15 @@ class Stim300Device(LineDevice):
         answers, self._answers = b"".join(self._answers), []
         skipped = min(self._replaced, len(wanted))
         self._replaced -= skipped
-        rows = np.repeat(np.arange(skipped, len(wanted)), self._copies(len(wanted) - skipped))
+        copies = copies_sent(self._random, len(wanted) - skipped, self.drop_share, self.double_share)
+        self.dropped += int((copies == 0).sum())
+        self.doubled += int((copies == 2).sum())
+        rows = np.repeat(np.arange(skipped, len(wanted)), copies)
         if not len(rows):
             return answers
         status = self._status(wanted, over)[rows]
         force = self._force_g(at)[np.minimum(np.searchsorted(ticks, wanted[rows]), len(ticks) - 1)]
         return answers + self._datagrams(raw[rows], status, wanted[rows], force, float(at[-1]), late_s)
-
-    def _copies(self, count: int) -> Ints:
-        """Return how often each of so many samples is sent."""
-        copies = np.ones(count, dtype=np.int64)
-        if self.drop_share or self.double_share:
-            dropped = self._random.random(count) < self.drop_share
-            doubled = ~dropped & (self._random.random(count) < self.double_share)
-            copies += doubled
-            copies -= dropped
-            self.dropped += int(dropped.sum())
-            self.doubled += int(doubled.sum())
-        return copies
 
     def _status(self, wanted: Ints, over: Flags) -> Ints:
         """Return the status byte of the gyros at each tick."""
@@ -180,31 +164,20 @@ class Stim300Device(LineDevice):
 
     def _datagrams(self, raw: Ints, status: Ints, ticks: Ints, force_g: Floats, t_s: float, late_s: float) -> bytes:
         own = self.settings
-        layout = stim300.LAYOUTS[own.identifier]
         n = len(raw)
-        temperature = round(self._temperature_c(t_s) / stim300.TEMPERATURE_LSB_C)
         start_up = status & stim300.STATUS_START_UP
-        accel = np.round(force_g / ACCEL_LSB_G[own.accel_range_g]).astype(np.int64)
-        incl = np.round(force_g / stim300.INCLINOMETER_LSB_G).astype(np.int64)
-        temperatures = np.full((n, layout.clusters, 3), temperature)
+        temperature = np.full((n, 3), round(self._temperature_c(t_s) / stim300.TEMPERATURE_LSB_C))
         since_pps = (ticks % stim300.INTERNAL_RATE_HZ) * (1_000_000 // stim300.INTERNAL_RATE_HZ)
+        groups: dict[str, tuple[Ints, Ints]] = {
+            "gyro": (raw, status),
+            "accelerometer": (np.round(force_g / ACCEL_LSB_G[own.accel_range_g]).astype(np.int64), start_up),
+            "inclinometer": (np.round(force_g / stim300.INCLINOMETER_LSB_G).astype(np.int64), start_up),
+        }
+        groups |= {f"{name}_temperature": (temperature, start_up) for name in groups}
+        groups["extra"] = since_pps[:, None], start_up
+        latency_us = np.full(n, min(round(late_s * 1e6), _LONGEST_LATENCY_US))
         return stim300.encode(
-            stim300.Datagrams(
-                identifier=own.identifier,
-                gyro=raw,
-                gyro_status=status,
-                counter=ticks,
-                latency_us=np.full(n, min(round(late_s * 1e6), _LONGEST_LATENCY_US)),
-                accelerometer=accel,
-                accelerometer_status=start_up,
-                inclinometer=incl,
-                inclinometer_status=start_up,
-                temperatures=temperatures,
-                temperature_status=np.tile(start_up[:, None], layout.clusters),
-                extra=since_pps,
-                extra_status=start_up,
-            ),
-            line_termination=own.line_termination,
+            stim300.Datagrams(own.identifier, ticks, latency_us, groups), line_termination=own.line_termination
         )
 
     def _special(self, value: Special) -> bytes:
@@ -238,7 +211,7 @@ class Stim300Device(LineDevice):
         reply = utility_reply(self.settings, line)
         if reply is not None:
             self._write(encode_message(reply))
-            if reply.name == "xn" and reply.status == 0:
+            if reply.fields[:2] == ("xn", "0"):
                 self._mode = "normal"
 
     def _service(self, line: bytes) -> None:

@@ -23,19 +23,20 @@ class GyroOutput:
         self._sample, self._rate_hz = sample, rate_hz
         self._angle_deg = np.zeros((1, 3))
         self._total = np.zeros((1, 3), dtype=np.int64)
-        self.saturated: int | None = None
-        """Gyro (0 to 2) whose output is pegged at its range, without a word in the status."""
 
-    def at(self, t_s: Floats, ticks: Ints, wanted: Ints, unit: int, wanted_hz: int) -> tuple[Ints, Flags]:
+    def at(
+        self, t_s: Floats, ticks: Ints, wanted: Ints, unit: int, wanted_hz: int, saturated: int | None
+    ) -> tuple[Ints, Flags]:
         """Return raw outputs (k, 3) at the wanted ticks (k,), and which gyros (k, 3) are beyond their range.
 
-        ``t_s`` (n,) are the gyros' instants, ``ticks`` (n,) the device's count of 2000 Hz at them.
+        ``t_s`` (n,) are the gyros' instants, ``ticks`` (n,) the device's count of 2000 Hz at them. Gyro ``saturated``
+        (0 to 2) is pegged at its range.
         """
         kind = unit & 3
         # A mean over a period is the rate at its middle, to second order.
         rate = np.degrees(self._sample(t_s if kind == _RATE else t_s - 0.5 / self._rate_hz))
-        if self.saturated is not None:
-            rate[:, self.saturated] = RANGE_DPS
+        if saturated is not None:
+            rate[:, saturated] = RANGE_DPS
         over = (np.abs(rate) > RANGE_DPS)[np.minimum(np.searchsorted(ticks, wanted), len(ticks) - 1)]
         if kind == _RATE:
             return _clipped(rate[np.searchsorted(ticks, wanted)] * _RATE_SCALE), over

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from functools import partial
 
 from drivers.packaged import packaged_codes, packaged_toml
-from drivers.stim300 import LAYOUTS
+from drivers.stim300 import DATAGRAM_CODES, LAYOUTS
 from drivers.stim300_special import BIT_RATES, RATES_HZ, Configuration
-from drivers.stim300_utility import DATAGRAM_CODES, UtilityDecoder, UtilityMessage
+from drivers.stim300_utility import UtilityMessage, parse_message
 from sims.line_controller import Refused
 
 _KNOWN = packaged_toml("sims", "codes.toml")["stim300"]
@@ -65,27 +65,51 @@ class Settings:
         data[5], data[6] = self.gyro_filter * 0x11, self.gyro_filter << 4
         return Configuration(bytes(data))
 
+    @property
+    def rate_code(self) -> int:
+        """Digit of the rate."""
+        return RATES_HZ.index(self.rate_hz)
+
+    @property
+    def datagram_code(self) -> str:
+        """Letter of the normal datagram."""
+        return next(code for code, identifier in DATAGRAM_CODES.items() if identifier == self.identifier)
+
+    @property
+    def gyro_filter_hz(self) -> str:
+        """Cutoff of the low pass."""
+        return _FILTERS_HZ[self.gyro_filter]
+
+    @property
+    def gyro_text(self) -> str:
+        """What the gyros put out, in the words of service mode."""
+        return _UNIT_NAMES[self.gyro_unit & 3] + (" - DELAYED" if self.gyro_unit & 8 else "")
+
+    @property
+    def termination_text(self) -> str:
+        """Whether there is a resistor between the wires of the receiver, likewise."""
+        return "ON" if self.terminated else "OFF"
+
     def set_rate(self, code: str) -> None:
         """Set the rate by its digit."""
-        rate_hz = RATES_HZ[int(_one_of(("0", "1", "2", "3", "4"), code))]
+        rate_hz = RATES_HZ[int(_one_of(code, tuple("01234")))]
         self._fit(rate_hz, self.identifier)
         self.rate_hz = rate_hz
 
     def set_datagram(self, code: str, end: str | None = None) -> None:
         """Set the normal datagram by its letter, and whether CR LF ends it, "0" or "1"."""
-        if code not in DATAGRAM_CODES or end not in ("0", "1", None):
-            raise Refused(3)
-        self._fit(self.rate_hz, DATAGRAM_CODES[code])
-        self.identifier = DATAGRAM_CODES[code]
-        self.line_termination = self.line_termination if end is None else end == "1"
+        identifier = DATAGRAM_CODES[_one_of(code, DATAGRAM_CODES)]
+        terminated = self.line_termination if end is None else _one_of(end, ("0", "1")) == "1"
+        self._fit(self.rate_hz, identifier)
+        self.identifier, self.line_termination = identifier, terminated
 
     def set_code(self, field: str, code: str) -> None:
         """Set what is kept by a code of its own."""
-        setattr(self, field, int(_one_of(_CODES[field], code)))
+        setattr(self, field, int(_one_of(code, _CODES[field])))
 
     def set_of_gyros(self, field: str, cluster: str, code: str) -> None:
         """Set something of a cluster; only that of the gyros can be set."""
-        _one_of(("g",), cluster)
+        _one_of(cluster, ("g",))
         self.set_code(field, code)
 
     def set_transmission(self, code: str, *more: str) -> None:
@@ -98,10 +122,9 @@ class Settings:
         self._fit(self.rate_hz, self.identifier, int(rate))
         self.bit_rate, self.stop_bits, self.parity = int(rate), int(stop_bits), parity
 
-    def save(self) -> str:
-        """Keep the settings; return how often that can still be done."""
+    def save(self) -> None:
+        """Keep the settings, which can be done so often."""
         self.saves_left -= 1
-        return str(self.saves_left)
 
     def _fit(self, rate_hz: int, identifier: int, bit_rate: int = 0) -> None:
         size = LAYOUTS[identifier].size + 2 * self.line_termination
@@ -109,83 +132,37 @@ class Settings:
             raise Refused(7)
 
 
-def utility_reply(settings: Settings, line: bytes) -> UtilityMessage | None:
+def utility_reply(own: Settings, line: bytes) -> UtilityMessage | None:
     """Return the reply to one line, which may be damaged; None if it is none of utility mode's."""
     if not line.startswith(b"$"):
         return UtilityMessage(True, ("", "1")) if line else None
-    commands = UtilityDecoder().feed(line + b"\r")
-    if not commands:
+    command = parse_message(line + b"\r")
+    if command is None:
         return UtilityMessage(True, ("", "2"))
-    name, parameters = commands[0].name, commands[0].data
-    answer = _utility_answers(settings).get(name)
-    if answer is None:
+    name, *given = command.fields
+    if name not in _KNOWN["utility"]:
         return UtilityMessage(True, ("", "3"))
-    needed, act = answer
-    if len(parameters) != needed:
+    acts: dict[str, tuple[int, Callable[..., object]]] = {
+        "ig": (1, lambda axis: _one_of(axis.upper(), tuple("XYZ"))),
+        "sm": (1, own.set_rate),
+        "sd": (1, own.set_datagram),
+        "sgu": (1, partial(own.set_code, "gyro_unit")),
+        "save": (0, own.save),
+    }
+    needed, act = acts.get(name, (0, lambda: None))
+    if len(given) != needed:
         return UtilityMessage(True, (name, "4"))
     try:
-        return UtilityMessage(True, (name, "0", *act(*parameters)))
+        act(*given)
     except Refused:
         return UtilityMessage(True, (name, "5"))
-
-
-def _utility_answers(own: Settings) -> dict[str, tuple[int, Callable[..., tuple[str, ...]]]]:
-    """Return commands with how many parameters they take and what they do and say."""
-    codes = {identifier: code for code, identifier in DATAGRAM_CODES.items()}
-
-    def after(act: Callable[[str], None]) -> Callable[[str], tuple[str, ...]]:
-        def obey(code: str) -> tuple[str, ...]:
-            act(code)
-            return (code,)
-
-        return obey
-
-    def gyro(axis: str) -> tuple[str, ...]:
-        return (
-            _one_of(("X", "Y", "Z"), axis.upper()),
-            "1",
-            str(own.gyro_unit),
-            str(own.gyro_filter),
-            "0",
-            "0",
-        )  # in the order of the command sg
-
-    return {
-        "in": (0, lambda: ("STIM300",)),
-        "ix": (0, lambda: (own.part_number, own.revision)),
-        "ipn": (0, lambda: (own.part_number, own.revision)),
-        "ig": (1, gyro),
-        "it": (0, lambda: (str(own.bit_rate), str(own.stop_bits), own.parity, str(own.terminated), "0", "0")),
-        "isn": (0, lambda: (own.serial,)),
-        "ifw": (0, lambda: (own.firmware,)),
-        "ihw": (0, lambda: (own.hardware,)),
-        "im": (0, lambda: (str(RATES_HZ.index(own.rate_hz)),)),
-        "id": (0, lambda: (codes[own.identifier],)),
-        "igu": (0, lambda: (str(own.gyro_unit),)),
-        "isv": (0, lambda: (str(own.saves_left),)),
-        "sm": (1, after(own.set_rate)),
-        "sd": (1, after(own.set_datagram)),
-        "sgu": (1, after(partial(own.set_code, "gyro_unit"))),
-        "save": (0, lambda: (own.save(),)),
-        "xn": (0, lambda: ()),
-    }
+    said = _KNOWN["utility"][name].format(*map(str.upper, given), own=own)
+    return UtilityMessage(True, (name, "0", *(said.split(",") if said else ())))
 
 
 def banner(own: Settings) -> list[str]:
     """Return what service mode prints on entry and to ``i``."""
-    return [
-        f"SERIAL NUMBER = {own.serial}",
-        "PRODUCT = STIM300",
-        f"PART NUMBER = {own.part_number} REV {own.revision}",
-        f"FW CONFIG = {own.firmware}",
-        f"HW CONFIG = {own.hardware}",
-        f"GYRO OUTPUT = {_gyro_text(own)}",
-        f"SAMPLE RATE [samples/s] = {own.rate_hz}",
-        f"DATAGRAM = {own.identifier:02X}",
-        f"BIT-RATE [bits/s] = {own.bit_rate}",
-        f"LINE TERMINATION = {'ON' if own.terminated else 'OFF'}",
-        f"GYRO LP FILTER -3dB FREQUENCY [Hz] = {_FILTERS_HZ[own.gyro_filter]}",
-    ]
+    return [line.format(own=own) for line in _KNOWN["banner"].values()]
 
 
 def service_lines(own: Settings, command: str, readings: Mapping[str, list[str]]) -> list[str]:
@@ -210,7 +187,7 @@ def service_lines(own: Settings, command: str, readings: Mapping[str, list[str]]
     if name == "i":
         return _information(own, *_exactly(1, given)) if given else banner(own)
     if name == "x":
-        _one_of(("n", "i", "N", "I"), *_exactly(1, given))
+        _one_of(_exactly(1, given)[0], ("n", "i", "N", "I"))
         return [f"SYSTEM RETURNING TO {'NORMAL' if given[0] in 'nN' else 'INIT'} MODE."]
     if name == "?":
         return str(_KNOWN["help"]["text"]).splitlines()
@@ -220,11 +197,10 @@ def service_lines(own: Settings, command: str, readings: Mapping[str, list[str]]
 
 
 def _information(own: Settings, letter: str) -> list[str]:
-    shown = _KNOWN["information"][_one_of(_KNOWN["information"], letter)]
-    return [line for line in banner(own) if line.startswith(shown)]
+    return [_KNOWN["banner"][_one_of(letter, [key for key in _KNOWN["banner"] if len(key) == 1])].format(own=own)]
 
 
-def _one_of(known: Collection[str], code: str) -> str:
+def _one_of(code: str, known: Collection[str]) -> str:
     if code not in known:
         raise Refused(3)
     return code
@@ -234,7 +210,3 @@ def _exactly(count: int, given: list[str]) -> list[str]:
     if len(given) != count:
         raise Refused(2)
     return given
-
-
-def _gyro_text(own: Settings) -> str:
-    return _UNIT_NAMES[own.gyro_unit & 3] + (" - DELAYED" if own.gyro_unit & 8 else "")

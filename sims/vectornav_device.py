@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from drivers import vectornav
 from drivers.arrays import Floats, Ints
-from drivers.packaged import packaged_codes
+from drivers.packaged import packaged_codes, packaged_toml
 from sims.burst import burst_of
 from sims.geometry import tilt_deg, upright
 from sims.gyro import GyroArray
@@ -29,33 +29,12 @@ _BITS_PER_BYTE = 10
 # What is measured at an instant, as columns; and how each is printed.
 _YPR, _MAG, _ACCEL, _GYRO, _TEMPERATURE, _PRESSURE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), 12, 13
 _RAW_GYRO = slice(14, 17)
-_FORMATS = (
-    *("+08.3f",) * 3, *("+08.4f",) * 3, *("+07.3f",) * 3, *("+010.6f",) * 3, "+05.1f", "+08.3f", *("+010.6f",) * 3
-)  # fmt: skip
+_KNOWN = packaged_toml("sims", "codes.toml")["vectornav"]
+_FORMATS: list[str] = _KNOWN["printed"]["formats"]
 _MAG_GAUSS, _PRESSURE_KPA = (0.22, 0.0, 0.43), 101.325
-_COLUMNS: dict[int, Sequence[int]] = {8: range(3), 17: range(3, 6), 18: range(6, 9), 19: range(9, 12), 27: range(12)}
-_COLUMNS |= {54: (*range(3, 9), *range(14, 17), _TEMPERATURE, _PRESSURE)}
-_MEASURED: dict[str, int | slice | list[int]] = {
-    "yaw_pitch_roll": _YPR,
-    "mag": _MAG,
-    "uncomp_mag": _MAG,
-    "accel": _ACCEL,
-    "uncomp_accel": _ACCEL,
-    "angular_rate": _GYRO,
-    "uncomp_gyro": _RAW_GYRO,
-    "temperature": _TEMPERATURE,
-    "pressure": _PRESSURE,
-    "uncomp_accel_gyro": [*range(6, 9), *range(14, 17)],
-    "mag_temp_pres": [3, 4, 5, _TEMPERATURE, _PRESSURE],
-}
-_ASYNC = {
-    1: ("VNYPR", 8),
-    10: ("VNMAG", 17),
-    11: ("VNACC", 18),
-    12: ("VNGYR", 19),
-    14: ("VNYMR", 27),
-    19: ("VNIMU", 54),
-}
+_COLUMNS: dict[int, list[int]] = {int(register): columns for register, columns in _KNOWN["shown"].items()}
+_MEASURED: dict[str, int | list[int]] = _KNOWN["measured"]
+_ASYNC: dict[int, tuple[str, int]] = {int(kind): sentence for kind, sentence in _KNOWN["async"].items()}
 
 _BINARY = (75, 76, 77)
 _ONE_OF: dict[int, Sequence[int]] = {5: BAUD_RATES, 6: (0, *_ASYNC), 7: vectornav.ASCII_RATES_HZ}

@@ -11,7 +11,7 @@ from drivers import mtdata2
 from drivers.arrays import Flags, Floats, Ints
 from drivers.packaged import packaged_codes
 from drivers.xbus import Mid, XbusDecoder, encode
-from sims.burst import burst_of
+from sims.burst import burst_of, copies_sent
 from sims.geometry import tilt_deg
 from sims.gyro import GyroArray
 
@@ -65,15 +65,11 @@ class XsensDevice:
         self._period_s = 1 / (rate_hz * (1 + clock_ppm * 1e-6))
         self._random = np.random.default_rng(seed)
         self._decoder = XbusDecoder()
-        kinds = (
-            (mtdata2.RATE_OF_TURN, mtdata2.TEMPERATURE)
-            if specific_force_g is None
-            else (mtdata2.RATE_OF_TURN, mtdata2.ACCELERATION, mtdata2.TEMPERATURE)
-        )
+        felt = [] if specific_force_g is None else [mtdata2.ACCELERATION]
         self.outputs = (
             mtdata2.Output(mtdata2.PACKET_COUNTER, mtdata2.EVERY),
             mtdata2.Output(mtdata2.SAMPLE_TIME_FINE, mtdata2.EVERY),
-            *(mtdata2.Output(kind, rate_hz) for kind in kinds),
+            *(mtdata2.Output(kind, rate_hz) for kind in (mtdata2.RATE_OF_TURN, *felt, mtdata2.TEMPERATURE)),
         )
         """Output configuration, which it keeps when it is switched off."""
         self.measuring = True
@@ -195,9 +191,8 @@ class XsensDevice:
         rows = np.flatnonzero(due.any(axis=1))
         numbers = self._messages + np.arange(len(rows))
         self._messages += len(rows)
-        if self.drop_share or self.double_share:
-            copies = self._copies(len(rows))
-            rows, numbers = np.repeat(rows, copies), np.repeat(numbers, copies)
+        copies = copies_sent(self._random, len(rows), self.drop_share, self.double_share)
+        rows, numbers = np.repeat(rows, copies), np.repeat(numbers, copies)
         # Messages of the same packets are made together.
         changes = np.flatnonzero((due[rows[1:]] != due[rows[:-1]]).any(axis=1)) + 1
         parts: list[bytes] = []
@@ -223,28 +218,15 @@ class XsensDevice:
     def _values(self, at: Floats, index: Ints, rate: Floats, numbers: Ints) -> Callable[[int], Floats | Ints]:
         """Return what gives the values (n, fields) of a kind at these samples."""
         ticks = self._uptime_ticks + index * _TICKS_PER_S // self._rate_hz
-
-        def values(kind: int) -> Floats | Ints:
-            if kind == mtdata2.RATE_OF_TURN:
-                return rate
-            if kind == mtdata2.ACCELERATION and self._force_g is not None:
-                return self._force_g(at) * _STANDARD_GRAVITY_MPS2
-            if kind == mtdata2.EULER_ANGLES and self._force_g is not None:
-                return tilt_deg(self._force_g(at))
-            if kind == mtdata2.TEMPERATURE:
-                return np.full((len(at), 1), self._gyros.temperature_c(float(at[-1])))
-            if kind == mtdata2.PACKET_COUNTER:
-                return (numbers % mtdata2.PACKET_COUNTER_MODULUS)[:, None]
-            if kind == mtdata2.SAMPLE_TIME_FINE:
-                return (ticks % mtdata2.SAMPLE_TIME_MODULUS)[:, None]
-            if kind == mtdata2.SAMPLE_TIME_COARSE:
-                return (ticks // _TICKS_PER_S)[:, None]
-            return np.full((len(at), 1), _SELF_TEST_PASSED)  # status byte and word
-
-        return values
-
-    def _copies(self, count: int) -> Ints:
-        """Return how often each of so many messages is sent."""
-        dropped = self._random.random(count) < self.drop_share
-        doubled = self._random.random(count) < self.double_share
-        return np.where(dropped, 0, np.where(doubled, 2, 1))
+        force_g = self._force_g(at) if self._force_g is not None else np.full((len(at), 3), np.nan)
+        made: dict[int, Callable[[], Floats | Ints]] = {
+            mtdata2.RATE_OF_TURN: lambda: rate,
+            mtdata2.ACCELERATION: lambda: force_g * _STANDARD_GRAVITY_MPS2,
+            mtdata2.EULER_ANGLES: lambda: tilt_deg(force_g),
+            mtdata2.TEMPERATURE: lambda: np.full((len(at), 1), self._gyros.temperature_c(float(at[-1]))),
+            mtdata2.PACKET_COUNTER: lambda: (numbers % mtdata2.PACKET_COUNTER_MODULUS)[:, None],
+            mtdata2.SAMPLE_TIME_FINE: lambda: (ticks % mtdata2.SAMPLE_TIME_MODULUS)[:, None],
+            mtdata2.SAMPLE_TIME_COARSE: lambda: (ticks // _TICKS_PER_S)[:, None],
+        }
+        status = np.full((len(at), 1), _SELF_TEST_PASSED)  # byte and word
+        return lambda kind: made[kind]() if kind in made else status

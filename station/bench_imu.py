@@ -12,7 +12,6 @@ import numpy as np
 
 from drivers import aceinna, vectornav
 from drivers.can_imu import BUILT_IN_DBC, CanChannel
-from drivers.can_mappings import MappingError, channels_of, load_mapping
 from drivers.stim300_special import RATES_HZ as STIM300_RATES_HZ
 from drivers.stim300_units import ACCEL_LSB_G, UNITS
 from drivers.xsens_imu import HIGHEST_RATE_HZ as XSENS_HIGHEST_RATE_HZ
@@ -21,6 +20,7 @@ from estimator.errors import GeometryError
 from estimator.model import Prior
 from estimator.noise import NoiseModel
 from station.bench_table import TWIN
+from station.can_mappings import MappingError, channels_of, load_mapping
 from station.tables import Table
 
 PROTOCOLS = ("can", "j1939", "stim300", "vectornav", "xsens")

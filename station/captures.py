@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import mtdata2
+from drivers.arrays import Floats
 from drivers.can_imu import load_dbc
-from drivers.can_mappings import MappingError, load_mapping
 from drivers.can_signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.errors import DeviceError
 from drivers.packaged import packaged_toml
@@ -26,8 +25,8 @@ from drivers.xbus import Mid, XbusDecoder
 from estimator.errors import RecordingError
 from estimator.mapping import Capture, Protocols
 from estimator.strict_toml import StrictTable
+from station.can_mappings import MappingError, load_mapping
 
-Floats = NDArray[np.float64]
 Columns = dict[str, Floats]
 _Decoded = tuple[Columns, tuple[str, ...]]
 
@@ -123,13 +122,11 @@ def _read_stim300(code: int | None, range_g: int, raw: bytes, names: Sequence[st
 
 
 def _datagram(data: Datagrams) -> Columns:
-    out = {"gyro": vouched(data.gyro, data.gyro_status), "time": data.counter.astype(np.float64)}
-    if data.accelerometer is not None and data.accelerometer_status is not None:
-        out["accelerometer"] = vouched(data.accelerometer, data.accelerometer_status)
-    if data.temperatures is not None and data.temperature_status is not None:
-        out["temperature"] = vouched(data.temperatures[:, 0], data.temperature_status[:, 0]).mean(axis=1)
-        out["temperature"] *= TEMPERATURE_LSB_C
-    return out
+    names = {"gyro": "gyro", "accelerometer": "accelerometer", "gyro_temperature": "temperature"}
+    out = {names[group]: vouched(*raw) for group, raw in data.groups.items() if group in names}
+    if "temperature" in out:
+        out["temperature"] = out["temperature"].mean(axis=1) * TEMPERATURE_LSB_C
+    return out | {"time": data.counter.astype(np.float64)}
 
 
 def _vectornav(raw: bytes, names: Sequence[str]) -> _Decoded:

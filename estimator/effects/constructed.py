@@ -14,13 +14,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.arrays import Floats
 from estimator.effects.conditions import Conditions, follow
 from estimator.effects.effect import Axes, Effect, Parameter
 from estimator.kinematics import AXES, GRAVITY_MPS2, into_body
-
-Floats = NDArray[np.float64]
 
 NAME = "constructed"
 REFERENCE_C = 25.0

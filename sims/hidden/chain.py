@@ -1,6 +1,7 @@
 """The gyros of one device with what is wrong with them: from the motion to what is put out."""
 
 from collections.abc import Iterable
+from copy import copy
 from typing import TypeVar
 
 import numpy as np
@@ -48,8 +49,8 @@ class GyroChain:
 
     def output(self, t_s: Floats, *, keep: bool) -> Floats:
         """Return outputs (n, m) without noise at successive instants; with ``keep`` they count as having been."""
-        low_passes = self._low_passes if keep else [p.copy() for p in self._low_passes]
-        turns = self._turns if keep else [t.copy() for t in self._turns]
+        low_passes = self._low_passes if keep else [copy(p) for p in self._low_passes]
+        turns = self._turns if keep else [copy(t) for t in self._turns]
         now = Scene(self._world, t_s)
         late = Scene(self._world, t_s - self._late_s) if self._late_s else now
         out = self._sense_late(now, late)

@@ -68,10 +68,6 @@ class LowPass:
     period_s: float
     last: tuple[Floats, Floats] | None = field(default=None)
 
-    def copy(self) -> LowPass:
-        """Return one that goes on from here by itself."""
-        return LowPass(self.lag_s, self.period_s, self.last)
-
     def __call__(self, x: Floats) -> Floats:
         """Return successive inputs (n, m) low-passed: exactly, for inputs straight between samples."""
         from scipy.signal import lfilter  # slow to import
@@ -96,10 +92,6 @@ class LastTurn:
 
     threshold_rps: float
     sign: Floats
-
-    def copy(self) -> LastTurn:
-        """Return one that goes on from here by itself."""
-        return LastTurn(self.threshold_rps, self.sign)
 
     def __call__(self, u: Floats) -> Floats:
         """Return the signs (n, m) at successive rates (n, m)."""

@@ -3,21 +3,78 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from types import TracebackType
 
 from stim300_service import ServiceReader, ServiceReply
 
 from drivers.errors import BadReply, DeviceRefused, LinkLost
+from drivers.packaged import packaged_codes
 from drivers.seams import ByteLink, Identity
-from drivers.stim300 import SERVICE_MODE, UTILITY_MODE
+from drivers.stim300 import DATAGRAM_CODES, SERVICE_MODE, UTILITY_MODE
 from drivers.stim300_special import RATES_HZ
 from drivers.stim300_units import UNITS
-from drivers.stim300_utility import DATAGRAM_CODES, STATUS_TEXTS, UtilityDecoder, UtilityMessage, encode_message
+from drivers.stim300_utility import UtilityMessage, encode_message, parse_message
+
+STATUS_TEXTS = packaged_codes("drivers", "stim300", "utility")
+"""What the status of a reply means (table 10-2)."""
 
 _TRIES = 2
 _QUIET_S = 0.1  # far longer than the pause between datagrams
 _DATAGRAM_LETTERS = {identifier: code for code, identifier in DATAGRAM_CODES.items()}
 _UNIT_CODES = {name: code for code, name in UNITS.items()}
+_STATUSES = {str(status) for status in STATUS_TEXTS}
+_LONGEST = 100  # characters, without the CR
+_LEAD = re.compile(rb"[$#]")
+_NOT_TEXT = re.compile(rb"[^ -~]")
+
+
+def status_of(message: UtilityMessage) -> int | None:
+    """Return the status of a reply; None where there is none: a command, the greeting, replies that begin with data."""
+    if message.reply and len(message.fields) > 1 and message.fields[1] in _STATUSES:
+        return int(message.fields[1])
+    return None
+
+
+def data_of(message: UtilityMessage) -> tuple[str, ...]:
+    """Return what a reply says, behind its status where it has one."""
+    return message.fields[1 if status_of(message) is None else 2 :]
+
+
+class UtilityDecoder:
+    """Finds messages in a stream. Whatever else comes is dropped and counted, never raised."""
+
+    def __init__(self) -> None:
+        """Start with nothing read."""
+        self._buffer = b""
+        self.dropped_bytes = 0
+        self.bad_messages = 0
+
+    def feed(self, data: bytes) -> list[UtilityMessage]:
+        """Return the messages completed by these bytes."""
+        view = self._buffer + data
+        found = []
+        at = 0
+        while at < len(view):
+            lead = _LEAD.search(view, at)
+            start = lead.start() if lead else len(view)
+            self.dropped_bytes += start - at
+            at = start
+            if lead is None:
+                break
+            end = _NOT_TEXT.search(view, at, at + _LONGEST + 1)
+            if end is None and len(view) <= at + _LONGEST:
+                break
+            message = parse_message(view[at : end.end()]) if end is not None else None
+            if message is not None and end is not None:
+                found.append(message)
+                at = end.end()
+            else:
+                self.bad_messages += 1
+                self.dropped_bytes += 1
+                at += 1
+        self._buffer = view[at:]
+        return found
 
 
 class Stim300Utility:
@@ -52,11 +109,12 @@ class Stim300Utility:
         for _ in range(1 if name == "save" else _TRIES):
             self._link.write(command)
             reply = await self._reply(name)
-            if reply is not None and reply.status in (0, None):
-                return reply.data
-            if reply is not None and reply.status != 2:
-                text = STATUS_TEXTS[reply.status or 0]
-                raise DeviceRefused(self._device, f"{name} refused with status {reply.status}: {text}")
+            status = None if reply is None else status_of(reply)
+            if reply is not None and status in (0, None):
+                return data_of(reply)
+            if reply is not None and status != 2:
+                text = STATUS_TEXTS[status or 0]
+                raise DeviceRefused(self._device, f"{name} refused with status {status}: {text}")
         raise LinkLost(self._device, f"no answer to {name} in utility mode")
 
     async def identify(self) -> Identity:
@@ -92,7 +150,7 @@ class Stim300Utility:
             async with asyncio.timeout(self._timeout_s):
                 while True:
                     for message in self._decoder.feed((await self._link.receive()).data):
-                        if message.reply and (not name or message.name in (name, "")):
+                        if message.reply and (not name or message.fields[0] in (name, "")):
                             return message
         except TimeoutError:
             return None

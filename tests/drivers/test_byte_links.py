@@ -320,12 +320,12 @@ def test_nobody_listening_says_so() -> None:
     really(main)
 
 
-def test_what_nobody_takes_is_bounded_and_counted() -> None:
+def test_what_nobody_takes_is_bounded() -> None:
     async def main() -> None:
         near, far = MemoryLink.pair("imu")
         for _ in range(100):
             far.write(bytes(100_000))
-        assert near.dropped == 10_000_000 - len(await received(near, 4_100_000))
+        assert 4_100_000 <= len(await received(near, 4_100_000)) <= 1 << 22
 
     virtually(main)
 

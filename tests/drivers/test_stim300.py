@@ -37,20 +37,6 @@ from drivers.stim300_units import ACCEL_LSB_G, GYRO_LSB_DPS
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "stim300_normal.json").read_text())["vectors"]
 LONGEST = max(layout.size for layout in LAYOUTS.values()) + 2
-FIELDS = (
-    "gyro",
-    "gyro_status",
-    "counter",
-    "latency_us",
-    "accelerometer",
-    "accelerometer_status",
-    "inclinometer",
-    "inclinometer_status",
-    "temperatures",
-    "temperature_status",
-    "extra",
-    "extra_status",
-)
 SPECIALS: tuple[Special, ...] = (
     PartNumber("84167-440000-3321", "K"),
     SerialNumber("N25582405002002"),
@@ -67,32 +53,11 @@ def terminated(vector: dict[str, Any]) -> bool:
 def datagrams(identifier: int, count: int, seed: int = 0) -> Datagrams:
     """Return datagrams of any kind with values over the whole range."""
     rng = np.random.default_rng(seed)
-    layout = LAYOUTS[identifier]
-
-    def cluster(present: bool) -> tuple[Any, Any]:
-        if not present:
-            return None, None
-        return rng.integers(-(1 << 23), 1 << 23, (count, 3)), rng.integers(0, 256, count)
-
-    gyro, gyro_status = cluster(True)
-    accelerometer, accelerometer_status = cluster(layout.accelerometer)
-    inclinometer, inclinometer_status = cluster(layout.inclinometer)
-    extra, extra_status = cluster(layout.extra)
-    return Datagrams(
-        identifier,
-        gyro,
-        gyro_status,
-        np.arange(count) % 256,
-        rng.integers(0, 1 << 16, count),
-        accelerometer,
-        accelerometer_status,
-        inclinometer,
-        inclinometer_status,
-        rng.integers(-(1 << 15), 1 << 15, (count, layout.clusters, 3)) if layout.temperature else None,
-        rng.integers(0, 256, (count, layout.clusters)) if layout.temperature else None,
-        None if extra is None else extra[:, 0],
-        extra_status,
-    )
+    groups = {}
+    for name, numbers, width in LAYOUTS[identifier].groups:
+        top = 1 << (8 * width - 1)
+        groups[name] = rng.integers(-top, top, (count, numbers)), rng.integers(0, 256, count)
+    return Datagrams(identifier, np.arange(count) % 256, rng.integers(0, 1 << 16, count), groups)
 
 
 def normal(found: Iterable[Datagrams | Special]) -> list[Datagrams]:
@@ -107,18 +72,17 @@ def taken(found: Iterable[Datagrams | Special]) -> list[bytes | Special]:
     return out
 
 
-def joined(parts: Iterable[Datagrams], field: str) -> np.ndarray | None:
-    values = [getattr(part, field) for part in parts]
-    return None if not values or values[0] is None else np.concatenate(values)
+def columns(part: Datagrams) -> dict[str, np.ndarray]:
+    out = {"counter": part.counter, "latency_us": part.latency_us}
+    for name, (values, status) in part.groups.items():
+        out |= {name: values, f"{name} status": status}
+    return out
 
 
 def assert_same(found: list[Datagrams], sent: Datagrams) -> None:
     assert {part.identifier for part in found} == {sent.identifier}
-    for field in FIELDS:
-        got, wanted = joined(found, field), getattr(sent, field)
-        assert (got is None) == (wanted is None), field
-        if wanted is not None:
-            np.testing.assert_array_equal(got, wanted, field)
+    for name, wanted in columns(sent).items():
+        np.testing.assert_array_equal(np.concatenate([columns(part)[name] for part in found]), wanted, name)
 
 
 def encoded(parts: Iterable[Datagrams]) -> list[bytes]:
@@ -140,22 +104,22 @@ def test_a_datagram_decodes_to_its_stated_values(vector: dict[str, Any]) -> None
     decoder = Stim300Decoder()
     (found,) = normal(decoder.feed(bytes.fromhex(vector["hex"])))
     assert found.identifier == stated["id"]
-    np.testing.assert_array_equal(found.gyro[0] * GYRO_LSB_DPS, stated["gyro_dps"])
+    first = {name: values[0] for name, (values, _) in found.groups.items()}
+    np.testing.assert_array_equal(first["gyro"] * GYRO_LSB_DPS, stated["gyro_dps"])
     assert found.counter[0] == stated["counter"]
     assert found.latency_us[0] == stated["latency_us"]
-    status = [s[0] for s in (found.gyro_status, found.accelerometer_status, found.inclinometer_status) if s is not None]
+    clusters = [name for name in ("gyro", "accelerometer", "inclinometer") if name in found.groups]
+    status = [found.groups[name][1][0] for name in clusters]
     assert status == stated.get("status", [stated.get("gyro_status", 0)] + [0] * (len(status) - 1))
     if "acc_g" in stated:
-        assert found.accelerometer is not None
         scale = ACCEL_LSB_G[stated.get("acc_range_g", 10)]
-        np.testing.assert_array_equal(found.accelerometer[0] * scale, stated["acc_g"])
+        np.testing.assert_array_equal(first["accelerometer"] * scale, stated["acc_g"])
     if "incl_g" in stated:
-        assert found.inclinometer is not None
-        np.testing.assert_array_equal(found.inclinometer[0] * INCLINOMETER_LSB_G, stated["incl_g"])
+        np.testing.assert_array_equal(first["inclinometer"] * INCLINOMETER_LSB_G, stated["incl_g"])
     temperatures = stated.get("temps_C") or [stated[k] for k in ("gyro_temp_C", "acc_temp_C") if k in stated]
     if temperatures:
-        assert found.temperatures is not None
-        np.testing.assert_array_equal(found.temperatures[0] * TEMPERATURE_LSB_C, temperatures)
+        raw = [first[f"{name}_temperature"] for name in clusters]
+        np.testing.assert_array_equal(np.array(raw) * TEMPERATURE_LSB_C, temperatures)
     assert (decoder.dropped_bytes, decoder.bad_datagrams) == (0, 0)
 
 
@@ -266,7 +230,7 @@ def test_values_that_the_id_promises_must_be_there() -> None:
     bare = datagrams(0x90, 1)
     for identifier in (0x91, 0x94, 0xF0):
         with pytest.raises(ValueError, match="datagram"):
-            encode(Datagrams(identifier, bare.gyro, bare.gyro_status, bare.counter, bare.latency_us))
+            encode(Datagrams(identifier, bare.counter, bare.latency_us, bare.groups))
 
 
 @pytest.mark.parametrize("line_termination", [False, True])
@@ -307,14 +271,12 @@ def test_a_damaged_special_datagram_is_refused_and_counted() -> None:
 
 
 def test_a_configuration_says_how_the_device_is_set() -> None:
-    # Bytes by the table of the datasheet: 500 Hz, temperature and accelerometer, CR LF, 460800 bit/s, integrated angle.
+    # Bytes by the table of the datasheet: firmware 5, 500 Hz, accelerometer of 5 g, integrated angle.
     payload = bytes(
         [ord("K"), 5, 0x4B, 0x10, 0x73, 0x44, 0x40, 0x70, 0x44, 0x40, 0x70, 0x44, 0x40, 0, 0, 0, 0x33, 0x30]
     )
     found = Configuration.parse(payload + bytes(3))
-    assert (found.revision, found.firmware, found.rate_hz, found.bit_rate) == ("K", 5, 500, 460800)
-    assert (found.pps, found.temperature, found.inclinometer, found.accelerometer) == (False, True, False, True)
-    assert found.line_termination
+    assert (found.firmware, found.rate_hz, found.accelerometer) == (5, 500, True)
     assert (found.gyro_unit, found.accel_unit, found.gyros_on) == (3, 0, (True, True, True))
     assert found.accel_ranges_g == (5, 5, 5)
 

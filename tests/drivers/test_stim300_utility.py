@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stim300_console import UtilityDecoder, data_of, status_of
 from stim300_service import ServiceReader
 
-from drivers.stim300_utility import UtilityDecoder, UtilityMessage, crc8, encode_message
+from drivers.stim300_utility import UtilityMessage, crc8, encode_message
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "stim300_utility.json").read_text())["vectors"]
 STREAM = [bytes.fromhex(vector["hex"]) for vector in VECTORS]
@@ -57,10 +58,10 @@ def test_a_reply_tells_its_status_and_what_it_says() -> None:
     refused, told, greeting, bare = UtilityDecoder().feed(
         b"#,2,139\r#isn,0,N2558184602002,32\r#UTILITYMODE,234\r#sconf,V,5,77\r"
     )
-    assert (refused.name, refused.status, refused.data) == ("", 2, ())
-    assert (told.name, told.status, told.data) == ("isn", 0, ("N2558184602002",))
-    assert (greeting.name, greeting.status) == ("UTILITYMODE", None)
-    assert (bare.status, bare.data) == (None, ("V", "5"))
+    assert (refused.fields[0], status_of(refused), data_of(refused)) == ("", 2, ())
+    assert (told.fields[0], status_of(told), data_of(told)) == ("isn", 0, ("N2558184602002",))
+    assert (greeting.fields[0], status_of(greeting)) == ("UTILITYMODE", None)
+    assert (status_of(bare), data_of(bare)) == (None, ("V", "5"))
 
 
 def test_where_the_stream_is_cut_changes_nothing() -> None:

@@ -40,7 +40,6 @@ from drivers.xbus import (
     encode,
     error_text,
     firmware_of,
-    hardware_of,
     product_of,
     serial_of,
 )
@@ -221,7 +220,6 @@ def test_answers_about_identity_are_read_as_text() -> None:
     assert serial_of(bytes.fromhex("03700715")) == "03700715"
     assert serial_of(bytes.fromhex("0000000003700715")) == "03700715"  # the newer ones have eight bytes
     assert product_of(b"MTI-300-2A5G4       ") == "MTI-300-2A5G4"
-    assert hardware_of(bytes([2, 0])) == "2.0"
 
 
 def test_an_error_is_said_with_its_code_and_in_words() -> None:

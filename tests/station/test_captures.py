@@ -13,12 +13,12 @@ import cantools
 import numpy as np
 import pytest
 
-from drivers.can_mappings import load_mapping
 from drivers.stim300 import Datagrams, encode, encode_special
 from drivers.stim300_special import Configuration
 from drivers.vectornav import COMMON, IMU, Sentence, encode_frames, encode_sentence, layout_of
 from estimator.recording import ImuData, read_recording
 from estimator.reference import TableReadings
+from station.can_mappings import load_mapping
 from station.cli import main
 
 DATA = Path(__file__).parents[1] / "data"
@@ -79,15 +79,9 @@ STIM300 = (
 
 def datagrams(count: int, gyro: np.ndarray) -> Datagrams:
     zero = np.zeros(count, dtype=np.int64)
-    return Datagrams(
-        0x94,
-        gyro.astype(np.int64),
-        zero,
-        np.arange(count) * 16 % 256,
-        zero + 300,
-        temperatures=np.full((count, 1, 3), 25 * 256),
-        temperature_status=zero[:, None],
-    )
+    warm = np.full((count, 3), 25 * 256)
+    groups = {"gyro": (gyro.astype(np.int64), zero), "gyro_temperature": (warm, zero)}
+    return Datagrams(0x94, np.arange(count) * 16 % 256, zero + 300, groups)
 
 
 @pytest.mark.parametrize(("output", "lsb_dps"), [("rate", 2.0**-14), ("increment", 125 * 2.0**-21)])
