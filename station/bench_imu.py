@@ -1,7 +1,5 @@
 """An [[imu]] section of a bench file: a device under test, how it is reached, what its data sheet says."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """station calibrate: estimates from recordings that are there, one or an archive of them."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

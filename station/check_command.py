@@ -1,7 +1,5 @@
 """station check: does everything on the bench answer, and what is to be done where it does not."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

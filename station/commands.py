@@ -1,7 +1,5 @@
 """What each command does. Long work shows progress on stderr; results go to stdout."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

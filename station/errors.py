@@ -1,7 +1,5 @@
 """What the station itself refuses, before anything moves."""
 
-from __future__ import annotations
-
 EXIT_USAGE = 2
 EXIT_ABORTED = 3
 

@@ -1,7 +1,5 @@
 """station export: the calibration in a recording, in the form that something else needs."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -1,7 +1,5 @@
 """Figures as people read them: states in everyday units, durations as a clock has them, a dash for the unknown."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """station plan --improve: finds a script that reaches given sigmas sooner, or lower ones in a given time."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -1,7 +1,5 @@
 """station init: a bench file, made of answers about the hardware."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import shlex

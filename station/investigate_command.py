@@ -1,7 +1,5 @@
 """station investigate: what the error model lacks, traced in recordings that are there."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

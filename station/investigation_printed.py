@@ -1,7 +1,5 @@
 """An investigation as a person reads it, and as --json gives it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict

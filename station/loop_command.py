@@ -1,7 +1,5 @@
 """station loop: calibrate, explore, verify on the bench, investigate, drive what tells rivals apart, report."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

@@ -1,7 +1,5 @@
 """A closed loop as a person reads it, and as --json gives it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rich.console import Console

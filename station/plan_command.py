@@ -1,7 +1,5 @@
 """station plan: what a script will show, before anything moves."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

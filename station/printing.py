@@ -1,7 +1,5 @@
 """What a person sees in the terminal: the table of states, the verdict; and the JSON for machines."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys

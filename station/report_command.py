@@ -1,7 +1,5 @@
 """station report: the report of a recording, as HTML and as PDF."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

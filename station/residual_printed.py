@@ -1,7 +1,5 @@
 """What an investigation leaves of the output errors, as a person reads it, and as --json gives it."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Tables of a terminal, all in one style."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from rich.console import OverflowMethod

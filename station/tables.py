@@ -1,7 +1,5 @@
 """TOML files read strictly, with numbers that carry their units."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Self

@@ -1,7 +1,5 @@
 """Text files that are there whole or not at all, and are not written over unasked."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from contextlib import suppress

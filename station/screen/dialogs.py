@@ -1,7 +1,5 @@
 """Questions over a screen."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from textual.app import ComposeResult

@@ -1,7 +1,5 @@
 """History: the recordings of a folder, by device and date; how a state of a device went over its calibrations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import partial

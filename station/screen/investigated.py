@@ -1,7 +1,5 @@
 """An investigation as the result screen shows it, from the JSON object of `station investigate`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The screen in a browser of this machine: textual-serve on the loopback, for who has the address with its key."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import secrets
