@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from station.next_script import NextScript
 from station.rendering import rendered
 from station.residual_printed import residual_object, residual_tables
 from station.rich_table import rich_table
-from station.snapshot import by_state, json_object
+from station.snapshot import by_state, json_object, named
 from station.terminal import print_rendered, stdout
 
 _DEG = 180 / math.pi
@@ -38,6 +38,8 @@ _COLOURS = {
     Finding.CANNOT_TELL: "bold yellow",
     Finding.UNEXPLAINED: "bold red",
 }
+_ADDED = ("effect", "constructed", "expression", "gyros", "probability", "parameters", "out_of_sample", "same")
+"""What --json says of an effect that was added."""
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
 _MOST_SHOWN = 8
 
@@ -202,37 +204,18 @@ def investigation_object(
             "verdict": str(found.finding),
             "reason": found.reason,
             "added": [
-                {
-                    "effect": added.effect,
-                    "constructed": added.constructed,
-                    "expression": added.expression,
-                    "gyros": added.gyros,
-                    "probability": added.probability,
-                    "parameters": {name: (v.value, v.sd, v.unit) for name, v in added.parameters.items()},
-                    "out_of_sample": added.out_of_sample,
-                    "same": added.same,
-                }
+                named(added, _ADDED) | {"parameters": {name: astuple(v) for name, v in added.parameters.items()}}
                 for added in found.added
             ],
-            "rivals": found.rivals,
-            "unexplained": found.unexplained,
-            "before": found.before,
-            "after": found.after,
-            "improvement": found.improvement,
-            "in_sample": found.in_sample,
+            **named(found, ("rivals", "unexplained", "before", "after", "improvement", "in_sample")),
             "next_script": None if next_script is None else str(next_script),
             "models": [
                 {"effects": m.effects, "log_evidence": m.log_evidence, **asdict(m.errors)} for m in found.models
             ],
             "gyros": {gyro.name: _gyro(gyro) for gyro in found.gyros},
-            "suspects": [
-                {"effect": s.effect, "log_evidence": s.log_evidence, "probability": s.probability}
-                for s in found.suspects
-            ],
+            "suspects": found.suspects,
             "residual": residual_object(found),
-            "left_out": dict(found.left_out),
-            "taken_back": found.taken_back,
-            "notes": found.notes,
+            **named(found, ("left_out", "taken_back", "notes")),
             "recordings": recordings,
             "verification": verification,
         }
@@ -246,13 +229,6 @@ def empty_object(reason: str, recordings: Sequence[str], verification: Sequence[
 
 
 def _gyro(gyro: GyroErrors) -> dict[str, Any]:
-    return {
-        "before": gyro.before,
-        "after": gyro.after,
-        "states_before": by_state(gyro.states_before),
-        "states_after": by_state(gyro.states_after),
-        "sd_before": by_state(gyro.sd_before),
-        "sd_after": by_state(gyro.sd_after),
-        "moved_sigmas": by_state(gyro.moved),
-        "phases": gyro.phases,
-    }
+    states = {key: by_state(getattr(gyro, key)) for key in ("states_before", "states_after", "sd_before", "sd_after")}
+    moved = {"moved_sigmas": by_state(gyro.moved)}
+    return {"before": gyro.before, "after": gyro.after, **states, **moved, "phases": gyro.phases}
