@@ -8,13 +8,11 @@ from typing import Any
 
 from markupsafe import Markup
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from estimator.effects.constructed import readable
 from estimator.tracing.investigation import (
     Added,
-    Errors,
     Finding,
     GyroErrors,
     Investigation,
@@ -56,15 +54,19 @@ def print_investigation(
     left_out: dict[str, list[str]] = {}
     for effect, reason in found.left_out.items():
         left_out.setdefault(reason, []).append(words(effect))
+    ranked = sorted(found.suspects, key=lambda suspect: -suspect.probability)
+    shown = [s for s in ranked if s.probability >= _LEAST_SHOWN][:_MOST_SHOWN]
     values = {
         "found": found,
         "colour": Markup(_COLOURS[found.finding]),
         "verdict": verdict_lines(found),
         "next_script": next_script,
         "path": path,
-        "suspects": _suspects(found) if found.suspects else None,
+        "shown": shown,
+        "others": ranked[len(shown) :],
+        "words": words,
+        "probability": probability,
         "residuals": residual_tables(found),
-        "errors": _errors_table(found),
         "models": _models(found.models) if len(found.models) > 1 else None,
         "left_out": left_out,
         "dph": dph,
@@ -129,45 +131,6 @@ def _unit(value: Value) -> tuple[str, float]:
     if value.unit == "s":  # delays are milliseconds, time constants of a warm-up are not
         return ("ms", 1e3) if abs(value.value) < 0.5 else ("s", 1.0)
     return _UNITS.get(value.unit, (value.unit, 1.0))
-
-
-def _suspects(found: Investigation) -> Table:
-    heads = ("suspect", "probability", "log evidence")
-    ranked = sorted(found.suspects, key=lambda suspect: -suspect.probability)
-    shown = [s for s in ranked if s.probability >= _LEAST_SHOWN][:_MOST_SHOWN]
-    rows = [(escape(words(s.effect)), probability(s.probability), f"{s.log_evidence:+.1f}") for s in shown]
-    table = rich_table("What the first model may lack", heads, "lr", rows)
-    rest = len(ranked) - len(shown)
-    if rest:
-        left = sum(s.probability for s in ranked if s not in shown)
-        table.add_row(f"{rest} others together", probability(left), "", style="dim")
-    return table
-
-
-def _errors_table(found: Investigation) -> Table:
-    where = "cross-validated by step, in-sample" if found.in_sample else "verification run"
-    heads = ("gyro", "rms\ndeg/h", "\nafter", "largest\ndeg/h", "\nafter", "in 95 %\nbefore", "\nafter")
-    moved = "states moved, in old sigmas\nk / b / sigma_j / sigma_k"
-    rows = [
-        (escape(gyro.name), *_both(gyro.before, gyro.after), " / ".join(f"{value:+.1f}" for value in gyro.moved))
-        for gyro in found.gyros
-    ]
-    table = rich_table(f"Error of the compensated rate, before and after ({where})", (*heads, moved), "lr", rows)
-    if len(found.gyros) > 1:
-        table.add_section()
-        table.add_row("all", *_both(found.before, found.after), "")
-    return table
-
-
-def _both(before: Errors, after: Errors) -> list[str]:
-    return [
-        dph(before.rms_rps),
-        dph(after.rms_rps),
-        dph(before.max_rps),
-        dph(after.max_rps),
-        f"{before.coverage95:.1%}",
-        f"{after.coverage95:.1%}",
-    ]
 
 
 def _models(models: Sequence[ModelStep]) -> Table:
