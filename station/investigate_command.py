@@ -20,7 +20,7 @@ from estimator.tracing.runs import runs_of
 from station.bench import load_bench
 from station.calibrate_command import recordings_of
 from station.errors import EXIT_USAGE, UsageError
-from station.improve import script_text
+from station.improve import write_script
 from station.investigation_file import check_new_file, write_investigation
 from station.investigation_pictures import draw_investigation
 from station.investigation_printed import empty_object, exit_code_of, investigation_object, print_investigation
@@ -65,7 +65,7 @@ def command_investigate(arguments: argparse.Namespace) -> int:
             following = following_script(found, recordings, verification, limits)
         if following is not None:
             script_file = script_file or free_path(Path(_NEXT_FILE))
-            write_script(script_file, following, limits)
+            write_next(script_file, following, limits)
         written = None if following is None else script_file
         what = investigation_object(found, written, fitted, judging)
         if model is not None:
@@ -186,16 +186,12 @@ def _evidence_of(found: Investigation) -> float:
     return max(0.5 * squares, 0.0)
 
 
-def write_script(path: Path, following: NextScript, limits: Limits | None) -> None:
-    """Write a script as TOML; UsageError if that fails."""
+def write_next(path: Path, following: NextScript, limits: Limits | None) -> None:
+    """Write the script that an investigation asks for; UsageError if that fails."""
     rivals = "; ".join(" or ".join(names) for names in following.rivals)
     origin = f"Found by station investigate, within the limits of {limits.stated_in if limits else 'a table'}.\n"
     origin += f"To tell apart: {rivals}. Predicted probability of that: {following.probability:.2f}."
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(script_text(following.script, origin))
-    except OSError as error:
-        raise UsageError(f"cannot write {path}: {error}") from None
+    write_script(path, following.script, origin)
 
 
 def _refuse(reason: str, fitted: Sequence[str], judging: Sequence[str], as_json: bool) -> int:

@@ -4,7 +4,6 @@ import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -154,41 +153,6 @@ def print_verdict(verdict: Verdict, recording: Path) -> None:
     console = stdout()
     console.print(f"[{OUTCOME_STYLES[verdict.outcome]}]{verdict.outcome}[/]  {verdict.reason}", highlight=False)
     console.print(f"recording: {recording}", highlight=False, soft_wrap=True)
-
-
-@dataclass(frozen=True, slots=True)
-class OverviewLine:
-    """One recording among many. ``seen`` is the largest sigma of its states as a share of the data sheet's."""
-
-    recording: str
-    device: str
-    script: str
-    verdict: Verdict
-    nis_mean: float
-    seen: float
-
-
-def print_overview(lines: Sequence[OverviewLine], folder: str) -> None:
-    """Print one line a recording: what it is of, how it was judged, how well it shows its states, how true it is."""
-    table = Table(title=f"Recordings in {escape(folder)}", title_style="bold", title_justify="left")
-    for heading in ("recording", "device", "script"):
-        table.add_column(heading, overflow="fold")
-    table.add_column("outcome")
-    for heading in ("worst sigma / prior", "mean NIS"):
-        table.add_column(heading, justify="right")
-    table.add_column("reason", overflow="fold")
-    for line in lines:
-        outcome = line.verdict.outcome
-        table.add_row(
-            escape(line.recording),
-            escape(line.device),
-            escape(line.script),
-            f"[{OUTCOME_STYLES[outcome]}]{outcome}[/]",
-            f"{line.seen:.2%}",
-            f"{line.nis_mean:.3f}" if np.isfinite(line.nis_mean) else "",
-            "" if outcome is Outcome.PASS else escape(line.verdict.reason),
-        )
-    stdout().print(table)
 
 
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:
