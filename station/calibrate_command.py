@@ -16,7 +16,7 @@ import numpy as np
 from estimator.calibrate import calibrate
 from estimator.calibration import Calibration
 from estimator.error_model import ErrorModel
-from estimator.errors import EstimatorError, RecordingError
+from estimator.errors import RecordingError
 from estimator.recording import Recording, read_recording
 from estimator.repeatability import Repeatability, repeatability, same_device
 from estimator.results import write_calibration
@@ -55,20 +55,17 @@ class Estimated:
 
 def command_calibrate(arguments: argparse.Namespace) -> int:
     """Estimate the gyros of each recording; the worst exit code of all."""
-    try:
-        names = recordings_of(arguments.recordings)
-        bench = load_bench(Path(arguments.bench)) if arguments.bench else None
-        model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
-        results, failures = run_all(
-            partial(estimate, bench=bench, write=arguments.write, model=model),
-            [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
-            label="calibrating",
-            scheduler=arguments.scheduler,
-            workers=arguments.jobs,
-            quiet=arguments.json or len(names) == 1,
-        )
-    except (UsageError, EstimatorError) as error:
-        return refuse(str(error), arguments.json)
+    names = recordings_of(arguments.recordings)
+    bench = load_bench(Path(arguments.bench)) if arguments.bench else None
+    model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
+    results, failures = run_all(
+        partial(estimate, bench=bench, write=arguments.write, model=model),
+        [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
+        label="calibrating",
+        scheduler=arguments.scheduler,
+        workers=arguments.jobs,
+        quiet=arguments.json or len(names) == 1,
+    )
     reasons = iter(failure.reason for failure in failures)  # in the order of the recordings, as the gaps are
     ends = [(name, next(reasons) if found is None else found) for name, found in zip(names, results, strict=True)]
     return _print_json(ends) if arguments.json else _print(ends)

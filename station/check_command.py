@@ -7,14 +7,11 @@ import sys
 
 from rich.console import Console
 
-from drivers.errors import DeviceError
 from station.bench import Bench
 from station.checking import DeviceCheck, check_bench
 from station.commands import chosen_bench, clock
-from station.errors import UsageError
 from station.open_bench import open_bench
 from station.outcome import Outcome
-from station.printing import refuse
 from station.snapshot import json_object
 from station.terminal import print_rendered, stdout
 
@@ -30,14 +27,9 @@ def command_check(arguments: argparse.Namespace) -> int:
         async with open_bench(bench, time_scale=scale) as opened:
             return await check_bench(opened, time_scale=scale, tell=tell)
 
-    try:
-        bench = chosen_bench(arguments)
-        with clock(bench, arguments.scale) as runner:
-            found = runner.run(look(bench, arguments.scale or 1.0))
-    except UsageError as error:
-        return refuse(str(error), arguments.json)
-    except DeviceError as error:
-        return refuse(str(error), arguments.json, Outcome.FAULT)
+    bench = chosen_bench(arguments)
+    with clock(bench, arguments.scale) as runner:
+        found = runner.run(look(bench, arguments.scale or 1.0))
     well = not any(device.wrong for device in found)
     if arguments.json:
         print(json.dumps({"ok": well, "devices": json_object(found)}))

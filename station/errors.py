@@ -2,6 +2,7 @@
 
 EXIT_USAGE = 2
 EXIT_ABORTED = 3
+EXIT_FAULT = 4
 
 
 class UsageError(Exception):

@@ -3,15 +3,14 @@
 import argparse
 import json
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from drivers.seams import AxisLimits
-from estimator.errors import EstimatorError
 from estimator.recording import Recording, read_recording
 from estimator.reference import TableReadings
 from estimator.tracing.investigate import investigate
@@ -19,11 +18,11 @@ from estimator.tracing.investigation import Finding, Investigation
 from estimator.tracing.runs import runs_of
 from station.bench import load_bench
 from station.calibrate_command import recordings_of
-from station.errors import EXIT_USAGE, UsageError
+from station.errors import UsageError
 from station.improve import write_script
 from station.investigation_file import check_new_file, write_investigation
 from station.investigation_pictures import draw_investigation
-from station.investigation_printed import empty_object, exit_code_of, investigation_object, print_investigation
+from station.investigation_printed import exit_code_of, investigation_object, print_investigation
 from station.next_script import NextScript, Past, next_script
 from station.progress import TracingProgress
 from station.studies.pictures import check_picture
@@ -53,27 +52,24 @@ class Limits:
 
 def command_investigate(arguments: argparse.Namespace) -> int:
     """Trace what the model lacks; 0 if nothing or known, 1 if it cannot be told or explained, 2 for bad input."""
-    fitted, judging = list(arguments.recordings), list(arguments.verify)
-    try:
-        picture, model, script_file = _outputs(arguments)
-        fitted, judging = recordings_of(fitted), recordings_of(judging)
-        _check_apart(fitted, judging)
-        recordings, verification = read(fitted), read(judging)
-        limits = limits_of(recordings, Path(arguments.bench) if arguments.bench else None)
-        with TracingProgress(arguments.json) as progress:
-            found = investigate(recordings, verification, most_effects=arguments.most_effects, progress=progress.show)
-            following = following_script(found, recordings, verification, limits)
-        if following is not None:
-            script_file = script_file or free_path(Path(_NEXT_FILE))
-            write_next(script_file, following, limits)
-        written = None if following is None else script_file
-        what = investigation_object(found, written, fitted, judging)
-        if model is not None:
-            write_investigation(model, found, what)
-        if picture is not None:
-            draw_investigation(picture, found)
-    except (UsageError, EstimatorError) as error:
-        return _refuse(str(error), fitted, judging, arguments.json)
+    picture, model, script_file = _outputs(arguments)
+    arguments.recordings, arguments.verify = recordings_of(arguments.recordings), recordings_of(arguments.verify)
+    fitted, judging = arguments.recordings, arguments.verify
+    _check_apart(fitted, judging)
+    recordings, verification = read(fitted), read(judging)
+    limits = limits_of(recordings, Path(arguments.bench) if arguments.bench else None)
+    with TracingProgress(arguments.json) as progress:
+        found = investigate(recordings, verification, most_effects=arguments.most_effects, progress=progress.show)
+        following = following_script(found, recordings, verification, limits)
+    if following is not None:
+        script_file = script_file or free_path(Path(_NEXT_FILE))
+        write_next(script_file, following, limits)
+    written = None if following is None else script_file
+    what = investigation_object(found, written, fitted, judging)
+    if model is not None:
+        write_investigation(model, found, what)
+    if picture is not None:
+        draw_investigation(picture, found)
     if arguments.json:
         print(json.dumps({**what, "output": arguments.output, "plot": arguments.plot}))
     else:
@@ -84,6 +80,12 @@ def command_investigate(arguments: argparse.Namespace) -> int:
             if path is not None:
                 print(f"{kind}: {path}")
     return exit_code_of(found.finding)
+
+
+def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what --json prints when there is no verdict."""
+    recordings, verification = list(arguments.recordings), list(arguments.verify)
+    return {"verdict": None, "reason": reason, "recordings": recordings, "verification": verification}
 
 
 def _outputs(arguments: argparse.Namespace) -> tuple[Path | None, Path | None, Path | None]:
@@ -192,10 +194,3 @@ def write_next(path: Path, following: NextScript, limits: Limits | None) -> None
     origin = f"Found by station investigate, within the limits of {limits.stated_in if limits else 'a table'}.\n"
     origin += f"To tell apart: {rivals}. Predicted probability of that: {following.probability:.2f}."
     write_script(path, following.script, origin)
-
-
-def _refuse(reason: str, fitted: Sequence[str], judging: Sequence[str], as_json: bool) -> int:
-    print(f"station: {reason}", file=sys.stderr)
-    if as_json:
-        print(json.dumps(empty_object(reason, fitted, judging)))
-    return EXIT_USAGE

@@ -186,11 +186,6 @@ def investigation_object(
     return whole
 
 
-def empty_object(reason: str, recordings: Sequence[str], verification: Sequence[str]) -> dict[str, Any]:
-    """Return what --json prints when there is no verdict."""
-    return {"verdict": None, "reason": reason, "recordings": list(recordings), "verification": list(verification)}
-
-
 def _gyro(gyro: GyroErrors) -> dict[str, Any]:
     states = {key: by_state(getattr(gyro, key)) for key in ("states_before", "states_after", "sd_before", "sd_after")}
     moved = {"moved_sigmas": by_state(gyro.moved)}

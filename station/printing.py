@@ -159,9 +159,14 @@ def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording
     """Say on stderr why there is no result, and as JSON an empty one; return the exit code."""
     print(f"station: {reason}", file=sys.stderr)
     if as_json:
-        empty: dict[str, Any] = {"outcome": outcome and str(outcome), "reason": reason, "recording": recording}
-        print(json.dumps({**empty, "gyros": [], "nis_mean": None, "samples": 0, "lost": 0}))
+        print(json.dumps(empty_object(reason, outcome and str(outcome), recording)))
     return outcome.exit_code if outcome else EXIT_USAGE
+
+
+def empty_object(reason: str, outcome: str | None = None, recording: str | None = None) -> dict[str, Any]:
+    """Return what --json prints when there is no result."""
+    empty: dict[str, Any] = {"outcome": outcome, "reason": reason, "recording": recording}
+    return {**empty, "gyros": [], "nis_mean": None, "samples": 0, "lost": 0}
 
 
 def result_object(verdict: Verdict, recording: str, calibration: Calibration | None) -> dict[str, Any]:

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from estimator.errors import EstimatorError
 from station.errors import EXIT_USAGE, UsageError
 from station.investigation_file import check_new_file
 from station.whole_file import write_whole
@@ -14,14 +13,8 @@ from station.whole_file import write_whole
 
 def command_report(arguments: argparse.Namespace) -> int:
     """Write the report of a recording; 0 if it is written, whatever it says."""
-    try:
-        html, pdf = _outputs(arguments)
-        said = _write(Path(arguments.recording), arguments.investigation, html)
-    except (UsageError, EstimatorError) as error:
-        print(f"station: {error}", file=sys.stderr)
-        if arguments.json:
-            print(json.dumps({"title": None, "reason": str(error), "html": None, "pdf": None}))
-        return EXIT_USAGE
+    html, pdf = _outputs(arguments)
+    said = _write(Path(arguments.recording), arguments.investigation, html)
     problem = _print(html, pdf)
     if arguments.json:
         print(json.dumps({**said, "html": str(html), "pdf": None if problem or pdf is None else str(pdf)}))
@@ -34,6 +27,11 @@ def command_report(arguments: argparse.Namespace) -> int:
         print(f"station: {problem}; the report is kept in {html}", file=sys.stderr)
         return EXIT_USAGE
     return 0
+
+
+def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:
+    """Return what --json prints when there is no report."""
+    return {"title": None, "reason": reason, "html": None, "pdf": None}
 
 
 def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None]:

@@ -57,7 +57,7 @@ def print_detection(study: DetectionStudy) -> None:
 
 def _print(name: str, values: Mapping[str, Any]) -> None:
     common = {"names": NAMES, "states": _STATES, "forms": _FORMATS, "format": format, "isnan": np.isnan}
-    print_rendered(stdout(), "station.studies", name, common | values)
+    print_rendered(stdout(), "station.studies", name, {**common, **values})
 
 
 def detection_object(study: DetectionStudy) -> dict[str, Any]:
