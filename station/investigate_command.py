@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.packaged import packaged_toml
 from drivers.seams import AxisLimits
 from estimator.recording import Recording, read_recording
 from estimator.reference import TableReadings
@@ -31,15 +32,7 @@ from station.whole_file import free_path
 
 _NEXT_FILE = "next-script.toml"
 _MOST_RIVALS = 4  # of what stays unexplained, so many suspects are told apart
-_DEPENDING = {
-    "rate": ("scale_asymmetry", "scale_quadratic", "scale_cubic"),
-    "time": ("bias_drift", "warm_up"),
-    "temperature": ("thermal_bias", "thermal_bias_quadratic", "thermal_gradient"),
-    "acceleration": ("latency", "bandwidth", "acceleration_sensitivity"),
-    "gravity": ("g_sensitivity", "earth_rate"),
-    "angle": ("table_harmonic", "g_sensitivity"),
-}
-"""Effects that a residual which depends on this may come from: a script that tells them apart shows more of it."""
+_SUSPECTS = packaged_toml("station", "suspects.toml")
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,8 +168,8 @@ def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
 
 def _suspects(found: Investigation) -> tuple[str, ...]:
     """Return what may lie behind something unexplained: effects of its kind, else those that would explain most."""
-    if found.unexplained is not None and found.unexplained.depends_on in _DEPENDING:
-        return _DEPENDING[found.unexplained.depends_on]
+    if found.unexplained is not None and found.unexplained.depends_on in _SUSPECTS:
+        return tuple(_SUSPECTS[found.unexplained.depends_on])
     ranked = sorted(found.suspects, key=lambda suspect: -suspect.log_evidence)
     return tuple(suspect.effect for suspect in ranked[:_MOST_RIVALS])
 

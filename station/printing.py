@@ -11,7 +11,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from estimator.budget import UNSEEN
+from drivers.packaged import packaged_toml
 from estimator.calibration import Calibration, GyroCalibration
 from estimator.noise import NoiseFound
 from estimator.repeatability import Repeatability
@@ -23,15 +23,7 @@ from station.rich_table import rich_table
 from station.snapshot import by_state
 from station.terminal import print_rendered, stdout
 
-_BUDGET_WORDS = {
-    "noise": "noise (type A)",
-    "effects": "effects of the model (type A)",
-    "rate": "table rate (type B)",
-    "wobble": "table wobble (type B)",
-    "orthogonality": "table orthogonality (type B)",
-    "timing": "table timing (type B)",
-    UNSEEN: "effects that this script cannot show (type B)",
-}
+_BUDGET_WORDS = packaged_toml("station", "budget.toml")["terminal"]
 _SIGMA_HEADS = tuple(f"{name} ({unit})" for name, unit, _ in STATE_UNITS)
 _SCALES = np.array([factor for _, _, factor in STATE_UNITS])
 

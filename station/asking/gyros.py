@@ -7,19 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from drivers.packaged import packaged_toml
 from station.asking.bench_text import ImuAnswer
 from station.asking.checks import quantity_of, whole_number
 from station.asking.dialogue import Dialogue
 from station.errors import UsageError
 
-_ARRAYS: Mapping[str, str] = {
-    "triad": "three gyros along x, y, z",
-    "tetrahedron": "four: one along -z, three at 70.5 deg from z",
-    "dodecahedron": "six, along the faces of a dodecahedron",
-    "cone": "any number, evenly on a cone about z",
-    "axes": "any directions, given one by one",
-}
-GYROS: Mapping[str, int] = {"triad": 3, "tetrahedron": 4, "dodecahedron": 6}
+_ARRAYS: Mapping[str, str] = packaged_toml("station.asking", "devices.toml")["arrays"]
+GYROS: Mapping[str, int] = packaged_toml("station.asking", "devices.toml")["gyros"]
 """Number of gyros by array, where the array says it."""
 _BUILT_IN = 4
 _MOST = 64
