@@ -113,12 +113,7 @@ def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | N
         text = recording.attributes.get("bench")
         if text and isinstance(recording.reference, TableReadings):
             table = Table.parse(str(text), f"bench in {recording.name}", UsageError).table("table")
-            axes = {}
-            for axis in recording.reference.gimbals:
-                own = table.table(axis)
-                axes[axis] = AxisLimits(
-                    own.quantity("max_rate", "rate"), own.quantity("max_acceleration", "acceleration")
-                )
+            axes = {axis: AxisLimits(**table.table(axis).declared("axis")) for axis in recording.reference.gimbals}
             return Limits(axes, f"the bench in {recording.name}")
     return None
 
