@@ -100,12 +100,10 @@ def _ask_channels(dialogue: Dialogue, path: Path, count: int) -> tuple[tuple[str
         if text not in signals:
             raise UsageError(f"{text!r} is no signal of {path.name}")
 
-    def known_or_none(text: str) -> None:
-        if text:
-            known(text)
-
     channels = []
     for n in range(1, count + 1):
         rate = dialogue.ask(f"rate of gyro {n}, MESSAGE.Signal", "", known)
-        channels.append((rate, dialogue.ask("its temperature; - for none", "", known_or_none)))
+        channels.append(
+            (rate, dialogue.ask("its temperature; - for none", "", lambda text: known(text) if text else None))
+        )
     return tuple(channels)
