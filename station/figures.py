@@ -14,6 +14,14 @@ OUTCOME_STYLES = {
     "FAULT": "bold red",
 }
 """Colours of outcomes; the word always stands there too."""
+FINDING_STYLES = {
+    "nothing to add": "bold green",
+    "added": "bold green",
+    "added in part": "bold yellow",
+    "cannot tell": "bold yellow",
+    "unexplained": "bold red",
+}
+"""Colours of what an investigation comes to."""
 
 
 @dataclass(frozen=True, slots=True)

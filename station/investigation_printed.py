@@ -19,7 +19,7 @@ from estimator.tracing.investigation import (
     ModelStep,
     Value,
 )
-from station.figures import effect_units
+from station.figures import FINDING_STYLES, effect_units
 from station.next_script import NextScript
 from station.rendering import rendered
 from station.residual_printed import residual_object, residual_tables
@@ -29,13 +29,6 @@ from station.terminal import print_rendered, stdout
 
 _DEG = 180 / math.pi
 _UNITS = effect_units("traced")
-_COLOURS = {
-    Finding.NOTHING: "bold green",
-    Finding.ADDED: "bold green",
-    Finding.PARTLY: "bold yellow",
-    Finding.CANNOT_TELL: "bold yellow",
-    Finding.UNEXPLAINED: "bold red",
-}
 _ADDED = ("effect", "constructed", "expression", "gyros", "probability", "parameters", "out_of_sample", "same")
 """What --json says of an effect that was added."""
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
@@ -58,7 +51,7 @@ def print_investigation(
     shown = [s for s in ranked if s.probability >= _LEAST_SHOWN][:_MOST_SHOWN]
     values = {
         "found": found,
-        "colour": Markup(_COLOURS[found.finding]),
+        "colour": Markup(FINDING_STYLES[found.finding]),
         "verdict": verdict_lines(found),
         "next_script": next_script,
         "path": path,

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
 from drivers.packaged import packaged_toml
@@ -30,46 +29,22 @@ _SCALES = np.array([factor for _, _, factor in STATE_UNITS])
 
 def print_calibration(calibration: Calibration) -> None:
     """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from."""
-    heads = ("gyro", *(head for state in STATE_FIGURES for head in (f"{state.name} ({state.unit})", "±")))
+    from estimator.tracing.investigation import Value
+    from station.investigation_printed import human, words
+
     nis = f"mean NIS {calibration.nis_mean:.3f} per degree of freedom (1 = the filter's sigmas are true), "
     values = {
         "calibration": calibration,
-        "states": rich_table(
-            "States and their standard deviations",
-            (*heads, "noise (deg/s)"),
-            f"l{'rd' * len(STATE_FIGURES)}r",
-            map(_state_cells, calibration.gyros),
-        ),
-        "effects": _effects(calibration.gyros) if any(gyro.effects for gyro in calibration.gyros) else None,
+        "figures": STATE_FIGURES,
+        "degrees": math.degrees,
+        "words": words,
+        "human": lambda value, sd, unit: human(Value(value, sd, unit)),
         "budget": _budget(calibration),
         "noise": _noise([gyro.noise for gyro in calibration.gyros if gyro.noise is not None]),
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
         "nis": nis if np.isfinite(calibration.nis_mean) else "",
     }
     print_rendered(stdout(), "station", "calibration.rich", values)
-
-
-def _state_cells(gyro: GyroCalibration) -> list[str]:
-    pairs = zip(STATE_FIGURES, gyro.states, gyro.sd, strict=True)
-    cells = [text for state, value, sd in pairs for text in (state.text(value), state.text(sd))]
-    return [gyro.name, *cells, f"{math.degrees(gyro.noise_rps):.4f}"]
-
-
-def _effects(gyros: Sequence[GyroCalibration]) -> Table:
-    """Return what the effects of the error model are on each gyro, a line a parameter, beside what was expected."""
-    from estimator.tracing.investigation import Value
-    from station.investigation_printed import human, words
-
-    table = rich_table("Effects of the error model", ("effect", "parameter", "gyro", "found", "typical size"), "lllrd")
-    for place, effect in enumerate(gyros[0].effects):
-        rows = gyros[:1] if effect.shared else gyros
-        for row, gyro in enumerate(rows):
-            value = gyro.effects[place]
-            found = human(Value(value.value, value.sd, value.unit))
-            typical = human(Value(value.expected_sd, 0.0, value.unit)) if not (row or value.shared) else ""
-            heads = ("", "") if row else (escape(words(value.effect)), escape(value.parameter))
-            table.add_row(*heads, "all" if value.shared else escape(gyro.name), found, typical)
-    return table
 
 
 def _budget(calibration: Calibration) -> Table | None:
