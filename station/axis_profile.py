@@ -1,7 +1,5 @@
 """The rates of the axes over time, drawn with characters."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

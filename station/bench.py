@@ -188,17 +188,8 @@ def _site(top: Table) -> Site | None:
 
 
 def _limits(table: Table) -> Limits:
-    limits = Limits(
-        k=table.quantity("scale_factor_error", "ratio", math.inf),
-        b_rps=table.quantity("bias", "rate", math.inf),
-        sigma_rad=table.quantity("misalignment", "angle", math.inf),
-        sd_k=table.quantity("sd_scale_factor_error", "ratio", math.inf),
-        sd_b_rps=table.quantity("sd_bias", "rate", math.inf),
-        sd_sigma_rad=table.quantity("sd_misalignment", "angle", math.inf),
-        nis_low=table.number("nis_low", 0.0),
-        nis_high=table.number("nis_high", math.inf),
-        lost=table.quantity("lost", "ratio", 1.0),
-    )
+    nis = {"nis_low": table.number("nis_low", 0.0), "nis_high": table.number("nis_high", math.inf)}
+    limits = Limits(**table.declared("limits"), **nis)
     table.done()
     return limits
 

@@ -1,8 +1,5 @@
 """An [[imu]] section of a bench file: a device under test, how it is reached, what its data sheet says."""
 
-from __future__ import annotations
-
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -77,9 +74,7 @@ def read_imu(table: Table, folder: Path) -> ImuConfig:
         raise table.fail("name", f"{name!r} means something else on a bench: take another name")
     protocol = table.string("protocol", one_of=PROTOCOLS)
     array_name, array = _array(table, name)
-    rate_hz = table.quantity("rate", "frequency")
-    if rate_hz <= 0:
-        raise table.fail("rate", "must be above zero")
+    rate_hz = table.quantity("rate", "frequency", bound="above_zero")
     if protocol != "can" and len(array) != 3:
         raise table.fail("array", f"protocol {protocol} has three gyros, this array {len(array)}")
     can = _can(table, folder, name, array) if protocol == "can" else None
@@ -141,18 +136,7 @@ def _options(table: Table, protocol: str) -> dict[str, Any]:
 
 
 def _datasheet(sheet: Table) -> tuple[NoiseModel, Prior]:
-    prior = Prior(
-        k=sheet.quantity("scale_factor_error", "ratio", 0.05),
-        b_rps=sheet.quantity("bias", "rate", math.radians(1.0)),
-        sigma_rad=sheet.quantity("misalignment", "angle", 0.02),
-    )
-    noise = NoiseModel(
-        sheet.quantity("arw", "angle random walk"),
-        sheet.quantity("bias_instability", "rate", 0.0),
-        sheet.quantity("rate_random_walk", "rate random walk", 0.0),
-    )
-    if min(prior.k, prior.b_rps, prior.sigma_rad, noise.arw) <= 0 or min(noise.instability, noise.walk) < 0:
-        raise sheet.fail(None, "every value must be above zero")
+    prior, noise = Prior(**sheet.declared("prior")), NoiseModel(**sheet.declared("noise"))
     sheet.done()
     return noise, prior
 

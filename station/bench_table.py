@@ -93,24 +93,22 @@ def read_table(table: Table, folder: Path) -> TableConfig:
         prefix=table.integer("reply_prefix", 8) if protocol == "acutrol" else 0,
         homing=table.string("homing", "HM", one_of=("HM", "FI")) if protocol == "galil" else "",
         velocity_window_s=(
-            table.quantity("velocity_window", "time", VELOCITY_WINDOW_S) if protocol == "galil" else VELOCITY_WINDOW_S
+            table.quantity("velocity_window", "time", VELOCITY_WINDOW_S, "above_zero")
+            if protocol == "galil"
+            else VELOCITY_WINDOW_S
         ),
         fault_mask=table.integer("fault_mask", 0) if protocol == "aerosmith" else 0,
         gimbals=tuple(gimbals),
         poll_rate_hz=table.quantity("poll_rate", "frequency", 20.0),
-        timeout_s=table.quantity("timeout", "time", 0.2),
+        timeout_s=table.quantity("timeout", "time", 0.2, "above_zero"),
         axes={axis: _axis(table.table(axis), protocol) for axis in gimbals},
         uncertainty=_uncertainty(table.table("uncertainty")) if table.has("uncertainty") else None,
         read_time_s=table.quantity("read_time", "time", 0.0),
     )
     if not 1 <= config.poll_rate_hz <= 1000:
         raise table.fail("poll_rate", f"{config.poll_rate_hz:g} Hz; give 1 Hz to 1000 Hz")
-    if config.timeout_s <= 0:
-        raise table.fail("timeout", "must be above zero")
     if config.prefix < 0:
         raise table.fail("reply_prefix", "is a number of characters, 0 or more")
-    if config.velocity_window_s <= 0:
-        raise table.fail("velocity_window", "must be above zero")
     if config.fault_mask < 0:
         raise table.fail("fault_mask", "is the sum of the bits that mean a fault, 0 or more")
     if config.link == TWIN and (own := [axis for axis in config.axes.values() if axis.link]):
@@ -135,14 +133,7 @@ def _profile(table: Table, folder: Path) -> DriveProfile:
 
 
 def _uncertainty(table: Table) -> TableUncertainty:
-    found = TableUncertainty(
-        rate=table.quantity("rate", "ratio", 0.0),
-        wobble_rad=table.quantity("wobble", "angle", 0.0),
-        orthogonality_rad=table.quantity("orthogonality", "angle", 0.0),
-        timing_s=table.quantity("timing", "time", 0.0),
-    )
-    if min(found.rate, found.wobble_rad, found.orthogonality_rad, found.timing_s) < 0:
-        raise table.fail(None, "a standard uncertainty is not negative")
+    found = TableUncertainty(**table.declared("uncertainty"))
     table.done()
     return found
 
@@ -152,20 +143,16 @@ def _axis(table: Table, protocol: str) -> AxisConfig:
         address=_address(table, protocol),
         # Angles of an ACUTROL and an Aerosmith are in degrees; their encoder's counts matter to a twin alone.
         counts_per_turn=table.integer("counts_per_turn", None if protocol in ("modbus", "galil") else 3_600_000),
-        limits=AxisLimits(
-            table.quantity("max_rate", "rate"), table.quantity("max_acceleration", "acceleration"), _travel(table)
-        ),
+        limits=AxisLimits(**table.declared("axis"), travel_rad=_travel(table)),
         link=table.string("link", "") if protocol == "modbus" else "",
         error_limit_rad=(
-            table.quantity("error_limit", "angle") if protocol == "galil" and table.has("error_limit") else None
+            table.quantity("error_limit", "angle", bound="above_zero")
+            if protocol == "galil" and table.has("error_limit")
+            else None
         ),
     )
     if axis.counts_per_turn < 1:
         raise table.fail("counts_per_turn", "must be 1 or more")
-    if axis.limits.rate_rps <= 0 or axis.limits.acceleration_rps2 <= 0:
-        raise table.fail(None, "max_rate and max_acceleration must be above zero")
-    if axis.error_limit_rad is not None and axis.error_limit_rad <= 0:
-        raise table.fail("error_limit", "must be above zero")
     table.done()
     return axis
 

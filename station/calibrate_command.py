@@ -1,7 +1,5 @@
 """station calibrate: estimates from recordings that are there, one or an archive of them."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -18,24 +16,24 @@ import numpy as np
 from estimator.calibrate import calibrate
 from estimator.calibration import Calibration
 from estimator.error_model import ErrorModel
-from estimator.errors import EstimatorError, RecordingError
+from estimator.errors import RecordingError
 from estimator.recording import Recording, read_recording
 from estimator.repeatability import Repeatability, repeatability, same_device
 from estimator.results import write_calibration
 from station.bench import Bench, load_bench, read_excluded, read_limits
 from station.campaigns import run_all
 from station.errors import UsageError
+from station.figures import OUTCOME_STYLES
 from station.outcome import Verdict, judge
 from station.printing import (
-    OverviewLine,
     print_calibration,
-    print_overview,
     print_repeatability,
     print_verdict,
     refuse,
     repeatability_object,
     result_object,
 )
+from station.terminal import print_rendered, stdout
 
 _IN_FULL = 5  # more recordings than this are printed a line each: a person compares them
 _KEPT = ("device", "devices", "script", "seed", "clock_zero_utc_s", "outcome", "reason")
@@ -57,20 +55,17 @@ class Estimated:
 
 def command_calibrate(arguments: argparse.Namespace) -> int:
     """Estimate the gyros of each recording; the worst exit code of all."""
-    try:
-        names = recordings_of(arguments.recordings)
-        bench = load_bench(Path(arguments.bench)) if arguments.bench else None
-        model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
-        results, failures = run_all(
-            partial(estimate, bench=bench, write=arguments.write, model=model),
-            [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
-            label="calibrating",
-            scheduler=arguments.scheduler,
-            workers=arguments.jobs,
-            quiet=arguments.json or len(names) == 1,
-        )
-    except (UsageError, EstimatorError) as error:
-        return refuse(str(error), arguments.json)
+    names = recordings_of(arguments.recordings)
+    bench = load_bench(Path(arguments.bench)) if arguments.bench else None
+    model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
+    results, failures = run_all(
+        partial(estimate, bench=bench, write=arguments.write, model=model),
+        [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
+        label="calibrating",
+        scheduler=arguments.scheduler,
+        workers=arguments.jobs,
+        quiet=arguments.json or len(names) == 1,
+    )
     reasons = iter(failure.reason for failure in failures)  # in the order of the recordings, as the gaps are
     ends = [(name, next(reasons) if found is None else found) for name, found in zip(names, results, strict=True)]
     return _print_json(ends) if arguments.json else _print(ends)
@@ -139,7 +134,7 @@ def _print(ends: Sequence[tuple[str, Estimated | str]]) -> int:
     judged = [(name, end) for name, end in ends if isinstance(end, Estimated)]
     if len(ends) > _IN_FULL:
         folder = os.path.commonpath([Path(name).absolute().parent for name, _ in ends])
-        print_overview([_overview_line(os.path.relpath(name, folder), end) for name, end in judged], folder)
+        _print_overview(judged, folder)
         counts = Counter(str(end.verdict.outcome) for _, end in judged)
         counts["not estimated"] = len(ends) - len(judged)
         print(f"{len(ends)} recordings: " + ", ".join(f"{count} {what}" for what, count in counts.items() if count))
@@ -185,11 +180,15 @@ def _named(name: str, reason: str) -> str:
     return reason if Path(name).name in reason else f"{name}: {reason}"
 
 
-def _overview_line(name: str, end: Estimated) -> OverviewLine:
-    carried = [str(device).partition(" (")[0] for device in end.attributes.get("devices", ())]
-    device = str(end.attributes.get("device", "")) or ", ".join(carried or _sources(end.calibration))
-    script = str(end.attributes.get("script", ""))
-    return OverviewLine(name, device, script, end.verdict, end.calibration.nis_mean, end.seen)
+def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> None:
+    """Print one line a recording: what it is of, how it was judged, how well it shows its states, how true it is."""
+    lines = []
+    for name, end in judged:
+        carried = [str(device).partition(" (")[0] for device in end.attributes.get("devices", ())]
+        device = str(end.attributes.get("device", "")) or ", ".join(carried or _sources(end.calibration))
+        lines.append((os.path.relpath(name, folder), device, str(end.attributes.get("script", "")), end))
+    values = {"lines": lines, "folder": folder, "styles": OUTCOME_STYLES, "isfinite": np.isfinite}
+    print_rendered(stdout(), "station", "overview.rich", values)
 
 
 def _sources(calibration: Calibration) -> list[str]:

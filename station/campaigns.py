@@ -1,7 +1,5 @@
 """Many items of work, each on its own: on all cores of this machine, or on a Dask cluster."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import json
 import os
 import sys
 from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import Any, NoReturn
 
+from drivers.errors import DeviceError
 from drivers.packaged import packaged_toml
-from station.errors import EXIT_ABORTED, EXIT_USAGE
+from estimator.errors import EstimatorError
+from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
 from station.exporting.held import HELD
 from station.worker_pool import ONE_BLAS_THREAD
 
@@ -65,16 +69,35 @@ def main(argv: Sequence[str] | None = None) -> int:
     # and on a busy machine they wait for each other for seconds.
     os.environ.update(ONE_BLAS_THREAD)
     command = "ui" if getattr(arguments, "ui", False) else arguments.command
+    module = None
     try:
         # The libraries behind the commands cost a second: --help does without.
         module = importlib.import_module(_MODULES.get(command, f"station.{command}_command"))
         return int(getattr(module, f"command_{command}")(arguments))
+    except (UsageError, EstimatorError, DeviceError) as error:
+        return _refuse(error, module, arguments)
     except KeyboardInterrupt:
         print("station: stopped by Ctrl-C", file=sys.stderr)
         return EXIT_ABORTED
     except BrokenPipeError:
         sys.stderr.close()
         return EXIT_USAGE
+
+
+def _refuse(error: Exception, module: ModuleType | None, arguments: argparse.Namespace) -> int:
+    """Say on stderr why there is no result, and as JSON an empty one; return the exit code.
+
+    A command whose result has other keys than a calibration's has ``refused(reason, arguments)``, which makes it.
+    """
+    print(f"station: {error}", file=sys.stderr)
+    fault = isinstance(error, DeviceError)
+    if getattr(arguments, "json", False):
+        from station.printing import empty_object
+
+        refused = getattr(module, "refused", None)
+        empty = refused(str(error), arguments) if refused else empty_object(str(error), "FAULT" if fault else None)
+        print(json.dumps(empty))
+    return EXIT_FAULT if fault else EXIT_USAGE
 
 
 def make_parser() -> argparse.ArgumentParser:

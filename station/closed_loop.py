@@ -1,7 +1,5 @@
 """What a loop on the bench has come to: its runs, its investigations, its table time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Work spread over a Dask cluster that is already there; what its scheduler moves elsewhere ends as if undisturbed."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import os

@@ -1,7 +1,5 @@
 """station completion: what a shell needs to complete commands, options and file names."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 

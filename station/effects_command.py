@@ -1,7 +1,5 @@
 """station effects: what an investigation looks for."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from dataclasses import asdict

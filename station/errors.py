@@ -1,9 +1,8 @@
 """What the station itself refuses, before anything moves."""
 
-from __future__ import annotations
-
 EXIT_USAGE = 2
 EXIT_ABORTED = 3
+EXIT_FAULT = 4
 
 
 class UsageError(Exception):

@@ -1,7 +1,5 @@
 """station export: the calibration in a recording, in the form that something else needs."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -9,8 +7,7 @@ from pathlib import Path
 
 from rich.markup import escape
 
-from estimator.errors import EstimatorError
-from station.errors import EXIT_USAGE, UsageError
+from station.errors import UsageError
 from station.exporting.exported import Exported, exported_of
 from station.exporting.formats import FORMATS
 from station.exporting.held import HELD
@@ -32,10 +29,8 @@ def command_export(arguments: argparse.Namespace) -> int:
         exported, written = _written(arguments)
         if arguments.output != _STDOUT:
             write_whole(Path(arguments.output), written.text, replace=arguments.force)
-    except (UsageError, EstimatorError) as error:
-        return _refuse(str(error), arguments)
     except OSError as error:
-        return _refuse(f"{arguments.recording} cannot be read: {error.strerror or error}", arguments)
+        raise UsageError(f"{arguments.recording} cannot be read: {error.strerror or error}") from None
     if arguments.json:
         told = {"file": arguments.output, "format": arguments.format, "not_held": list(written.not_held)}
         print(json.dumps({**told, "notes": exported.cautions}))
@@ -50,11 +45,9 @@ def command_export(arguments: argparse.Namespace) -> int:
     return Outcome.PASS.exit_code
 
 
-def _refuse(reason: str, arguments: argparse.Namespace) -> int:
-    print(f"station: {reason}", file=sys.stderr)
-    if arguments.json:
-        print(json.dumps({"file": None, "format": arguments.format, "reason": reason}))
-    return EXIT_USAGE
+def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:
+    """Return what --json prints when nothing was written."""
+    return {"file": None, "format": arguments.format, "reason": reason}
 
 
 def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:

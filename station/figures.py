@@ -1,7 +1,5 @@
 """Figures as people read them: states in everyday units, durations as a clock has them, a dash for the unknown."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -16,6 +14,14 @@ OUTCOME_STYLES = {
     "FAULT": "bold red",
 }
 """Colours of outcomes; the word always stands there too."""
+FINDING_STYLES = {
+    "nothing to add": "bold green",
+    "added": "bold green",
+    "added in part": "bold yellow",
+    "cannot tell": "bold yellow",
+    "unexplained": "bold red",
+}
+"""Colours of what an investigation comes to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,26 +39,18 @@ class StateUnit:
         return number(value * self.factor, self.digits, signed=signed)
 
 
-STATE_FIGURES = (
-    StateUnit("k", "ppm", 1e6, 0, 6),
-    StateUnit("b", "deg/s", math.degrees(1), 5, 8),
-    StateUnit("sigma_j", "deg", math.degrees(1), 5, 8),
-    StateUnit("sigma_k", "deg", math.degrees(1), 5, 8),
-)
-"""The four states in order, in the units of the printed calibration."""
-STATE_UNITS = (
-    ("k", "ppm", 1e6),
-    ("b", "deg/h", math.degrees(3600)),
-    ("sigma_j", "urad", 1e6),
-    ("sigma_k", "urad", 1e6),
-)
-"""Name, unit and factor from SI of each state, for their sigmas."""
-
-
 def effect_units(purpose: str) -> dict[str, tuple[str, float]]:
     """Return by SI unit what people read in its place, and the factor; ``purpose`` is "traced" or "planned"."""
-    units = packaged_toml("station", "units.toml")[purpose]
-    return {si: (shown, times * math.degrees(1) ** power) for si, (shown, times, power) in units.items()}
+    return {si: (shown, times * math.degrees(1) ** power) for si, (shown, times, power, *_) in _UNITS[purpose].items()}
+
+
+_UNITS = packaged_toml("station", "units.toml")
+STATE_FIGURES = tuple(
+    StateUnit(state, *shown, *_UNITS["states"][state][3:]) for state, shown in effect_units("states").items()
+)
+"""The four states in order, in the units of the printed calibration."""
+STATE_UNITS = tuple((state, *shown) for state, shown in effect_units("sigmas").items())
+"""Name, unit and factor from SI of each state, for their sigmas."""
 
 
 def number(value: float | None, digits: int, *, signed: bool = False) -> str:

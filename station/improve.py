@@ -1,7 +1,5 @@
 """station plan --improve: finds a script that reaches given sigmas sooner, or lower ones in a given time."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math
@@ -14,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from drivers.arrays import Flags, Floats
 from estimator.budget import table_budget
@@ -31,7 +28,6 @@ from station.plan import make_plan
 from station.planned import planned_motion
 from station.quantities import QuantityError, parse
 from station.rendering import rendered
-from station.rich_table import rich_table
 from station.script import Move, Rest, Rotate, Script, check
 from station.script_family import ways_of
 from station.script_search import LONGEST_S, Found, Needs, Search, sds_of
@@ -89,15 +85,11 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
         return _refuse(_why_not(search, bench, wanted, gyros), arguments.json)
     check(found.script, bench.table.limits)
     improved = Improved(script, wanted, found, gyros, time.perf_counter() - began_s)
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(script_text(found.script, _origin(improved, bench)))
-    except OSError as error:
-        raise UsageError(f"cannot write {path}: {error}") from None
+    write_script(path, found.script, _origin(improved, bench))
     if arguments.json:
         print(json.dumps(improved_object(improved, path)))
     else:
-        _print(improved, path, stdout())
+        _print(improved, path)
     return Outcome.PASS.exit_code
 
 
@@ -252,6 +244,15 @@ def script_text(script: Script, origin: str) -> str:
     return rendered("station", "script.toml", values)
 
 
+def write_script(path: Path, script: Script, origin: str) -> None:
+    """Write a script as TOML into a new file; UsageError if that fails."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(script_text(script, origin))
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error}") from None
+
+
 def _origin(improved: Improved, bench: Bench) -> str:
     wanted, script = improved.wanted, improved.found.script
     aim = "least time to its sigmas" if wanted.total_s is None else f"least sigmas in {wanted.total_s:g} s"
@@ -296,28 +297,16 @@ def _with_sequencer_s(script: Script) -> float:
     return script.duration_s + _AFTER_MOVE_S * sum(not isinstance(step, Rest) for step in script.steps)
 
 
-def _print(improved: Improved, path: Path, console: Console) -> None:
+def _print(improved: Improved, path: Path) -> None:
     script = improved.found.script
     values = {
+        "improved": improved,
         "found": improved.found,
-        "before": improved.before,
         "wanted": improved.wanted,
-        "search_s": improved.search_s,
         "with_sequencer_s": _with_sequencer_s(script),
-        "sigmas": _sigmas(improved),
+        "units": STATE_UNITS,
+        "infinite": math.inf,
         "steps": list(zip(script.steps, script.durations_s(), strict=True)),
         "path": path,
     }
-    print_rendered(console, "station", "improved.rich", values)
-
-
-def _sigmas(improved: Improved) -> Table:
-    heads = ["gyro", *(head for name, unit, _ in STATE_UNITS for head in (f"{name}\n{unit}", "\nreached"))]
-    several = len({device for device, _ in improved.gyros}) > 1
-    rows = []
-    for (device, name), needed, reached in zip(improved.gyros, improved.wanted.sd, improved.found.sd, strict=True):
-        cells = [f"{device} {name}" if several else name]
-        for need, value, (_, _, factor) in zip(needed, reached, STATE_UNITS, strict=True):
-            cells += [f"{need * factor:.4g}" if math.isfinite(need) else "-", f"{value * factor:.4g}"]
-        rows.append(cells)
-    return rich_table("Sigmas of the states, required and reached", heads, "l" + "dr" * len(STATE_UNITS), rows)
+    print_rendered(stdout(), "station", "improved.rich", values)

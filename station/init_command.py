@@ -1,7 +1,5 @@
 """station init: a bench file, made of answers about the hardware."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import shlex
@@ -18,7 +16,7 @@ from station.asking.rest import ask_rest
 from station.asking.table import ask_table
 from station.bench import Bench, load_bench
 from station.bench_table import TWIN
-from station.errors import EXIT_ABORTED, EXIT_USAGE, ScriptError, UsageError
+from station.errors import EXIT_ABORTED, ScriptError, UsageError
 from station.outcome import Outcome
 from station.script import check, paper_script
 from station.whole_file import write_whole
@@ -37,9 +35,6 @@ def command_init(arguments: argparse.Namespace) -> int:
     except (KeyboardInterrupt, EndedError):
         print("\nstation: stopped before the last question; nothing was written", file=sys.stderr)
         return EXIT_ABORTED
-    except UsageError as error:
-        print(f"station: {error}", file=sys.stderr)
-        return EXIT_USAGE
     return Outcome.PASS.exit_code
 
 

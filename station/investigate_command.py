@@ -1,19 +1,17 @@
 """station investigate: what the error model lacks, traced in recordings that are there."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from drivers.packaged import packaged_toml
 from drivers.seams import AxisLimits
-from estimator.errors import EstimatorError
 from estimator.recording import Recording, read_recording
 from estimator.reference import TableReadings
 from estimator.tracing.investigate import investigate
@@ -21,11 +19,11 @@ from estimator.tracing.investigation import Finding, Investigation
 from estimator.tracing.runs import runs_of
 from station.bench import load_bench
 from station.calibrate_command import recordings_of
-from station.errors import EXIT_USAGE, UsageError
-from station.improve import script_text
+from station.errors import UsageError
+from station.improve import write_script
 from station.investigation_file import check_new_file, write_investigation
 from station.investigation_pictures import draw_investigation
-from station.investigation_printed import empty_object, exit_code_of, investigation_object, print_investigation
+from station.investigation_printed import exit_code_of, investigation_object, print_investigation
 from station.next_script import NextScript, Past, next_script
 from station.progress import TracingProgress
 from station.studies.pictures import check_picture
@@ -34,15 +32,7 @@ from station.whole_file import free_path
 
 _NEXT_FILE = "next-script.toml"
 _MOST_RIVALS = 4  # of what stays unexplained, so many suspects are told apart
-_DEPENDING = {
-    "rate": ("scale_asymmetry", "scale_quadratic", "scale_cubic"),
-    "time": ("bias_drift", "warm_up"),
-    "temperature": ("thermal_bias", "thermal_bias_quadratic", "thermal_gradient"),
-    "acceleration": ("latency", "bandwidth", "acceleration_sensitivity"),
-    "gravity": ("g_sensitivity", "earth_rate"),
-    "angle": ("table_harmonic", "g_sensitivity"),
-}
-"""Effects that a residual which depends on this may come from: a script that tells them apart shows more of it."""
+_SUSPECTS = packaged_toml("station", "suspects.toml")
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,27 +45,24 @@ class Limits:
 
 def command_investigate(arguments: argparse.Namespace) -> int:
     """Trace what the model lacks; 0 if nothing or known, 1 if it cannot be told or explained, 2 for bad input."""
-    fitted, judging = list(arguments.recordings), list(arguments.verify)
-    try:
-        picture, model, script_file = _outputs(arguments)
-        fitted, judging = recordings_of(fitted), recordings_of(judging)
-        _check_apart(fitted, judging)
-        recordings, verification = read(fitted), read(judging)
-        limits = limits_of(recordings, Path(arguments.bench) if arguments.bench else None)
-        with TracingProgress(arguments.json) as progress:
-            found = investigate(recordings, verification, most_effects=arguments.most_effects, progress=progress.show)
-            following = following_script(found, recordings, verification, limits)
-        if following is not None:
-            script_file = script_file or free_path(Path(_NEXT_FILE))
-            write_script(script_file, following, limits)
-        written = None if following is None else script_file
-        what = investigation_object(found, written, fitted, judging)
-        if model is not None:
-            write_investigation(model, found, what)
-        if picture is not None:
-            draw_investigation(picture, found)
-    except (UsageError, EstimatorError) as error:
-        return _refuse(str(error), fitted, judging, arguments.json)
+    picture, model, script_file = _outputs(arguments)
+    arguments.recordings, arguments.verify = recordings_of(arguments.recordings), recordings_of(arguments.verify)
+    fitted, judging = arguments.recordings, arguments.verify
+    _check_apart(fitted, judging)
+    recordings, verification = read(fitted), read(judging)
+    limits = limits_of(recordings, Path(arguments.bench) if arguments.bench else None)
+    with TracingProgress(arguments.json) as progress:
+        found = investigate(recordings, verification, most_effects=arguments.most_effects, progress=progress.show)
+        following = following_script(found, recordings, verification, limits)
+    if following is not None:
+        script_file = script_file or free_path(Path(_NEXT_FILE))
+        write_next(script_file, following, limits)
+    written = None if following is None else script_file
+    what = investigation_object(found, written, fitted, judging)
+    if model is not None:
+        write_investigation(model, found, what)
+    if picture is not None:
+        draw_investigation(picture, found)
     if arguments.json:
         print(json.dumps({**what, "output": arguments.output, "plot": arguments.plot}))
     else:
@@ -86,6 +73,12 @@ def command_investigate(arguments: argparse.Namespace) -> int:
             if path is not None:
                 print(f"{kind}: {path}")
     return exit_code_of(found.finding)
+
+
+def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what --json prints when there is no verdict."""
+    recordings, verification = list(arguments.recordings), list(arguments.verify)
+    return {"verdict": None, "reason": reason, "recordings": recordings, "verification": verification}
 
 
 def _outputs(arguments: argparse.Namespace) -> tuple[Path | None, Path | None, Path | None]:
@@ -120,12 +113,7 @@ def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | N
         text = recording.attributes.get("bench")
         if text and isinstance(recording.reference, TableReadings):
             table = Table.parse(str(text), f"bench in {recording.name}", UsageError).table("table")
-            axes = {}
-            for axis in recording.reference.gimbals:
-                own = table.table(axis)
-                axes[axis] = AxisLimits(
-                    own.quantity("max_rate", "rate"), own.quantity("max_acceleration", "acceleration")
-                )
+            axes = {axis: AxisLimits(**table.table(axis).declared("axis")) for axis in recording.reference.gimbals}
             return Limits(axes, f"the bench in {recording.name}")
     return None
 
@@ -175,8 +163,8 @@ def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
 
 def _suspects(found: Investigation) -> tuple[str, ...]:
     """Return what may lie behind something unexplained: effects of its kind, else those that would explain most."""
-    if found.unexplained is not None and found.unexplained.depends_on in _DEPENDING:
-        return _DEPENDING[found.unexplained.depends_on]
+    if found.unexplained is not None and found.unexplained.depends_on in _SUSPECTS:
+        return tuple(_SUSPECTS[found.unexplained.depends_on])
     ranked = sorted(found.suspects, key=lambda suspect: -suspect.log_evidence)
     return tuple(suspect.effect for suspect in ranked[:_MOST_RIVALS])
 
@@ -188,20 +176,9 @@ def _evidence_of(found: Investigation) -> float:
     return max(0.5 * squares, 0.0)
 
 
-def write_script(path: Path, following: NextScript, limits: Limits | None) -> None:
-    """Write a script as TOML; UsageError if that fails."""
+def write_next(path: Path, following: NextScript, limits: Limits | None) -> None:
+    """Write the script that an investigation asks for; UsageError if that fails."""
     rivals = "; ".join(" or ".join(names) for names in following.rivals)
     origin = f"Found by station investigate, within the limits of {limits.stated_in if limits else 'a table'}.\n"
     origin += f"To tell apart: {rivals}. Predicted probability of that: {following.probability:.2f}."
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(script_text(following.script, origin))
-    except OSError as error:
-        raise UsageError(f"cannot write {path}: {error}") from None
-
-
-def _refuse(reason: str, fitted: Sequence[str], judging: Sequence[str], as_json: bool) -> int:
-    print(f"station: {reason}", file=sys.stderr)
-    if as_json:
-        print(json.dumps(empty_object(reason, fitted, judging)))
-    return EXIT_USAGE
+    write_script(path, following.script, origin)

@@ -1,45 +1,36 @@
 """An investigation as a person reads it, and as --json gives it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from estimator.effects.constructed import readable
 from estimator.tracing.investigation import (
     Added,
-    Errors,
     Finding,
     GyroErrors,
     Investigation,
     ModelStep,
     Value,
 )
-from station.figures import effect_units
+from station.figures import FINDING_STYLES, effect_units
 from station.next_script import NextScript
 from station.rendering import rendered
 from station.residual_printed import residual_object, residual_tables
 from station.rich_table import rich_table
-from station.snapshot import by_state, json_object
+from station.snapshot import by_state, json_object, named
 from station.terminal import print_rendered, stdout
 
 _DEG = 180 / math.pi
 _UNITS = effect_units("traced")
-_COLOURS = {
-    Finding.NOTHING: "bold green",
-    Finding.ADDED: "bold green",
-    Finding.PARTLY: "bold yellow",
-    Finding.CANNOT_TELL: "bold yellow",
-    Finding.UNEXPLAINED: "bold red",
-}
+_ADDED = ("effect", "constructed", "expression", "gyros", "probability", "parameters", "out_of_sample", "same")
+"""What --json says of an effect that was added."""
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
 _MOST_SHOWN = 8
 
@@ -56,15 +47,19 @@ def print_investigation(
     left_out: dict[str, list[str]] = {}
     for effect, reason in found.left_out.items():
         left_out.setdefault(reason, []).append(words(effect))
+    ranked = sorted(found.suspects, key=lambda suspect: -suspect.probability)
+    shown = [s for s in ranked if s.probability >= _LEAST_SHOWN][:_MOST_SHOWN]
     values = {
         "found": found,
-        "colour": Markup(_COLOURS[found.finding]),
+        "colour": Markup(FINDING_STYLES[found.finding]),
         "verdict": verdict_lines(found),
         "next_script": next_script,
         "path": path,
-        "suspects": _suspects(found) if found.suspects else None,
+        "shown": shown,
+        "others": ranked[len(shown) :],
+        "words": words,
+        "probability": probability,
         "residuals": residual_tables(found),
-        "errors": _errors_table(found),
         "models": _models(found.models) if len(found.models) > 1 else None,
         "left_out": left_out,
         "dph": dph,
@@ -131,45 +126,6 @@ def _unit(value: Value) -> tuple[str, float]:
     return _UNITS.get(value.unit, (value.unit, 1.0))
 
 
-def _suspects(found: Investigation) -> Table:
-    heads = ("suspect", "probability", "log evidence")
-    ranked = sorted(found.suspects, key=lambda suspect: -suspect.probability)
-    shown = [s for s in ranked if s.probability >= _LEAST_SHOWN][:_MOST_SHOWN]
-    rows = [(escape(words(s.effect)), probability(s.probability), f"{s.log_evidence:+.1f}") for s in shown]
-    table = rich_table("What the first model may lack", heads, "lr", rows)
-    rest = len(ranked) - len(shown)
-    if rest:
-        left = sum(s.probability for s in ranked if s not in shown)
-        table.add_row(f"{rest} others together", probability(left), "", style="dim")
-    return table
-
-
-def _errors_table(found: Investigation) -> Table:
-    where = "cross-validated by step, in-sample" if found.in_sample else "verification run"
-    heads = ("gyro", "rms\ndeg/h", "\nafter", "largest\ndeg/h", "\nafter", "in 95 %\nbefore", "\nafter")
-    moved = "states moved, in old sigmas\nk / b / sigma_j / sigma_k"
-    rows = [
-        (escape(gyro.name), *_both(gyro.before, gyro.after), " / ".join(f"{value:+.1f}" for value in gyro.moved))
-        for gyro in found.gyros
-    ]
-    table = rich_table(f"Error of the compensated rate, before and after ({where})", (*heads, moved), "lr", rows)
-    if len(found.gyros) > 1:
-        table.add_section()
-        table.add_row("all", *_both(found.before, found.after), "")
-    return table
-
-
-def _both(before: Errors, after: Errors) -> list[str]:
-    return [
-        dph(before.rms_rps),
-        dph(after.rms_rps),
-        dph(before.max_rps),
-        dph(after.max_rps),
-        f"{before.coverage95:.1%}",
-        f"{after.coverage95:.1%}",
-    ]
-
-
 def _models(models: Sequence[ModelStep]) -> Table:
     """Return one row a model: what it added, its evidence, its error."""
     rows = [
@@ -204,37 +160,18 @@ def investigation_object(
             "verdict": str(found.finding),
             "reason": found.reason,
             "added": [
-                {
-                    "effect": added.effect,
-                    "constructed": added.constructed,
-                    "expression": added.expression,
-                    "gyros": added.gyros,
-                    "probability": added.probability,
-                    "parameters": {name: (v.value, v.sd, v.unit) for name, v in added.parameters.items()},
-                    "out_of_sample": added.out_of_sample,
-                    "same": added.same,
-                }
+                named(added, _ADDED) | {"parameters": {name: astuple(v) for name, v in added.parameters.items()}}
                 for added in found.added
             ],
-            "rivals": found.rivals,
-            "unexplained": found.unexplained,
-            "before": found.before,
-            "after": found.after,
-            "improvement": found.improvement,
-            "in_sample": found.in_sample,
+            **named(found, ("rivals", "unexplained", "before", "after", "improvement", "in_sample")),
             "next_script": None if next_script is None else str(next_script),
             "models": [
                 {"effects": m.effects, "log_evidence": m.log_evidence, **asdict(m.errors)} for m in found.models
             ],
             "gyros": {gyro.name: _gyro(gyro) for gyro in found.gyros},
-            "suspects": [
-                {"effect": s.effect, "log_evidence": s.log_evidence, "probability": s.probability}
-                for s in found.suspects
-            ],
+            "suspects": found.suspects,
             "residual": residual_object(found),
-            "left_out": dict(found.left_out),
-            "taken_back": found.taken_back,
-            "notes": found.notes,
+            **named(found, ("left_out", "taken_back", "notes")),
             "recordings": recordings,
             "verification": verification,
         }
@@ -242,19 +179,7 @@ def investigation_object(
     return whole
 
 
-def empty_object(reason: str, recordings: Sequence[str], verification: Sequence[str]) -> dict[str, Any]:
-    """Return what --json prints when there is no verdict."""
-    return {"verdict": None, "reason": reason, "recordings": list(recordings), "verification": list(verification)}
-
-
 def _gyro(gyro: GyroErrors) -> dict[str, Any]:
-    return {
-        "before": gyro.before,
-        "after": gyro.after,
-        "states_before": by_state(gyro.states_before),
-        "states_after": by_state(gyro.states_after),
-        "sd_before": by_state(gyro.sd_before),
-        "sd_after": by_state(gyro.sd_after),
-        "moved_sigmas": by_state(gyro.moved),
-        "phases": gyro.phases,
-    }
+    states = {key: by_state(getattr(gyro, key)) for key in ("states_before", "states_after", "sd_before", "sd_after")}
+    moved = {"moved_sigmas": by_state(gyro.moved)}
+    return {"before": gyro.before, "after": gyro.after, **states, **moved, "phases": gyro.phases}

@@ -1,7 +1,5 @@
 """Output that outlives its terminal: what nobody can read any more is dropped, and nothing fails for it."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

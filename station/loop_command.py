@@ -1,7 +1,5 @@
 """station loop: calibrate, explore, verify on the bench, investigate, drive what tells rivals apart, report."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json
@@ -20,7 +18,7 @@ from station.bench import Bench
 from station.closed_loop import CALIBRATION, EXPLORATION, NEXT, VERIFICATION, Driven, Loop, Round
 from station.commands import chosen_bench, clock, drive
 from station.errors import EXIT_ABORTED, EXIT_USAGE, UsageError
-from station.investigate_command import Limits, following_script, write_script
+from station.investigate_command import Limits, following_script, write_next
 from station.investigation_file import write_investigation
 from station.investigation_printed import exit_code_of
 from station.loop_printed import loop_object, print_loop, runs_object
@@ -113,7 +111,7 @@ def _investigate(loop: Loop, driver: _Driver) -> Round:
     path = None
     if following is not None:
         path = loop.folder / f"{len(loop.runs) + 1}-{NEXT}.toml"
-        write_script(path, following, limits)
+        write_next(path, following, limits)
     return Round(len(loop.runs), found, following, path)
 
 

@@ -1,7 +1,5 @@
 """The scripts of the loop: exploration, in which effects show, verification, which only judges, and what may follow."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 

@@ -4,8 +4,6 @@ Code of the station asks ``loop.time()``, sleeps by ``asyncio.sleep`` and limits
 knows no other clock. Which loop runs decides how fast that clock goes.
 """
 
-from __future__ import annotations
-
 import asyncio
 import selectors
 import sys

@@ -1,13 +1,10 @@
 """station plan: what a script will show, before anything moves."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path
 from typing import Any
 
-from estimator.errors import EstimatorError
 from estimator.planning import EffectForecast, Forecast
 from station.bench import load_bench
 from station.errors import UsageError
@@ -16,7 +13,6 @@ from station.open_bench import with_links
 from station.outcome import Outcome
 from station.plan import TEMPERATURE_RISE_K, WARMING_TIME_S, Plan, make_plan
 from station.plan_printed import print_plan
-from station.printing import refuse
 from station.quantities import QuantityError, parse
 from station.script import Rest, Script, load_script, paper_script
 from station.snapshot import by_state, json_object
@@ -25,15 +21,12 @@ from station.terminal import stdout
 
 def command_plan(arguments: argparse.Namespace) -> int:
     """Print what a script will show on a bench; 1 if it does not reach the sigmas that the bench requires."""
-    try:
-        bench = load_bench(Path(arguments.bench) if arguments.bench else None)
-        bench = with_links(bench, {}, arguments.device)
-        script = load_script(Path(arguments.script)) if arguments.script else paper_script()
-        if arguments.improve:
-            return improve(arguments, bench, script)
-        plan = make_plan(script, bench, temperature_rise_k=_rise(arguments.temperature_rise))
-    except (UsageError, EstimatorError) as error:
-        return refuse(str(error), arguments.json)
+    bench = load_bench(Path(arguments.bench) if arguments.bench else None)
+    bench = with_links(bench, {}, arguments.device)
+    script = load_script(Path(arguments.script)) if arguments.script else paper_script()
+    if arguments.improve:
+        return improve(arguments, bench, script)
+    plan = make_plan(script, bench, temperature_rise_k=_rise(arguments.temperature_rise))
     if arguments.json:
         print(json.dumps(plan_object(plan)))
     else:

@@ -1,7 +1,5 @@
 """The motion that a script asks for: angle, rate and acceleration of every axis, before anything moves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

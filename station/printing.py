@@ -1,20 +1,16 @@
 """What a person sees in the terminal: the table of states, the verdict; and the JSON for machines."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
-from estimator.budget import UNSEEN
+from drivers.packaged import packaged_toml
 from estimator.calibration import Calibration, GyroCalibration
 from estimator.noise import NoiseFound
 from estimator.repeatability import Repeatability
@@ -26,61 +22,29 @@ from station.rich_table import rich_table
 from station.snapshot import by_state
 from station.terminal import print_rendered, stdout
 
-_BUDGET_WORDS = {
-    "noise": "noise (type A)",
-    "effects": "effects of the model (type A)",
-    "rate": "table rate (type B)",
-    "wobble": "table wobble (type B)",
-    "orthogonality": "table orthogonality (type B)",
-    "timing": "table timing (type B)",
-    UNSEEN: "effects that this script cannot show (type B)",
-}
+_BUDGET_WORDS = packaged_toml("station", "budget.toml")["terminal"]
 _SIGMA_HEADS = tuple(f"{name} ({unit})" for name, unit, _ in STATE_UNITS)
 _SCALES = np.array([factor for _, _, factor in STATE_UNITS])
 
 
 def print_calibration(calibration: Calibration) -> None:
     """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from."""
-    heads = ("gyro", *(head for state in STATE_FIGURES for head in (f"{state.name} ({state.unit})", "±")))
+    from estimator.tracing.investigation import Value
+    from station.investigation_printed import human, words
+
     nis = f"mean NIS {calibration.nis_mean:.3f} per degree of freedom (1 = the filter's sigmas are true), "
     values = {
         "calibration": calibration,
-        "states": rich_table(
-            "States and their standard deviations",
-            (*heads, "noise (deg/s)"),
-            f"l{'rd' * len(STATE_FIGURES)}r",
-            map(_state_cells, calibration.gyros),
-        ),
-        "effects": _effects(calibration.gyros) if any(gyro.effects for gyro in calibration.gyros) else None,
+        "figures": STATE_FIGURES,
+        "degrees": math.degrees,
+        "words": words,
+        "human": lambda value, sd, unit: human(Value(value, sd, unit)),
         "budget": _budget(calibration),
         "noise": _noise([gyro.noise for gyro in calibration.gyros if gyro.noise is not None]),
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
         "nis": nis if np.isfinite(calibration.nis_mean) else "",
     }
     print_rendered(stdout(), "station", "calibration.rich", values)
-
-
-def _state_cells(gyro: GyroCalibration) -> list[str]:
-    pairs = zip(STATE_FIGURES, gyro.states, gyro.sd, strict=True)
-    cells = [text for state, value, sd in pairs for text in (state.text(value), state.text(sd))]
-    return [gyro.name, *cells, f"{math.degrees(gyro.noise_rps):.4f}"]
-
-
-def _effects(gyros: Sequence[GyroCalibration]) -> Table:
-    """Return what the effects of the error model are on each gyro, a line a parameter, beside what was expected."""
-    from estimator.tracing.investigation import Value
-    from station.investigation_printed import human, words
-
-    table = rich_table("Effects of the error model", ("effect", "parameter", "gyro", "found", "typical size"), "lllrd")
-    for place, effect in enumerate(gyros[0].effects):
-        rows = gyros[:1] if effect.shared else gyros
-        for row, gyro in enumerate(rows):
-            value = gyro.effects[place]
-            found = human(Value(value.value, value.sd, value.unit))
-            typical = human(Value(value.expected_sd, 0.0, value.unit)) if not (row or value.shared) else ""
-            heads = ("", "") if row else (escape(words(value.effect)), escape(value.parameter))
-            table.add_row(*heads, "all" if value.shared else escape(gyro.name), found, typical)
-    return table
 
 
 def _budget(calibration: Calibration) -> Table | None:
@@ -158,48 +122,18 @@ def print_verdict(verdict: Verdict, recording: Path) -> None:
     console.print(f"recording: {recording}", highlight=False, soft_wrap=True)
 
 
-@dataclass(frozen=True, slots=True)
-class OverviewLine:
-    """One recording among many. ``seen`` is the largest sigma of its states as a share of the data sheet's."""
-
-    recording: str
-    device: str
-    script: str
-    verdict: Verdict
-    nis_mean: float
-    seen: float
-
-
-def print_overview(lines: Sequence[OverviewLine], folder: str) -> None:
-    """Print one line a recording: what it is of, how it was judged, how well it shows its states, how true it is."""
-    table = Table(title=f"Recordings in {escape(folder)}", title_style="bold", title_justify="left")
-    for heading in ("recording", "device", "script"):
-        table.add_column(heading, overflow="fold")
-    table.add_column("outcome")
-    for heading in ("worst sigma / prior", "mean NIS"):
-        table.add_column(heading, justify="right")
-    table.add_column("reason", overflow="fold")
-    for line in lines:
-        outcome = line.verdict.outcome
-        table.add_row(
-            escape(line.recording),
-            escape(line.device),
-            escape(line.script),
-            f"[{OUTCOME_STYLES[outcome]}]{outcome}[/]",
-            f"{line.seen:.2%}",
-            f"{line.nis_mean:.3f}" if np.isfinite(line.nis_mean) else "",
-            "" if outcome is Outcome.PASS else escape(line.verdict.reason),
-        )
-    stdout().print(table)
-
-
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:
     """Say on stderr why there is no result, and as JSON an empty one; return the exit code."""
     print(f"station: {reason}", file=sys.stderr)
     if as_json:
-        empty: dict[str, Any] = {"outcome": outcome and str(outcome), "reason": reason, "recording": recording}
-        print(json.dumps({**empty, "gyros": [], "nis_mean": None, "samples": 0, "lost": 0}))
+        print(json.dumps(empty_object(reason, outcome and str(outcome), recording)))
     return outcome.exit_code if outcome else EXIT_USAGE
+
+
+def empty_object(reason: str, outcome: str | None = None, recording: str | None = None) -> dict[str, Any]:
+    """Return what --json prints when there is no result."""
+    empty: dict[str, Any] = {"outcome": outcome, "reason": reason, "recording": recording}
+    return {**empty, "gyros": [], "nis_mean": None, "samples": 0, "lost": 0}
 
 
 def result_object(verdict: Verdict, recording: str, calibration: Calibration | None) -> dict[str, Any]:

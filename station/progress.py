@@ -1,7 +1,5 @@
 """How far long work is, on stderr: a bar in a terminal, a few lines elsewhere, nothing when quiet."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from types import TracebackType

@@ -1,7 +1,5 @@
 """Numbers with units as people write them, "20 deg/s", and back."""
 
-from __future__ import annotations
-
 import math
 import re
 

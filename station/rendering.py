@@ -29,6 +29,7 @@ def _environment(package: str, rich: bool) -> "Environment":
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
+        extensions=["jinja2.ext.do"],
     )
 
 

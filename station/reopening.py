@@ -1,7 +1,5 @@
 """Links that drop while nothing turns are opened again; in a motion, or if one begins meanwhile, the run ends."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 

@@ -1,29 +1,20 @@
 """station report: the report of a recording, as HTML and as PDF."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
 from pathlib import Path
 from typing import Any
 
-from estimator.errors import EstimatorError
 from station.errors import EXIT_USAGE, UsageError
 from station.investigation_file import check_new_file
-from station.whole_file import write_whole
+from station.whole_file import free_path, write_whole
 
 
 def command_report(arguments: argparse.Namespace) -> int:
     """Write the report of a recording; 0 if it is written, whatever it says."""
-    try:
-        html, pdf = _outputs(arguments)
-        said = _write(Path(arguments.recording), arguments.investigation, html)
-    except (UsageError, EstimatorError) as error:
-        print(f"station: {error}", file=sys.stderr)
-        if arguments.json:
-            print(json.dumps({"title": None, "reason": str(error), "html": None, "pdf": None}))
-        return EXIT_USAGE
+    html, pdf = _outputs(arguments)
+    said = _write(Path(arguments.recording), arguments.investigation, html)
     problem = _print(html, pdf)
     if arguments.json:
         print(json.dumps({**said, "html": str(html), "pdf": None if problem or pdf is None else str(pdf)}))
@@ -38,10 +29,16 @@ def command_report(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:
+    """Return what --json prints when there is no report."""
+    return {"title": None, "reason": reason, "html": None, "pdf": None}
+
+
 def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None]:
     """Return the files to write, HTML and, where it is wanted, PDF, seen to be free before any long work."""
     if arguments.output is None:
-        html, pdf = _free_outputs(Path(arguments.recording), arguments.pdf)
+        html = free_path(Path(arguments.recording).with_suffix(".html"), beside=[".pdf"] if arguments.pdf else [])
+        pdf = html.with_suffix(".pdf") if arguments.pdf else None
     else:
         named = Path(arguments.output)
         if named.suffix.lower() not in (".html", ".htm", ".pdf"):
@@ -52,17 +49,6 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None]:
     for path in filter(None, (pdf, html)):
         check_new_file(path, "--output")
     return html, pdf
-
-
-def _free_outputs(recording: Path, as_pdf: bool) -> tuple[Path, Path | None]:
-    """Return files beside the recording that are not there yet, numbered if need be."""
-    number = 1
-    while True:
-        html = recording.with_name(f"{recording.stem}{'' if number == 1 else f'-{number}'}.html")
-        pdf = html.with_suffix(".pdf") if as_pdf else None
-        if not html.exists() and not (pdf is not None and pdf.exists()):
-            return html, pdf
-        number += 1
 
 
 def _write(path: Path, investigation: str | None, html: Path) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 """What an investigation leaves of the output errors, as a person reads it, and as --json gives it."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Any
 
@@ -12,6 +10,7 @@ from estimator.tracing.investigation import Investigation
 from estimator.tracing.origin import Origin, Split
 from estimator.tracing.residual import GyroResidual, Residual
 from station.rich_table import rich_table
+from station.snapshot import json_object, named
 
 _MOST_SHOWN = 3
 _LEAST_SHOWN = 0.15
@@ -87,24 +86,20 @@ def _depends_on(gyro: GyroResidual) -> str:
 
 def residual_object(found: Investigation) -> dict[str, Any] | None:
     """Return what --json prints of what is left: before, after, and both on the verification run if there is one."""
-    if found.residual_before is None or found.residual_after is None:
-        return None
-    verification = None
-    if found.verified_before is not None and found.verified_after is not None:
-        verification = {"before": _object(found.verified_before), "after": _object(found.verified_after)}
-    return {
-        "before": _object(found.residual_before),
-        "after": _object(found.residual_after),
-        "verification": verification,
-    }
+    fitted = _both(found.residual_before, found.residual_after)
+    return fitted and {**fitted, "verification": _both(found.verified_before, found.verified_after)}
+
+
+def _both(before: Residual | None, after: Residual | None) -> dict[str, Any] | None:
+    return None if before is None or after is None else {"before": _object(before), "after": _object(after)}
 
 
 def _object(residual: Residual) -> dict[str, Any]:
     return {
         "gyros": {
             gyro.name: {
-                **{key: getattr(gyro, key) for key in _NUMBERS},
-                "spectrum": {key: getattr(gyro.spectrum, key).tolist() for key in _SPECTRUM},
+                **named(gyro, _NUMBERS),
+                "spectrum": json_object(named(gyro.spectrum, _SPECTRUM)),
                 "depends_on": {d.variable: {"share": d.share, "p_value": d.p_value} for d in gyro.dependences},
             }
             for gyro in residual.gyros

@@ -1,7 +1,5 @@
 """Tables of a terminal, all in one style."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from rich.console import OverflowMethod
@@ -9,13 +7,19 @@ from rich.table import Table
 
 
 def rich_table(
-    title: str | None, heads: Sequence[str], align: str = "", rows: Iterable[Sequence[str]] = (), *, fold: bool = False
+    title: str | None,
+    heads: Sequence[str],
+    align: str = "",
+    rows: Iterable[Sequence[str]] = (),
+    *,
+    fold: bool = False,
+    centred: bool = False,
 ) -> Table:
     """Return a table; ``align`` has "l" or "r" for each column, "d" for a dim "r", the last for all others.
 
-    With ``fold`` cells are broken into lines where there is no room, not cut.
+    With ``fold`` cells are broken into lines where there is no room, not cut. ``centred`` is the title.
     """
-    table = Table(title=title, title_style="bold", title_justify="left")
+    table = Table(title=title, title_style="bold", title_justify="center" if centred else "left")
     overflow: OverflowMethod = "fold" if fold else "ellipsis"
     for head, side in zip(heads, align.ljust(len(heads), align[-1:] or "l"), strict=True):
         style = "dim" if side == "d" else None

@@ -1,7 +1,5 @@
 """Scripts: what the table is to do, as data that can be checked and drawn before anything moves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

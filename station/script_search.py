@@ -5,8 +5,6 @@ quadratic programming on sums that are exact for white noise and a base at rest.
 change is taken from the full prediction, as a factor on each sigma, until both agree.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence

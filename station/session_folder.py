@@ -1,7 +1,5 @@
 """Where running sessions have their sockets: a folder of this user alone."""
 
-from __future__ import annotations
-
 import os
 import stat
 import tempfile

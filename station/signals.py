@@ -1,7 +1,5 @@
 """Signals that end a run politely, and the hang-up that need not."""
 
-from __future__ import annotations
-
 import asyncio
 import signal
 from collections.abc import Callable, Iterator

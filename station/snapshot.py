@@ -6,7 +6,7 @@ All figures in SI units; NaN where nothing is known, null in JSON.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, is_dataclass
 from enum import StrEnum
 from functools import cache
@@ -139,6 +139,11 @@ def json_object(value: Any) -> Any:
     if is_dataclass(value):  # dataclasses.asdict copies all that it meets, and costs four times as much
         return {name: json_object(getattr(value, name)) for name in value.__dataclass_fields__}
     return value
+
+
+def named(value: Any, names: Iterable[str]) -> dict[str, Any]:
+    """Return some attributes of a value by their names."""
+    return {name: getattr(value, name) for name in names}
 
 
 def by_state(values: Any) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 """What a run had of each source: samples, losses, the device's clock, and when its samples were taken."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

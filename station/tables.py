@@ -1,11 +1,10 @@
 """TOML files read strictly, with numbers that carry their units."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
+from drivers.packaged import packaged_toml
 from estimator.strict_toml import StrictTable
 from station.errors import UsageError
 from station.quantities import QuantityError, parse
@@ -30,9 +29,24 @@ class Table(StrictTable):
         except tomllib.TOMLDecodeError as reason:
             raise error(f"{file}: not valid TOML: {reason}") from None
 
-    def quantity(self, key: str, kind: str, default: float | None = None) -> float:
-        """Take a number with a unit, in SI."""
-        return self._take(key, default, lambda value: parse(value, kind))
+    def quantity(self, key: str, kind: str, default: float | str | None = None, bound: str = "") -> float:
+        """Take a number with a unit, in SI; ``bound`` is "above_zero", "not_negative" or none."""
+
+        def convert(value: object) -> float:
+            number = parse(value, kind)
+            if bound and (number < 0 or (number == 0 and bound == "above_zero")):
+                raise QuantityError("must be above zero" if bound == "above_zero" else "must not be negative")
+            return number
+
+        return self._take(key, parse(default, kind) if isinstance(default, str) else default, convert)
+
+    def declared(self, section: str) -> dict[str, Any]:
+        """Take the quantities that keys.toml declares for a section, by the fields that they become."""
+        keys = packaged_toml("station", "keys.toml")[section]
+        return {
+            key["field"]: self.quantity(name, key["kind"], key.get("default"), key.get("bound", ""))
+            for name, key in keys.items()
+        }
 
     def quantities(self, key: str, kind: str, count: int, default: float | None = None) -> list[float]:
         """Take one quantity for all, or a list of ``count`` of them."""

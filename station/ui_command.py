@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from station.errors import EXIT_USAGE, UsageError
+from station.errors import UsageError
 
 if TYPE_CHECKING:
     from station.screen.choices import Choices
@@ -21,17 +21,13 @@ _DEFECT = 1
 
 def command_ui(arguments: argparse.Namespace) -> int:
     """Show the screen until the operator leaves it; 2 if there is no terminal that can show it."""
-    try:
-        if getattr(arguments, "web", None) is not None:
-            from station.screen.web import serve
+    if getattr(arguments, "web", None) is not None:
+        from station.screen.web import serve
 
-            return serve(arguments.web, _words_again(arguments))
-        if "TEXTUAL_DRIVER" not in os.environ:  # else somebody else draws: the server of --web
-            _check_terminal()
-        return _show(arguments)
-    except UsageError as error:
-        print(f"station: {error}", file=sys.stderr)
-        return EXIT_USAGE
+        return serve(arguments.web, _words_again(arguments))
+    if "TEXTUAL_DRIVER" not in os.environ:  # else somebody else draws: the server of --web
+        _check_terminal()
+    return _show(arguments)
 
 
 def _check_terminal() -> None:

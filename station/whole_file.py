@@ -1,9 +1,7 @@
 """Text files that are there whole or not at all, and are not written over unasked."""
 
-from __future__ import annotations
-
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -11,10 +9,13 @@ from pathlib import Path
 from station.errors import UsageError
 
 
-def free_path(path: Path) -> Path:
-    """Return the path, or one with a number that is free: nothing is ever overwritten."""
+def free_path(path: Path, *, beside: Sequence[str] = ()) -> Path:
+    """Return the path, or one with a number that is free: nothing is ever overwritten.
+
+    ``beside`` are more suffixes with which it must be free.
+    """
     number, found = 1, path
-    while found.exists():
+    while any(found.with_suffix(suffix).exists() for suffix in (path.suffix, *beside)):
         number += 1
         found = path.with_name(f"{path.stem}-{number}{path.suffix}")
     return found

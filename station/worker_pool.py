@@ -1,7 +1,5 @@
 """Work spread over processes of this machine, one item at a time each; a process that dies costs its item only."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import pickle

@@ -7,19 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from drivers.packaged import packaged_toml
 from station.asking.bench_text import ImuAnswer
 from station.asking.checks import quantity_of, whole_number
 from station.asking.dialogue import Dialogue
 from station.errors import UsageError
 
-_ARRAYS: Mapping[str, str] = {
-    "triad": "three gyros along x, y, z",
-    "tetrahedron": "four: one along -z, three at 70.5 deg from z",
-    "dodecahedron": "six, along the faces of a dodecahedron",
-    "cone": "any number, evenly on a cone about z",
-    "axes": "any directions, given one by one",
-}
-GYROS: Mapping[str, int] = {"triad": 3, "tetrahedron": 4, "dodecahedron": 6}
+_ARRAYS: Mapping[str, str] = packaged_toml("station.asking", "devices.toml")["arrays"]
+GYROS: Mapping[str, int] = packaged_toml("station.asking", "devices.toml")["gyros"]
 """Number of gyros by array, where the array says it."""
 _BUILT_IN = 4
 _MOST = 64
@@ -105,12 +100,10 @@ def _ask_channels(dialogue: Dialogue, path: Path, count: int) -> tuple[tuple[str
         if text not in signals:
             raise UsageError(f"{text!r} is no signal of {path.name}")
 
-    def known_or_none(text: str) -> None:
-        if text:
-            known(text)
-
     channels = []
     for n in range(1, count + 1):
         rate = dialogue.ask(f"rate of gyro {n}, MESSAGE.Signal", "", known)
-        channels.append((rate, dialogue.ask("its temperature; - for none", "", known_or_none)))
+        channels.append(
+            (rate, dialogue.ask("its temperature; - for none", "", lambda text: known(text) if text else None))
+        )
     return tuple(channels)

@@ -2,9 +2,10 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
+from drivers.packaged import packaged_toml
 from station.asking.bench_text import BenchAnswer, ImuAnswer
 from station.asking.checks import quantity_of
 from station.asking.dialogue import Dialogue
@@ -12,17 +13,7 @@ from station.bench_table import TWIN
 from station.errors import UsageError
 from station.quantities import parse
 
-_NOISE = ("0.005 deg/s/rtHz", "2 deg/h")  # angle random walk and bias instability that the limits below are for
-_SIZES: Mapping[str, tuple[str, str, str]] = {
-    "scale_factor_error": ("ratio", "scale factor error up to", "10000 ppm"),
-    "bias": ("rate", "bias up to", "0.5 deg/s"),
-    "misalignment": ("angle", "misalignment up to", "0.5 deg"),
-}
-_SIGMAS: Mapping[str, tuple[str, str, int, str]] = {
-    "sd_scale_factor_error": ("ratio", "scale factor error known to, one sigma", 100, "ppm"),
-    "sd_bias": ("rate", "bias known to, one sigma", 5, "deg/h"),
-    "sd_misalignment": ("angle", "misalignments known to, one sigma", 100, "urad"),
-}
+_KNOWN = packaged_toml("station.asking", "devices.toml")
 _ALWAYS = {"nis_low": "0.8", "nis_high": "1.2", "lost": "1 %"}
 
 
@@ -36,12 +27,10 @@ def ask_rest(dialogue: Dialogue, bench: BenchAnswer) -> BenchAnswer:
         heading = dialogue.ask(question, heading, quantity_of("angle"))
     dialogue.say("\nWhat counts as a pass; - for what is not to be checked.")
     factor = _noise_factor(bench.imus)
-    limits = {
-        key: dialogue.ask(question, proposed, quantity_of(kind, optional=True))
-        for key, (kind, question, proposed) in _SIZES.items()
-    }
-    for key, (kind, question, size, unit) in _SIGMAS.items():
-        limits[key] = dialogue.ask(question, f"{size * factor} {unit}", quantity_of(kind, optional=True))
+    limits = {}
+    for key, (kind, question, size, *unit) in _KNOWN["limits"].items():
+        proposed = f"{size * factor} {unit[0]}" if unit else size
+        limits[key] = dialogue.ask(question, proposed, quantity_of(kind, optional=True))
     dialogue.say("\nFor the record: a regular expression that names must match; - for anything.")
     operator = dialogue.ask("names of operators", "", _check_pattern)
     serial = dialogue.ask("serial numbers of devices", "", _check_pattern)
@@ -53,12 +42,9 @@ def ask_rest(dialogue: Dialogue, bench: BenchAnswer) -> BenchAnswer:
 
 def _noise_factor(imus: Sequence[ImuAnswer]) -> int:
     """Return by how much the noisiest gyros are noisier than those that the limits are for; 1 at the least."""
-    kinds = ("angle random walk", "rate")
-    usual = [parse(text, kind) for text, kind in zip(_NOISE, kinds, strict=True)]
-    worst = max(
-        max(parse(imu.arw, kinds[0]) / usual[0], parse(imu.bias_instability, kinds[1]) / usual[1]) for imu in imus
-    )
-    return max(1, math.ceil(worst))
+    own = ({"angle random walk": imu.arw, "rate": imu.bias_instability} for imu in imus)
+    usual = {kind: parse(text, kind) for kind, text in _KNOWN["noise"].items()}
+    return max(1, math.ceil(max(parse(noise[kind], kind) / usual[kind] for noise in own for kind in usual)))
 
 
 def _check_latitude(text: str) -> None:

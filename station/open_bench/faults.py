@@ -1,7 +1,5 @@
 """What the bench file says is wrong with twins and their wires: [twin.fault] and [twin.NAME.fault]."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

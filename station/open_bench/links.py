@@ -1,7 +1,5 @@
 """What a link in a bench file means: twin:, serial:, tcp:, rfc2217:, socket:, can:."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from typing import Any
 from urllib.parse import parse_qs, urlsplit

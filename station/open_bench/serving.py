@@ -1,7 +1,5 @@
 """Twins on real ports: what `station twin` serves."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

@@ -1,7 +1,5 @@
 """Recordings made straight from the physics of the twins, without a wire: for studies and for planning."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

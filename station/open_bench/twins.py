@@ -1,7 +1,5 @@
 """The twins of a bench: one table, the controller that turns it, gyros that ride on it and the devices they are in."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import logging

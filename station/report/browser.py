@@ -7,19 +7,10 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
+from drivers.packaged import packaged_toml
 from station.errors import UsageError
 
-NAMES = (
-    "chromium",
-    "chromium-browser",
-    "google-chrome",
-    "google-chrome-stable",
-    "chrome",
-    "microsoft-edge",
-    "microsoft-edge-stable",
-    "msedge",
-)
-"""What the browsers that print without a screen are called, in the order in which they are looked for."""
+_KNOWN = packaged_toml("station.report", "browser.toml")
 VARIABLE = "STATION_BROWSER"
 _LIMIT_S = 60.0
 
@@ -32,7 +23,7 @@ def find_browser() -> str:
         if found is None:
             raise UsageError(f"${VARIABLE} is {wanted}, which is no program: give the path of Chromium, Chrome or Edge")
         return found
-    for name in NAMES:
+    for name in map(str, _KNOWN["names"]):
         found = shutil.which(name)
         if found is not None:
             return found
@@ -47,17 +38,7 @@ def print_pdf(html: Path, pdf: Path) -> None:
     browser = find_browser()
     with tempfile.TemporaryDirectory(prefix="station-print-") as folder:
         made = Path(folder) / "report.pdf"
-        options = [
-            "--headless",
-            "--disable-gpu",
-            "--no-first-run",
-            "--disable-extensions",
-            "--disable-background-networking",
-            "--no-pdf-header-footer",
-            "--generate-pdf-document-outline",
-            f"--user-data-dir={folder}/profile",
-            f"--print-to-pdf={made}",
-        ]
+        options = [*_KNOWN["options"], f"--user-data-dir={folder}/profile", f"--print-to-pdf={made}"]
         # As root, as in a container, Chromium starts without its sandbox or not at all; the page has no scripts.
         if hasattr(os, "geteuid") and os.geteuid() == 0:
             options.append("--no-sandbox")

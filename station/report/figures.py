@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
+from drivers.packaged import packaged_toml
 from estimator.error_model import Size
 from estimator.tracing.investigation import Value
 from station.figures import STATE_UNITS
@@ -17,21 +18,12 @@ COVERAGE = 2.0
 """Coverage factor of expanded uncertainties: about 95 % of a normal distribution."""
 UNKNOWN = "not known"
 _DEG = 180 / np.pi
-_SIGNS = (
-    ("degC", "°C"),
-    ("deg", "°"),
-    ("urad", "µrad"),
-    ("rtHz", "√Hz"),
-    ("rth", "√h"),
-    ("(°/s)2", "(°/s)²"),
-    ("°C2", "°C²"),
-    ("s2", "s²"),
-)
+_SIGNS: dict[str, str] = packaged_toml("station", "units.toml")["typeset"]
 
 
 def typographic(text: str) -> str:
     """Return a text with units as typeset: "deg/h" becomes "°/h"."""
-    for plain, sign in _SIGNS:
+    for plain, sign in _SIGNS.items():
         text = text.replace(plain, sign)
     return re.sub(r"-(?=\d)", "−", text)
 

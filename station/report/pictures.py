@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Floats
+from station.rendering import rendered
 from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, STATES
 from station.report.recorded import Course
 from station.report.traced import Residual, Spectrum
@@ -57,13 +58,9 @@ def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str
             panel.set_ylabel(f"{name}, °/s")
             panel.margins(x=0, y=0.15)
         panels[-1, 0].set_xlabel("time since the script began, s")
-        span = f"{t_s[-1] - t_s[0]:.0f} s"
-        largest = [f"{name} {np.nanmin(r):.4g} to {np.nanmax(r):.4g}" for name, r in _in_dps(names, rate_rps)]
-        return _done(
-            figure,
-            f"Line plots of the {what} over {span}, one panel each, in degrees per second: {'; '.join(largest)}.",
-            f"{what[0].upper()}{what[1:]} over time, as measured.",
-        )
+        of_each = zip(names, (rate_rps * DEG_PER_S.factor).T, strict=True)
+        largest = [f"{name} {np.nanmin(r):.4g} to {np.nanmax(r):.4g}" for name, r in of_each]
+        return _done(figure, "rates", what=what, span_s=t_s[-1] - t_s[0], largest=largest)
 
 
 def convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, turns_s: Sequence[float]) -> Picture:
@@ -83,17 +80,12 @@ def convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, 
             panel.set_title(f"{symbol}, {unit.name}")
             panel.set_xlabel("time, s")
             panel.margins(x=0)
-        last = ", ".join(
+        last = [
             f"{word} {course.states[-1, channel, s] * unit.factor:.4g} ± {course.sd[-1, channel, s] * unit.factor:.2g} "
             f"{unit.name}"
             for s, (word, (_, unit)) in enumerate(zip(("k", "b", "sigma j", "sigma k"), STATES, strict=True))
-        )
-        return _done(
-            figure,
-            f"Four line plots of the live estimates of {gyro} over time with bands of one sigma that narrow; at the "
-            f"end: {last}.",
-            f"{gyro}: live estimate and ± 1 sigma over time, on an axis that fits the end of the run.",
-        )
+        ]
+        return _done(figure, "convergence", gyro=gyro, last=last)
 
 
 def nis_picture(courses: Sequence[tuple[str, Course]], start_ns: int) -> Picture:
@@ -120,12 +112,7 @@ def nis_picture(courses: Sequence[tuple[str, Course]], start_ns: int) -> Picture
         panel.margins(x=0)
         panel.set_ylim(bottom=0)
         figure.legend(loc="lower center", ncols=columns, frameon=False)
-        return _done(
-            figure,
-            "Line plot of the normalised innovations squared per degree of freedom over time, one line a source; means "
-            f"of the run: {', '.join(f'{name} {mean:.3f}' for name, mean, _ in means)}.",
-            "Innovations of the live filter: normalised squares per degree of freedom, 1 if the sigmas are true.",
-        )
+        return _done(figure, "nis", means=[f"{name} {mean:.3f}" for name, mean, _ in means])
 
 
 def allan_picture(names: Sequence[str], tau_s: Floats, deviation_rps: Floats) -> Picture:
@@ -139,12 +126,7 @@ def allan_picture(names: Sequence[str], tau_s: Floats, deviation_rps: Floats) ->
         panel.set_ylabel("Allan deviation, °/h")
         panel.legend(frameon=False, ncols=1 + len(names) // 9)
         lowest = [f"{name} {np.nanmin(d) * DEG_PER_H.factor:.2g}" for name, d in zip(names, deviation_rps, strict=True)]
-        return _done(
-            figure,
-            "Allan deviation at rest against averaging time, both logarithmic, one line a gyro; lowest values in "
-            f"degrees per hour: {', '.join(lowest)}.",
-            "Overlapping Allan deviation while the table rested.",
-        )
+        return _done(figure, "allan", lowest=lowest)
 
 
 def residual_picture(residual: Residual, spectrum: Spectrum | None) -> Picture:
@@ -190,14 +172,7 @@ def residual_picture(residual: Residual, spectrum: Spectrum | None) -> Picture:
             panel.set_ylabel("°/h/√Hz")
         figure.legend(loc="lower center", ncols=3, frameon=False)
         rms = [float(np.sqrt(np.mean(values**2))) * DEG_PER_H.factor for _, _, values in both]
-        return _done(
-            figure,
-            f"Residual of {residual.gyro} before and after the traced effects were added, over time, against the rate"
-            f"{' and as a spectrum' if spectrum is not None else ''}; rms of its block means {rms[0]:.3g} and "
-            f"{rms[1]:.3g} degrees per hour.",
-            f"{residual.gyro}: residual of {residual.run} before and after"
-            f"{', and its spectra' if spectrum is not None else ''}.",
-        )
+        return _done(figure, "residual", residual=residual, spectrum=spectrum is not None, rms=rms)
 
 
 @contextmanager
@@ -232,7 +207,9 @@ def _drawn(
         yield figure, panels
 
 
-def _done(figure: Figure, alternative: str, caption: str) -> Picture:
+def _done(figure: Figure, picture: str, **values: object) -> Picture:
+    """Return the figure with the text in its place and its caption, which stand in a template."""
+    alternative, caption = rendered("station.report", "pictures.txt", {"picture": picture, **values}).splitlines()
     out = io.StringIO()
     figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = out.getvalue()
@@ -282,7 +259,3 @@ def _close_up(panel: Axes, value: Floats, sd: Floats) -> None:
     half = 12 * float(sd[-1])
     if np.isfinite(half) and half > 0 and np.isfinite(value[-1]):
         panel.set_ylim(float(value[-1]) - half, float(value[-1]) + half)
-
-
-def _in_dps(names: Sequence[str], rate_rps: Floats) -> list[tuple[str, Floats]]:
-    return [(name, rate_rps[:, column] * DEG_PER_S.factor) for column, name in enumerate(names)]

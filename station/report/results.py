@@ -5,7 +5,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from markupsafe import Markup
 
-from estimator.budget import TYPE_A, UNSEEN, Contribution
+from drivers.packaged import packaged_toml
+from estimator.budget import TYPE_A, Contribution
 from estimator.calibration import Calibration
 from station.investigation_printed import words
 from station.report.figures import COVERAGE, STATES, figure, plain, worded
@@ -14,15 +15,7 @@ from station.report.standing import Line, Standing
 from station.report.traced import Traced
 
 _NEXT_TO_NOTHING = 0.01  # ppm, deg/h, urad
-_SOURCES = {
-    "noise": "noise of the gyro, and what its course leaves open",
-    "effects": "effects of the error model",
-    UNSEEN: "undeclared effects that the motion does not show",
-    "rate": "rate of the table",
-    "wobble": "wobble of the table's axes",
-    "orthogonality": "orthogonality of the table's axes",
-    "timing": "timing of the table's readings",
-}
+_SOURCES = packaged_toml("station", "budget.toml")["report"]
 
 
 def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:
@@ -66,7 +59,7 @@ def has_type_b(found: Calibration) -> bool:
 
 def source_words(line: Contribution) -> str:
     """Return what a line of the budget is called."""
-    return _SOURCES.get(line.name, line.name)
+    return str(_SOURCES.get(line.name, line.name))
 
 
 def shares(line: Contribution, source: str) -> list[Markup]:

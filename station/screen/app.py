@@ -1,7 +1,5 @@
 """The app: four screens, the session that it shows, and STOP, which goes to the socket wherever a key is pressed."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import os

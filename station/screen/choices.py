@@ -1,7 +1,5 @@
 """What the operator chose: bench, script, folder, and what else goes to the commands."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

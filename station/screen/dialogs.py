@@ -1,7 +1,5 @@
 """Questions over a screen."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from textual.app import ComposeResult
@@ -13,42 +11,46 @@ from station.screen.bars import StopBar
 from station.screen.base import StationDialog
 
 
-class AskDialog(StationDialog):
-    """A question with a few answers as buttons; the first is the careful one."""
+class _Dialog(StationDialog):
+    """A question and what may be answered: what comes back, and the words for it."""
 
     def __init__(self, question: str, answers: Sequence[tuple[str, str]]) -> None:
-        """``answers``: what comes back, and the words on the button."""
+        """Nothing is answered yet."""
         super().__init__()
         self._question, self._answers = question, answers
 
     def compose(self) -> ComposeResult:
-        """Yield question and buttons."""
+        """Yield the question and what may be answered."""
         with Vertical(id="dialog"):
             yield Static(self._question, markup=False)
-            with Horizontal(classes="buttons"):
-                for key, words in self._answers:
-                    yield Button(words, id=key, compact=True)
+            yield from self.answers()
         yield StopBar()
+
+    def answers(self) -> ComposeResult:
+        """Yield what may be answered."""
+        yield from ()
+
+
+class AskDialog(_Dialog):
+    """A question with a few answers as buttons; the first is the careful one."""
+
+    def answers(self) -> ComposeResult:
+        """Yield the buttons."""
+        with Horizontal(classes="buttons"):
+            for key, words in self._answers:
+                yield Button(words, id=key, compact=True)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
         """Hand the answer over."""
         self.dismiss(event.button.id)
 
 
-class ChooseDialog(StationDialog):
+class ChooseDialog(_Dialog):
     """A list to choose one line from."""
 
-    def __init__(self, question: str, choices: Sequence[tuple[str, str]]) -> None:
-        """``choices``: what comes back, and the line."""
-        super().__init__()
-        self._question, self._choices = question, choices
-
-    def compose(self) -> ComposeResult:
-        """Yield question and list."""
-        with Vertical(id="dialog"):
-            yield Static(self._question, markup=False)
-            yield OptionList(*(Option(words, id=key) for key, words in self._choices), markup=False)
-        yield StopBar()
+    def answers(self) -> ComposeResult:
+        """Yield the list."""
+        yield OptionList(*(Option(words, id=key) for key, words in self._answers), markup=False)
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
         """Hand the choice over."""

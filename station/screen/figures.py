@@ -1,7 +1,5 @@
 """Tables of figures as the screen shows them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

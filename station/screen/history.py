@@ -1,7 +1,5 @@
 """History: the recordings of a folder, by device and date; how a state of a device went over its calibrations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import partial
@@ -173,22 +171,10 @@ def _count(points: Sequence[object]) -> str:
 
 
 def _cells(entry: Entry) -> list[Text]:
-    if entry.wrong:
-        return [
-            Text(entry.when),
-            Text("-"),
-            Text("-"),
-            Text("UNREADABLE", "red"),
-            *(Text("-"),) * 2,
-            Text(entry.path.name),
-        ]
     outcome = entry.texts.get("outcome", "")
-    return [
-        Text(entry.when),
-        Text(entry.device),
-        Text(entry.texts.get("script", "")),
-        Text(outcome or "-", OUTCOME_STYLES.get(outcome, "")),
-        Text(entry.texts.get("operator", "")),
-        Text(entry.texts.get("accepted_by", "")),
-        Text(entry.path.name),
-    ]
+    ended = Text(outcome or "-", OUTCOME_STYLES.get(outcome, ""))
+    told = [entry.device, *(entry.texts.get(key, "") for key in ("script", "operator", "accepted_by"))]
+    if entry.wrong:
+        ended, told = Text("UNREADABLE", "red"), ["-"] * 4
+    device, script, operator, accepted = map(Text, told)
+    return [Text(entry.when), device, script, ended, operator, accepted, Text(entry.path.name)]

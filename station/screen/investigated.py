@@ -1,22 +1,14 @@
 """An investigation as the result screen shows it, from the JSON object of `station investigate`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any
 
 from rich.text import Text
 
-from station.figures import number
+from station.figures import FINDING_STYLES, number
 from station.screen.figures import columns, templated
 
-_STYLES = {
-    "nothing to add": "bold green",
-    "added": "bold green",
-    "cannot tell": "bold yellow",
-    "unexplained": "bold red",
-}
 _DPH = math.degrees(3600)
 
 
@@ -31,7 +23,7 @@ def investigation_lines(found: Mapping[str, Any]) -> list[Text]:
     values = {
         "found": found,
         "verdict": verdict,
-        "style": _STYLES.get(verdict, "bold"),
+        "style": FINDING_STYLES.get(verdict, "bold"),
         "words": words,
         "either": lambda rivals: " or ".join(map(words, rivals)),
         "probability": probability,

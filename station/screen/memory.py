@@ -1,7 +1,5 @@
 """What the screen remembers from one day to the next: the operator, the devices on each bench, bench and script."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping

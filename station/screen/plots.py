@@ -1,7 +1,5 @@
 """Plots drawn with characters: an estimate with its band over time, a state over a device's calibrations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Prepare: bench and what answers, script and its plan, operator and device; START once everything is green."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The station's commands in processes of their own: questions that answer in JSON, and the session."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -11,6 +11,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from station.figures import STATE_FIGURES, STATE_UNITS
+
 if TYPE_CHECKING:
     from station.bench import Limits
     from station.planned import PlannedMotion
@@ -76,15 +78,13 @@ def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) ->
 
 def limit_lines(limits: Limits) -> tuple[str, ...]:
     """Return the limits that mean PASS, a line each; those that are not given are left out."""
-    deg = math.degrees(1)
-    given = (
-        ("|k|", limits.k, limits.sd_k, 1e6, "ppm", 1e6, "ppm"),
-        ("|b|", limits.b_rps, limits.sd_b_rps, deg, "deg/s", deg * 3600, "deg/h"),
-        ("|sigma_j|, |sigma_k|", limits.sigma_rad, limits.sd_sigma_rad, deg, "deg", 1e6, "urad"),
-    )
+    names = ("|k|", "|b|", "|sigma_j|, |sigma_k|")
+    sizes, sds = (limits.k, limits.b_rps, limits.sigma_rad), (limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad)
     lines = []
-    for name, most, most_sd, factor, unit, sd_factor, sd_unit in given:
-        parts = [f"{name} up to {most * factor:g} {unit}"] if math.isfinite(most) else []
+    for name, most, most_sd, state, (_, sd_unit, sd_factor) in zip(
+        names, sizes, sds, STATE_FIGURES[:3], STATE_UNITS[:3], strict=True
+    ):
+        parts = [f"{name} up to {most * state.factor:g} {state.unit}"] if math.isfinite(most) else []
         parts += [f"its sigma up to {most_sd * sd_factor:g} {sd_unit}"] if math.isfinite(most_sd) else []
         if parts:
             lines.append(", ".join(parts) if math.isfinite(most) else f"sigma of {name.strip('|')}: {parts[0]}")

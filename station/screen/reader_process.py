@@ -3,8 +3,6 @@
 Requests are lines of JSON on stdin, {"do": "entry" | "whole" | "accept", "path": ...}; each is answered by one line.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Result: the verdict, the states, what changed since the last calibration, what the model lacks, and what to do."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Mapping, Sequence

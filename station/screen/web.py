@@ -1,7 +1,5 @@
 """The screen in a browser of this machine: textual-serve on the loopback, for who has the address with its key."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import secrets
@@ -28,8 +26,7 @@ def serve(port: int, words: Sequence[str]) -> int:
     except ModuleNotFoundError:
         raise UsageError("--web needs textual-serve: pip install 'turntable-station[web]'") from None
 
-    port = port or _free_port()
-    _check_port(port)
+    port = _checked_port(port)
     # Whoever can press keys here can turn the table: pages of other sites and other users do not know the path.
     path = f"/{secrets.token_urlsafe(16)}"
     html = Path(__file__).with_name("page").joinpath("index.html").read_text(encoding="utf-8")
@@ -68,16 +65,12 @@ def serve(port: int, words: Sequence[str]) -> int:
     return 0
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind((_HOST, 0))
-        return int(probe.getsockname()[1])
-
-
-def _check_port(port: int) -> None:
+def _checked_port(port: int) -> int:
+    """Return a port that can be had, a free one for 0; UsageError if it is taken."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((_HOST, port))
         except OSError as error:
             raise UsageError(f"port {port} cannot be had ({error.strerror}): give another to --web") from None
+        return int(probe.getsockname()[1])

@@ -6,9 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from estimator.errors import EstimatorError
 from station.campaigns import Failure
-from station.errors import EXIT_USAGE, UsageError
+from station.errors import UsageError
 from station.investigation_file import check_new_file
 from station.studies import baselines, detection, paper, printed
 from station.studies.pictures import check_picture, draw_convergence
@@ -18,11 +17,7 @@ EXIT_INCOMPLETE = 1
 
 def command_study(arguments: argparse.Namespace) -> int:
     """Run a study; 0 if all of it ran, 1 if some seeds failed, 2 for wrong usage."""
-    try:
-        failures = _STUDIES[arguments.study](arguments)
-    except (UsageError, EstimatorError) as error:
-        print(f"station: {error}", file=sys.stderr)
-        return EXIT_USAGE
+    failures = _STUDIES[arguments.study](arguments)
     for failure in failures:
         print(f"station: seed {failure.item} failed: {failure.reason}", file=sys.stderr)
     return EXIT_INCOMPLETE if failures else 0

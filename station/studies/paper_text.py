@@ -9,36 +9,19 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Floats
+from drivers.packaged import packaged_toml
 from estimator.array import SensorArray
 from station.rendering import rendered
 
 NAMES = ("b", "k", "sigma_j", "sigma_k")
 UNITS = ("deg/s", "ppm", "deg", "deg")
 
-TABLE_1 = np.array([0.1, 5000.0, 0.1, -0.1])
-"""Set values, the same for each gyro."""
-TABLE_2 = np.array(
-    [
-        [0.0021, 5.0, 0.0012, 0.0009],
-        [0.0014, 6.0, 0.0150, 0.0018],
-        [0.0023, 9.0, 0.0024, 0.0013],
-        [0.0016, 11.0, 0.0170, 0.0020],
-    ]
+_PRINTED = packaged_toml("station.studies", "paper.toml")
+TABLE_1, TABLE_2, TABLE_3, TABLE_4 = (np.array(_PRINTED[f"table_{number}"]) for number in (1, 2, 3, 4))
+"""Set values (4,), errors at the end (gyros, 4), mean relative errors (4,) of the paper and of its reference [11]."""
+RATE_DPS, LATITUDE_DEG, NOISE_DPH, SAMPLE_HZ = (
+    float(_PRINTED[key]) for key in ("rate_dps", "latitude_deg", "noise_dph", "sample_hz")
 )
-"""Errors at the end, one row a gyro."""
-TABLE_3 = np.array([0.87, 0.42, 0.64, 0.73])
-"""Mean relative errors in percent."""
-TABLE_4 = np.array([14.61, 13.57, 10.25, 9.33])
-"""The same of a six-position calibration, taken from its reference [11]."""
-CLAIMED_GAIN = 11.37
-"""By how many percent the paper says that it is better than Table 4, on average."""
-CLAIMED_MEAN_MISALIGNMENT_DEG = 0.0025
-"""Below this, its text says, are the mean errors of both misalignments."""
-RATE_DPS = 20.0
-LATITUDE_DEG = 45.0
-NOISE_DPH = 1e-3
-"""Standard deviation of one of its samples."""
-SAMPLE_HZ = 100.0
 
 
 def from_si(states: Floats) -> Floats:
@@ -70,8 +53,8 @@ def contradictions(bias_sd_dps: float) -> list[str]:
         "from_table_2": relative_percent(TABLE_2),
         "means": TABLE_2.mean(axis=0),
         "gain": (TABLE_4 - TABLE_3).mean(),
-        "claimed_gain": CLAIMED_GAIN,
-        "claimed_misalignment_deg": CLAIMED_MEAN_MISALIGNMENT_DEG,
+        "claimed_gain": _PRINTED["claimed"]["gain"],
+        "claimed_misalignment_deg": _PRINTED["claimed"]["misalignment_deg"],
         "noise_dph": NOISE_DPH,
         "bias_sd_dps": bias_sd_dps,
         "signs": _balanced_signs(TABLE_2[:, 0]),

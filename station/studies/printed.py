@@ -1,18 +1,15 @@
 """The studies as people read them, and as --json gives them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from drivers.arrays import Floats
 from estimator.array import tetrahedron_as_printed
-from station.rich_table import rich_table
 from station.studies.baselines import BaselineStudy
-from station.studies.detection import DetectionStudy, Summary
+from station.studies.detection import DetectionStudy
 from station.studies.paper import BARS_PERCENT, PaperStudy
 from station.studies.paper_text import (
     NAMES,
@@ -25,52 +22,42 @@ from station.studies.paper_text import (
     relative_percent,
     sentences,
 )
-from station.terminal import stdout
+from station.terminal import print_rendered, stdout
 
-_GYROS = len(TABLE_2)
-_STATES = tuple(f"{name}, {unit}" for name, unit in zip(NAMES, UNITS, strict=True))
+_STATES = [f"{name}, {unit}" for name, unit in zip(NAMES, UNITS, strict=True)]
 _FORMATS = (".4f", ".1f", ".4f", ".4f")
 """Of an error in b, k, sigma_j, sigma_k."""
 
 
 def print_paper(study: PaperStudy) -> None:
     """Print the tables of the reproduction, what they show, and what is wrong with the paper's own."""
-    console = stdout()
-    for table in (_table_2(study), _table_3(study), _headings(study), _mems(study)):
-        console.print(table)
-    _list(console, "What this shows", paper_findings(study))
-    _list(console, "The paper against itself", contradictions(study.bias_bound_dps))
-    _list(console, "Errata of its axes", errata(tetrahedron_as_printed()))
+    earth = np.array([e.linear for e in study.headings.values()])
+    percents = {
+        "paper,\nTable 3": TABLE_3,
+        "paper,\nTable 2 / Table 1": relative_percent(TABLE_2),
+        "to the letter": relative_percent(study.clean.linear),
+        "the same,\nno noise": relative_percent(study.noise_free.linear),
+        "the same,\ndecoded exactly": relative_percent(study.clean.decoded),
+        "to the letter,\nEarth rate in data": relative_percent(earth),
+        "our default": relative_percent(study.ours),
+    }
+    lists = {
+        "What this shows": paper_findings(study),
+        "The paper against itself": contradictions(study.bias_bound_dps),
+        "Errata of its axes": errata(tetrahedron_as_printed()),
+    }
+    values = {"study": study, "earth": np.abs(earth), "percents": percents, "bars": BARS_PERCENT, "lists": lists}
+    _print("paper.rich", {**values, "table_2": TABLE_2, "gyros": range(len(TABLE_2)), "abs": np.abs})
 
 
 def print_detection(study: DetectionStudy) -> None:
     """Print how often each effect was found, at each size."""
-    console = stdout()
-    heads = ("effect", "size", "seeds", "right", "or told\nas rivals", "wrong\nname", "error over\noracle's")
-    table = rich_table(
-        "What is found of effects that only the twin knows, % of seeds",
-        (*heads, "before :\nafter", "coverage\nbefore", "\nafter"),
-        "lr",
-        map(_detected, study.lines),
-    )
-    table.title_justify = "center"
-    console.print(table)
+    _print("detection.rich", {"lines": study.lines})
 
 
-def _detected(line: Summary) -> list[str]:
-    return [
-        line.name.replace("_", " "),
-        f"{line.size:g}" if line.size else "-",
-        str(line.seeds),
-        *map(_share, (line.right, line.told, line.wrong)),
-        "-" if np.isnan(line.over_oracle) else f"{line.over_oracle:.3f}",
-        "-" if np.isnan(line.gain) else f"{line.gain:.1f}",
-        *map(_share, (line.coverage_before, line.coverage_after)),
-    ]
-
-
-def _share(value: float) -> str:
-    return "-" if np.isnan(value) else f"{100 * value:.0f}"
+def _print(name: str, values: Mapping[str, Any]) -> None:
+    common = {"names": NAMES, "states": _STATES, "forms": _FORMATS, "format": format, "isnan": np.isnan}
+    print_rendered(stdout(), "station.studies", name, {**common, **values})
 
 
 def detection_object(study: DetectionStudy) -> dict[str, Any]:
@@ -81,11 +68,11 @@ def detection_object(study: DetectionStudy) -> dict[str, Any]:
 
 def print_baselines(study: BaselineStudy) -> None:
     """Print every method beside the others, and what the direct observation cannot see."""
-    console = stdout()
-    for table in (_errors(study), _cost(study)):
-        console.print(table)
-    _list(console, "What the table rates alone do not show, however long they are watched", study.unseen)
-    _list(console, "What this shows", baseline_findings(study))
+    lists = {
+        "What the table rates alone do not show, however long they are watched": study.unseen,
+        "What this shows": baseline_findings(study),
+    }
+    _print("baselines.rich", {"study": study, "lists": lists})
 
 
 def paper_findings(study: PaperStudy) -> list[str]:
@@ -114,7 +101,7 @@ def baseline_findings(study: BaselineStudy) -> list[str]:
     names = ("static", "rotating", "direct", "augmented", "squares", "kalman", "ours")
     methods = dict(zip(names, study.methods, strict=True))
     alike = np.abs(methods["augmented"].rms / methods["squares"].rms - 1).max()
-    values = {**methods, "alike": alike, "states": 4 * _GYROS, "unseen": study.unseen}
+    values = {**methods, "alike": alike, "states": TABLE_2.size, "unseen": study.unseen}
     return sentences("baseline_findings.txt", values)
 
 
@@ -169,104 +156,6 @@ def baselines_object(study: BaselineStudy) -> dict[str, Any]:
         "findings": baseline_findings(study),
         "failed": _failed(study),
     }
-
-
-def _table_2(study: PaperStudy) -> Table:
-    heads = ("state", "gyro", "paper", "to the letter, no Earth rate")
-    more = ("to the letter, Earth rate in data,\nleast to most by heading", "our default,\nthe paper's noise")
-    table = rich_table("Errors at the end, beside the paper's Table 2", (*heads, *more), "llr")
-    earth = np.abs(np.array([e.linear for e in study.headings.values()]))
-    for state, (name, form) in enumerate(zip(_STATES, _FORMATS, strict=True)):
-        for gyro in range(_GYROS):
-            low, high = earth[:, gyro, state].min(), earth[:, gyro, state].max()
-            table.add_row(
-                name if gyro == 0 else "",
-                str(gyro + 1),
-                format(TABLE_2[gyro, state], form),
-                format(abs(study.clean.linear[gyro, state]), form),
-                f"{low:{form}} to {high:{form}}",
-                _small(abs(study.ours[gyro, state])),
-                end_section=gyro == _GYROS - 1,
-            )
-    return table
-
-
-def _table_3(study: PaperStudy) -> Table:
-    earth = relative_percent(np.array([e.linear for e in study.headings.values()]))
-    columns = (
-        ("paper,\nTable 3", TABLE_3),
-        ("paper,\nTable 2 / Table 1", relative_percent(TABLE_2)),
-        ("to the letter", relative_percent(study.clean.linear)),
-        ("the same,\nno noise", relative_percent(study.noise_free.linear)),
-        ("the same,\ndecoded exactly", relative_percent(study.clean.decoded)),
-        ("to the letter,\nEarth rate in data", earth),
-        ("our default", relative_percent(study.ours)),
-    )
-    rows = [(name, *(_small(values[state], 3) for _, values in columns)) for state, name in enumerate(NAMES)]
-    heads = ["state", *(head for head, _ in columns)]
-    return rich_table("Mean relative errors in percent, beside the paper's Table 3", heads, "lr", rows)
-
-
-def _headings(study: PaperStudy) -> Table:
-    heads = ["heading, deg", *(f"b{gyro + 1}" for gyro in range(_GYROS)), *(f"mean {state}" for state in _STATES)]
-    title = "To the letter, Earth rate at 45 deg latitude in the data and not in the model"
-    rows = [(str(heading), *_heading_cells(errors.linear)) for heading, errors in study.headings.items()]
-    table = rich_table(title, heads, "r", rows)
-    table.add_section()
-    table.add_row("Table 2", *_heading_cells(TABLE_2))
-    return table
-
-
-def _heading_cells(errors: Floats) -> Iterable[str]:
-    means = np.abs(errors).mean(axis=0)
-    yield from (f"{b:.4f}" for b in errors[:, 0])
-    yield from (format(mean, form) for mean, form in zip(means, _FORMATS, strict=True))
-
-
-def _mems(study: PaperStudy) -> Table:
-    title = f"Our default, mean relative error in percent over {study.seeds} seeds\n"
-    title += "(0.005 deg/s/rtHz, bias instability 2 deg/h)"
-    results = zip(NAMES, study.mems_percent, study.mems_bound_percent, BARS_PERCENT, strict=True)
-    rows = [
-        (name, f"{error:.2f}", f"{least:.2f}", f"{error / least:.2f}", f"{bar:.1f}")
-        for name, error, least, bar in results
-    ]
-    return rich_table(title, ("state", "error", "Cramer-Rao bound", "error / bound", "bar"), "lr", rows)
-
-
-def _errors(study: BaselineStudy) -> Table:
-    title = f"Rms error over {study.seeds} seeds and four gyros (stated sigma; rms error / stated sigma)"
-    table = rich_table(title, ("method", *_STATES), "lr")
-    for method in study.methods:
-        cells = [
-            "not seen" if np.isnan(rms) else f"{_number(rms, form)}\n({_number(stated, form)}; {ratio:.2f})"
-            for rms, stated, ratio, form in zip(method.rms, method.stated, method.ratio, _FORMATS, strict=True)
-        ]
-        table.add_row(method.name, *cells, end_section=True)
-    return table
-
-
-def _cost(study: BaselineStudy) -> Table:
-    title = "What it costs: 360 s of four gyros at 100 Hz, from the recording to the states"
-    rows = [(m.name, f"{1e3 * m.seconds:,.0f}", f"{m.operations_a_sample:,.0f}") for m in study.methods]
-    return rich_table(title, ("method", "wall time, ms", "operations a sample"), "lr", rows)
-
-
-def _list(console: Console, title: str, lines: Sequence[str]) -> None:
-    console.print(f"\n[bold]{title}[/]")
-    for line in lines:
-        console.print(f"- {line}", highlight=False, markup=False)
-
-
-def _number(value: float, form: str) -> str:
-    return format(value, form) if value < 1000 else f"{value:,.0f}"
-
-
-def _small(value: float, digits: int = 2) -> str:
-    """Return a number as people write it, down to where it is as good as nothing."""
-    if value < 1e-9:
-        return "0"
-    return f"{value:.{digits}g}" if value >= 1e-3 else f"{value:.0e}"
 
 
 def _nullable(values: Floats) -> list[float | None]:
