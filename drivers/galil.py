@@ -82,9 +82,12 @@ def revision(text: str) -> tuple[str, str]:
     return (found[1], found[2]) if found else (text.replace("\n", " ").strip(), "")
 
 
+ACCELERATION_STEP = 1024  # counts/s2
+
+
 def floor_acceleration(counts_per_s2: float) -> int:
     """Return what AC and DC make of an acceleration: a multiple of 1024, not above it, at least 1024."""
-    return max(int(counts_per_s2) // 1024 * 1024, 1024)
+    return max(int(counts_per_s2) // ACCELERATION_STEP, 1) * ACCELERATION_STEP
 
 
 class GalilFraming:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from drivers import galil
 from drivers.galil_table import VELOCITY_WINDOW_S
 from drivers.registers import DriveProfile, ProfileError, load_profile
 from drivers.seams import AxisLimits
@@ -154,6 +156,9 @@ def _axis(table: Table, protocol: str) -> AxisConfig:
     if axis.counts_per_turn < 1:
         raise table.fail("counts_per_turn", "must be 1 or more")
     table.done()
+    if protocol == "galil":
+        step_rps2 = galil.ACCELERATION_STEP / axis.counts_per_turn * math.tau
+        return replace(axis, limits=replace(axis.limits, acceleration_step_rps2=step_rps2))
     return axis
 
 

@@ -46,7 +46,7 @@ def _run(arguments: argparse.Namespace) -> int:
         operator = bench.checked_operator(arguments.operator) if arguments.operator is not None else ""
         serial = bench.checked_serial(arguments.serial_number) if arguments.serial_number is not None else ""
         script = load_script(Path(arguments.script)) if arguments.script else paper_script()
-        check(script, bench.table.limits)
+        script = check(script, bench.table.limits)
         if arguments.end_early:
             check_early_end(bench)
         model = _model_of(arguments, bench)

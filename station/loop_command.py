@@ -133,8 +133,7 @@ def _first_scripts(bench: Bench, budget_s: float) -> list[tuple[str, Script]]:
         (EXPLORATION, exploration_script()),
         (VERIFICATION, verification_script()),
     ]
-    for _, script in scripts:
-        check(script, bench.table.limits)
+    scripts = [(name, check(script, bench.table.limits)) for name, script in scripts]
     needed_s = sum(script.duration_s + _AROUND_S for _, script in scripts)
     if needed_s > budget_s:
         raise UsageError(f"--minutes {budget_s / 60:g}: the first three runs take {needed_s / 60:.1f} min")

@@ -14,7 +14,7 @@ from estimator.effects.thermal import REFERENCE_C
 from estimator.planning import Forecast, PlannedDevice, forecast
 from station.bench import Bench
 from station.planned import PlannedMotion, planned_motion
-from station.script import Script, check
+from station.script import Script, check, rounded
 
 TEMPERATURE_RISE_K = 8.0
 WARMING_TIME_S = 1200.0
@@ -29,6 +29,7 @@ class Plan:
 
     ``table_sd`` (gyros, 4) is what the table's own stated uncertainty adds to the sigmas of the states, ``required``
     (4,) the sigmas that the bench asks for, infinite where it asks for none. ``temperature_rise_k`` is assumed.
+    ``rounded`` tells, in words, accelerations that the controller makes less of.
     """
 
     script: Script
@@ -38,6 +39,7 @@ class Plan:
     table_sd: Floats
     required: Floats
     temperature_rise_k: float
+    rounded: tuple[str, ...] = ()
 
     @property
     def sd(self) -> Floats:
@@ -61,7 +63,7 @@ def make_plan(
 
     Raises ScriptError if the table cannot do the script.
     """
-    check(script, bench.table.limits)
+    asked, script = script, check(script, bench.table.limits)
     motion = planned_motion(script, bench.table.gimbals, max(_PERIOD_S, script.duration_s / _MOST_ROWS))
     temperature_c = REFERENCE_C - temperature_rise_k * np.expm1(-motion.t_s / WARMING_TIME_S)
     conditions = motion.conditions(temperature_c, bench.site)
@@ -77,6 +79,7 @@ def make_plan(
         _table_sd(motion, bench, devices),
         np.array([limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad]),
         temperature_rise_k,
+        tuple(rounded(asked, script)),
     )
 
 

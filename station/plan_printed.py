@@ -37,7 +37,7 @@ def print_plan(plan: Plan, console: Console) -> None:
         "missed": [gyro.name for gyro, of_gyro in reached if not of_gyro.all()],
         "combination": combination,
         "effects": _effects(found),
-        "too_steep": too_steep(plan.script, plan.bench.table.read_time_s),
+        "warnings": [*plan.rounded, *too_steep(plan.script, plan.bench.table.read_time_s)],
         "partly_seen": any(f.seen.any() and not f.seen.all() for f in found.effects),
         "corrupted": [line for forecast in found.effects for line in _corrupted(forecast, found)],
         "words": words,

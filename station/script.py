@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.seams import AxisLimits
@@ -98,14 +98,19 @@ def load_script(path: Path) -> Script:
     return Script(name, tuple(steps))
 
 
-def check(script: Script, limits: Mapping[str, AxisLimits]) -> None:
-    """See that the table can do every step; ScriptError names the first step it cannot, and the limit."""
+def check(script: Script, limits: Mapping[str, AxisLimits]) -> Script:
+    """Return the script as the table does it: turns of the same angle, with the accelerations that a controller has.
+
+    ScriptError names the first step that the table cannot do, and the limit.
+    """
+    driven: list[Step] = []
     angles = dict.fromkeys(limits, 0.0)
     for number, step in enumerate(script.steps, 1):
         where = f"script {script.name}, step {number} ({step.label})"
         if isinstance(step, Rest):
             if not 0 < step.duration_s < math.inf:
                 raise ScriptError(f"{where}: a rest of {step.duration_s:g} s; give a time above zero")
+            driven.append(step)
             continue
         if step.axis not in limits:
             raise ScriptError(f"{where}: the table has no axis {step.axis}, only {', '.join(limits)}")
@@ -134,6 +139,40 @@ def check(script: Script, limits: Mapping[str, AxisLimits]) -> None:
                 f"{where}: it takes axis {step.axis} to {angles[step.axis] / _DEG:g} deg from home, beyond its travel "
                 f"of {low / _DEG:g} to {high / _DEG:g} deg"
             )
+        driven.append(_driven(step, limit, where))
+    return Script(script.name, tuple(driven))
+
+
+def rounded(asked: Script, driven: Script) -> list[str]:
+    """Return, in words, which accelerations of a script the controller makes less of, and what that comes to."""
+    ramps = {
+        f"axis {a.axis} at {a.acceleration_rps2 / _DEG:.3g} deg/s2 does {d.acceleration_rps2 / _DEG:.3g}"
+        for a, d in zip(asked.steps, driven.steps, strict=True)
+        if not isinstance(a, Rest) and not isinstance(d, Rest) and d.acceleration_rps2 < 0.99 * a.acceleration_rps2
+    }
+    if not ramps:
+        return []
+    return [
+        f"{', '.join(sorted(ramps))}: the controller has accelerations in steps; the script takes "
+        f"{driven.duration_s:.0f} s in place of {asked.duration_s:.0f}"
+    ]
+
+
+def _driven(step: Move | Rotate, limit: AxisLimits, where: str) -> Move | Rotate:
+    """Return a step with the acceleration that the controller makes of it; ScriptError if it has none so small."""
+    quantum = limit.acceleration_step_rps2
+    if not quantum:
+        return step
+    if quantum > limit.acceleration_rps2:
+        raise ScriptError(
+            f"{where}: the controller's smallest acceleration of axis {step.axis} is {quantum / _DEG:g} deg/s2, beyond "
+            f"the axis' limit of {limit.acceleration_rps2 / _DEG:g} deg/s2"
+        )
+    acceleration = max(math.floor(step.acceleration_rps2 / quantum * (1 + 1e-9)), 1) * quantum
+    if isinstance(step, Move):
+        return replace(step, acceleration_rps2=acceleration)
+    duration_s = abs(step.turn_rad / step.rate_rps) + abs(step.rate_rps) / acceleration
+    return replace(step, acceleration_rps2=acceleration, duration_s=duration_s)
 
 
 def is_possible(script: Script, limits: Mapping[str, AxisLimits]) -> bool:

@@ -69,7 +69,7 @@ def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) ->
     )
     try:
         script = load_script(Path(script_path)) if script_path else paper_script()
-        check(script, bench.table.limits)
+        script = check(script, bench.table.limits)
     except ScriptError as error:
         return replace(found, script_wrong=str(error))
     motion = planned_motion(script, bench.table.gimbals)

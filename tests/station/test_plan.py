@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,9 @@ from sims.motion import AxisMotion
 from station.axis_profile import profile_lines
 from station.bench import default_bench_text, load_bench
 from station.cli import main
+from station.errors import ScriptError
 from station.planned import planned_motion
-from station.script import Move, Rest, Rotate, Script, paper_script
+from station.script import Move, Rest, Rotate, Script, check, paper_script
 
 DEG = np.pi / 180
 
@@ -204,3 +206,27 @@ def test_the_spread_of_a_few_runs_is_about_as_predicted() -> None:
 @pytest.mark.timeout(1200)
 def test_the_spread_of_300_runs_is_as_predicted_within_5_percent() -> None:
     check_spread(300, 0.05)  # of which 2 % is the doubt of the spread itself
+
+
+def test_accelerations_that_a_controller_has_in_steps_are_planned_as_it_makes_them(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    script = write(tmp_path, X_ONLY + 'acceleration = "10 deg/s2"\n')
+    code, text, _ = planned(capsys, "--bench", Path("tests/data/benches/galil_xsens.toml"), script)
+    assert code in (0, 1)
+    assert "axis x at 10 deg/s2 does 5.62: the controller has accelerations in steps" in " ".join(text.split())
+    assert "takes 62 s in place of 60" in " ".join(text.split())
+
+
+def test_a_turn_goes_as_far_with_the_acceleration_that_the_controller_has() -> None:
+    asked = Script("turns", (Rotate("x", -40 * DEG, 20.0, 10 * DEG, "x"), Move("x", 0.0, 40 * DEG, 10 * DEG, "back")))
+    limits = load_bench(Path("tests/data/benches/galil_xsens.toml")).table.limits
+    driven = check(asked, limits)
+    assert isinstance(asked.steps[0], Rotate)
+    assert isinstance(driven.steps[0], Rotate)
+    assert driven.steps[0].turn_rad == pytest.approx(asked.steps[0].turn_rad)
+    assert driven.steps[0].duration_s == pytest.approx(16 + 40 / 5.625, rel=1e-3)
+    assert driven.steps[0].acceleration_rps2 == pytest.approx(5.625 * DEG, rel=1e-3)
+    with pytest.raises(ScriptError, match="smallest acceleration of axis x is 5.62"):
+        slow = Script("slow", (Move("x", 1.0, 40 * DEG, 4 * DEG, "slow"),))
+        check(slow, {"x": replace(limits["x"], acceleration_rps2=5 * DEG)})
