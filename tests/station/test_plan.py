@@ -227,6 +227,6 @@ def test_a_turn_goes_as_far_with_the_acceleration_that_the_controller_has() -> N
     assert driven.steps[0].turn_rad == pytest.approx(asked.steps[0].turn_rad)
     assert driven.steps[0].duration_s == pytest.approx(16 + 40 / 5.625, rel=1e-3)
     assert driven.steps[0].acceleration_rps2 == pytest.approx(5.625 * DEG, rel=1e-3)
+    slow = Script("slow", (Move("x", 1.0, 40 * DEG, 4 * DEG, "slow"),))
     with pytest.raises(ScriptError, match="smallest acceleration of axis x is 5.62"):
-        slow = Script("slow", (Move("x", 1.0, 40 * DEG, 4 * DEG, "slow"),))
         check(slow, {"x": replace(limits["x"], acceleration_rps2=5 * DEG)})
