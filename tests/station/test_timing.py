@@ -7,7 +7,10 @@ import pytest
 from timing import CASES, ended
 
 
-@pytest.mark.parametrize("name", ["clean-40", "gyros+30ms", "table+10ms", "1 in 20 by 150 ms"])
+LONG = [pytest.param(name, marks=pytest.mark.full) for name in ("clean-40", "table+10ms")]
+
+
+@pytest.mark.parametrize("name", ["gyros+30ms", "1 in 20 by 150 ms", *LONG])
 def test_a_run_off_the_grid_is_true_whatever_is_late(name: str) -> None:
     found = ended(name, CASES[name], seed=1, turn_s=4.0)
     assert found.outcome == "PASS", found.reason

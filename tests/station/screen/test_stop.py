@@ -87,7 +87,7 @@ def test_stop_reaches_sessions_that_are_not_shown(place: Path) -> None:
         async def drive(pilot: Pilot[None]) -> None:
             await until(pilot, lambda: isinstance(app.screen, ChooseDialog))
             await pilot.press("escape")
-            assert "stops your session, not shown here" in said_by_bar(app)
+            await until(pilot, lambda: "stops your session, not shown here" in said_by_bar(app))
             await pilot.press("f9")
             await until(pilot, lambda: app.shown and app.shown.stage is Stage.ENDED)
             assert app.shown is not None
