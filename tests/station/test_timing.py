@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from timing import CASES, ended
 
-
 LONG = [pytest.param(name, marks=pytest.mark.full) for name in ("clean-40", "table+10ms")]
 
 
