@@ -28,6 +28,7 @@ _PIECE_S, _FEWEST_IN_PIECE = 5.0, 5  # without a table: phases of this length, a
 _RAMP_SHARE = 0.02  # of the steepest acceleration of a run: what counts as a ramp
 _FEWEST = 2
 _DRAWN = 400
+_ROUNDING = 1e-9  # of a correlation: elements that are known only together must not make the factor fail
 _MISFIT_DOF = 50.0  # of what no model fits: coherent with the motion, so far fewer than blocks
 _APART = 1.0  # sigmas of an interval by which models differ, to be told apart by it
 _FEWEST_JUDGED = 20
@@ -141,7 +142,7 @@ def drawn(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, 
     for name in after.names:
         g = after.names.index(name)
         random = np.random.default_rng(g)  # the same figures for the same recordings
-        true = random.multivariate_normal(truth.model.mean[g], truth.model.covariance[g], _DRAWN, method="eigh")
+        true = _draws(random, truth.model.mean[g], truth.model.covariance[g])
         old = np.zeros(true.shape[1])
         old[: before.mean.shape[1]] = before.mean[g]
         for number, run in enumerate(runs):
@@ -155,6 +156,20 @@ def drawn(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, 
             own = Drawn(squares[0] + left * chance, squares[1] + left * chance, float(len(columns)))
             sums[name] = sums[name] + own if name in sums else own
     return sums
+
+
+def _draws(random: np.random.Generator, mean: Floats, covariance: Floats) -> Floats:
+    """Return draws of a normal distribution of which some elements may be known exactly.
+
+    The correlations are factored, by Cholesky: it takes a fixed number of steps, where an eigenvalue routine may not
+    converge, and the units of the elements do not matter.
+    """
+    sd = np.sqrt(np.diag(covariance))
+    scale = np.where(sd > 0, sd, 1.0)
+    correlation = covariance / np.outer(scale, scale)
+    correlation[np.diag_indices_from(correlation)] = 1 + _ROUNDING
+    factor = np.linalg.cholesky(correlation)
+    return np.asarray(mean + random.standard_normal((_DRAWN, len(mean))) @ factor.T * sd)
 
 
 def judge(
