@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.estimation.runs import Run
 from estimator.tracing.candidates import candidates_of
-from estimator.tracing.runs import Run
 
 Floats = NDArray[np.float64]
 Columns = NDArray[np.intp]

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.estimation.evidence import Evidence, Term
+from estimator.estimation.runs import Run
+from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Stretch, Z, gyro_spectra
 from estimator.tracing.augmented import Augmented
-from estimator.tracing.evidence import Evidence, Term
 from estimator.tracing.investigation import OutOfSample
-from estimator.tracing.runs import Run
-from estimator.tracing.spectra import GyroSpectra, NoiseShapes, Stretch, Z, gyro_spectra
 from estimator.tracing.verification import phases_of
 
 Floats = NDArray[np.float64]

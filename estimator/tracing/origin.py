@@ -13,10 +13,10 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model import decode
+from estimator.estimation.runs import Run
+from estimator.estimation.spectra import NoiseShapes, Stretch, cosines
+from estimator.geometry.model import decode
 from estimator.tracing.augmented import Augmented
-from estimator.tracing.runs import Run
-from estimator.tracing.spectra import NoiseShapes, Stretch, cosines
 
 Floats = NDArray[np.float64]
 

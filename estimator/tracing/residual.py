@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.estimation.runs import Run
+from estimator.estimation.spectra import Stretch, cosines
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.dependence import Dependence, Group, Regressors, dependences
 from estimator.tracing.origin import WHITE_DOUBT, Origin, Split, shape_of, split_of
-from estimator.tracing.runs import Run
-from estimator.tracing.spectra import Stretch, cosines
 
 Floats = NDArray[np.float64]
 

@@ -15,12 +15,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model import decode
+from estimator.estimation.runs import Run
+from estimator.estimation.spectra import Stretch
+from estimator.geometry.model import decode
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigation import Errors, GyroErrors, Improvement, PhaseErrors, ResidualView
 from estimator.tracing.origin import shape_of
-from estimator.tracing.runs import Run
-from estimator.tracing.spectra import Stretch
 
 Floats = NDArray[np.float64]
 

@@ -4,10 +4,10 @@ import numpy as np
 from markupsafe import Markup
 
 from estimator.effects.effect import Effect
-from estimator.planning import EffectForecast
+from estimator.planning.planning import EffectForecast
 from estimator.tracing.investigation import Value
-from station.investigation_printed import human
-from station.plan_printed import combination
+from station.render.investigation_printed import human
+from station.render.plan_printed import combination
 from station.report.figures import SYMBOLS, Unit, figure, significant, typographic
 from station.report.recorded import Recorded
 from station.report.unseen import MARKED, Unseen, by_state

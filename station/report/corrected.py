@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
-from estimator.compensation import HeldEffect
+from estimator.calibration.compensation import HeldEffect
 from estimator.effects.constructed import VARIABLES, variables_of
 from estimator.effects.thermal import REFERENCE_C
-from station.exporting.terms import FORMULAS
+from station.exports.terms import FORMULAS
 from station.report.correction import Correction
 from station.report.figures import ONE, figure
 from station.report.recorded import Recorded

@@ -1,11 +1,11 @@
-"""The correction of each device, by ``estimator.compensation``: what is undone, and what is not."""
+"""The correction of each device, by ``estimator.calibration.compensation``: what is undone, and what is not."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from estimator.array import SensorArray
-from estimator.calibration import EffectValue, GyroCalibration
-from estimator.compensation import Acts, Compensation, CompensationError, HeldEffect
+from estimator.calibration.compensation import Acts, Compensation, CompensationError, HeldEffect
+from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.geometry.array import SensorArray
 from station.report.recorded import Recorded
 from station.report.traced import Traced, found_of
 

@@ -1,6 +1,6 @@
 """How the run went: live estimates, innovations, noise."""
 
-from estimator.calibration import Calibration
+from estimator.calibration.values import Calibration
 from station.report.pictures import Picture, allan_picture, convergence_picture, nis_picture
 from station.report.recorded import Recorded
 

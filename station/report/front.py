@@ -8,16 +8,16 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from drivers.arrays import Floats
-from estimator.recording import ImuData
-from estimator.reference import AttitudeReadings, RateReadings, TableReadings, Turns
-from estimator.rows import observations
+from drivers.types import Floats
+from estimator.observations.rows import observations
+from estimator.recordings.recording import ImuData
+from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
 from station.report.figures import CELSIUS, fixed
 from station.report.pictures import Picture, rates_picture
 from station.report.recorded import Recorded, Step
 from station.report.standing import begun_utc, is_simulated
 from station.report.unseen import driven_step
-from station.script import Rotate
+from station.scripts.script import Rotate
 
 _LOCAL = re.compile(r"//(?:127\.|localhost|\[::1\])|/dev/pts/|udp_multicast|can:virtual")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from station.investigation_printed import probability, words
+from station.render.investigation_printed import probability, words
 from station.report.figures import COVERAGE, worded
 from station.report.pictures import Picture, residual_picture
 from station.report.recorded import Recorded

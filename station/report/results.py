@@ -6,16 +6,16 @@ import numpy as np
 from markupsafe import Markup
 
 from drivers.packaged import packaged_toml
-from estimator.budget import TYPE_A, Contribution
-from estimator.calibration import Calibration
-from station.investigation_printed import words
+from estimator.calibration.budget import TYPE_A, Contribution
+from estimator.calibration.values import Calibration
+from station.render.investigation_printed import words
 from station.report.figures import COVERAGE, STATES, figure, plain, worded
 from station.report.recorded import Recorded
 from station.report.standing import Line, Standing
 from station.report.traced import Traced
 
 _NEXT_TO_NOTHING = 0.01  # ppm, deg/h, urad
-_SOURCES = packaged_toml("station", "budget.toml")["report"]
+_SOURCES = packaged_toml("station.views", "budget.toml")["report"]
 
 
 def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:

@@ -1,20 +1,20 @@
 """A few lines of Python that apply a correction to arrays of samples.
 
-They undo what ``estimator.compensation`` undoes, in its order. ``station export`` writes the same for one sample after
-the other.
+They undo what ``estimator.calibration.compensation`` undoes, in its order. ``station export`` writes the same for
+one sample after the other.
 """
 
 import re
 from collections.abc import Iterator, Mapping
 
-from drivers.arrays import Floats
-from estimator.compensation import MOST_ITERATIONS, TOLERANCE_RPS, Acts, HeldEffect
+from drivers.types import Floats
+from estimator.calibration.compensation import MOST_ITERATIONS, TOLERANCE_RPS, Acts, HeldEffect
 from estimator.effects.conditions import SLOPE_S
 from estimator.effects.constructed import LAST_SHARE, REFERENCE_C
-from estimator.kinematics import GRAVITY_MPS2
-from station.exporting.law_text import law_terms
-from station.exporting.terms import FORMULAS
-from station.rendering import rendered
+from estimator.geometry.kinematics import GRAVITY_MPS2
+from station.exports.law_text import law_terms
+from station.exports.terms import FORMULAS
+from station.render.template import rendered
 from station.report.correction import Correction
 
 _WARMTH = f"(t - {REFERENCE_C:g})"

@@ -5,19 +5,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats
-from estimator.calibration import Calibration
+from drivers.types import Floats
+from estimator.calibration.values import Calibration
 from estimator.effects.catalogue import catalogue
-from estimator.noise import NoiseModel
-from estimator.planning import Forecast, PlannedDevice, forecast
-from estimator.recording import ImuData
-from estimator.reference import TableReadings
-from estimator.rests import REST_RPS
-from station.investigation_printed import words
-from station.planned import planned_motion
+from estimator.geometry.noise import NoiseModel
+from estimator.observations.rests import REST_RPS
+from estimator.planning.planning import Forecast, PlannedDevice, forecast
+from estimator.recordings.recording import ImuData
+from estimator.recordings.reference import TableReadings
+from station.render.investigation_printed import words
 from station.report.recorded import Recorded, Step
-from station.script import Rest, Rotate, Script
-from station.script import Step as ScriptStep
+from station.scripts.planned import planned_motion
+from station.scripts.script import Rest, Rotate, Script
+from station.scripts.script import Step as ScriptStep
 
 _PERIOD_S = 0.1
 _MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser steps

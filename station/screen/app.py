@@ -20,7 +20,7 @@ from textual.driver import Driver
 from textual.message import Message
 from textual.worker import WorkType
 
-from station.attaching import running_sessions
+from station.remote.attaching import running_sessions
 from station.screen.archive import Archive
 from station.screen.bars import STOP_KEY, StopBar
 from station.screen.base import StationScreen

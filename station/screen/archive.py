@@ -14,7 +14,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from station.snapshot import of_type
+from station.run.snapshot import of_type
 
 _LIMIT_S = 10.0
 _WRITE_LIMIT_S = 120.0

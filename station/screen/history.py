@@ -12,10 +12,10 @@ from textual.binding import Binding
 from textual.containers import Horizontal
 from textual.widgets import DataTable, Input, Label, Static
 
-from station.figures import OUTCOME_STYLES, STATE_FIGURES, number
 from station.screen.archive import Entry
 from station.screen.base import Field, StationScreen
 from station.screen.plots import trend_plot
+from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
 
 _COLUMNS = ("when", "device", "script", "outcome", "operator", "accepted", "file")
 _SHOWN_EVERY = 25

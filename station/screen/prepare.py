@@ -13,7 +13,6 @@ from textual.binding import Binding
 from textual.containers import Container, Horizontal, Vertical
 from textual.widgets import Button, Input, Label, Static
 
-from station.figures import STATE_UNITS, clock, number
 from station.screen.base import Field, StationScreen
 from station.screen.choices import Choices
 from station.screen.figures import columns, headed, templated, titled
@@ -21,6 +20,7 @@ from station.screen.link import sessions_on
 from station.screen.live_run import LiveRun
 from station.screen.programs import Answer, ask
 from station.screen.prospects import Prospect, look_ahead, matches
+from station.views.figures import STATE_UNITS, clock, number
 
 _FIELDS = (
     ("bench", "Bench file", "built-in twins"),
@@ -283,7 +283,7 @@ def _plan_lines(prospect: Prospect | None, plan: Answer | None, width: int) -> t
         return "Script", [
             Text.assemble(("WRONG ", _DOTS["WRONG"]), prospect.script_wrong)
         ] if prospect.script_wrong else []
-    from station.axis_profile import profile_lines  # loaded by now, in the thread that read the script
+    from station.scripts.axis_profile import profile_lines  # loaded by now, in the thread that read the script
 
     title = f"Script {prospect.script}: {clock(prospect.duration_s)} min"
     lines = [Text(line, no_wrap=True) for line in profile_lines(prospect.motion, width)]

@@ -11,12 +11,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from station.figures import STATE_FIGURES, STATE_UNITS
+from station.views.figures import STATE_FIGURES, STATE_UNITS
 
 if TYPE_CHECKING:
-    from station.bench import Limits
-    from station.planned import PlannedMotion
+    from station.bench.bench import Limits
     from station.screen.choices import Choices
+    from station.scripts.planned import PlannedMotion
 
 _LEAST_FREE_BYTES = 10_000_000  # the 360 s script with four gyros of 100 Hz takes 6 MB
 
@@ -49,11 +49,11 @@ def look_ahead(choices: Choices) -> Prospect:
 
 def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) -> Prospect:
     """Read bench and script, empty paths meaning the built-in ones."""
-    from station.bench import load_bench
+    from station.bench.bench import load_bench
     from station.errors import ScriptError, UsageError
-    from station.open_bench import needs_only_memory, with_links
-    from station.planned import planned_motion
-    from station.script import check, load_script, paper_script
+    from station.opening import needs_only_memory, with_links
+    from station.scripts.planned import planned_motion
+    from station.scripts.script import check, load_script, paper_script
 
     devices = [word for option, word in pairwise(device_options) if option == "--device"]
     try:

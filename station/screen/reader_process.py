@@ -48,7 +48,7 @@ def _answer(request: Mapping[str, Any]) -> dict[str, Any]:
         return _accept(path, request["attributes"])
     import h5py
 
-    from estimator.recording import FORMAT_VERSION
+    from estimator.recordings.recording import FORMAT_VERSION
 
     # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
     with h5py.File(path, "r", locking=False) as file:
@@ -70,7 +70,7 @@ def _accept(path: Path, attributes: Mapping[str, str]) -> dict[str, Any]:
     A write that fails within HDF5 leaves a file that cannot be opened any more.
     """
     from estimator.errors import RecordingError
-    from estimator.recording import write_attributes
+    from estimator.recordings.recording import write_attributes
 
     path = path.resolve()  # a link to a recording stays one
     copy = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -90,7 +90,7 @@ def _accept(path: Path, attributes: Mapping[str, str]) -> dict[str, Any]:
 
 def _version(file: Any) -> Any:
     """Return the format's version, None if the file is of another format."""
-    from estimator.recording import FORMAT
+    from estimator.recordings.recording import FORMAT
 
     is_recording = _plain(file.attrs.get("format")) == FORMAT
     return _plain(file.attrs.get("format_version", 0)) if is_recording else None
@@ -154,7 +154,7 @@ def _investigation(recording: Path) -> Any:
 
 
 def _limits(bench: str) -> dict[str, float | None]:
-    from station.bench import read_limits
+    from station.bench.bench import read_limits
     from station.errors import BenchError
 
     try:

@@ -13,7 +13,7 @@ from textual.app import ComposeResult
 from textual.containers import Horizontal
 from textual.widgets import Button, Static
 
-from station.figures import OUTCOME_STYLES, STATE_FIGURES, number
+from station.atomic_write import free_path
 from station.screen.archive import Entry, GyroEntry, Whole, last_before
 from station.screen.base import StationScreen
 from station.screen.dialogs import AskDialog, ChooseDialog
@@ -23,7 +23,7 @@ from station.screen.live_run import Trend
 from station.screen.plots import gyro_plots
 from station.screen.programs import ask
 from station.screen.reader_process import INVESTIGATION
-from station.whole_file import free_path
+from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
 
 _MANY_SIGMAS = 3.0
 _REASONS = 4

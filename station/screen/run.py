@@ -12,13 +12,13 @@ from textual.app import ComposeResult
 from textual.containers import Container, Vertical
 from textual.widgets import Input, Static
 
-from station.figures import OUTCOME_STYLES, STATE_FIGURES, clock, number
+from station.run.snapshot import PAUSED, Snapshot
 from station.screen.bars import SILENCE_S, Lines, StopBar
 from station.screen.base import Field, StationDialog, StationScreen
 from station.screen.figures import columns, headed, state_heads
 from station.screen.live_run import LiveRun, Stage, Trend
 from station.screen.plots import bar, gyro_plots
-from station.snapshot import PAUSED, Snapshot
+from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, clock, number
 
 PLOT_PERIOD_S = 1.0
 _BLOCKS = ("axes", "sources", "innovations", "estimates", "plots", "events")
