@@ -18,10 +18,10 @@ from estimator.geometry.model import decode, regressor_maps
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.blocks import Blocks
 from estimator.observations.conditions_seen import holds_for
+from estimator.observations.defects.reading_doubts import reading_doubts
 from estimator.observations.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
 from estimator.observations.health import Excluded, usable
 from estimator.observations.poses import estimate as estimate_poses
-from estimator.observations.reading_doubts import reading_doubts
 from estimator.observations.rests import RestNoise, motion_notes, rest_noise
 from estimator.observations.rows import BLOCK_S, row_length_s, sample_noise, source_blocks
 from estimator.observations.timing import TimeOffset

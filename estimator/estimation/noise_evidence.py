@@ -21,10 +21,10 @@ from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.errors import RecordingError
 from estimator.estimation.evidence import Evidence, Term
-from estimator.estimation.growth import weighed
-from estimator.estimation.runs import Run
+from estimator.estimation.runs.growth import weighed
+from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.tone_columns import samples_of, tone_columns
 from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Z, gyro_spectra
-from estimator.estimation.tone_columns import samples_of, tone_columns
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.blocks import Blocks
 from estimator.recordings.recording import ImuData, Recording

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.estimation.runs import Run
+from estimator.estimation.runs.run import Run
 from estimator.geometry.noise import NoiseModel
 
 Floats = NDArray[np.float64]

@@ -20,7 +20,7 @@ from estimator.effects.effect import Effect
 from estimator.effects.scale import dead_band
 from estimator.effects.thermal import REFERENCE_C, thermal_bias, thermal_bias_quadratic, thermal_scale
 from estimator.estimation.noise_evidence import Law
-from estimator.estimation.runs import Run
+from estimator.estimation.runs.run import Run
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from estimator.recordings.reference import TableReadings
 from estimator.types import Floats

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
-from estimator.importing.mapping import FileFormat
-from estimator.importing.mapping_columns import Columns
+from estimator.importing.mapping.columns import Columns
+from estimator.importing.mapping.mapping import FileFormat
 from estimator.importing.text_rows import Wanted, read_rows
 from estimator.types import Floats
 

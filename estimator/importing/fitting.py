@@ -9,7 +9,7 @@ from estimator.geometry.array import SensorArray, sensor_array
 from estimator.geometry.kinematics import axis_text
 from estimator.geometry.model import Prior
 from estimator.importing.gains import Gain, gain_notes, gains
-from estimator.importing.mapping import GyroColumns
+from estimator.importing.mapping.mapping import GyroColumns
 from estimator.recordings.recording import ImuData, Recording
 from estimator.types import Floats
 

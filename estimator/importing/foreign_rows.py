@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
 from estimator.importing.columns import Table
-from estimator.importing.mapping import Mapping
-from estimator.importing.mapping_reference import AngleColumn, AttitudeColumns, ForeignReference, RateColumns
+from estimator.importing.mapping.mapping import Mapping
+from estimator.importing.mapping.reference import AngleColumn, AttitudeColumns, ForeignReference, RateColumns
 from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings
 from estimator.types import Floats, Stamps
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from estimator.estimation.gram import Gram
 from estimator.geometry.kinematics import axis_text
-from estimator.importing.mapping_columns import UNITS
+from estimator.importing.mapping.columns import UNITS
 from estimator.observations.foreign import FAR_OFF
 from estimator.observations.rows import rows_of
 from estimator.recordings.recording import Recording

@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
+from estimator.importing.clocks.spans import Refused, Span, turn_spans
+from estimator.importing.clocks.timefit import TimeFit, fit_times, regular_times
+from estimator.importing.clocks.two_clocks import ahead_by_motion, clocks_apart
 from estimator.importing.columns import Table, read_table
 from estimator.importing.fitting import fitted
 from estimator.importing.foreign_rows import ForeignRows, foreign_reference, reference_rows
-from estimator.importing.mapping import Extent, FileFormat, Mapping, ReferenceFile, Timing
-from estimator.importing.mapping_columns import UNITS
-from estimator.importing.mapping_reference import AngleColumn, Gravity, MeasuredReference, Rests, SectionTurns
+from estimator.importing.mapping.columns import UNITS
+from estimator.importing.mapping.mapping import Extent, FileFormat, Mapping, ReferenceFile, Timing
+from estimator.importing.mapping.reference import AngleColumn, Gravity, MeasuredReference, Rests, SectionTurns
 from estimator.importing.rest_import import PartRests, earth_note, part_rests, rests_text
-from estimator.importing.spans import Refused, Span, turn_spans
 from estimator.importing.text_rows import Wanted
-from estimator.importing.timefit import TimeFit, fit_times, regular_times
-from estimator.importing.two_clocks import ahead_by_motion, clocks_apart
-from estimator.observations.held import updates
-from estimator.observations.odd_samples import without_odd
+from estimator.observations.defects.held import updates
+from estimator.observations.defects.odd_samples import without_odd
 from estimator.observations.poses import accelerometer_note, directions_up
 from estimator.observations.turned import Turned
 from estimator.recordings.recording import ImuData, Recording

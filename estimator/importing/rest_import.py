@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
 from estimator.geometry.kinematics import EARTH_RATE_RPS
+from estimator.importing.clocks.spans import Refused, section_rows
+from estimator.importing.clocks.timefit import TimeFit
 from estimator.importing.columns import Table
-from estimator.importing.mapping import Mapping
-from estimator.importing.mapping_reference import Rests
+from estimator.importing.mapping.mapping import Mapping
+from estimator.importing.mapping.reference import Rests
 from estimator.importing.resting import Rest, found_rests, gravity_note, stated_rest
-from estimator.importing.spans import Refused, section_rows
-from estimator.importing.timefit import TimeFit
 from estimator.types import Floats
 
 _LEVEL = 0.05  # part of a sense axis that is horizontal and so feels the unknown part of Earth rate

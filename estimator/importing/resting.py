@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.geometry.kinematics import EARTH_RATE_RPS, Site
-from estimator.importing.mapping_reference import Pose, Rests
+from estimator.importing.mapping.reference import Pose, Rests
 from estimator.types import Floats, runs_of
 
 _WINDOW_S = 0.25

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
-from estimator.importing.mapping import FileFormat
+from estimator.importing.mapping.mapping import FileFormat
 from estimator.types import Floats
 
 Lines = list[tuple[int, str]]

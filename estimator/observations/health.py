@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.observations.odd_samples import without_odd
+from estimator.observations.defects.odd_samples import without_odd
 from estimator.recordings.recording import ImuData, columns_of
 from estimator.types import Flags, Floats, runs_of
 

@@ -18,14 +18,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.geometry.array import SensorArray, sensor_array
-from estimator.types import Floats, Stamps
-from estimator.recordings.reserved_space import Ballast
 from estimator.errors import GeometryError, RecordingError
+from estimator.geometry.array import SensorArray, sensor_array
 from estimator.geometry.kinematics import Site, check_gimbals
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
-from estimator.recordings.safe_open import probe
 from estimator.recordings.reference import (
     AttitudeReadings,
     Poses,
@@ -35,6 +32,9 @@ from estimator.recordings.reference import (
     TableUncertainty,
     Turns,
 )
+from estimator.recordings.reserved_space import Ballast
+from estimator.recordings.safe_open import probe
+from estimator.types import Floats, Stamps
 
 FORMAT = "turntable-recording"
 FORMAT_VERSION = 1

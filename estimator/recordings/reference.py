@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.types import Flags, Floats, Stamps
 from estimator.errors import RecordingError
 from estimator.geometry.kinematics import Site, body_rate, check_gimbals
 from estimator.recordings.ramps import HOLD_S, LEAST_RPS2, LONGEST_S, WINDOW_S, Ramp, changing, ends, fitted, is_ramp
+from estimator.types import Flags, Floats, Stamps
 
 GAP_NS = 150_000_000
 GAP_ANGLE_RAD = float(np.radians(0.02))

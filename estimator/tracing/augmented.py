@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.estimation.evidence import Posterior, Term
-from estimator.estimation.runs import Run
-from estimator.estimation.tone_columns import samples_of, tone_columns
+from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.tone_columns import samples_of, tone_columns
 from estimator.tracing.candidates import Candidate
-from estimator.tracing.tones import ToneFit
+from estimator.tracing.tones.tones import ToneFit
 
 Floats = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from estimator.effects.effect import Axes, Effect, Parameter
 from estimator.effects.scale import dead_band
 from estimator.effects.site import earth_rate_upward
 from estimator.effects.table import table_harmonic
-from estimator.estimation.runs import Run
+from estimator.estimation.runs.run import Run
 from estimator.estimation.undeclared import WITHIN_TURNS
 from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, into_body
 from estimator.observations.turned import by_turns

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimator.effects.constructed import constructed
 from estimator.effects.effect import Effect
-from estimator.estimation.runs import Run
+from estimator.estimation.runs.run import Run
 from estimator.tracing.candidates import Candidate
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from estimator.tracing.augmented import Augmented
-    from estimator.tracing.residual import Residual
+    from estimator.tracing.residuals.residual import Residual
 
 Floats = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from estimator.effects.constructed import of_each_gyro
 from estimator.estimation.evidence import Evidence, Term
-from estimator.estimation.runs import Run
+from estimator.estimation.runs.run import Run
 from estimator.estimation.spectra import GyroSpectra, cosines
 from estimator.tracing.candidates import OF_TIME, Candidate
-from estimator.tracing.peaks import highest
+from estimator.tracing.tones.peaks import highest
 from estimator.types import Floats
 
 _NEAR_S = 0.005  # about where its size seems to be an effect is looked for that is exact for its size only

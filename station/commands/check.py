@@ -8,9 +8,9 @@ import sys
 from rich.console import Console
 
 from station.bench.bench import Bench
-from station.commands.checking import DeviceCheck, check_bench
 from station.commands.common import chosen_bench, clock
 from station.opening import open_bench
+from station.opening.checking import DeviceCheck, check_bench
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome
 from station.run.snapshot import json_object

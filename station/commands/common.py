@@ -23,12 +23,12 @@ from station.opening import needs_only_memory, open_bench, serve_twins, with_lin
 from station.remote.hosting import Host, introduction
 from station.render.printing import print_calibration, print_verdict, refuse, result_object
 from station.render.progress import RunProgress
-from station.run.detached_output import lasting_streams
 from station.run.early_end import check_early_end
-from station.run.loops import ScaledLoop, VirtualLoop, run_to_end
+from station.run.event_loop.detached_output import lasting_streams
+from station.run.event_loop.loops import ScaledLoop, VirtualLoop, run_to_end
+from station.run.event_loop.signals import ignore_hang_up
 from station.run.outcome import Outcome
 from station.run.session import Result, RunOptions, Session
-from station.run.signals import ignore_hang_up
 from station.scripts.script import Script, check, load_script, paper_script
 
 
@@ -132,8 +132,8 @@ def command_twin(arguments: argparse.Namespace) -> int:
 def command_import(arguments: argparse.Namespace) -> int:
     """Turn foreign data into a recording."""
     from estimator.importing.importing import import_recording
-    from estimator.importing.mapping import read_mapping
-    from station.commands.captures import PROTOCOLS
+    from estimator.importing.mapping.mapping import read_mapping
+    from station.opening.captures import PROTOCOLS
 
     output = Path(arguments.output)
     imported = import_recording(read_mapping(Path(arguments.mapping), PROTOCOLS), [Path(d) for d in arguments.data])

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.packaged import packaged_toml
 from drivers.types import AxisLimits
-from estimator.estimation.runs import runs_of
+from estimator.estimation.runs.run import runs_of
 from estimator.recordings.recording import Recording, read_recording
 from estimator.recordings.reference import TableReadings
 from estimator.tracing.investigate import investigate

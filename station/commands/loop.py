@@ -24,7 +24,7 @@ from station.render.investigation_printed import exit_code_of
 from station.render.loop_printed import loop_object, print_loop, runs_object
 from station.render.progress import TracingProgress
 from station.run.closed_loop import CALIBRATION, EXPLORATION, NEXT, VERIFICATION, Driven, Loop, Round
-from station.run.loops import run_to_end
+from station.run.event_loop.loops import run_to_end
 from station.run.outcome import Outcome
 from station.run.session import RunOptions
 from station.scripts.loop_scripts import exploration_script, verification_script

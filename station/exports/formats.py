@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from station.exports.autopilots import write_ardupilot, write_px4
-from station.exports.c_header import write_c
 from station.exports.exported import Exported
-from station.exports.plain_data import write_csv, write_json, write_yaml
-from station.exports.python_module import write_python
-from station.exports.robotics import write_kalibr, write_ros
+from station.exports.forms.autopilots import write_ardupilot, write_px4
+from station.exports.forms.c_header import write_c
+from station.exports.forms.plain_data import write_csv, write_json, write_yaml
+from station.exports.forms.python_module import write_python
+from station.exports.forms.robotics import write_kalibr, write_ros
 from station.exports.written import Written
 
 

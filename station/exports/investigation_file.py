@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator.calibration.error_model import WHERE
 from estimator.tracing.investigation import Investigation
-from estimator.tracing.residual import Residual
+from estimator.tracing.residuals.residual import Residual
 from estimator.tracing.type_model import error_model_of
 from station.errors import UsageError
 

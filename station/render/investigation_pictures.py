@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.types import Floats
 from estimator.tracing.investigation import Investigation, ResidualView
-from estimator.tracing.residual import Spectrum
+from estimator.tracing.residuals.residual import Spectrum
 from station.errors import UsageError
 from station.render.investigation_printed import words
 

@@ -7,8 +7,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from estimator.tracing.investigation import Investigation
-from estimator.tracing.origin import Origin, Split
-from estimator.tracing.residual import GyroResidual, Residual
+from estimator.tracing.residuals.origin import Origin, Split
+from estimator.tracing.residuals.residual import GyroResidual, Residual
 from station.render.rich_table import rich_table
 from station.run.snapshot import json_object, named
 

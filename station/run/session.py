@@ -30,13 +30,13 @@ from station.errors import UsageError
 from station.opening import OpenBench, OpenImu
 from station.opening.reopening import Reopening
 from station.run.early_end import EarlyEnd
+from station.run.event_loop.loops import is_virtual
+from station.run.event_loop.signals import heeded_signals
 from station.run.final_estimate import final_estimate
 from station.run.live import LiveEstimate, LiveSource
-from station.run.loops import is_virtual
 from station.run.monitor import Monitor
 from station.run.outcome import Outcome, Verdict, judge
 from station.run.sequencer import Sequencer
-from station.run.signals import heeded_signals
 from station.run.snapshot import EventKind, Phase, Snapshot
 from station.run.sources import SourceReport
 from station.run.table_watch import TableRow, check_axes, watch_table

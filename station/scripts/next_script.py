@@ -14,7 +14,7 @@ from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import Conditions
 from estimator.effects.drift import warm_up
 from estimator.effects.effect import Effect
-from estimator.estimation.runs import Run
+from estimator.estimation.runs.run import Run
 from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior, regressor_maps

@@ -22,7 +22,7 @@ from pathlib import Path
 from estimator.recordings.recording import read_recording
 from station.bench.bench import load_bench
 from station.opening import open_bench
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 from station.run.outcome import Outcome
 from station.run.session import Session
 from station.scripts.script import load_script

@@ -23,7 +23,7 @@ import numpy as np
 
 from estimator.estimation.calibrate import calibrate
 from estimator.importing.importing import import_recording
-from estimator.importing.mapping import read_mapping
+from estimator.importing.mapping.mapping import read_mapping
 from estimator.recordings.recording import Recording
 from estimator.recordings.reference import TableReadings
 from estimator.tracing.investigate import investigate

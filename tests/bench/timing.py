@@ -32,7 +32,7 @@ from station.bench.bench import Bench, default_bench_text, load_bench
 from station.commands.improve import script_text
 from station.opening import open_bench
 from station.opening.twins import truth_of
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 from station.run.session import Session
 from station.scripts.script import Rest, Rotate, Script, paper_script
 

@@ -17,7 +17,7 @@ from drivers.types import Frame, ImuBlock
 from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 T = TypeVar("T")
 _buses = itertools.count()

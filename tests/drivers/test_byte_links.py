@@ -18,7 +18,7 @@ from drivers.errors import DeviceFault, LinkLost
 from drivers.links.byte_links import MemoryLink, SerialLink, TcpLink
 from drivers.links.reopen import BackOff, reopen
 from drivers.protocols import ByteLink
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 
 def really(main: Callable[[], Awaitable[None]]) -> None:

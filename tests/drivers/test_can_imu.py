@@ -16,7 +16,7 @@ from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanImu
 from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
 from drivers.types import ImuBlock, SourceCounts
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 CHANNELS = (
     CanChannel("g1", "GYRO1_RATE.Rate", "GYRO1_TEMPERATURE.Temperature"),

@@ -19,7 +19,7 @@ from drivers.errors import LinkLost
 from drivers.links.byte_links import MemoryLink, TcpLink
 from drivers.requests.exchange import Exchange, Token, Unanswered, UnexpectedReply
 from drivers.tables.galil.language import NOTHING, NUMBER, GalilFraming
-from station.run.loops import ScaledLoop
+from station.run.event_loop.loops import ScaledLoop
 
 TOKEN = re.compile(rb'MG "(T[0-9A-F]+)"')
 

@@ -18,7 +18,7 @@ from drivers.tables.modbus.table import DriveAxis, ModbusTable
 from drivers.types import AxisLimits, Identity
 from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import modbus_server
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 DEG = math.pi / 180
 COUNTS = 131072

@@ -24,7 +24,7 @@ from drivers.tables.modbus.table import DriveAxis, ModbusTable
 from sims.physics.table import TableModel
 from sims.tables.modbus import modbus_server
 from sims.wires.wires import on_pty, on_tcp
-from station.run.loops import ScaledLoop
+from station.run.event_loop.loops import ScaledLoop
 
 PHASES = ("connecting", "homing", "ramp", "steady", "last stop")
 AT_REST_S = 1.5

@@ -21,7 +21,7 @@ from drivers.tables.modbus.table import DriveAxis, ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import modbus_server
-from station.run.loops import ScaledLoop
+from station.run.event_loop.loops import ScaledLoop
 
 DEG = math.pi / 180
 COUNTS = 65536

@@ -31,7 +31,7 @@ from drivers.tables.modbus.table import DriveAxis, ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import modbus_server
-from station.run.loops import ScaledLoop, VirtualLoop
+from station.run.event_loop.loops import ScaledLoop, VirtualLoop
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "modbus_cia402.json").read_text())["vectors"]
 DEG = math.pi / 180

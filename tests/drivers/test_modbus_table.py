@@ -20,7 +20,7 @@ from drivers.tables.modbus.table import DriveAxis, ModbusTable
 from drivers.types import AxisLimits, Identity
 from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import modbus_server
-from station.run.loops import ScaledLoop, VirtualLoop
+from station.run.event_loop.loops import ScaledLoop, VirtualLoop
 
 DEG = math.pi / 180
 COUNTS = 65536

@@ -25,7 +25,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.motion import AxisMotion
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 WHO = Identity("STIM300 84167-440000-3321 rev K", "N25582405002002", "0")
 ACCELERATION_DPS2 = 40.0

@@ -14,7 +14,7 @@ from sims.imus.vectornav import VectorNavDevice
 from sims.physics.body import Body
 from sims.physics.geometry import along
 from sims.physics.gyro import GyroArray, GyroTruth
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 REQUESTS = json.loads((Path(__file__).parents[1] / "vectors" / "vectornav_requests.json").read_text())["vectors"]
 RATES_RPS = np.array([0.1, -0.2, 0.3])

@@ -21,7 +21,7 @@ from sims.imus.vectornav import VectorNavDevice
 from sims.physics.body import Body
 from sims.physics.geometry import along
 from sims.physics.gyro import GyroArray, GyroTruth
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 SLOPE_RPS2 = 0.05
 """The body turns about z at a rate that grows by this, so a rate tells when it was measured."""

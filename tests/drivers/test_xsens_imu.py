@@ -36,7 +36,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.motion import AxisMotion
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 CAPTURE = Path(__file__).parents[1] / "data" / "xsens" / "capture1.bin"
 DEG = np.pi / 180

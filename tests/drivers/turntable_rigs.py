@@ -24,7 +24,7 @@ from sims.tables.acutrol_controller import AcutrolController
 from sims.tables.aerosmith_controller import STA_FAULT, AerosmithController
 from sims.tables.galil_controller import GalilController
 from sims.tables.modbus import modbus_server
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 DEG = math.pi / 180
 MAX_RATE, MAX_ACCELERATION = 100 * DEG, 50 * DEG

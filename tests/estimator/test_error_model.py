@@ -18,7 +18,7 @@ from estimator.calibration.stored_calibration import read_calibration
 from estimator.effects.constructed import constructed
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import repeatability
-from estimator.estimation.runs import runs_of
+from estimator.estimation.runs.run import runs_of
 from estimator.geometry.array import tetrahedron, triad
 from estimator.recordings.recording import ImuData, Recording, write_recording
 from estimator.recordings.reference import RateReadings, Turns

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from estimator.errors import InvestigationError
 from estimator.estimation.calibrate import calibrate
 from estimator.importing.importing import import_recording
-from estimator.importing.mapping import read_mapping
+from estimator.importing.mapping.mapping import read_mapping
 from estimator.recordings.recording import Recording, read_recording, write_recording
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Finding

@@ -12,7 +12,7 @@ import pytest
 
 from estimator.errors import RecordingError
 from estimator.importing.importing import Imported, import_recording
-from estimator.importing.mapping import read_mapping
+from estimator.importing.mapping.mapping import read_mapping
 
 MAPPING = """\
 [device]

@@ -12,7 +12,7 @@ from estimator.calibration.values import Calibration
 from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.importing.importing import SOURCE, Imported, import_recording
-from estimator.importing.mapping import read_mapping
+from estimator.importing.mapping.mapping import read_mapping
 from estimator.recordings.recording import ImuData, Recording, read_recording, write_recording
 from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
 

@@ -13,7 +13,7 @@ import pytest
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import sensor_array
 from estimator.importing.importing import SOURCE, Imported, import_recording
-from estimator.importing.mapping import read_mapping
+from estimator.importing.mapping.mapping import read_mapping
 from estimator.observations.health import usable
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings

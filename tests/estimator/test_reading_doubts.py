@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.observations.reading_doubts import reading_doubts
+from estimator.observations.defects.reading_doubts import reading_doubts
 from estimator.recordings.reference import TableReadings
 
 T_S = np.arange(0, 30, 0.05)

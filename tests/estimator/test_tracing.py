@@ -12,7 +12,7 @@ from estimator.errors import InvestigationError
 from estimator.geometry.array import sensor_array
 from estimator.geometry.kinematics import EARTH_RATE_RPS
 from estimator.importing.importing import import_recording
-from estimator.importing.mapping import read_mapping
+from estimator.importing.mapping.mapping import read_mapping
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings, TableReadings
 from estimator.tracing.investigate import fit_known, investigate

@@ -12,7 +12,7 @@ from scipy.io import loadmat
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import sensor_array
 from estimator.importing.importing import Imported, import_recording
-from estimator.importing.mapping import read_mapping
+from estimator.importing.mapping.mapping import read_mapping
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings
 

@@ -25,7 +25,7 @@ from sims.wires.faults import (
     table_faults,
 )
 from sims.wires.wires import Plug, Write, in_memory
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 
 def virtually(main: Callable[[], Awaitable[Any]]) -> Any:

@@ -18,7 +18,7 @@ from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import load_profile
 from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import modbus_server
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 REFUSALS = json.loads((Path(__file__).parents[1] / "vectors" / "modbus_refusals.json").read_text())["vectors"]
 STATUS, POSITION = "0332000001", "0337000002"

@@ -20,7 +20,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.motion import AxisMotion
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 DPS = np.array([20.0, -7.0, 3.0])
 

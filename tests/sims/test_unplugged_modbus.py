@@ -16,7 +16,7 @@ from drivers.links.reopen import BackOff, reopen
 from drivers.protocols import Turntable
 from station.bench.bench import Bench, load_bench
 from station.opening import open_bench, serve_twins, with_links
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 BENCH = Path(__file__).parents[1] / "data" / "benches" / "rtu_stim300.toml"
 OUT_S, BACK_S = 0.8, 2.0

@@ -12,7 +12,7 @@ import pytest
 
 from station.bench.bench import Bench, load_bench
 from station.opening import open_bench, serve_twins
-from station.run.loops import ScaledLoop, VirtualLoop
+from station.run.event_loop.loops import ScaledLoop, VirtualLoop
 
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
 WATCHDOG_S = 0.2

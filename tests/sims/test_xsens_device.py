@@ -36,7 +36,7 @@ from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.hidden.converter import Saturation, Stuck
 from sims.physics.hidden.effects import Hidden
 from sims.physics.motion import AxisMotion
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 
 OPENING = json.loads((Path(__file__).parents[1] / "vectors" / "xsens_opening.json").read_text())["vectors"]
 RATE_HZ = 400

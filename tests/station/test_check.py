@@ -16,9 +16,9 @@ from support import TwinProcess, station
 
 from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
-from station.commands.checking import check_bench
 from station.opening import open_bench
-from station.run.loops import VirtualLoop
+from station.opening.checking import check_bench
+from station.run.event_loop.loops import VirtualLoop
 
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
 SCALE = "2"

@@ -11,7 +11,7 @@ from test_run import bench_file
 
 from station.bench.bench import load_bench
 from station.opening import open_bench
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 from station.run.session import Result, Session
 from station.run.snapshot import EventKind, Phase, Snapshot
 from station.scripts.script import load_script

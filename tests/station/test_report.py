@@ -29,10 +29,10 @@ from station.bench.bench import default_bench_text
 from station.cli import main
 from station.exports.hashes import raw_sha256
 from station.exports.terms import FORMULAS
-from station.report.correction import Correction
-from station.report.front import links_of, local_links
+from station.report.chapters.correction import Correction
+from station.report.chapters.front import links_of, local_links
+from station.report.chapters.snippet import snippet
 from station.report.recorded import read_recorded
-from station.report.snippet import snippet
 from station.report.standing import Kind, standing_of
 from station.report.traced import read_traced
 from station.scripts.loop_scripts import exploration_script

@@ -10,11 +10,11 @@ import h5py
 import numpy as np
 import pytest
 
-from estimator.tracing.dependence import Dependence
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Investigation
-from estimator.tracing.origin import Origin, Split
-from estimator.tracing.residual import GyroResidual, Residual, Spectrum
+from estimator.tracing.residuals.dependence import Dependence
+from estimator.tracing.residuals.origin import Origin, Split
+from estimator.tracing.residuals.residual import GyroResidual, Residual, Spectrum
 from station.exports.investigation_file import write_investigation
 from station.render.investigation_pictures import draw_investigation
 from station.render.investigation_printed import investigation_object, print_investigation

@@ -20,7 +20,7 @@ from station.cli import main
 from station.errors import BenchError
 from station.opening import open_bench, with_links
 from station.opening.devices import byte_table
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 from station.scripts.script import paper_script
 
 BENCHES = Path(__file__).parents[1] / "data" / "benches"

@@ -19,7 +19,7 @@ from drivers.links.lock import held
 from station.bench.bench import load_bench
 from station.cli import main
 from station.opening import open_bench, with_links
-from station.run.loops import ScaledLoop, VirtualLoop
+from station.run.event_loop.loops import ScaledLoop, VirtualLoop
 from station.run.session import RunOptions, Session
 from station.scripts.script import Rest, Script
 

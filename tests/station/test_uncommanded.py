@@ -12,7 +12,7 @@ from faults import BENCHES
 
 from station.bench.bench import Bench, load_bench
 from station.opening import open_bench
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 from station.run.outcome import Outcome
 from station.run.session import Result, RunOptions, Session
 from station.scripts.script import load_script

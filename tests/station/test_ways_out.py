@@ -22,7 +22,7 @@ from estimator.recordings.recording import read_recording
 from station.bench.bench import load_bench
 from station.cli import main
 from station.opening import open_bench
-from station.run.loops import VirtualLoop, run_to_end
+from station.run.event_loop.loops import VirtualLoop, run_to_end
 from station.run.outcome import Outcome
 from station.run.session import Result, Session
 from station.scripts.script import load_script

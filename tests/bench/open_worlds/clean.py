@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from estimator.importing.foreign_rows import foreign_reference
-from estimator.importing.mapping_columns import Columns
-from estimator.importing.mapping_reference import AngleColumn
+from estimator.importing.mapping.columns import Columns
+from estimator.importing.mapping.reference import AngleColumn
 from estimator.recordings.recording import Recording
 from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference
 from estimator.tracing.investigate import investigate

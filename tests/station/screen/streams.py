@@ -25,7 +25,7 @@ from station.bench.bench import default_bench_text, load_bench
 from station.opening import open_bench
 from station.remote.hosting import introduction
 from station.render.printing import result_object
-from station.run.loops import VirtualLoop
+from station.run.event_loop.loops import VirtualLoop
 from station.run.session import RunOptions, Session
 from station.run.snapshot import EventKind, json_object
 from station.scripts.script import load_script
