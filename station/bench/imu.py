@@ -80,7 +80,7 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     if spec.gyros not in (None, len(array)):
         raise table.fail("array", f"protocol {spec.name} has {spec.gyros} gyros, this array {len(array)}")
     can = _can(table, folder, name, array) if spec.signals_of_dbc else None
-    options = table.options(spec.keys)
+    options = table.options(spec.keys, folder)
     if refused := spec.refused_rate(rate_hz, options):
         raise table.fail("rate", refused)
     noise, prior = _datasheet(table.table("datasheet"))
