@@ -91,7 +91,7 @@ def read_table(table: Table, folder: Path, known: Registry[TableSpec] = TABLES) 
         if refused := spec.refused(axis, axis.link or config.link):
             raise table.fail(None, refused)
     addresses = [(axis.link or config.link, axis.address) for axis in config.axes.values()]
-    if len(set(addresses)) != len(addresses):
+    if spec.address is not None and len(set(addresses)) != len(addresses):
         raise table.fail(None, f"two axes have the same address at the controller: {[a for _, a in addresses]}")
     table.done()
     return config
