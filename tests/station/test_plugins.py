@@ -1,4 +1,4 @@
-"""A table and an IMU of somebody's own, each one file with its twin, brought by a bench file or an installed package."""
+"""A table and an IMU of one's own, each one file with its twin, brought by a bench file or an installed package."""
 
 from __future__ import annotations
 
@@ -51,9 +51,7 @@ SCRIPT = "".join(
 )
 
 
-def test_a_table_and_an_imu_out_of_two_files_are_calibrated(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_table_and_an_imu_out_of_two_files_are_calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [str(EXAMPLES / name) for name in ("numbered_table.py", "counted_imu.py")]
     (tmp_path / "bench.toml").write_text(BENCH.format(plugins=f"plugins = {json.dumps(files)}"))
     (tmp_path / "script.toml").write_text(SCRIPT)
