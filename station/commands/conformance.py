@@ -4,7 +4,7 @@ import argparse
 import asyncio
 import json
 import math
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import DeviceError, LinkLost
-from drivers.imus.registry import IMUS
+from drivers.imus.registry import IMUS, USUAL_IMU
 from drivers.plugins import PluginError, load_file, records
 from drivers.specs import ImuSpec, TableSpec
-from drivers.tables.registry import TABLES
+from drivers.tables.registry import TABLES, USUAL_TABLE
 from drivers.types import AxisState, Floats, ImuBlock, SourceCounts
 from estimator.strict_toml import not_one_of
 from station.bench.bench import read_bench
@@ -198,17 +198,14 @@ async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
     return "" if opened.at_rest() else f"{how} returned, and an axis still turned"
 
 
-_FRAMES: dict[str, tuple[Mapping[str, Any], Callable[[Heard], str]]] = {
-    "units": ({}, _units),
-    "clock": ({}, _clock),
-    "loss": ({"loss": "3 %"}, _counted),
-}
-_BYTES: dict[str, tuple[Mapping[str, Any], Callable[[Heard], str]]] = {
+_Suites = dict[str, tuple[Mapping[str, Any], Callable[[Any], Any]]]
+_FRAMES: _Suites = {"units": ({}, _units), "clock": ({}, _clock), "loss": ({"loss": "3 %"}, _counted)}
+_BYTES: _Suites = {
     "framing cut anywhere": ({"one_byte": True}, _complete),
     "garbage": ({"bit_flips": "0.3 %"}, _undamaged),
     "unplugged": ({"unplug": "8 s"}, _unplugged),
 }
-_TABLE: dict[str, tuple[Mapping[str, Any], Callable[[OpenBench], Awaitable[str]]]] = {
+_TABLE: _Suites = {
     "units": ({}, _motion),
     "framing cut anywhere": ({"one_byte": True}, _motion),
     "loss": ({"loss": "1 %", "late": "2 %", "late_by": "0.3 s"}, _late),
@@ -218,17 +215,17 @@ _TABLE: dict[str, tuple[Mapping[str, Any], Callable[[OpenBench], Awaitable[str]]
 }
 
 
-def suites_of(spec: ImuSpec | TableSpec) -> dict[str, tuple[Mapping[str, Any], Callable[[Any], Any]]]:
+def suites_of(spec: ImuSpec | TableSpec) -> _Suites:
     """Return the suites that a device has to pass: faults of its wire, and what judges it."""
     if isinstance(spec, TableSpec):
-        return {**_TABLE}
-    return {**_FRAMES} if spec.on_can else {**_FRAMES, **_BYTES}  # a bus hands over whole frames
+        return _TABLE
+    return _FRAMES if spec.on_can else _FRAMES | _BYTES  # a bus hands over whole frames
 
 
 def complaint(spec: ImuSpec | TableSpec, suite: str, plugins: Sequence[Path] = ()) -> str:
     """Return in words what is wrong with a device by one suite, nothing if it passes; ``plugins`` have its record."""
     faults, judge = suites_of(spec)[suite]
-    (table, imu) = (spec, IMUS["stim300"]) if isinstance(spec, TableSpec) else (TABLES["galil"], spec)
+    (table, imu) = (spec, IMUS[USUAL_IMU]) if isinstance(spec, TableSpec) else (TABLES[USUAL_TABLE], spec)
     own = table is spec
     axes = "zyx"[: table.most_axes] if own else "z"
     keys = "\n".join(f"{key} = {json.dumps(value)}" for key, value in faults.items())
