@@ -226,19 +226,6 @@ def test_stuck_and_saturated_gyros_show() -> None:
     virtually(main)
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "output", "legal"),
-    [(300, "binary", "1, 2, 4, 5, 8, 10, 16, 20"), (12.5, "binary", "400, 800 Hz"), (400, "ascii", "100, 200 Hz")],
-)
-def test_a_rate_that_it_has_not_is_refused_with_those_it_has(rate_hz: float, output: Any, legal: str) -> None:
-    async def main() -> None:
-        near, _ = MemoryLink.pair("imu")
-        with pytest.raises(ValueError, match=f"imu: a VectorNav has no {output} output at {rate_hz:g} Hz.*{legal}"):
-            VectorNavImu("imu", near, rate_hz, output=output)
-
-    virtually(main)
-
-
 def test_a_baud_rate_too_low_is_refused_in_words() -> None:
     async def main() -> None:
         async with bench(800, baud=115200) as b:

@@ -345,15 +345,6 @@ def test_a_rate_that_the_device_does_not_have_is_refused_with_what_to_do() -> No
     )
 
 
-@pytest.mark.parametrize("rate_hz", [0, 0.5, 99.5, 2001])
-def test_a_rate_that_no_device_has_is_refused_at_once(rate_hz: float) -> None:
-    async def main() -> None:
-        with pytest.raises(ValueError, match="mti: an MTi sends at a whole number of Hz"):
-            XsensImu("mti", MemoryLink("mti"), rate_hz)
-
-    virtually(main())
-
-
 def test_an_error_is_told_with_its_code_in_words_and_what_was_asked() -> None:
     def refusing(mid: int, request: bytes, write: Write) -> None:
         write(encode(Mid.ERROR, b"\x21") if mid == Mid.OUTPUT_CONFIGURATION else encode(mid + ACK))

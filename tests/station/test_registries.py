@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -60,6 +61,25 @@ def test_an_unknown_protocol_is_told_with_the_known_ones_and_the_nearest(
     path = bench(tmp_path, (f'protocol = "{right}"', f'protocol = "{wrong}"'))
     with pytest.raises(BenchError, match=rf"bench.toml, line \d+: {told}"):
         load_bench(path)
+
+
+@pytest.mark.parametrize(
+    ("protocol", "options", "rate_hz", "told"),
+    [
+        ("vectornav", {"output": "binary"}, 12.5, "protocol vectornav sends binary at 1, 2, 4, .*, 400, 800 Hz"),
+        ("vectornav", {"output": "ascii"}, 400, "protocol vectornav sends ascii at 1, 2, .* 100, 200 Hz"),
+        ("stim300", {}, 100, "protocol stim300 sends at 125, 250, 500, 1000, 2000 Hz"),
+        ("j1939", {}, 33, "protocol j1939 sends at 2, 4, 5, 10, 20, 25, 50, 100 Hz"),
+        ("xsens", {}, 99.5, "protocol xsens sends at a whole number of Hz, up to 2000"),
+        ("xsens", {}, 2001, "protocol xsens sends at a whole number of Hz, up to 2000"),
+        ("xsens", {}, 400.0, "$"),
+        ("can", {}, 33.3, "$"),
+    ],
+)
+def test_a_rate_that_a_device_has_not_is_refused_with_those_it_has(
+    protocol: str, options: dict[str, str], rate_hz: float, told: str
+) -> None:
+    assert re.match(told, IMUS[protocol].refused_rate(rate_hz, options))
 
 
 @pytest.mark.parametrize(

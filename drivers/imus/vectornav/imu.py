@@ -49,13 +49,13 @@ class VectorNavImu(OneSource[ByteLink]):
         serial_port: int = 1,
         timeout_s: float = 0.25,
     ) -> None:
-        """Ask for output at ``rate_hz``; ValueError names the rates there are if it is none of them.
+        """Ask for output at ``rate_hz``, one of those that its record names.
 
         ``serial_port`` (1, 2) is the device's own, at which the link ends. ``timeout_s`` is for one try, of which
         each command has two.
         """
         super().__init__(device, link)
-        self._rate_hz = _legal_rate(device, rate_hz, output)
+        self._rate_hz = round(rate_hz)
         self._output, self._serial_port, self._timeout_s = output, serial_port, timeout_s
         self._decoder = vectornav.VectorNavDecoder()
         self._counts = SourceCounts()
@@ -231,13 +231,6 @@ class VectorNavImu(OneSource[ByteLink]):
                 if _answers(sentence, command):
                     return sentence, other
         return None, other
-
-
-def _legal_rate(device: str, rate_hz: float, output: Output) -> int:
-    if rate_hz not in vectornav.RATES_HZ[output]:
-        rates = ", ".join(map(str, vectornav.RATES_HZ[output]))
-        raise ValueError(f"{device}: a VectorNav has no {output} output at {rate_hz:g} Hz, only at {rates} Hz")
-    return round(rate_hz)
 
 
 def _answers(sentence: vectornav.Sentence, command: vectornav.Sentence) -> bool:

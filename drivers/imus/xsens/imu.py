@@ -45,12 +45,8 @@ class XsensImu(OneSource[XbusLink]):
         """Ask for samples at ``rate_hz``, a whole number of Hz up to 2000, in one of the four number formats.
 
         With ``configure=False`` nothing is ever sent to a device that already streams at this rate. ``timeout_s``
-        is for one try, of which each request has two. ValueError for a rate that no MTi has.
+        is for one try, of which each request has two.
         """
-        if rate_hz != round(rate_hz) or not 1 <= rate_hz <= HIGHEST_RATE_HZ:
-            raise ValueError(
-                f"{device}: an MTi sends at a whole number of Hz from 1 to {HIGHEST_RATE_HZ}, not at {rate_hz:g} Hz"
-            )
         super().__init__(device, XbusLink(device, link, timeout_s))
         self._rate_hz = round(rate_hz)
         self._format, self._configures = number_format, configure
