@@ -56,8 +56,11 @@ class Registry(Mapping[str, T]):
         self._beside = {str(getattr(record, "name", "")): record for record in beside}
 
     def beside(self, modules: Iterable[ModuleType]) -> Registry[T]:
-        """Return the registry with the records in these modules, too; a built-in name stays what it is."""
+        """Return the registry with the records in these modules, too; PluginError for a name that is taken."""
         found = [record for module in modules for record in records(module, self._kind)]
+        names = [*self._modules, *self._beside, *(str(getattr(record, "name", "")) for record in found)]
+        if taken := {name for name in names if names.count(name) > 1}:
+            raise PluginError(f"two devices are called {', '.join(sorted(taken))}: give yours a name of its own")
         return Registry(self._kind, self._group, self._modules, [*self._beside.values(), *found])
 
     def __getitem__(self, name: str) -> T:

@@ -117,14 +117,14 @@ def read_bench(
     listed = [folder / plugin for plugin in top.strings("plugins", ())]
     try:
         own = [load_file(plugin) for plugin in (*listed, *plugins)]
+        imus, tables = IMUS.beside(own), TABLES.beside(own)
     except PluginError as error:
         raise top.fail("plugins" if listed else None, str(error)) from None
-    imus = IMUS.beside(own)
     bench = Bench(
         name=name,
         text=text,
         site=_site(top),
-        table=read_table(top.table("table"), folder, TABLES.beside(own)),
+        table=read_table(top.table("table"), folder, tables),
         imus=_distinct([read_imu(t, folder, imus) for t in top.tables("imu")]),
         limits=_limits(top.table("limits", optional=True)),
         twin=_twin(top.table("twin", optional=True), folder),

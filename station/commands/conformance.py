@@ -229,7 +229,7 @@ def complaint(spec: ImuSpec | TableSpec, suite: str, plugins: Sequence[Path] = (
     own = table is spec
     axes = "zyx"[: table.most_axes] if own else "z"
     keys = "\n".join(f"{key} = {json.dumps(value)}" for key, value in faults.items())
-    values = {"table": table, "imu": imu, "axes": axes, "channels": built_in_channels(GYROS[imu.proposed.array])}
+    values = {"table": table, "imu": imu, "axes": axes, "channels": built_in_channels(GYROS.get(imu.proposed.array, 0))}
     values |= {"table_faults": keys if own else "", "imu_faults": "" if own else keys}
     bench = read_bench(rendered("station.commands", "conformance.toml", values), "conformance", plugins=plugins)
 

@@ -106,6 +106,12 @@ def test_a_plug_in_that_fails_is_one_line_with_its_name_and_the_reason(
     assert "\n" not in message
 
 
+def test_a_plug_in_may_not_take_a_name_that_is_taken(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("from drivers.tables.galil.spec import SPEC\n")
+    with pytest.raises(BenchError, match=r"plugins: two devices are called galil: give yours a name of its own"):
+        load_bench(bench(tmp_path, first='plugins = ["mine.py"]\n'))
+
+
 def test_files_in_plugins_beside_the_bench_are_taken_without_being_listed(tmp_path: Path) -> None:
     (tmp_path / "plugins").mkdir()
     (tmp_path / "plugins" / "broken.py").write_text("raise RuntimeError('not today')\n")
