@@ -1,47 +1,48 @@
-"""What drivers of tables have in common."""
+"""What drivers of tables have in common whose controllers speak lines of text."""
 
 import asyncio
+import math
+import re
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 from drivers.errors import DeviceRefused
 from drivers.protocols import ByteLink
-from drivers.requests.exchange import Exchange, Framing
-from drivers.tables.halting import bring_to_rest
+from drivers.requests.exchange import Answer, Exchange, Framing
+from drivers.tables.base import Table
+from drivers.tables.unwrap import Unwrapper
 from drivers.types import AxisLimits, AxisState
 
 _HOMING_LIMIT_S = 60.0
 
 
-class LineTable:
+class LineTable(Table):
     """A table whose controller speaks lines of text."""
+
+    _done = re.compile("")
+    """What a command is answered with that is carried out."""
 
     def __init__(
         self, device: str, link: ByteLink, framing: Framing, timeout_s: float, limits: Mapping[str, AxisLimits]
     ) -> None:
         """A request is tried twice, each for ``timeout_s``; ``limits`` are by axis."""
-        self._device, self.limits, self._timeout_s = device, limits, timeout_s
-        self._moved = ""  # the axis that was told last to move
+        super().__init__(device, limits, timeout_s)
         self._exchange = Exchange(device, link, framing, timeout_s)
         self.counts = self._exchange.counts
         """Counts of what went wrong on the link."""
-
-    async def _rest(self, lines: Callable[[str], Sequence[str]], read: Callable[[str], Awaitable[AxisState]]) -> str:
-        """Bring all axes to rest by the lines that stop one, and return what was seen."""
-        axes = sorted(self.limits, key=lambda axis: axis != self._moved)
-
-        return await bring_to_rest(
-            self._device, axes, lambda axis: self._exchange.tell_all(lines(axis)), read, self._timeout_s
-        )
 
     def close(self) -> None:
         """Drop the link."""
         self._exchange.close()
 
-    async def _wait_for_home(self, at_home: Callable[[str], Awaitable[bool]], poll_s: float) -> None:
+    async def _rest(self, lines: Callable[[str], Sequence[str]], read: Callable[[str], Awaitable[AxisState]]) -> str:
+        """Bring all axes to rest by the lines that stop one, and return what was seen."""
+        return await self._bring_to_rest(lambda axis: self._exchange.tell_all(lines(axis)), read)
+
+    async def _wait_for_home(self, poll_s: float) -> None:
         """Ask the axes until all are at home; after a minute ``_give_up_homing`` and DeviceRefused."""
         loop = asyncio.get_running_loop()
         deadline, waiting = loop.time() + _HOMING_LIMIT_S, sorted(self.limits)
-        while waiting := [axis for axis in waiting if not await at_home(axis)]:
+        while waiting := [axis for axis in waiting if not await self._at_home(axis)]:
             if loop.time() > deadline:
                 await self._give_up_homing()
                 said = f"axis {', '.join(waiting)} found no home within {_HOMING_LIMIT_S:.0f} s"
@@ -50,3 +51,26 @@ class LineTable:
 
     async def _give_up_homing(self) -> None:
         """End a homing that the controller does by itself."""
+
+    async def _tell(self, line: str) -> None:
+        """Send a command that answers nothing but that it is done."""
+        await self._ask(line, self._done)
+
+    async def _ask(self, line: str, pattern: re.Pattern[str]) -> Answer:
+        answer = await self._exchange.ask(line, pattern)
+        if answer.refused:
+            raise await self._refusal(line, answer)
+        return answer
+
+    async def _refusal(self, line: str, answer: Answer) -> DeviceRefused:
+        """Return why a line was refused."""
+        raise NotImplementedError
+
+
+def unwrapped(unwrapper: Unwrapper, position: tuple[Answer, float], rate: tuple[Answer, float]) -> AxisState:
+    """Return the state of two answers, each with its number in deg or deg/s; the angle is counted on over the turns."""
+    (at, angle_deg), (turns, rate_dps) = position, rate
+    angle_deg = unwrapper.place((at.sent_s + at.received_s) / 2, angle_deg, rate_dps)
+    return AxisState.told(
+        (at.sent_s, at.received_s, math.radians(angle_deg)), (turns.sent_s, turns.received_s, math.radians(rate_dps))
+    )

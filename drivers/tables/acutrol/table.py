@@ -16,7 +16,7 @@ from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer, Unanswered, UnexpectedReply
 from drivers.tables.acutrol import language as acutrol
 from drivers.tables.halting import kept
-from drivers.tables.line_table import LineTable
+from drivers.tables.line_table import LineTable, unwrapped
 from drivers.tables.unwrap import Unwrapper
 from drivers.types import AxisLimits, AxisState, AxisStatus, Identity
 
@@ -63,6 +63,8 @@ class _Axis:
 
 class AcutrolTable(LineTable):
     """Turntable driver over a byte link, TCP or serial."""
+
+    _done = acutrol.OK
 
     def __init__(
         self,
@@ -113,10 +115,7 @@ class AcutrolTable(LineTable):
         """Close every interlock and hold in rate mode at zero; DeviceFault if an axis is in fault."""
         await self._tell(":utility:lockout on")
         for name, axis in self._axes.items():
-            status = await self.status(name)
-            if status.fault:
-                raise DeviceFault(self._device, f"{status.fault}; clear its cause, then start with --reset-fault")
-            if status.enabled:
+            if (await self._sound(name)).enabled:
                 continue
             number = axis.own.number
             for line in (":interlock:open", ":interlock:reset", ":interlock:close"):
@@ -134,13 +133,7 @@ class AcutrolTable(LineTable):
             limits = axis.own.limits
             rate = min(math.radians(_HOMING_RATE_DPS), limits.rate_rps)
             await self.move(name, 0.0, rate, limits.acceleration_rps2)
-        await self._wait_for_home(self._at_home, _POLL_S)
-
-    async def _at_home(self, axis: str) -> bool:
-        status = await self.status(axis)
-        if status.fault:
-            raise DeviceFault(self._device, status.fault)
-        return status.target_reached
+        await self._wait_for_home(_POLL_S)
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate (rate mode) until told otherwise."""
@@ -203,16 +196,9 @@ class AcutrolTable(LineTable):
         for axis in self._axes.values():
             axis.task = None
 
-    async def reset_fault(self) -> None:
-        """Reset the interlock of every axis that is in fault; DeviceFault if one stays."""
-        for name, axis in self._axes.items():
-            if not (await self.status(name)).fault:
-                continue
-            axis.task = None
-            await self._tell(f":interlock:reset {axis.own.number}")
-            fault = (await self.status(name)).fault
-            if fault:
-                raise DeviceFault(self._device, f"{fault}; it stays after a reset, its cause is still there")
+    async def _clear_fault(self, axis: str) -> None:
+        self._axes[axis].task = None
+        await self._tell(f":interlock:reset {self._axes[axis].own.number}")
 
     async def disable(self) -> None:
         """Switch every axis off and open its interlock; the first failure is raised once all have been tried."""
@@ -378,22 +364,13 @@ class AcutrolTable(LineTable):
         own = self._axes[axis]
         position = await self._ask(f":read:position {own.own.number}", acutrol.NUMBER)
         rate = await self._ask(f":read:rate {own.own.number}", acutrol.NUMBER)
-        angle_s = (position.sent_s + position.received_s) / 2
-        angle_deg = own.unwrapper.place(angle_s, float(position.text), float(rate.text))
-        return AxisState.told(
-            (position.sent_s, position.received_s, math.radians(angle_deg)),
-            (rate.sent_s, rate.received_s, math.radians(float(rate.text))),
-        )
+        return unwrapped(own.unwrapper, (position, float(position.text)), (rate, float(rate.text)))
 
     async def _mode(self, axis: str) -> str:
         return (await self._ask(f":mode? {self._axes[axis].own.number}", acutrol.WORD)).text.lower()
 
     async def _interlock(self, axis: str) -> str:
         return (await self._ask(f":interlock? {self._axes[axis].own.number}", acutrol.WORD)).text.lower()
-
-    async def _tell(self, line: str) -> None:
-        """Send a command that is answered OK."""
-        await self._ask(line, acutrol.OK)
 
     async def _ask(self, line: str, pattern: re.Pattern[str], *, repeat: bool = True) -> Answer:
         try:

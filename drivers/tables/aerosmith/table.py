@@ -12,14 +12,13 @@ import asyncio
 import math
 import re
 
-from drivers.errors import DeviceFault, DeviceRefused
+from drivers.errors import DeviceRefused
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer, Framed, Token
-from drivers.tables.line_table import LineTable
+from drivers.tables.line_table import LineTable, unwrapped
 from drivers.tables.unwrap import Unwrapper
 from drivers.types import AxisLimits, AxisState, AxisStatus, Identity
 
-NOTHING = re.compile("")
 INTEGER = re.compile(r"(?:STA)?\s*(\d+)")
 NUMBER = re.compile(r"(?:PPO|PVE)?\s*([-+]?\d+(?:\.\d*)?)")
 
@@ -95,9 +94,7 @@ class AerosmithTable(LineTable):
 
     async def enable(self) -> None:
         """Switch the servo on; DeviceFault if the table says fault."""
-        fault = (await self.status(self._axis)).fault
-        if fault:
-            raise DeviceFault(self._device, f"{fault}; clear its cause, then start with --reset-fault")
+        await self._sound(self._axis)
         await self._tell("SRV1")
         self._servo_on = True
 
@@ -106,14 +103,11 @@ class AerosmithTable(LineTable):
         await self._set_acceleration(self.limits[self._axis].acceleration_rps2)
         await self._start("HOM")
         self._target_deg, self._jog_dps = 0.0, None
-        await self._wait_for_home(self._at_home, _POLL_S)
+        await self._wait_for_home(_POLL_S)
 
     async def _at_home(self, axis: str) -> bool:
         self._unwrapper.restart()
-        status = await self.status(axis)
-        if status.fault:
-            raise DeviceFault(self._device, status.fault)
-        return status.target_reached
+        return await super()._at_home(axis)
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn at a whole number of deg/s until told otherwise; DeviceRefused for any other rate."""
@@ -135,13 +129,7 @@ class AerosmithTable(LineTable):
         """Measure angle (PPO) and rate (PVE); each is stamped with the middle of its own round trip."""
         position = await self._ask("PPO", NUMBER)
         velocity = await self._ask("PVE", NUMBER)
-        rate = _value(velocity, NUMBER)
-        angle_s = (position.sent_s + position.received_s) / 2
-        angle = self._unwrapper.place(angle_s, _value(position, NUMBER), rate)
-        return AxisState.told(
-            (position.sent_s, position.received_s, math.radians(angle)),
-            (velocity.sent_s, velocity.received_s, math.radians(rate)),
-        )
+        return unwrapped(self._unwrapper, (position, _value(position, NUMBER)), (velocity, _value(velocity, NUMBER)))
 
     async def status(self, axis: str) -> AxisStatus:
         """Get the status word; whether a target is reached is told by angle and rate."""
@@ -168,17 +156,11 @@ class AerosmithTable(LineTable):
         self._target_deg, self._jog_dps, self._servo_on = None, None, False
         await self._rest(lambda axis: ("STO", "SRV0"), self.read)
 
-    async def reset_fault(self) -> None:
-        """Switch the servo off and on, which is all there is; DeviceFault if the table still says fault."""
-        if not (await self.status(self._axis)).fault:
-            return
-        await self._tell("SRV0")
-        await self._tell("SRV1")
-        await self._tell("SRV0")
+    async def _clear_fault(self, axis: str) -> None:
+        """Switch the servo off and on, which is all there is."""
+        for line in ("SRV0", "SRV1", "SRV0"):
+            await self._tell(line)
         self._servo_on = False
-        fault = (await self.status(self._axis)).fault
-        if fault:
-            raise DeviceFault(self._device, f"{fault}; it stays after a reset, its cause is still there")
 
     async def disable(self) -> None:
         """Switch the servo off."""
@@ -206,18 +188,12 @@ class AerosmithTable(LineTable):
         self._started_s = asyncio.get_running_loop().time()
         before = await self._exchange.get_in_step(line)
         if b"?" in before:
-            raise self._refusal(line, before.decode("ascii", "replace"))
+            raise self._refused(line, before.decode("ascii", "replace"))
 
-    async def _tell(self, line: str) -> None:
-        await self._ask(line, NOTHING)
+    async def _refusal(self, line: str, answer: Answer) -> DeviceRefused:
+        return self._refused(line, answer.text)
 
-    async def _ask(self, line: str, pattern: re.Pattern[str]) -> Answer:
-        answer = await self._exchange.ask(line, pattern)
-        if answer.refused:
-            raise self._refusal(line, answer.text)
-        return answer
-
-    def _refusal(self, line: str, text: str) -> DeviceRefused:
+    def _refused(self, line: str, text: str) -> DeviceRefused:
         return DeviceRefused(self._device, f"axis {self._axis} refuses {line!r}: {' '.join(text.split())!r}")
 
 

@@ -1,7 +1,6 @@
 """A turntable on a Galil DMC motion controller: up to eight axes on one controller, told apart by letter."""
 
 import math
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -93,10 +92,7 @@ class GalilTable(LineTable):
     async def enable(self) -> None:
         """Switch every motor on where it stands; DeviceFault if an axis is in fault or its motor stays off."""
         for axis, own in self._axes.items():
-            status = await self.status(axis)
-            if status.fault:
-                raise DeviceFault(self._device, f"{status.fault}; clear its cause, then start with --reset-fault")
-            if status.enabled:
+            if (await self._sound(axis)).enabled:
                 continue
             await self._tell(f"OE{own.letter}=1")
             if own.error_limit_rad is not None:
@@ -116,7 +112,7 @@ class GalilTable(LineTable):
             await self._tell(f"JG{own.letter}={rate}" if self._homing == "FI" else f"SP{own.letter}={rate}")
             await self._tell(f"{self._homing}{own.letter}")
         await self._begin(self._axes)
-        await self._wait_for_home(self._at_home, _POLL_S)
+        await self._wait_for_home(_POLL_S)
         for axis, own in self._axes.items():
             await self._tell(f"DP{own.letter}=0")
             if own.limits.travel_rad is not None:
@@ -244,7 +240,7 @@ class GalilTable(LineTable):
         line = "BG" + "".join(sorted(self._axes[axis].letter for axis in names))
         answer = await self._exchange.ask(line, galil.NOTHING)
         if answer.refused:
-            error = await self._refusal(line)
+            error = await self._refusal(line, answer)
             if not (answer.repeated and error.code == galil.RUNNING):
                 for axis in names:
                     self._jogs.pop(axis, None)
@@ -310,17 +306,7 @@ class GalilTable(LineTable):
     def _counts(self, axis: str, turns_rad: float) -> int:
         return round(turns_rad / TURN * self._axes[axis].counts_per_turn)
 
-    async def _tell(self, line: str) -> None:
-        """Send a command that answers nothing but that it is done."""
-        await self._ask(line, galil.NOTHING)
-
-    async def _ask(self, line: str, pattern: re.Pattern[str]) -> Answer:
-        answer = await self._exchange.ask(line, pattern)
-        if answer.refused:
-            raise await self._refusal(line)
-        return answer
-
-    async def _refusal(self, line: str) -> _RefusedError:
+    async def _refusal(self, line: str, answer: Answer) -> _RefusedError:
         """Return why a line was refused. TC1 tells of the last refused line and forgets it."""
         reason = await self._exchange.ask("TC1", galil.TEXT)
         code, words = galil.error_of("" if reason.refused else reason.text)

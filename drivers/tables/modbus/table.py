@@ -7,7 +7,8 @@ from dataclasses import astuple, dataclass
 from functools import partial
 
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
-from drivers.tables.halting import bring_to_rest, kept
+from drivers.tables.base import Table
+from drivers.tables.halting import kept
 from drivers.tables.modbus import cia402
 from drivers.tables.modbus.line import Address, ModbusLine, Reply
 from drivers.tables.modbus.order import LineCounts, Request
@@ -35,14 +36,15 @@ class DriveAxis:
     address: Address | None = None
 
 
-class ModbusTable:
+class ModbusTable(Table):
     """Turntable driver over a stock pymodbus client."""
 
     def __init__(
         self, device: str, address: Address, profile: DriveProfile, axes: Mapping[str, DriveAxis], timeout_s: float
     ) -> None:
         """Name the peer; it is connected by ``open``. A request is tried twice within two ``timeout_s``."""
-        self._device, self._profile = device, profile
+        super().__init__(device, {name: axis.limits for name, axis in axes.items()}, timeout_s)
+        self._profile = profile
         self._axes = dict(axes)
         probes: dict[Address, dict[int, list[Request]]] = {}
         for axis, drive in self._axes.items():
@@ -50,14 +52,7 @@ class ModbusTable:
             probes.setdefault(drive.address or address, {})[drive.unit_id] = harmless
         lines = {where: ModbusLine(device, where, timeout_s, reads) for where, reads in probes.items()}
         self._lines = {axis: lines[drive.address or address] for axis, drive in self._axes.items()}
-        self._timeout_s = timeout_s
         self._ready: set[str] = set()  # axes to which what the profile says was written since their line was opened
-        self._moved = ""  # the axis that was told last to move
-
-    @property
-    def limits(self) -> Mapping[str, AxisLimits]:
-        """Limits by axis."""
-        return {name: axis.limits for name, axis in self._axes.items()}
 
     @property
     def counts(self) -> LineCounts:
@@ -91,9 +86,7 @@ class ModbusTable:
     async def enable(self) -> None:
         """Walk every drive to Operation enabled; DeviceFault if it is in fault, DeviceRefused if it stays."""
         for axis in self._axes:
-            status = await self.status(axis)
-            if status.fault:
-                raise DeviceFault(self._device, f"{status.fault}; clear its cause, then start with --reset-fault")
+            await self._sound(axis)
             await self._leave_quick_stop(axis)
             steps = (
                 ("shutdown", cia402.DriveState.READY_TO_SWITCH_ON),
@@ -196,8 +189,7 @@ class ModbusTable:
 
     async def _rest(self, command: str) -> str:
         """Tell all drives, asking nothing first; what one answers does not keep the others from being told."""
-        axes = sorted(self._axes, key=lambda axis: axis != self._moved)
-        return await bring_to_rest(self._device, axes, partial(self._tell, command), self.read, self._timeout_s)
+        return await self._bring_to_rest(partial(self._tell, command), self.read)
 
     async def _tell(self, command: str, axis: str) -> None:
         """Send a command at once, also to a drive that does not take what the profile says of a new connection."""
@@ -209,17 +201,13 @@ class ModbusTable:
             await self._make_ready(axis)
         await line.tell(self._writing(axis, "controlword", self._profile.commands[command]))
 
-    async def reset_fault(self) -> None:
-        """Clear the fault of every drive that has one; DeviceFault if one stays."""
-        for axis in self._axes:
-            if not (await self.status(axis)).fault:
-                continue
-            await self._write(axis, "controlword", 0)  # the reset acts on a rising edge
-            await self._command(axis, "fault_reset")
-            try:
-                await self._wait_for_state(axis, cia402.DriveState.SWITCH_ON_DISABLED)
-            except DeviceRefused:
-                raise DeviceFault(self._device, f"axis {axis} stays in fault: its cause is still there") from None
+    async def _clear_fault(self, axis: str) -> None:
+        await self._write(axis, "controlword", 0)  # the reset acts on a rising edge
+        await self._command(axis, "fault_reset")
+        try:
+            await self._wait_for_state(axis, cia402.DriveState.SWITCH_ON_DISABLED)
+        except DeviceRefused:
+            raise DeviceFault(self._device, f"axis {axis} stays in fault: its cause is still there") from None
 
     async def disable(self) -> None:
         """Take power off every drive, and see that it is off; DeviceRefused if one stays energised.
