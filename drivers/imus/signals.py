@@ -16,20 +16,7 @@ from drivers.types import Flags, Floats, Ints, Octets
 MessageKey = tuple[int, bool]
 """What tells a message on the bus: its identifier, or the number of its parameter group; whether 29 bits are meant."""
 
-_DEG = np.pi / 180
-UNITS = {
-    "rate": {
-        "deg/s": _DEG,
-        "rad/s": 1.0,
-        "mdeg/s": 1e-3 * _DEG,
-        "mrad/s": 1e-3,
-        "deg/h": _DEG / 3600,
-        "rpm": np.pi / 30,
-    },
-    "acceleration": {"m/s2": 1.0, "g": 9.80665, "mm/s2": 1e-3, "mg": 9.80665e-3},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "temperature": {"degC": 1.0, "K": 1.0, "": 1.0},
-}
+UNITS: dict[str, dict[str, float]] = packaged_toml("drivers", "codes.toml")["unit"]["si"]
 """What a signal can be, and the size in SI of the units it may have; a temperature without any is in degC."""
 _KELVIN = 273.15
 _SPELLINGS: dict[str, str] = packaged_toml("drivers", "codes.toml")["unit"]["spelling"]

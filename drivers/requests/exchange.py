@@ -77,10 +77,8 @@ class Framing(Protocol):
 class ExchangeCounts:
     """What went wrong on the way; ``discarded`` are bytes that answered nothing."""
 
-    requests: int = 0
     timeouts: int = 0
     malformed: int = 0
-    resyncs: int = 0
     discarded: int = 0
 
 
@@ -218,7 +216,6 @@ class Exchange:
             await self._resync()
 
     async def _once(self, line: str, pattern: re.Pattern[str], repeated: bool) -> Answer:
-        self.counts.requests += 1
         sent_s = asyncio.get_running_loop().time()
         self._write(self._framing.request(line))
         received = b""
@@ -244,7 +241,6 @@ class Exchange:
 
     async def _resync(self) -> bytes:
         """Return the last of what came before the answer to a token."""
-        self.counts.resyncs += 1
         before = b""
         while True:
             token = self._framing.token()

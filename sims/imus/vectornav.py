@@ -1,7 +1,6 @@
 """Twin of a VectorNav VN-100: its registers, and its gyros as ASCII sentences and binary frames on a byte link."""
 
 import asyncio
-import random
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -14,7 +13,7 @@ from drivers.packaged import packaged_codes, packaged_toml
 from drivers.types import Floats, Ints
 from sims.physics.geometry import tilt_deg, upright
 from sims.physics.gyro import GyroArray
-from sims.wires.burst import burst_of
+from sims.wires.burst import burst_of, copies_sent
 from sims.wires.frames import NodeFaults
 from sims.wires.line_controller import Refused
 
@@ -76,7 +75,7 @@ class VectorNavDevice:
         self.range_rps = float(_GYRO_RANGE_RPS)
         self._gyros, self._write, self._up = gyros, write, up or upright
         self._decoder = vectornav.VectorNavDecoder(binary=False)
-        self._random = random.Random(serial)
+        self._random = np.random.default_rng(list(serial.encode()))
         self._ticks_per_sample = vectornav.IMU_RATE_HZ // round(rate_hz)
         self._tick_s = 1 / (vectornav.IMU_RATE_HZ * (1 + self.faults.clock_ppm * 1e-6))
         self._identity = {1: ("VN-100S-CR",), 2: ("7",), 3: (serial,), 4: ("2.1.0.0",)}
@@ -148,14 +147,8 @@ class VectorNavDevice:
                 held = rows[(ticks - after) // self._ticks_per_sample]
                 sent += zip(ticks.tolist(), encode(held, ticks * _TICK_NS - self._zero_ns), strict=True)
         sent.sort(key=lambda output: output[0])
-        return b"".join(data * self._times() for _, data in sent)
-
-    def _times(self) -> int:
-        """Return how many times the next output is sent."""
-        lost, doubled = self.faults.dropped, self.faults.doubled
-        if lost and self._random.random() < lost:
-            return 0
-        return 2 if doubled and self._random.random() < doubled else 1
+        copies = copies_sent(self._random, len(sent), self.faults.dropped, self.faults.doubled)
+        return b"".join(data * times for (_, data), times in zip(sent, copies.tolist(), strict=True))
 
     def _periodic(self) -> list[tuple[int, Callable[[Floats, Ints], list[bytes]]]]:
         """Return what is set to be sent by itself: its period in ticks, and how measured rows become bytes."""

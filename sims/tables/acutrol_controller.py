@@ -6,8 +6,9 @@ a rate demand of long ago still holds when rate mode is entered. The prefix of a
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
+from drivers.packaged import packaged_toml
 from sims.physics.table import TableModel
 from sims.tables.acutrol_axis import LIMITED_MODES, AclError, AcutrolAxisTwin
 from sims.wires.line_controller import LineController, number
@@ -15,14 +16,7 @@ from sims.wires.line_controller import LineController, number
 _VTRIP = 1.1
 _JERK_DPS3 = 100_000.0
 
-_WORDS = {
-    "utility": ("lockout",),
-    "interlock": ("open", "close", "reset"),
-    "mode": ("off", "rate", "position", "synthesis", "absolute"),
-    "demand": ("rate", "position", "delta", "acceleration"),
-    "read": ("rate", "position", "acceleration"),
-    "limit": ("rate", "acceleration", "absolute"),
-}
+_WORDS: dict[str, list[str]] = packaged_toml("sims", "codes.toml")["acutrol"]
 
 
 class AcutrolController(LineController):
@@ -131,7 +125,7 @@ class AcutrolController(LineController):
             axis.power_down()
 
 
-def _full(word: str, words: Mapping[str, object] | tuple[str, ...]) -> str:
+def _full(word: str, words: Iterable[str]) -> str:
     """Return the word that a short form means: the first that begins with it."""
     for full in words:
         if word and full.startswith(word):

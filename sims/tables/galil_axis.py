@@ -2,15 +2,14 @@
 
 import math
 
+from drivers.packaged import packaged_toml
 from drivers.tables.galil import language as galil
 from sims.physics.table import FOLLOWING_ERROR, TableModel
 from sims.wires.line_controller import Refused
 
 TURN = 2 * math.pi
 _LARGEST_COUNT = 2**31 - 1
-_LARGEST_RATE = 12_000_000
-_LARGEST_ACCELERATION = 67_107_840
-_MOST_TORQUE_V = 9.9982
+_SETTINGS: dict[str, tuple[float, float, float]] = packaged_toml("sims", "codes.toml")["galil"]["axis"]
 
 
 class GalilAxisTwin:
@@ -27,11 +26,7 @@ class GalilAxisTwin:
         self._stop_code = galil.AT_TARGET
         self._moving = False
         self.motor_off = True
-        self._settings: dict[str, float] = {
-            "JG": 25000, "PA": 0, "PR": 0, "SP": 25000, "AC": 256000, "DC": 256000,
-            "ER": 16384, "OE": 0, "FL": _LARGEST_COUNT, "BL": -_LARGEST_COUNT - 1,
-            "TL": _MOST_TORQUE_V,
-        }  # fmt: skip
+        self._settings = {word: delivered for word, (delivered, _, _) in _SETTINGS.items()}
 
     def update(self) -> None:
         """Let what has happened since the last look take effect."""
@@ -214,14 +209,6 @@ class GalilAxisTwin:
         return angle_rad / TURN * self._per_turn
 
     def _check_range(self, word: str, value: float) -> None:
-        low, high = {
-            "SP": (0, _LARGEST_RATE),
-            "JG": (-_LARGEST_RATE, _LARGEST_RATE),
-            "AC": (1024, _LARGEST_ACCELERATION),
-            "DC": (1024, _LARGEST_ACCELERATION),
-            "ER": (-1, _LARGEST_COUNT),
-            "OE": (0, 3),
-            "TL": (0, _MOST_TORQUE_V),
-        }.get(word, (-_LARGEST_COUNT - 1, _LARGEST_COUNT))
+        _, low, high = _SETTINGS.get(word, (0, -_LARGEST_COUNT - 1, _LARGEST_COUNT))
         if not low <= value <= high:
             raise Refused(galil.OUT_OF_RANGE)

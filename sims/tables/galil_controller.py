@@ -22,7 +22,7 @@ _REVISION = "\x12\x16"
 _WORDS = packaged_codes("sims", "galil", "error")
 _KNOWN = packaged_toml("sims", "codes.toml")["galil"]
 _TELL = ("TP", "TV", "TE", "TS", "SC", "TD", "TT")
-_SETTINGS = ("JG", "PA", "PR", "SP", "AC", "DC", "ER", "OE", "FL", "BL", "DP", "TL")
+_SETTINGS = (*_KNOWN["axis"], "DP")
 _IN_VOLTS = ("TT", "TL")
 
 

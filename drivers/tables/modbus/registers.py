@@ -7,8 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from drivers.packaged import packaged_toml
+
 PROFILE_FOLDER = Path(__file__).with_name("profiles")
 
+_REQUIRED = packaged_toml("drivers", "codes.toml")["modbus"]["required"]
 _BITS = {"i8": 8, "u8": 8, "u16": 16, "i16": 16, "i32": 32, "u32": 32}
 _UNITS = ("", "turn", "turn/s", "turn/s2")
 
@@ -100,24 +103,6 @@ class DriveProfile:
         return self.registers[name]
 
 
-REQUIRED_REGISTERS = (
-    "controlword",
-    "statusword",
-    "mode",
-    "position",
-    "rate",
-    "target_position",
-    "profile_rate",
-    "acceleration",
-    "deceleration",
-    "homing_method",
-    "homing_rate_1",
-    "homing_rate_2",
-    "target_rate",
-)
-REQUIRED_COMMANDS = ("shutdown", "switch_on", "enable", "quick_stop", "fault_reset", "home", "move_arm", "move_go")
-
-
 def load_profile(name_or_path: str) -> DriveProfile:
     """Return a profile that ships with the station by name, or one from a .toml file by path; ProfileError."""
     path = Path(name_or_path)
@@ -147,8 +132,8 @@ def load_profile(name_or_path: str) -> DriveProfile:
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ProfileError(f"drive profile {path} lacks or misspells {error}") from None
-    missing = [r for r in REQUIRED_REGISTERS if r not in registers]
-    missing += [c for c in REQUIRED_COMMANDS if c not in profile.commands]
+    missing = [name for name in _REQUIRED["registers"] if name not in registers]
+    missing += [name for name in _REQUIRED["commands"] if name not in profile.commands]
     missing += [f"the register {name} of [[on_open]]" for name, _ in profile.on_open if name not in registers]
     if missing:
         raise ProfileError(f"drive profile {path} lacks {', '.join(missing)}")
