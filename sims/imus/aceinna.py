@@ -27,7 +27,6 @@ class AceinnaDevice:
         model: str = "openimu300ri",
         axis_order: aceinna.AxisOrder | None = None,
         address: int = aceinna.DEFAULT_ADDRESS,
-        orientation_bytes: aceinna.ByteOrder = "little",
         version: bytes = bytes([19, 1, 51, 2, 1]),
         name: aceinna.Name | None = None,
         faults: NodeFaults | None = None,
@@ -39,7 +38,7 @@ class AceinnaDevice:
         """
         self._gyros, self._bus = gyros, bus
         self._order: aceinna.AxisOrder = axis_order or aceinna.AXIS_ORDERS[model]
-        self._address, self._orientation_bytes = address, orientation_bytes
+        self._address = address
         self._specific_force = specific_force
         self.faults = faults or NodeFaults()
         self.saved = 0
@@ -119,7 +118,7 @@ class AceinnaDevice:
             good = len(values) == 2 and set(values) <= set(aceinna.FILTERS_HZ)
             values = values[::-1]  # asked, it tells the accelerometer's first
         elif group == aceinna.ORIENTATION:
-            good = len(values) == 2 and int.from_bytes(values, self._orientation_bytes) in aceinna.ORIENTATIONS
+            good = len(values) == 2 and int.from_bytes(values, "little") in aceinna.ORIENTATIONS
         else:
             return
         if good:

@@ -27,7 +27,6 @@ from drivers.imus.aceinna.codec import (
     SOFTWARE_VERSION,
     SSI2,
     Name,
-    Settings,
     command,
     decode_accelerations,
     decode_rates,
@@ -38,6 +37,7 @@ from drivers.imus.aceinna.codec import (
     identifier,
     message,
     request,
+    settings,
 )
 from drivers.imus.aceinna.imu import AceinnaImu
 from drivers.imus.signals import parameter_group
@@ -120,30 +120,16 @@ def test_every_vector_is_looked_at() -> None:
 
 
 def test_settings_make_the_documented_commands() -> None:
-    settings = Settings(100.0, ("ssi2", "ari", "accs"), 50, 5, 0x16C)
-    assert [(f"{group:04X}", values.hex()) for group, values in settings.commands()] == [
-        ("FF55", "01"),
-        ("FF56", "0700"),
-        ("FF57", "3205"),
-        ("FF58", "6c01"),
-    ]
-    assert Settings(orientation=0x16C, orientation_bytes="big").commands() == [(ORIENTATION, b"\x01\x6c")]
+    assert [(f"{group:04X}", values.hex()) for group, values in settings(50.0)] == [("FF55", "02"), ("FF56", "0600")]
 
 
 @pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"rate_hz": 33.0}, "33 Hz: the device sends at 100, 50, 25, 20, 10, 5, 4, 2 Hz"),
-        ({"rate_hz": 0.0}, "rate 0 Hz"),
-        ({"packets": ("mag",)}, "the device has ssi2, ari, accs"),
-        ({"rate_filter_hz": 7, "accel_filter_hz": 5}, "filter 7 Hz"),
-        ({"rate_filter_hz": 5}, "give both or none"),
-        ({"orientation": 1}, "0x0001 is none of the 24"),
-    ],
+    ("rate_hz", "message"),
+    [(33.0, "33 Hz: the device sends at 100, 50, 25, 20, 10, 5, 4, 2 Hz"), (0.0, "rate 0 Hz")],
 )
-def test_what_the_device_cannot_do_is_refused_before_it_is_asked(wrong: dict[str, Any], message: str) -> None:
+def test_what_the_device_cannot_do_is_refused_before_it_is_asked(rate_hz: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Settings(**wrong)
+        AceinnaImu("imu", CanLink("imu", "memory", wire(), {}), rate_hz, configure=True)
 
 
 @given(st.lists(st.integers(0, 0xFFFF), min_size=3, max_size=3))
@@ -174,7 +160,8 @@ def with_twin(
     model: str = "openimu300ri",
     twin_model: str | None = None,
     rate_hz: float = 100.0,
-    settings: Settings | None = None,
+    configure: bool = False,
+    obstinate: bool = False,
     faults: NodeFaults | None = None,
     listening: bool = True,
     standard_requests: bool = False,
@@ -195,12 +182,14 @@ def with_twin(
         )
 
         def hear(msg: can.Message) -> None:
+            if obstinate and msg.arbitration_id >> 8 & 0xFFFF == RATE_DIVIDER:
+                return  # this one keeps its rate
             if standard_requests and msg.arbitration_id >> 8 & 0xFF00 == 0xEA00:
                 msg.data = msg.data[::-1]  # this one reads what the standard says
             device.received(msg)
 
         ear = MemoryBus(name, hear if listening else (lambda msg: None))
-        imu = AceinnaImu("imu", CanLink("imu", "memory", name, {}), rate_hz, model=model, settings=settings)
+        imu = AceinnaImu("imu", CanLink("imu", "memory", name, {}), rate_hz, model=model, configure=configure)
         task = asyncio.create_task(device.serve())
         try:
             return await main(imu, device, bus)
@@ -289,13 +278,11 @@ def test_a_device_that_does_not_answer_stays_unknown_within_a_second_and_still_m
 
 
 def test_settings_are_sent_and_kept() -> None:
-    settings = Settings(50.0, ("ari", "accs"), 40, 10, 0x16C)
-
     async def main(imu: AceinnaImu, device: AceinnaDevice, bus: MemoryBus) -> Any:
         await imu.open()
         return (await collect(imu, 2.0))["imu"]
 
-    block = with_twin(main, rate_hz=50.0, settings=settings)
+    block = with_twin(main, rate_hz=50.0, configure=True)
     np.testing.assert_allclose(np.diff(block.t_ns), 20_000_000, atol=2)
 
 
@@ -303,9 +290,8 @@ def test_a_setting_that_the_device_does_not_take_is_said_with_what_it_keeps() ->
     async def main(imu: AceinnaImu, device: AceinnaDevice, bus: MemoryBus) -> None:
         await imu.open()
 
-    with pytest.raises(DeviceRefused, match="imu: setting FF58: asked for 6c 01, the device keeps 00 00"):
-        with_twin(main, settings=Settings(orientation=0x16C), orientation_bytes="big")
-    with_twin(main, settings=Settings(orientation=0x16C, orientation_bytes="big"), orientation_bytes="big")
+    with pytest.raises(DeviceRefused, match="imu: setting FF55: asked for 02, the device keeps 01"):
+        with_twin(main, rate_hz=50.0, configure=True, obstinate=True)
 
 
 def test_settings_for_a_device_that_is_not_there_end_in_a_lost_link() -> None:
@@ -313,7 +299,7 @@ def test_settings_for_a_device_that_is_not_there_end_in_a_lost_link() -> None:
         await imu.open()
 
     with pytest.raises(LinkLost, match="imu: no answer from J1939 address 0x80 about setting FF55"):
-        with_twin(main, settings=Settings(rate_hz=50.0), listening=False)
+        with_twin(main, rate_hz=50.0, configure=True, listening=False)
 
 
 def test_a_late_answer_from_before_is_not_taken_for_what_the_device_has_now() -> None:

@@ -34,7 +34,6 @@ PACKETS = {"ssi2": 1, "ari": 2, "accs": 4}
 AxisOrder = Literal["xyz", "sae"]
 AXIS_ORDERS: dict[str, AxisOrder] = {"openimu300ri": "xyz", "mtlt305d": "sae"}
 """Order of the fields by model: SAE J1939-71 puts pitch before roll and lateral before longitudinal, y before x."""
-ByteOrder = Literal["little", "big"]
 
 _COLUMNS: dict[AxisOrder, tuple[int, int, int]] = {"xyz": (0, 1, 2), "sae": (1, 0, 2)}
 _PRIORITIES = {SSI2: 3, ARI: 3, ACCS: 2}
@@ -73,48 +72,16 @@ def command(group: int, destination: int, values: bytes, source: int) -> Frame:
     return message(group, bytes([destination]) + values, source)
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What the device is to do; None leaves it as it is. Nothing is saved: a power cycle undoes it.
+def settings(rate_hz: float) -> list[tuple[int, bytes]]:
+    """Return (parameter group, values) of each set request for rates and accelerations at ``rate_hz``.
 
-    ``orientation`` is one of ``ORIENTATIONS``; whether its two bytes go low or high first is told differently by
-    the documentation (little) and by Aceinna's own software (big).
+    Nothing is saved: a power cycle undoes it. ValueError for a rate that the device does not have.
     """
-
-    rate_hz: float | None = None
-    packets: tuple[str, ...] | None = None
-    rate_filter_hz: int | None = None
-    accel_filter_hz: int | None = None
-    orientation: int | None = None
-    orientation_bytes: ByteOrder = "little"
-
-    def __post_init__(self) -> None:
-        """ValueError for what the device cannot do."""
-        if self.rate_hz is not None and self.rate_hz not in RATES_HZ:
-            rates = ", ".join(f"{rate_hz:g}" for rate_hz in RATES_HZ)
-            raise ValueError(f"rate {self.rate_hz:g} Hz: the device sends at {rates} Hz")
-        if self.packets is not None and not set(self.packets) <= set(PACKETS):
-            raise ValueError(f"packets {', '.join(self.packets)}: the device has {', '.join(PACKETS)}")
-        for cutoff_hz in (self.rate_filter_hz, self.accel_filter_hz):
-            if cutoff_hz is not None and cutoff_hz not in FILTERS_HZ:
-                raise ValueError(f"filter {cutoff_hz} Hz: the device has {', '.join(map(str, FILTERS_HZ))} Hz")
-        if (self.rate_filter_hz is None) != (self.accel_filter_hz is None):
-            raise ValueError("the filters of rate and acceleration are set together: give both or none")
-        if self.orientation is not None and self.orientation not in ORIENTATIONS:
-            raise ValueError(f"orientation {self.orientation:#06x} is none of the 24 that the device has")
-
-    def commands(self) -> list[tuple[int, bytes]]:
-        """Return (parameter group, values) of each set request."""
-        out = []
-        if self.rate_hz is not None:
-            out.append((RATE_DIVIDER, bytes([round(INTERNAL_RATE_HZ / self.rate_hz)])))
-        if self.packets is not None:
-            out.append((PACKET_TYPES, bytes([sum(PACKETS[name] for name in set(self.packets)), 0])))
-        if self.rate_filter_hz is not None and self.accel_filter_hz is not None:
-            out.append((FILTERS, bytes([self.rate_filter_hz, self.accel_filter_hz])))
-        if self.orientation is not None:
-            out.append((ORIENTATION, self.orientation.to_bytes(2, self.orientation_bytes)))
-        return out
+    if rate_hz not in RATES_HZ:
+        rates = ", ".join(f"{rate:g}" for rate in RATES_HZ)
+        raise ValueError(f"rate {rate_hz:g} Hz: the device sends at {rates} Hz")
+    divider = round(INTERNAL_RATE_HZ / rate_hz)
+    return [(RATE_DIVIDER, bytes([divider])), (PACKET_TYPES, bytes([PACKETS["ari"] | PACKETS["accs"], 0]))]
 
 
 @dataclass(frozen=True, slots=True)

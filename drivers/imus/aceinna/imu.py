@@ -33,16 +33,17 @@ class AceinnaImu(OneSource[FrameLink]):
         axis_order: aceinna.AxisOrder | None = None,
         address: int = aceinna.DEFAULT_ADDRESS,
         own_address: int = 0,
-        settings: aceinna.Settings | None = None,
+        configure: bool = False,
     ) -> None:
         """Expect messages at ``rate_hz`` from J1939 address ``address``.
 
-        ``model`` is one of ``AXIS_ORDERS`` and decides the order of axes unless ``axis_order`` says it;
-        ``settings`` are sent when the link is opened.
+        ``model`` is one of ``AXIS_ORDERS`` and decides the order of axes unless ``axis_order`` says it; with
+        ``configure`` it is set to this rate when the link is opened. ValueError for a rate that it does not have.
         """
         super().__init__(device, link)
         self._order: aceinna.AxisOrder = axis_order or aceinna.AXIS_ORDERS[model]
-        self._address, self._own_address, self._settings = address, own_address, settings
+        self._address, self._own_address = address, own_address
+        self._settings = aceinna.settings(rate_hz) if configure else []
         self._styles: tuple[bool, ...] = (False, True)  # ways of writing a request: Aceinna's, the standard's
         self._place = 0
         self._before = 0
@@ -65,7 +66,7 @@ class AceinnaImu(OneSource[FrameLink]):
         LinkLost if it does not answer when asked for what it has taken.
         """
         await super().open()
-        for group, values in self._settings.commands() if self._settings is not None else ():
+        for group, values in self._settings:
             await self._set(group, values)
 
     async def identify(self) -> Identity:
@@ -101,7 +102,7 @@ class AceinnaImu(OneSource[FrameLink]):
         answer: bytes | None = None
         for _ in range(_TRIES):
             answer = await self._ask(group)
-            if answer is not None and _agree(group, values, answer[1:]):
+            if answer is not None and answer[1:] == values:
                 return
         if answer is None:
             raise LinkLost(
@@ -163,11 +164,6 @@ class AceinnaImu(OneSource[FrameLink]):
         values = np.column_stack([np.radians(rates), temperature, accel])
         samples = [(piece.t_ns, row, piece.data) for piece, row in zip(pieces, values, strict=True)]
         return regular_block(self._clock, samples, gyros=3, everything=everything)
-
-
-def _agree(group: int, asked: bytes, told: bytes) -> bool:
-    """Return whether the device has what was asked for; it tells its two filters in the other order."""
-    return told == asked or (group == aceinna.FILTERS and told == asked[::-1])
 
 
 def _measured(values: Floats, saturated: Flags) -> Floats:
