@@ -42,7 +42,6 @@ class Stim300Device(LineDevice):
         accel_range_g: int = 10,
         line_termination: bool = False,
         serial: str = "N25582405002002",
-        part_number: str = "84167-440000-3321",
         specific_force_g: Callable[[Floats], Floats] | None = None,
         faults: NodeFaults | None = None,
         cold: bool = False,
@@ -63,7 +62,6 @@ class Stim300Device(LineDevice):
             accel_range_g,
             line_termination,
             serial,
-            part_number,
         )
         super().__init__(write)
         self.faults = faults or NodeFaults()

@@ -34,7 +34,7 @@ class Settings:
     accel_range_g: int
     line_termination: bool
     serial: str
-    part_number: str
+    part_number: str = "84167-440000-3321"
     revision: str = "K"
     firmware: str = "SWD12404 REV 0"
     hardware: str = "M5728 REV 11"

@@ -98,7 +98,3 @@ class TableModel:
         self.pressed[axis] = direction
         if self.rate_rps(axis) * direction > 0:
             self.stop(axis)
-
-    def release_limit(self, axis: str) -> None:
-        """Let go of the limit switch of an axis."""
-        self.pressed.pop(axis, None)

@@ -304,7 +304,7 @@ def test_a_limit_switch_stops_the_axis_and_is_told_with_its_codes() -> None:
                 await made.table.jog("y", -30 * DEG, 30 * DEG)
             await made.table.jog("y", 30 * DEG, 30 * DEG)  # away from it
             await asyncio.sleep(1.0)
-            made.model.release_limit("y")
+            made.model.pressed.clear()
             assert (await made.table.status("y")).fault == ""
 
     virtually(main)

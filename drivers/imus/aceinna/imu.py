@@ -18,6 +18,7 @@ _GATHER_S = 0.03
 _ANSWER_S = 0.2
 _TRIES = 3
 _LENGTH = 8
+_OWN_ADDRESS = 0  # of the station on J1939
 
 
 class AceinnaImu(OneSource[FrameLink]):
@@ -32,7 +33,6 @@ class AceinnaImu(OneSource[FrameLink]):
         model: str = "openimu300ri",
         axis_order: aceinna.AxisOrder | None = None,
         address: int = aceinna.DEFAULT_ADDRESS,
-        own_address: int = 0,
         configure: bool = False,
     ) -> None:
         """Expect messages at ``rate_hz`` from J1939 address ``address``.
@@ -42,7 +42,7 @@ class AceinnaImu(OneSource[FrameLink]):
         """
         super().__init__(device, link)
         self._order: aceinna.AxisOrder = axis_order or aceinna.AXIS_ORDERS[model]
-        self._address, self._own_address = address, own_address
+        self._address = address
         self._settings = aceinna.settings(rate_hz) if configure else []
         self._styles: tuple[bool, ...] = (False, True)  # ways of writing a request: Aceinna's, the standard's
         self._place = 0
@@ -98,7 +98,7 @@ class AceinnaImu(OneSource[FrameLink]):
 
     async def _set(self, group: int, values: bytes) -> None:
         """Send a set request and ask until the device says that it has it: an answer may be from before."""
-        self._link.send(aceinna.command(group, self._address, values, self._own_address))
+        self._link.send(aceinna.command(group, self._address, values, _OWN_ADDRESS))
         answer: bytes | None = None
         for _ in range(_TRIES):
             answer = await self._ask(group)
@@ -117,7 +117,7 @@ class AceinnaImu(OneSource[FrameLink]):
     async def _ask(self, group: int) -> bytes | None:
         """Return the device's answer to a request, or None if there is none in time, in either way of asking."""
         for standard in self._styles:
-            self._link.send(aceinna.request(group, self._address, self._own_address, standard=standard))
+            self._link.send(aceinna.request(group, self._address, _OWN_ADDRESS, standard=standard))
             if (answer := await self._answer(group)) is not None:
                 self._styles = (standard,)
                 return answer

@@ -83,7 +83,6 @@ class Configuration:
         line_termination: bool = False,
         bit_rate: int = 921600,
         gyro_unit: int = 0,
-        accel_unit: int = 0,
         accel_range_g: int = 10,
         revision: str = "K",
         firmware: int = 0,
@@ -94,7 +93,7 @@ class Configuration:
         flags = (pps << 4) | (temperature << 3) | (inclinometer << 2) | (accelerometer << 1) | line_termination
         data[2] = RATES_HZ.index(rate_hz) << 5 | flags
         data[3] = (BIT_RATES.index(bit_rate) if bit_rate in BIT_RATES else _USER_BIT_RATE) << 4
-        data[4], data[7], data[10] = _ALL_AXES | gyro_unit, _ALL_AXES | accel_unit, _ALL_AXES
+        data[4], data[7], data[10] = _ALL_AXES | gyro_unit, _ALL_AXES, _ALL_AXES
         data[5] = data[8] = data[11] = 0x44
         data[6] = data[9] = data[12] = 0x40
         data[13] = pps << 3

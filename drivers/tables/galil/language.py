@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 from drivers.packaged import packaged_codes
 from drivers.requests.exchange import Framed, Token
-from drivers.tables.galil.flags import flag
 
 LONGEST_LINE = 80
 
@@ -37,8 +36,9 @@ _REVISION = re.compile(r"(\S+)\s+Rev\S*\s+(\S+)")
 _PROMPT = re.compile(rb"(?:\A|[\r\n])([:?])")
 
 
-def _word(switches: Switches) -> int:
-    return switches.word
+def _flag(mask: int, what: str, *, when_low: bool = False) -> property:
+    """Return a property: whether a bit of the word is set, or not set where that is what it says ``when_low``."""
+    return property(lambda switches: bool(switches.word & mask) is not when_low, doc=what)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +47,12 @@ class Switches:
 
     word: int
 
-    moving = flag(_word, 0x80, "Whether a motion is under way.")
-    error_exceeded = flag(_word, 0x40, "Whether the following error is beyond ER.")
-    motor_off = flag(_word, 0x20, "Whether the motor is off.")
-    forward_limit = flag(_word, 0x08, "Whether the forward limit switch is pressed.", when_low=True)
-    reverse_limit = flag(_word, 0x04, "Whether the reverse limit switch is pressed.", when_low=True)
-    latched = flag(_word, 0x01, "Whether the position latch has caught.", when_low=True)
+    moving = _flag(0x80, "Whether a motion is under way.")
+    error_exceeded = _flag(0x40, "Whether the following error is beyond ER.")
+    motor_off = _flag(0x20, "Whether the motor is off.")
+    forward_limit = _flag(0x08, "Whether the forward limit switch is pressed.", when_low=True)
+    reverse_limit = _flag(0x04, "Whether the reverse limit switch is pressed.", when_low=True)
+    latched = _flag(0x01, "Whether the position latch has caught.", when_low=True)
 
     @property
     def text(self) -> str:
