@@ -38,17 +38,18 @@ class XsensImu(OneSource[XbusLink]):
         link: ByteLink,
         rate_hz: float,
         *,
+        number_format: int = mtdata2.FLOAT32,
         configure: bool = True,
         timeout_s: float = 0.5,
     ) -> None:
-        """Ask for samples at ``rate_hz``, a whole number of Hz up to 2000, as Float32.
+        """Ask for samples at ``rate_hz``, a whole number of Hz up to 2000, in one of the four number formats.
 
         With ``configure=False`` nothing is ever sent to a device that already streams at this rate. ``timeout_s``
         is for one try, of which each request has two.
         """
         super().__init__(device, XbusLink(device, link, timeout_s))
         self._rate_hz = round(rate_hz)
-        self._configures = configure
+        self._format, self._configures = number_format, configure
         self._counts = SourceCounts()
         self._unusable = 0
         self._has_accel: bool | None = None
@@ -86,7 +87,7 @@ class XsensImu(OneSource[XbusLink]):
                 mtdata2.Output(mtdata2.PACKET_COUNTER, mtdata2.EVERY),
                 mtdata2.Output(mtdata2.SAMPLE_TIME_FINE, mtdata2.EVERY),
                 *(
-                    mtdata2.Output(kind | mtdata2.FLOAT32, self._rate_hz)
+                    mtdata2.Output(kind | self._format, self._rate_hz)
                     for kind in (mtdata2.RATE_OF_TURN, mtdata2.ACCELERATION, mtdata2.TEMPERATURE)
                 ),
             )
@@ -215,7 +216,7 @@ class XsensImu(OneSource[XbusLink]):
     def _check_granted(self, granted: tuple[mtdata2.Output, ...]) -> None:
         """See that rates and their times come as asked for; acceleration and temperature may be rarer or missing."""
         by_kind = {mtdata2.kind_of(output.data_id): output for output in granted}
-        wanted = mtdata2.Output(mtdata2.RATE_OF_TURN | mtdata2.FLOAT32, self._rate_hz)
+        wanted = mtdata2.Output(mtdata2.RATE_OF_TURN | self._format, self._rate_hz)
         rate = by_kind.get(mtdata2.RATE_OF_TURN)
         if rate is None:
             raise DeviceRefused(self._device, f"it does not grant {wanted}; is it an MTi that gives rates?")
