@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Callable
 
-from drivers.errors import DeviceFault, DeviceRefused
+from drivers.errors import DeviceRefused
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Framed, Token
 from drivers.specs import TableSetup, TableSpec
@@ -57,20 +57,19 @@ class NumberedTable(LineTable):
 
     async def enable(self) -> None:
         for axis in self.limits:
-            if fault := (await self.status(axis)).fault:
-                raise DeviceFault(self._device, f"{fault}; clear its cause, then start with --reset-fault")
-            await self._tell("on", axis)
+            await self._sound(axis)
+            await self._order("on", axis)
 
     async def home(self) -> None:
         for axis, most in self.limits.items():  # angles count from home by themselves
             await self.move(axis, 0.0, most.rate_rps / 2, most.acceleration_rps2)
-        await self._wait_for_home(self._reached, 0.05)
+        await self._wait_for_home(0.05)
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        await self._tell("jog", axis, rate_rps, acceleration_rps2)
+        await self._order("jog", axis, rate_rps, acceleration_rps2)
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        await self._tell("move", axis, angle_rad, rate_rps, acceleration_rps2)
+        await self._order("move", axis, angle_rad, rate_rps, acceleration_rps2)
 
     async def read(self, axis: str) -> AxisState:
         answer = await self._exchange.ask(f"read {axis}", READING)
@@ -89,17 +88,14 @@ class NumberedTable(LineTable):
     async def abort(self) -> None:
         await self._rest(lambda axis: (f"off {axis}",), self.read)
 
-    async def disable(self, word: str = "off") -> None:
+    async def disable(self) -> None:
         for axis in self.limits:
-            await self._tell(word, axis)
+            await self._order("off", axis)
 
-    async def reset_fault(self) -> None:
-        await self.disable("clear")
+    async def _clear_fault(self, axis: str) -> None:
+        await self._order("clear", axis)
 
-    async def _reached(self, axis: str) -> bool:
-        return (await self.status(axis)).target_reached
-
-    async def _tell(self, word: str, axis: str, *values: float) -> None:
+    async def _order(self, word: str, axis: str, *values: float) -> None:
         self._moved = axis
         line = " ".join([word, axis, *(f"{math.degrees(value):.6f}" for value in values)])
         if (await self._exchange.ask(line, re.compile(""), repeat=word not in ("jog", "move"))).refused:
