@@ -73,7 +73,7 @@ class StrictTable:
         def convert(value: object) -> str:
             text = str(typed(value, (str,), "a text"))
             if one_of is not None and text not in (choices := list(one_of)):
-                raise ValueError(f"{text!r} is not one of {', '.join(choices)}")
+                raise ValueError(not_one_of(text, choices))
             return text
 
         return self._take(key, default, convert)
@@ -159,6 +159,13 @@ class StrictTable:
                 if re.search(rf"\b{re.escape(key)}\s*=", line):
                     return number
         return found
+
+
+def not_one_of(text: str, choices: Iterable[str]) -> str:
+    """Return what is said of a name that is none of these: which there are, and the nearest."""
+    names = list(choices)
+    close = difflib.get_close_matches(text, names, 1)
+    return f"{text!r} is not one of {', '.join(names)}" + (f"; did you mean {close[0]}?" if close else "")
 
 
 def typed(value: object, types: tuple[type, ...], what: str) -> Any:

@@ -10,11 +10,13 @@ from drivers.imus.stim300.special import BiasTrim, ExtendedError, PartNumber, Se
 from drivers.imus.stim300.units import ACCEL_LSB_G, GYRO_LSB_DEG, GYRO_LSB_DPS, UNITS
 from drivers.imus.stim300.utility import UtilityMessage, encode_message
 from drivers.types import Flags, Floats, Ints
+from sims.imus.registry import Ride
 from sims.imus.stim300_output import GyroOutput
 from sims.imus.stim300_settings import SERVICE_ERRORS, Settings, banner, service_lines, utility_reply
 from sims.physics.geometry import upright
 from sims.physics.gyro import GyroArray
 from sims.wires.burst import burst_of, copies_sent
+from sims.wires.frames import NodeFaults
 from sims.wires.line_controller import LineDevice, Refused
 
 _START_UP_TICKS = stim300.INTERNAL_RATE_HZ // 2
@@ -25,7 +27,7 @@ _GYRO_OVERLOAD_BIT = 101  # of x in the extended error register
 class Stim300Device(LineDevice):
     """Sends datagrams in bursts of about 10 ms, as an operating system hands them over.
 
-    Fault knobs are plain attributes, to be set at any time.
+    The knobs of ``faults`` may be turned at any time; a saturated gyro is pegged without a word in the status.
     """
 
     longest = 200
@@ -43,14 +45,14 @@ class Stim300Device(LineDevice):
         serial: str = "N25582405002002",
         part_number: str = "84167-440000-3321",
         specific_force_g: Callable[[Floats], Floats] | None = None,
-        clock_ppm: float = 0.0,
+        faults: NodeFaults | None = None,
         cold: bool = False,
         seed: int = 0,
     ) -> None:
         """``rate_hz`` is one of the device's own rates, at which the gyros were made too.
 
         ``specific_force_g`` gives what accelerometers and inclinometers sense (n, 3) at instants (n,), 1 g along z
-        if left out. A clock with ``clock_ppm`` above 0 runs fast. A ``cold`` device is powered on when served: it
+        if left out. A ``cold`` device is powered on when served: it
         names itself and its first half second carries the start-up bit; else it has been on for long.
         """
         if identifier not in stim300.DATAGRAM_CODES.values():
@@ -65,11 +67,12 @@ class Stim300Device(LineDevice):
             part_number,
         )
         super().__init__(write)
+        self.faults = faults or NodeFaults()
         self._base_hz = rate_hz
         self._temperature_c = gyros.temperature_c
         self._force_g = specific_force_g or upright
         self._output = GyroOutput(gyros.sample, rate_hz)
-        self._period_s = 1 / (rate_hz * (1 + clock_ppm * 1e-6))
+        self._period_s = 1 / (rate_hz * (1 + self.faults.clock_ppm * 1e-6))
         self._random = np.random.default_rng(seed)
         self._mode = "normal"
         self._answers: list[bytes] = []
@@ -77,16 +80,8 @@ class Stim300Device(LineDevice):
         self._ticks = self._start_up_until = 0
         self._errors = 0
         self._held: Ints = np.zeros(3, dtype=np.int64)
-        self.stuck_gyro: int | None = None
-        """Gyro (0 to 2) whose output stays what it was."""
-        self.saturated_gyro: int | None = None
-        """Gyro (0 to 2) whose output is pegged at its range, without a word in the status."""
         self.overload_gyro: int | None = None
         """Gyro that the status calls overloaded."""
-        self.drop_share = 0.0
-        """Share of samples that are not sent."""
-        self.double_share = 0.0
-        """Share of samples that are sent twice."""
         self.dropped = self.doubled = 0
         if cold:
             self.reset()
@@ -132,9 +127,9 @@ class Stim300Device(LineDevice):
         step = stim300.INTERNAL_RATE_HZ // own.rate_hz
         first = int(ticks[0]) - stim300.INTERNAL_RATE_HZ // self._base_hz
         wanted = np.arange(first // step + 1, int(ticks[-1]) // step + 1, dtype=np.int64) * step
-        raw, over = self._output.at(at, ticks, wanted, own.gyro_unit, own.rate_hz, self.saturated_gyro)
-        if self.stuck_gyro is not None:
-            raw[:, self.stuck_gyro] = self._held[self.stuck_gyro]
+        raw, over = self._output.at(at, ticks, wanted, own.gyro_unit, own.rate_hz, self.faults.saturated)
+        for gyro in self.faults.stuck:
+            raw[:, gyro] = self._held[gyro]
         if len(raw):
             self._held = raw[-1]
         if self._mode != "normal":
@@ -142,7 +137,7 @@ class Stim300Device(LineDevice):
         answers, self._answers = b"".join(self._answers), []
         skipped = min(self._replaced, len(wanted))
         self._replaced -= skipped
-        copies = copies_sent(self._random, len(wanted) - skipped, self.drop_share, self.double_share)
+        copies = copies_sent(self._random, len(wanted) - skipped, self.faults.dropped, self.faults.doubled)
         self.dropped += int((copies == 0).sum())
         self.doubled += int((copies == 2).sum())
         rows = np.repeat(np.arange(skipped, len(wanted)), copies)
@@ -241,3 +236,8 @@ class Stim300Device(LineDevice):
 
     def _print(self, lines: list[str]) -> None:
         self._write("\r".join([*lines, ">"]).encode("ascii") if lines else b"\r>")
+
+
+def twin(ride: Ride, write: Callable[[bytes], None]) -> Stim300Device:
+    """Return the device on a byte link."""
+    return Stim300Device(ride.gyros, write, round(ride.rate_hz), specific_force_g=ride.up, faults=ride.faults)

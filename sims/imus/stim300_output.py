@@ -1,6 +1,6 @@
 """What the gyros of a STIM300 put out in each of its units, as raw numbers at its own ticks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import numpy as np
 
@@ -25,18 +25,17 @@ class GyroOutput:
         self._total = np.zeros((1, 3), dtype=np.int64)
 
     def at(
-        self, t_s: Floats, ticks: Ints, wanted: Ints, unit: int, wanted_hz: int, saturated: int | None
+        self, t_s: Floats, ticks: Ints, wanted: Ints, unit: int, wanted_hz: int, saturated: Collection[int]
     ) -> tuple[Ints, Flags]:
         """Return raw outputs (k, 3) at the wanted ticks (k,), and which gyros (k, 3) are beyond their range.
 
-        ``t_s`` (n,) are the gyros' instants, ``ticks`` (n,) the device's count of 2000 Hz at them. Gyro ``saturated``
-        (0 to 2) is pegged at its range.
+        ``t_s`` (n,) are the gyros' instants, ``ticks`` (n,) the device's count of 2000 Hz at them. Gyros ``saturated``
+        (0 to 2) are pegged at their range.
         """
         kind = unit & 3
         # A mean over a period is the rate at its middle, to second order.
         rate = np.degrees(self._sample(t_s if kind == _RATE else t_s - 0.5 / self._rate_hz))
-        if saturated is not None:
-            rate[:, saturated] = RANGE_DPS
+        rate[:, list(saturated)] = RANGE_DPS
         over = (np.abs(rate) > RANGE_DPS)[np.minimum(np.searchsorted(ticks, wanted), len(ticks) - 1)]
         if kind == _RATE:
             return _clipped(rate[np.searchsorted(ticks, wanted)] * _RATE_SCALE), over

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from drivers.imus.vectornav import codec as vectornav
 from drivers.packaged import packaged_codes, packaged_toml
 from drivers.types import Floats, Ints
+from sims.imus.registry import Ride
 from sims.physics.geometry import tilt_deg, upright
 from sims.physics.gyro import GyroArray
 from sims.wires.burst import burst_of
+from sims.wires.frames import NodeFaults
 from sims.wires.line_controller import Refused
 
 STANDARD_GRAVITY_MPS2 = 9.80665
@@ -23,7 +25,7 @@ BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 128000, 230400, 460800, 921600)
 _TICK_NS = 1_000_000_000 // vectornav.IMU_RATE_HZ
 _ON_SINCE_NS = 30_000_000_000
 _DECIMAL = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]{1,2})?")
-_GYRO_RANGE_RPS = np.radians(2000.0)
+_GYRO_RANGE_RPS, _LITTLE_RPS = np.radians((2000.0, 10.0))
 _BITS_PER_BYTE = 10
 
 # What is measured at an instant, as columns; and how each is printed.
@@ -47,11 +49,8 @@ _CHECKSUM, _COMMAND, _TOO_FEW, _TOO_MANY, _PARAMETER, _REGISTER, _NOT_ALLOWED, _
 class VectorNavDevice:
     """A VN-100 with its link at serial port 1, as delivered: VNYMR at 40 Hz, no binary output.
 
-    Its fault knobs may be turned at any time:
-
-    - ``stuck_gyros``: gyros (0, 1, 2) whose output stays what it was
-    - ``range_rps``: where the output of every gyro ends
-    - ``loss``, ``doubling``: share of the outputs that are not sent, or twice
+    The knobs of ``faults`` may be turned at any time; where one gyro is saturated, the range of all is little.
+    ``range_rps`` is where the output of every gyro ends else.
     """
 
     def __init__(
@@ -61,27 +60,26 @@ class VectorNavDevice:
         *,
         rate_hz: float = vectornav.IMU_RATE_HZ,
         serial: str = "0100012345",
-        clock_ppm: float = 0.0,
+        faults: NodeFaults | None = None,
         baud: int = 921600,
         up: Callable[[Floats], Floats] | None = None,
     ) -> None:
         """The three gyros were made for ``rate_hz``, 800 over a whole number; faster output repeats their last.
 
-        Its clock is fast by ``clock_ppm``. ``baud`` is its rate as delivered, which limits what can be asked for.
+        ``baud`` is its rate as delivered, which limits what can be asked for.
         ``up`` gives the unit vector up in body axes (n, 3) at instants (n,); left out, the device stands upright.
         """
         if vectornav.IMU_RATE_HZ % rate_hz:
             raise ValueError(
                 f"a VectorNav samples at {vectornav.IMU_RATE_HZ} Hz over a whole number, not at {rate_hz:g} Hz"
             )
-        self.stuck_gyros: set[int] = set()
+        self.faults = faults or NodeFaults()
         self.range_rps = float(_GYRO_RANGE_RPS)
-        self.loss, self.doubling = 0.0, 0.0
         self._gyros, self._write, self._up = gyros, write, up or upright
         self._decoder = vectornav.VectorNavDecoder(binary=False)
         self._random = random.Random(serial)
         self._ticks_per_sample = vectornav.IMU_RATE_HZ // round(rate_hz)
-        self._tick_s = 1 / (vectornav.IMU_RATE_HZ * (1 + clock_ppm * 1e-6))
+        self._tick_s = 1 / (vectornav.IMU_RATE_HZ * (1 + self.faults.clock_ppm * 1e-6))
         self._identity = {1: ("VN-100S-CR",), 2: ("7",), 3: (serial,), 4: ("2.1.0.0",)}
         off = ("0", "1", "01", "0001")
         self._factory = {5: (str(baud),), 6: ("14",), 7: ("40",), **dict.fromkeys(_BINARY, off)}
@@ -132,8 +130,9 @@ class VectorNavDevice:
         rows[:, _YPR] = tilt_deg(-up)[:, ::-1]  # from north, east, down
         rows[:, _MAG] = _MAG_GAUSS
         rows[:, _ACCEL] = up * STANDARD_GRAVITY_MPS2
-        rows[:, _RAW_GYRO] = np.clip(self._gyros.sample(at), -self.range_rps, self.range_rps)
-        for gyro in self.stuck_gyros:
+        range_rps = _LITTLE_RPS if self.faults.saturated else self.range_rps
+        rows[:, _RAW_GYRO] = np.clip(self._gyros.sample(at), -range_rps, range_rps)
+        for gyro in self.faults.stuck:
             rows[:, _RAW_GYRO.start + gyro] = self._last[_RAW_GYRO.start + gyro]
         *matrix, bx, by, bz = map(float, self._registers[_GYRO_COMPENSATION])
         rows[:, _GYRO] = (rows[:, _RAW_GYRO] - (bx, by, bz)) @ np.reshape(matrix, (3, 3)).T
@@ -154,9 +153,10 @@ class VectorNavDevice:
 
     def _times(self) -> int:
         """Return how many times the next output is sent."""
-        if self.loss and self._random.random() < self.loss:
+        lost, doubled = self.faults.dropped, self.faults.doubled
+        if lost and self._random.random() < lost:
             return 0
-        return 2 if self.doubling and self._random.random() < self.doubling else 1
+        return 2 if doubled and self._random.random() < doubled else 1
 
     def _periodic(self) -> list[tuple[int, Callable[[Floats, Ints], list[bytes]]]]:
         """Return what is set to be sent by itself: its period in ticks, and how measured rows become bytes."""
@@ -318,3 +318,8 @@ def _values(layout: vectornav.Layout, rows: Floats, time_ns: Ints) -> NDArray[np
 
 def _printed(row: Floats, register: int) -> tuple[str, ...]:
     return tuple(format(row[column], _FORMATS[column]) for column in _COLUMNS[register])
+
+
+def twin(ride: Ride, write: Callable[[bytes], None]) -> VectorNavDevice:
+    """Return the device on a byte link."""
+    return VectorNavDevice(ride.gyros, write, rate_hz=ride.rate_hz, up=ride.up, faults=ride.faults)

@@ -11,9 +11,11 @@ from drivers.imus.xsens import mtdata2
 from drivers.imus.xsens.xbus import Mid, XbusDecoder, encode
 from drivers.packaged import packaged_codes
 from drivers.types import Flags, Floats, Ints
+from sims.imus.registry import Ride
 from sims.physics.geometry import tilt_deg
 from sims.physics.gyro import GyroArray
 from sims.wires.burst import burst_of, copies_sent
+from sims.wires.frames import NodeFaults
 
 _TICKS_PER_S = round(1 / mtdata2.SAMPLE_TIME_TICK_S)
 _GYRO_RANGE_RPS = math.radians(2000)
@@ -38,7 +40,7 @@ _HARDWARE = bytes([2, 0])
 class XsensDevice:
     """An MTi that measures since it was switched on, in bursts of about 10 ms as an operating system hands them over.
 
-    Fault knobs are plain attributes, to be set at any time.
+    The knobs of ``faults`` may be turned at any time.
     """
 
     def __init__(
@@ -49,20 +51,20 @@ class XsensDevice:
         *,
         serial: str = "03700715",
         product: str = "MTI-300-2A5G4",
-        clock_ppm: float = 0.0,
+        faults: NodeFaults | None = None,
         specific_force_g: Callable[[Floats], Floats] | None = None,
         uptime_ticks: int = 0,
         seed: int = 0,
     ) -> None:
         """The three gyros were made for ``rate_hz``; each output has this rate or this over a whole number.
 
-        ``serial`` are eight hex digits. A clock with ``clock_ppm`` above 0 runs fast. ``specific_force_g`` gives what
-        accelerometers sense (n, 3) at instants (n,); left out, the device has none. ``uptime_ticks`` of 100 us is
-        how long it has been on.
+        ``serial`` are eight hex digits. ``specific_force_g`` gives what accelerometers sense (n, 3) at instants (n,);
+        left out, the device has none. ``uptime_ticks`` of 100 us is how long it has been on.
         """
         self._gyros, self._write, self._rate_hz = gyros, write, rate_hz
         self._force_g = specific_force_g
-        self._period_s = 1 / (rate_hz * (1 + clock_ppm * 1e-6))
+        self.faults = faults or NodeFaults()
+        self._period_s = 1 / (rate_hz * (1 + self.faults.clock_ppm * 1e-6))
         self._random = np.random.default_rng(seed)
         self._decoder = XbusDecoder()
         felt = [] if specific_force_g is None else [mtdata2.ACCELERATION]
@@ -88,14 +90,6 @@ class XsensDevice:
         self._uptime_ticks = uptime_ticks
         self._messages = 0
         self._last = np.zeros(3)
-        self.stuck_gyro: int | None = None
-        """Gyro (0 to 2) whose output stays what it was."""
-        self.saturated_gyro: int | None = None
-        """Gyro whose output is pegged at its range."""
-        self.drop_share = 0.0
-        """Share of messages that are not sent."""
-        self.double_share = 0.0
-        """Share of messages that are sent twice."""
 
     def received(self, data: bytes) -> None:
         """Take bytes from the host, cut anywhere, and answer the requests that they complete."""
@@ -178,10 +172,9 @@ class XsensDevice:
 
     def _sensed(self, at: Floats) -> Floats:
         rate = np.clip(self._gyros.sample(at), -_GYRO_RANGE_RPS, _GYRO_RANGE_RPS)
-        if self.saturated_gyro is not None:
-            rate[:, self.saturated_gyro] = _GYRO_RANGE_RPS
-        if self.stuck_gyro is not None:
-            rate[:, self.stuck_gyro] = self._last[self.stuck_gyro]
+        rate[:, list(self.faults.saturated)] = _GYRO_RANGE_RPS
+        for gyro in self.faults.stuck:
+            rate[:, gyro] = self._last[gyro]
         self._last = rate[-1]
         return rate
 
@@ -191,7 +184,7 @@ class XsensDevice:
         rows = np.flatnonzero(due.any(axis=1))
         numbers = self._messages + np.arange(len(rows))
         self._messages += len(rows)
-        copies = copies_sent(self._random, len(rows), self.drop_share, self.double_share)
+        copies = copies_sent(self._random, len(rows), self.faults.dropped, self.faults.doubled)
         rows, numbers = np.repeat(rows, copies), np.repeat(numbers, copies)
         # Messages of the same packets are made together.
         changes = np.flatnonzero((due[rows[1:]] != due[rows[:-1]]).any(axis=1)) + 1
@@ -230,3 +223,8 @@ class XsensDevice:
         }
         status = np.full((len(at), 1), _SELF_TEST_PASSED)  # byte and word
         return lambda kind: made[kind]() if kind in made else status
+
+
+def twin(ride: Ride, write: Callable[[bytes], None]) -> XsensDevice:
+    """Return the device on a byte link."""
+    return XsensDevice(ride.gyros, write, round(ride.rate_hz), specific_force_g=ride.up, faults=ride.faults)

@@ -8,8 +8,11 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
+from types import ModuleType
 
+from drivers.imus.registry import IMUS
 from drivers.packaged import packaged_text
+from drivers.plugins import PluginError, load_file
 from estimator.effects.entries import Kind, entries
 from estimator.geometry.kinematics import Site
 from station.bench.imu import ImuConfig, read_imu
@@ -101,12 +104,13 @@ def load_bench(path: Path | None) -> Bench:
             raise BenchError(f"cannot read bench file {path}: {error}") from None
     top = Table.parse(text, file, BenchError)
     name, place = top.string("name", path.stem if path else "bench"), top.table("station", optional=True)
+    imus = IMUS.beside(_plugins(top, folder))
     bench = Bench(
         name=name,
         text=text,
         site=_site(top),
         table=read_table(top.table("table"), folder),
-        imus=_distinct([read_imu(t, folder) for t in top.tables("imu")]),
+        imus=_distinct([read_imu(t, folder, imus) for t in top.tables("imu")]),
         limits=_limits(top.table("limits", optional=True)),
         twin=_twin(top.table("twin", optional=True), folder),
         station=place.string("name", name),
@@ -120,6 +124,15 @@ def load_bench(path: Path | None) -> Bench:
     if not names or len(set(names)) != len(names):
         raise BenchError(f"{file}: it needs one [[imu]] or more, each with a name of its own; it has {names}")
     return bench
+
+
+def _plugins(top: Table, folder: Path) -> list[ModuleType]:
+    """Return the Python files that bring devices of their own: those listed, and those in plugins/ beside the bench."""
+    listed = [folder / file for file in top.strings("plugins", ())]
+    try:
+        return [load_file(path) for path in (*listed, *sorted((folder / "plugins").glob("*.py")))]
+    except PluginError as error:
+        raise top.fail("plugins" if listed else None, str(error)) from None
 
 
 def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:

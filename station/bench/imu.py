@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from drivers.imus.aceinna import codec as aceinna
 from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel
-from drivers.imus.stim300.special import RATES_HZ as STIM300_RATES_HZ
-from drivers.imus.stim300.units import ACCEL_LSB_G, UNITS
-from drivers.imus.vectornav import codec as vectornav
-from drivers.imus.xsens.imu import HIGHEST_RATE_HZ as XSENS_HIGHEST_RATE_HZ
+from drivers.imus.registry import IMUS
+from drivers.plugins import Registry
+from drivers.specs import ImuSpec
 from estimator.errors import GeometryError
 from estimator.geometry.array import SensorArray, cone, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.geometry.model import Prior
@@ -21,8 +19,6 @@ from station.bench.can_mappings import MappingError, channels_of, load_mapping
 from station.bench.table import TWIN
 from station.schema.tables import Table
 
-PROTOCOLS = ("can", "j1939", "stim300", "vectornav", "xsens")
-ON_CAN = ("can", "j1939")
 _NOT_NAMES = ("table", "seed", "watchdog", "start", "fault", "faults", "hidden", "started", "wires")
 
 
@@ -39,11 +35,11 @@ class CanSource:
 class ImuConfig:
     """A device under test: how to reach it, what it is made of, what its data sheet says.
 
-    ``can`` for protocol can; ``options`` are the protocol's own keys.
+    ``can`` where signals of a DBC are mapped; ``options`` are the protocol's own keys.
     """
 
     name: str
-    protocol: str
+    spec: ImuSpec
     link: str
     array_name: str
     array: SensorArray
@@ -55,11 +51,16 @@ class ImuConfig:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def protocol(self) -> str:
+        """Name of its protocol."""
+        return self.spec.name
+
+    @property
     def knows_temperature(self) -> bool:
         """Whether every source of the device tells its temperature."""
         if self.can is not None:
             return all(channel.temperature is not None for channel in self.can.channels)
-        return self.protocol != "j1939"
+        return self.spec.temperature
 
     def gyros_of(self, sources: Sequence[str]) -> dict[str, list[int]]:
         """Return which of the array's gyros each source of the device carries."""
@@ -68,23 +69,24 @@ class ImuConfig:
         return {name: list(range(starts[i], starts[i + 1])) for i, name in enumerate(sources)}
 
 
-def read_imu(table: Table, folder: Path) -> ImuConfig:
+def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> ImuConfig:
     """Read a section; the table's error with line and key for what is wrong."""
     name = table.string("name")
     if name in _NOT_NAMES:
         raise table.fail("name", f"{name!r} means something else on a bench: take another name")
-    protocol = table.string("protocol", one_of=PROTOCOLS)
+    spec = table.record("protocol", known)
     array_name, array = _array(table, name)
     rate_hz = table.quantity("rate", "frequency", bound="above_zero")
-    if protocol != "can" and len(array) != 3:
-        raise table.fail("array", f"protocol {protocol} has three gyros, this array {len(array)}")
-    can = _can(table, folder, name, array) if protocol == "can" else None
-    options = _options(table, protocol)
-    _check_rate(table, protocol, rate_hz, options.get("output", ""))
+    if spec.gyros not in (None, len(array)):
+        raise table.fail("array", f"protocol {spec.name} has {spec.gyros} gyros, this array {len(array)}")
+    can = _can(table, folder, name, array) if spec.signals_of_dbc else None
+    options = table.options(spec.keys)
+    if refused := spec.refused_rate(rate_hz, options):
+        raise table.fail("rate", refused)
     noise, prior = _datasheet(table.table("datasheet"))
     config = ImuConfig(
         name,
-        protocol,
+        spec,
         table.string("link", TWIN),
         array_name,
         array,
@@ -97,43 +99,6 @@ def read_imu(table: Table, folder: Path) -> ImuConfig:
     )
     table.done()
     return config
-
-
-def _check_rate(table: Table, protocol: str, rate_hz: float, output: str) -> None:
-    """See that the device has such a rate, before it is asked for it; ``output`` is what a VectorNav sends."""
-    if protocol == "xsens" and (rate_hz != round(rate_hz) or rate_hz > XSENS_HIGHEST_RATE_HZ):
-        raise table.fail("rate", f"an Xsens MTi sends at a whole number of Hz, up to {XSENS_HIGHEST_RATE_HZ}")
-    legal: Mapping[str, Sequence[float]] = {
-        "stim300": STIM300_RATES_HZ,
-        "j1939": sorted(aceinna.RATES_HZ),
-        "vectornav": vectornav.RATES_HZ.get(output, ()),
-    }
-    if protocol in legal and rate_hz not in legal[protocol]:
-        said = f"protocol {protocol} sends{f' {output}' if output else ''} at"
-        raise table.fail("rate", f"{said} {', '.join(f'{legal_hz:g}' for legal_hz in legal[protocol])} Hz")
-
-
-def _options(table: Table, protocol: str) -> dict[str, Any]:
-    options: dict[str, Any] = {}
-    if protocol in ("xsens", "j1939"):
-        options["configure"] = table.flag("configure", True)
-    if protocol == "vectornav":
-        options["output"] = table.string("output", "binary", one_of=vectornav.RATES_HZ)
-    elif protocol == "j1939":
-        options["model"] = table.string("model", "openimu300ri", one_of=aceinna.AXIS_ORDERS)
-        if table.has("axis_order"):
-            options["axis_order"] = table.string("axis_order", one_of=("xyz", "sae"))
-        options["address"] = table.integer("address", aceinna.DEFAULT_ADDRESS)
-        if not 0 <= options["address"] <= 0xFD:
-            raise table.fail("address", f"{options['address']} is no J1939 address: give 0 to 253")
-    elif protocol == "stim300":
-        if table.has("gyro_unit"):
-            options["gyro_unit"] = table.string("gyro_unit", one_of=UNITS.values())
-        if table.has("accel_range"):
-            options["accel_range"] = table.integer("accel_range")
-            if options["accel_range"] not in ACCEL_LSB_G:
-                raise table.fail("accel_range", f"is one of {', '.join(map(str, ACCEL_LSB_G))} g")
-    return options
 
 
 def _datasheet(sheet: Table) -> tuple[NoiseModel, Prior]:

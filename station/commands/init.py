@@ -7,11 +7,12 @@ import sys
 from itertools import zip_longest
 from pathlib import Path
 
+from drivers.imus.registry import IMUS
 from station.atomic_write import write_whole
 from station.bench.bench import Bench, load_bench
 from station.bench.table import TWIN
 from station.errors import EXIT_ABORTED, ScriptError, UsageError
-from station.init.bench_text import IMUS, TABLES, BenchAnswer, ImuAnswer, bench_text
+from station.init.bench_text import TABLES, BenchAnswer, ImuAnswer, bench_text
 from station.init.dialogue import Dialogue, EndedError
 from station.init.hardware import can_interfaces, serial_ports
 from station.init.imu import ask_imu

@@ -5,15 +5,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from drivers.imus.registry import IMUS
 from drivers.packaged import packaged_toml
-from station.bench.imu import ON_CAN
 from station.bench.table import TWIN
 from station.render.template import rendered
 
 TABLES: Mapping[str, Mapping[str, Any]] = packaged_toml("station.init", "devices.toml")["tables"]
 """What is known of controllers, by protocol."""
-IMUS: Mapping[str, Mapping[str, Any]] = packaged_toml("station.init", "devices.toml")["imus"]
-"""What is known of devices under test, by protocol."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +76,7 @@ class BenchAnswer:
 
 def bench_text(bench: BenchAnswer) -> str:
     """Return the whole file."""
-    return _rendered("bench.toml", bench=bench, simulated=all(imu.link == TWIN for imu in bench.imus), on_can=ON_CAN)
+    return _rendered("bench.toml", bench=bench, simulated=all(imu.link == TWIN for imu in bench.imus))
 
 
 def table_text(table: TableAnswer) -> str:
@@ -92,7 +90,7 @@ def imu_text(imu: ImuAnswer) -> str:
 
 
 def _rendered(name: str, **values: object) -> str:
-    values |= {"quoted": _quoted, "link_comment": _link_comment, "tables": TABLES}
+    values |= {"quoted": _quoted, "link_comment": _link_comment, "tables": TABLES, "imus": IMUS}
     return rendered("station.init", name, values)
 
 
@@ -101,5 +99,5 @@ def _quoted(value: str | Sequence[str]) -> str:
 
 
 def _link_comment(device: TableAnswer | ImuAnswer) -> str:
-    known = TABLES[device.protocol] if isinstance(device, TableAnswer) else IMUS[device.protocol]
-    return f"the twin; hardware: {known['link']}" if device.link == TWIN else ""
+    known = TABLES[device.protocol]["link"] if isinstance(device, TableAnswer) else IMUS[device.protocol].link
+    return f"the twin; hardware: {known}" if device.link == TWIN else ""

@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from drivers.imus.registry import IMUS
 from station.bench.imu import read_imu
 from station.bench.table import TWIN
 from station.errors import UsageError
-from station.init.bench_text import IMUS, ImuAnswer, imu_text
+from station.init.bench_text import ImuAnswer, imu_text
 from station.init.checks import read_section
 from station.init.dialogue import Dialogue
 from station.init.gyros import GYROS, ask_gyros, built_in_channels
@@ -27,12 +28,13 @@ def ask_imu(
         read_section(imu_text(made), lambda top: read_imu(top.tables("imu")[0], folder))
 
     dialogue.say("\nA device under test. What is it?")
-    protocol = dialogue.choose("device", {name: of["what"] for name, of in IMUS.items()}, protocol or "stim300")
-    usual = IMUS[protocol]
-    channels = built_in_channels(GYROS[usual["array"]]) if protocol == "can" else ()
-    geometry = {"array": json.dumps(usual["array"])}
-    noise = {key: usual[key] for key in ("rate", "arw", "bias_instability")}
-    answer = ImuAnswer(_free(usual["name"], names), protocol, TWIN, geometry, **noise, channels=channels)
+    protocol = dialogue.choose("device", {name: spec.what for name, spec in IMUS.items()}, protocol or "stim300")
+    spec = IMUS[protocol]
+    usual = spec.proposed
+    channels = built_in_channels(GYROS[usual.array]) if spec.signals_of_dbc else ()
+    noise = {"rate": usual.rate, "arw": usual.arw, "bias_instability": usual.bias_instability}
+    geometry = {"array": json.dumps(usual.array)}
+    answer = ImuAnswer(_free(usual.name, names), protocol, TWIN, geometry, **noise, channels=channels)
 
     def check_name(text: str) -> None:
         if not _NAME.match(text) or text in names:
@@ -41,7 +43,7 @@ def ask_imu(
 
     answer = replace(answer, name=dialogue.ask("its name on the bench", answer.name, check_name))
     answer = replace(answer, link=links.ask(dialogue, protocol, answer.name, link))
-    if protocol == "can" and dialogue.asks:
+    if spec.signals_of_dbc and dialogue.asks:
         answer = ask_gyros(dialogue, answer, folder, checked)
     answer = _ask_key(dialogue, answer, "rate", "samples a second", checked)
     answer = _ask_key(dialogue, answer, "arw", "angle random walk, by its data sheet", checked)

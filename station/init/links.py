@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from station.bench.imu import ON_CAN
+from drivers.imus.registry import IMUS
 from station.bench.table import TWIN
 from station.init.dialogue import Dialogue
 from station.init.hardware import SerialFound
@@ -18,14 +18,14 @@ class Links:
 
     def proposed(self, protocol: str) -> str:
         """Return the link to propose: something that was plugged in, else the twin."""
-        if protocol in ON_CAN:
+        if _on_can(protocol):
             return self.can[0] if self.can else TWIN
         free = [port.link for port in self.serial if port.plugged_in and port.link not in self.taken]
         return free[0] if free else TWIN
 
     def ask(self, dialogue: Dialogue, protocol: str, device: str, proposed: str = "") -> str:
         """Return the link of a device; where nobody is asked and none is proposed, the twin."""
-        found = self.can if protocol in ON_CAN else [f"{p.link} {p.description}".rstrip() for p in self.serial]
+        found = self.can if _on_can(protocol) else [f"{p.link} {p.description}".rstrip() for p in self.serial]
         if found:
             dialogue.say("  found here: " + "; ".join(found))
         proposed = proposed or (self.proposed(protocol) if dialogue.asks else TWIN)
@@ -45,7 +45,14 @@ def check_link(protocol: str, link: str, device: str) -> None:
         return
     if protocol == "modbus":
         modbus_address(link, device)
-    elif protocol in ON_CAN:
+    elif _on_can(protocol):
         can_address(link, device)
     else:
-        byte_link(link, device, baud=BAUD[protocol], time_scale=1.0, port=TCP_PORT.get(protocol))
+        imu = IMUS.get(protocol)
+        baud, port = (imu.baud, imu.tcp_port) if imu else (BAUD[protocol], TCP_PORT.get(protocol))
+        byte_link(link, device, baud=baud, time_scale=1.0, port=port)
+
+
+def _on_can(protocol: str) -> bool:
+    imu = IMUS.get(protocol)
+    return imu is not None and imu.on_can

@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 
 from drivers.links.can_link import CanLink
 from drivers.links.lock import held
-from drivers.protocols import ImuSource, Turntable
+from drivers.protocols import ByteLink, FrameLink, ImuSource, Turntable
+from drivers.specs import ImuSetup
 from station.bench.bench import Bench
-from station.bench.imu import ON_CAN, ImuConfig
+from station.bench.imu import ImuConfig
 from station.bench.table import TWIN
 from station.errors import BenchError
-from station.opening.devices import BAUD, TCP_PORT, byte_imu, byte_table, frame_imu, modbus_table
+from station.opening.devices import BAUD, TCP_PORT, byte_table, modbus_table
 from station.opening.links import byte_link, can_address, modbus_address
 from station.opening.serving import serve_twins
 from station.opening.simulate import DeviceTruth, Hidden, simulate, simulate_bench
@@ -38,6 +39,7 @@ __all__ = [
 
 
 _GATHER_S = 0.005
+_ANSWER_S = 0.25  # one try of a question to a sensor, of which there are two: silence is known after half a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,12 +127,13 @@ async def _table(bench: Bench, twins: Twins, time_scale: float) -> Turntable:
 
 
 async def _source(imu: ImuConfig, twins: Twins, time_scale: float) -> ImuSource:
-    if imu.protocol in ON_CAN:
-        if imu.link == TWIN:
-            return frame_imu(imu, twins.bus_in_memory(imu))
-        interface, channel, options = can_address(imu.link, imu.name)
-        return frame_imu(imu, CanLink(imu.name, interface, channel, options))
+    spec = imu.spec
+    link: ByteLink | FrameLink
     if imu.link == TWIN:
-        return byte_imu(imu, twins.imu_in_memory(imu), time_scale)
-    link = byte_link(imu.link, imu.name, baud=BAUD[imu.protocol], time_scale=time_scale, gather_s=_GATHER_S)
-    return byte_imu(imu, link, time_scale)
+        link = twins.bus_in_memory(imu) if spec.on_can else twins.imu_in_memory(imu)
+    elif spec.on_can:
+        link = CanLink(imu.name, *can_address(imu.link, imu.name))
+    else:
+        baud, port = spec.baud, spec.tcp_port
+        link = byte_link(imu.link, imu.name, baud=baud, port=port, time_scale=time_scale, gather_s=_GATHER_S)
+    return spec.make(ImuSetup(imu.name, imu.rate_hz, _ANSWER_S * time_scale, imu.options, imu.can), link)

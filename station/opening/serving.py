@@ -15,7 +15,7 @@ from sims.wires.slcan_adapter import SlcanAdapter
 from sims.wires.socketcand_server import SocketcandServer
 from sims.wires.wires import ByteDevice, Plug, Write, on_pty, on_tcp
 from station.bench.bench import Bench
-from station.bench.imu import ON_CAN, ImuConfig
+from station.bench.imu import ImuConfig
 from station.opening.twins import Twins
 
 _MULTICAST = "239.74.163.2"
@@ -38,7 +38,7 @@ async def serve_twins(
 
         tell(device="table", **await serving.table(port))
         for imu in bench.imus:
-            link = await (serving.bus(imu) if imu.protocol in ON_CAN else serving.imu(imu))
+            link = await (serving.bus(imu) if imu.spec.on_can else serving.imu(imu))
             tell(device=imu.name, link=link, protocol=imu.protocol, rate_hz=imu.rate_hz)
         tell(ready=True, time_scale=time_scale)
         await asyncio.Event().wait()

@@ -19,11 +19,7 @@ from drivers.protocols import ByteLink, FrameLink
 from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import DriveProfile
 from drivers.types import Floats
-from sims.imus.aceinna import AceinnaDevice
-from sims.imus.can_nodes import CanNodes
-from sims.imus.stim300 import Stim300Device
-from sims.imus.vectornav import VectorNavDevice
-from sims.imus.xsens import XsensDevice
+from sims.imus.registry import Ride, twin_of
 from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, Mounting, along, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
@@ -38,14 +34,13 @@ from sims.wires.faults import DeviceFaults, FaultyFrames, faulty_device
 from sims.wires.frames import FrameSink, NodeFaults
 from sims.wires.wires import ByteDevice, Plug, Write, in_memory
 from station.bench.bench import Bench
-from station.bench.imu import ON_CAN, ImuConfig
+from station.bench.imu import ImuConfig
 from station.errors import BenchError
-from station.opening.faults import read_faults, turn_knobs, turn_node_knobs
+from station.opening.faults import read_faults, turn_knobs
 from station.schema.tables import Table
 
 _log = logging.getLogger(__name__)
 _wires = itertools.count(1)
-_STANDARD_GRAVITY_MPS2 = 9.80665
 
 
 class Twins:
@@ -132,18 +127,13 @@ class Twins:
         """Return the near end of a wire to the controller."""
         return self._in_memory("table", self.table_device)
 
-    def imu_device(self, imu: ImuConfig, write: Write) -> ByteDevice:
-        """Return a device that speaks bytes, which sends from now on."""
-        gyros, up, faults = self.gyros(imu), self._up(imu), self._faults.devices[imu.name]
-        ppm = faults.clock_ppm
-        device: Stim300Device | XsensDevice | VectorNavDevice
-        if imu.protocol == "stim300":
-            device = Stim300Device(gyros, write, round(imu.rate_hz), specific_force_g=up, clock_ppm=ppm)
-        elif imu.protocol == "xsens":
-            device = XsensDevice(gyros, write, round(imu.rate_hz), specific_force_g=up, clock_ppm=ppm)
-        else:
-            device = VectorNavDevice(gyros, write, rate_hz=imu.rate_hz, up=up, clock_ppm=ppm)
-        self._turn(faults, partial(turn_knobs, device, faults))
+    def imu_device(self, imu: ImuConfig, out: Write | FrameSink) -> Any:
+        """Put a device on a wire, where it sends from now on; return it."""
+        faults = self._faults.devices[imu.name]
+        knobs = NodeFaults(clock_ppm=faults.clock_ppm, seed=self.bench.twin.seed)
+        self._turn(faults, partial(turn_knobs, knobs, faults))
+        ride = Ride(self.gyros(imu), imu.rate_hz, self._up(imu), knobs, imu.options, imu.can)
+        device = twin_of(imu.spec)(ride, out)
         self.run(device.serve())
         return device
 
@@ -153,25 +143,10 @@ class Twins:
 
     def bus_device(self, imu: ImuConfig, bus: FrameSink) -> Callable[[Any], None] | None:
         """Put a device on a bus, where it sends from now on; return what hears the host's frames, if it listens."""
-        up = self._up(imu)
-
-        def force(t_s: Floats) -> Floats:
-            return up(t_s) * _STANDARD_GRAVITY_MPS2
-
-        faults, wire = self._faults.devices[imu.name], self._faults.wires[imu.name]
-        knobs = NodeFaults(clock_ppm=faults.clock_ppm, seed=self.bench.twin.seed)
-        self._turn(faults, partial(turn_node_knobs, knobs, faults))
-        if wire.any:
-            bus = FaultyFrames(bus, wire, self._seed(imu.name))
-        if imu.can is not None:
-            signals = imu.can.dbc, imu.can.channels
-            nodes = CanNodes(self.gyros(imu), bus, *signals, imu.rate_hz, specific_force=force, faults=knobs)
-            self.run(nodes.serve())
-            return None
-        own = {key: imu.options[key] for key in ("model", "address")}
-        device = AceinnaDevice(self.gyros(imu), bus, imu.rate_hz, **own, specific_force=force, faults=knobs)
-        self.run(device.serve())
-        return FaultyFrames(device.received, wire, (*self._seed(imu.name), 1)) if wire.any else device.received
+        wire = self._faults.wires[imu.name]
+        device = self.imu_device(imu, FaultyFrames(bus, wire, self._seed(imu.name)) if wire.any else bus)
+        heard: Callable[[Any], None] | None = getattr(device, "received", None)
+        return FaultyFrames(heard, wire, (*self._seed(imu.name), 1)) if heard is not None and wire.any else heard
 
     def bus_in_memory(self, imu: ImuConfig) -> FrameLink:
         """Return the link to a bus in memory with the device on it."""
@@ -219,7 +194,7 @@ class Twins:
         table = truths.table("wires", optional=True)
         wires = {"table": table.string("table", "tcp", one_of=("tcp", "serial"))}
         for imu in self.bench.imus:
-            known = ("udp_multicast", "slcan", "socketcand") if imu.protocol in ON_CAN else ("serial", "tcp")
+            known = ("udp_multicast", "slcan", "socketcand") if imu.spec.on_can else ("serial", "tcp")
             wires[imu.name] = table.string(imu.name, known[0], one_of=known)
         table.done()
         return wires

@@ -1,11 +1,14 @@
 """TOML files read strictly, with numbers that carry their units."""
 
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Self
 
 from drivers.packaged import packaged_toml
-from estimator.strict_toml import StrictTable
+from drivers.plugins import PluginError, R, Registry
+from drivers.specs import Key
+from estimator.strict_toml import StrictTable, not_one_of, typed
 from station.errors import UsageError
 from station.schema.quantities import QuantityError, parse
 
@@ -47,6 +50,42 @@ class Table(StrictTable):
             key["field"]: self.quantity(name, key["kind"], key.get("default"), key.get("bound", ""))
             for name, key in keys.items()
         }
+
+    def record(self, key: str, known: Registry[R], default: str | None = None) -> R:
+        """Take the name of a record, and return the record."""
+
+        def convert(value: object) -> R:
+            name = str(typed(value, (str,), "a text"))
+            try:
+                return known[name]
+            except KeyError:
+                raise ValueError(not_one_of(name, known)) from None
+            except PluginError as error:
+                raise ValueError(str(error)) from None
+
+        return self._take(key, None if default is None else known[default], convert)
+
+    def options(self, keys: Iterable[Key]) -> dict[str, Any]:
+        """Take the keys that the record of a device declares; None for one that is left out and has no default."""
+        return {key.name: self._option(key) for key in keys}
+
+    def _option(self, key: Key) -> Any:
+        if key.default is None and not key.required and not self.has(key.name):
+            return None
+        if key.kind == "flag":
+            return self.flag(key.name, key.default)
+        if key.kind == "text":
+            return self.string(key.name, key.default, one_of=key.one_of or None)
+        if key.kind != "integer":
+            return self.quantity(key.name, key.kind, key.default, key.bound)
+        number = self.integer(key.name, key.default)
+        if key.one_of and number not in key.one_of:
+            raise self.fail(key.name, f"is one of {', '.join(map(str, key.one_of))} {key.unit}".rstrip())
+        low, high = key.low, key.high
+        if (low is not None and number < low) or (high is not None and number > high):
+            most = f"{low} to {high}" if high is not None else f"{low} or more"
+            raise self.fail(key.name, f"{number} is no {key.noun or 'such number'}: give {most}")
+        return number
 
     def quantities(self, key: str, kind: str, count: int, default: float | None = None) -> list[float]:
         """Take one quantity for all, or a list of ``count`` of them."""

@@ -25,6 +25,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.motion import AxisMotion
+from sims.wires.frames import NodeFaults
 from station.run.event_loop.loops import VirtualLoop
 
 WHO = Identity("STIM300 84167-440000-3321 rev K", "N25582405002002", "0")
@@ -221,7 +222,7 @@ def test_an_integral_over_a_gap_is_not_guessed() -> None:
             imu = Stim300Imu("imu", wire.near, 500)
             await imu.identify()
             await gathered(imu, 0.5)
-            wire.device.drop_share = 0.1
+            wire.device.faults.dropped = 0.1
             blocks = await gathered(imu, 2.0)
             missing = np.diff(joined(blocks, "counter")) % 256 != 4
             assert missing.sum() > 50
@@ -281,7 +282,7 @@ def test_bytes_that_come_one_by_one_still_make_blocks_of_ten_milliseconds() -> N
 
 def test_sample_times_follow_a_clock_that_drifts() -> None:
     async def scene() -> None:
-        async with wired(125, clock_ppm=50.0) as wire:
+        async with wired(125, faults=NodeFaults(clock_ppm=50.0)) as wire:
             imu = Stim300Imu("imu", wire.near, 125)
             await imu.identify()
             await gathered(imu, 12.0)

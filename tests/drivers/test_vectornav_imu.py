@@ -21,6 +21,7 @@ from sims.imus.vectornav import VectorNavDevice
 from sims.physics.body import Body
 from sims.physics.geometry import along
 from sims.physics.gyro import GyroArray, GyroTruth
+from sims.wires.frames import NodeFaults
 from station.run.event_loop.loops import VirtualLoop
 
 SLOPE_RPS2 = 0.05
@@ -163,8 +164,8 @@ def test_times_hold_with_drift_jitter_and_loss(output: Any, jitter_s: float, los
         loop.call_at(free_at[0], write, data)
 
     async def main() -> None:
-        async with bench(100, output, wire=late, clock_ppm=50.0) as b:
-            b.device.loss = loss
+        async with bench(100, output, wire=late, faults=NodeFaults(clock_ppm=50.0)) as b:
+            b.device.faults.dropped = loss
             block = await sampled(b.imu, 40.0)
             assert rms_s(block, after_s=15.0) < limit_s
             counts = b.imu.counts("imu")
@@ -180,7 +181,7 @@ def test_times_hold_with_drift_jitter_and_loss(output: Any, jitter_s: float, los
 def test_doubled_samples_are_given_once_and_counted(output: Any) -> None:
     async def main() -> None:
         async with bench(100, output) as b:
-            b.device.doubling = 0.02
+            b.device.faults.doubled = 0.02
             block = await sampled(b.imu, 15.0)
             # Of the last ones, without a stamp, nobody can tell yet.
             assert (np.diff(true_s(block))[:-40] > 0).all()
@@ -214,10 +215,10 @@ def test_stuck_and_saturated_gyros_show() -> None:
     async def main() -> None:
         async with bench() as b:
             b.device.range_rps = 0.11
-            task = asyncio.get_running_loop().call_later(1.0, b.device.stuck_gyros.add, 2)
+            task = asyncio.get_running_loop().call_later(1.0, b.device.faults.stuck.add, 2)
             block = await sampled(b.imu, 2.0)
             assert len(np.unique(block.rate_rps[-90:, 2])) == 1
-            b.device.stuck_gyros.clear()
+            b.device.faults.stuck.clear()
             block = await sampled(b.imu, 2.0)
             assert block.rate_rps.max() == np.float32(0.11)
             task.cancel()

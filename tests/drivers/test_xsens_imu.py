@@ -36,6 +36,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.motion import AxisMotion
+from sims.wires.frames import NodeFaults
 from station.run.event_loop.loops import VirtualLoop
 
 CAPTURE = Path(__file__).parents[1] / "data" / "xsens" / "capture1.bin"
@@ -271,7 +272,7 @@ def test_times_are_true_to_a_fifth_of_a_millisecond_on_a_bad_line(rate_hz: int, 
     rng = np.random.default_rng(3)
 
     def lossy(device: XsensDevice, table: Table) -> None:
-        device.drop_share = 0.01
+        device.faults.dropped = 0.01
 
     wraps_after = 20 * 10_000
     _, taken, device = with_twin(
@@ -280,7 +281,7 @@ def test_times_are_true_to_a_fifth_of_a_millisecond_on_a_bad_line(rate_hz: int, 
         prepare=lossy,
         delay_s=lambda: abs(rng.normal(0, 0.005)),
         identify=False,
-        clock_ppm=clock_ppm,
+        faults=NodeFaults(clock_ppm=clock_ppm),
         uptime_ticks=2**32 - wraps_after,
     )
     index = np.round(((taken.counter + wraps_after) % 2**32) * rate_hz / 10_000)
@@ -296,7 +297,7 @@ def test_times_are_true_to_a_fifth_of_a_millisecond_on_a_bad_line(rate_hz: int, 
 
 def test_doubled_samples_are_counted_and_left_out() -> None:
     def double(device: XsensDevice, table: Table) -> None:
-        device.double_share = 0.1
+        device.faults.doubled = 0.1
 
     _, taken, _ = with_twin(400, prepare=double)
     assert taken.counts.repeated > 50

@@ -20,6 +20,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.motion import AxisMotion
+from sims.wires.frames import NodeFaults
 from station.run.event_loop.loops import VirtualLoop
 
 DPS = np.array([20.0, -7.0, 3.0])
@@ -133,7 +134,7 @@ def test_a_reset_begins_anew() -> None:
 
 def test_a_stuck_gyro_keeps_its_output_while_the_others_go_on() -> None:
     def act(device: Stim300Device) -> None:
-        device.stuck_gyro = 1
+        device.faults.stuck = {1}
 
     gyro = run(1.0, gyro_unit="integrated", act=act).gyro
     moves = np.abs(np.diff(gyro[1100:], axis=0)).min(axis=0)
@@ -144,7 +145,7 @@ def test_a_stuck_gyro_keeps_its_output_while_the_others_go_on() -> None:
 
 def test_a_saturated_gyro_stands_at_its_range_and_says_nothing() -> None:
     def act(device: Stim300Device) -> None:
-        device.saturated_gyro = 2
+        device.faults.saturated = {2}
 
     sent = run(1.0, act=act)
     assert (sent.gyro[1100:, 2] * GYRO_LSB_DPS == 400.0).all()
@@ -175,7 +176,7 @@ def test_dropped_and_doubled_samples_are_as_many_as_asked_for() -> None:
 
     def act(device: Stim300Device) -> None:
         devices.append(device)
-        device.drop_share, device.double_share = 0.05, 0.02
+        device.faults.dropped, device.faults.doubled = 0.05, 0.02
 
     steps = np.diff(run(2.0, act=act).joined("counter")) % 256
     (device,) = devices
@@ -186,7 +187,10 @@ def test_dropped_and_doubled_samples_are_as_many_as_asked_for() -> None:
 
 
 def test_a_clock_that_runs_fast_sends_more() -> None:
-    assert len(run(4.0, 500, clock_ppm=5000).joined("counter")) - len(run(4.0, 500).joined("counter")) == 10
+    assert (
+        len(run(4.0, 500, faults=NodeFaults(clock_ppm=5000)).joined("counter")) - len(run(4.0, 500).joined("counter"))
+        == 10
+    )
 
 
 def test_samples_that_a_busy_computer_sends_late_say_how_late() -> None:

@@ -36,6 +36,7 @@ from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.hidden.converter import Saturation, Stuck
 from sims.physics.hidden.effects import Hidden
 from sims.physics.motion import AxisMotion
+from sims.wires.frames import NodeFaults
 from station.run.event_loop.loops import VirtualLoop
 
 OPENING = json.loads((Path(__file__).parents[1] / "vectors" / "xsens_opening.json").read_text())["vectors"]
@@ -227,7 +228,7 @@ def test_a_stuck_gyro_keeps_its_last_value_and_the_others_go_on(hidden: bool) ->
         rate = of(Line(hidden=Hidden((Stuck(gyro=2, from_s=0.5, until_s=1e9),))).streamed(1.0), RATE_OF_TURN)
     else:
         line = Line()
-        rate = of(line.streamed(1.0, (0.4951, lambda: setattr(line.device, "stuck_gyro", 1))), RATE_OF_TURN)
+        rate = of(line.streamed(1.0, (0.4951, lambda: line.device.faults.stuck.add(1))), RATE_OF_TURN)
     assert len(set(rate[210:, 1])) == 1
     assert len(set(rate[:190, 1])) == 190
     assert len(set(rate[:, 0])) == len(set(rate[:, 2])) == 400
@@ -236,7 +237,7 @@ def test_a_stuck_gyro_keeps_its_last_value_and_the_others_go_on(hidden: bool) ->
 
 def test_a_saturated_gyro_is_pegged() -> None:
     line = Line()
-    line.device.saturated_gyro = 2
+    line.device.faults.saturated = {2}
     rate = of(line.streamed(0.5), RATE_OF_TURN)
     np.testing.assert_allclose(rate[:, 2], RANGE_RPS, rtol=1e-6)
     assert np.abs(rate[:, :2]).max() < 0.2
@@ -251,7 +252,7 @@ def test_no_gyro_goes_beyond_its_range() -> None:
 
 def test_dropped_messages_leave_a_gap_in_both_counts_and_doubled_ones_are_the_same_again() -> None:
     line = Line(seed=4)
-    line.device.drop_share, line.device.double_share = 0.05, 0.05
+    line.device.faults.dropped, line.device.faults.doubled = 0.05, 0.05
     found = line.streamed(5.0)
     number, ticks = counted(found, PACKET_COUNTER), counted(found, SAMPLE_TIME_FINE)
     step = np.diff(number)
@@ -264,7 +265,7 @@ def test_dropped_messages_leave_a_gap_in_both_counts_and_doubled_ones_are_the_sa
 
 @pytest.mark.parametrize("clock_ppm", [-2000.0, 2000.0])
 def test_a_fast_clock_gives_more_samples_by_its_error(clock_ppm: float) -> None:
-    ticks = counted(Line(clock_ppm=clock_ppm).streamed(10.0), SAMPLE_TIME_FINE)
+    ticks = counted(Line(faults=NodeFaults(clock_ppm=clock_ppm)).streamed(10.0), SAMPLE_TIME_FINE)
     assert ticks[-1] == pytest.approx(100_000 * (1 + clock_ppm * 1e-6), abs=100)
 
 

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 from support import command
 
+from drivers.imus.registry import IMUS
 from station.bench.bench import load_bench
-from station.bench.imu import PROTOCOLS as IMU_PROTOCOLS
 from station.bench.table import PROTOCOLS as TABLE_PROTOCOLS
 from station.cli import main
-from station.init.bench_text import IMUS, TABLES
+from station.init.bench_text import TABLES
 
 
 def init(*arguments: str | Path) -> int:
@@ -35,10 +35,9 @@ def answered(folder: Path, *answers: str, options: tuple[str, ...] = ()) -> subp
 
 def test_every_protocol_can_be_chosen() -> None:
     assert set(TABLES) == set(TABLE_PROTOCOLS)
-    assert set(IMUS) == set(IMU_PROTOCOLS)
 
 
-@pytest.mark.parametrize(("table", "imu"), product(TABLE_PROTOCOLS, IMU_PROTOCOLS))
+@pytest.mark.parametrize(("table", "imu"), product(TABLE_PROTOCOLS, IMUS))
 def test_every_table_with_every_imu_gives_a_file_that_loads(tmp_path: Path, table: str, imu: str) -> None:
     path = tmp_path / "new" / "my bench.toml"
     assert init(path, "--defaults", "--table", table, "--imu", imu) == 0

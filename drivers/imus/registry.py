@@ -1,0 +1,17 @@
+"""The protocols of devices under test, by the name that a bench file gives them: one line each."""
+
+from drivers.plugins import Registry
+from drivers.specs import ImuSpec
+
+IMUS = Registry(
+    ImuSpec,
+    "turntable_station.imus",
+    {
+        "can": "drivers.imus.can.spec",
+        "j1939": "drivers.imus.aceinna.spec",
+        "stim300": "drivers.imus.stim300.spec",
+        "vectornav": "drivers.imus.vectornav.spec",
+        "xsens": "drivers.imus.xsens.spec",
+    },
+)
+"""Built in and installed ones; a bench file brings its own beside them."""

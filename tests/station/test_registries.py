@@ -1,0 +1,70 @@
+"""Devices by name: the built-in ones, and those that a bench file brings; what is said of names that there are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drivers.imus.registry import IMUS
+from sims.imus.registry import twin_of
+from station.bench.bench import load_bench
+from station.errors import BenchError
+
+BENCH = (Path(__file__).parents[1] / "data" / "benches" / "galil_xsens.toml").read_text()
+
+
+def bench(folder: Path, *changes: tuple[str, str], first: str = "") -> Path:
+    """Write a bench with a Galil and an Xsens, changed."""
+    text = BENCH
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / "bench.toml"
+    path.write_text(first + text)
+    return path
+
+
+def test_every_imu_names_itself_and_has_a_twin() -> None:
+    for name, spec in IMUS.items():
+        assert spec.name == name
+        assert callable(twin_of(spec))
+        assert all(key.doc for key in spec.keys)
+
+
+def test_an_unknown_protocol_is_told_with_the_known_ones_and_the_nearest(tmp_path: Path) -> None:
+    path = bench(tmp_path, ('protocol = "xsens"', 'protocol = "xsense"'))
+    known = "'xsense' is not one of can, j1939, stim300, vectornav, xsens; did you mean xsens?"
+    with pytest.raises(BenchError, match=rf"bench.toml, line \d+: imu.0.protocol: {known}"):
+        load_bench(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("import numpy\n\n1 / 0\n", "line 3: ZeroDivisionError: division by zero"),
+        ("def f(:\n", "line 1: SyntaxError: invalid syntax"),
+        ("import no_such_module_at_all\n", "line 1: ModuleNotFoundError: No module named 'no_such_module_at_all'"),
+        ("raise SystemExit(0)\n", "line 1: SystemExit: 0"),
+        (None, "FileNotFoundError: "),
+    ],
+)
+def test_a_plug_in_that_fails_is_one_line_with_its_name_and_the_reason(
+    tmp_path: Path, text: str | None, told: str
+) -> None:
+    if text is not None:
+        (tmp_path / "mine.py").write_text(text)
+    with pytest.raises(BenchError) as caught:
+        load_bench(bench(tmp_path, first='plugins = ["mine.py"]\n'))
+    message = str(caught.value)
+    assert "bench.toml, line 1: plugins: plug-in" in message
+    assert "mine.py" in message
+    assert told in message
+    assert "\n" not in message
+
+
+def test_files_in_plugins_beside_the_bench_are_taken_without_being_listed(tmp_path: Path) -> None:
+    (tmp_path / "plugins").mkdir()
+    (tmp_path / "plugins" / "broken.py").write_text("raise RuntimeError('not today')\n")
+    with pytest.raises(BenchError, match=r"plugins/broken.py, line 1: RuntimeError: not today"):
+        load_bench(bench(tmp_path))
