@@ -14,6 +14,7 @@ _STANDARD_GRAVITY_MPS2 = 9.80665
 
 TWINS = {
     "can": "sims.imus.can_nodes",
+    "described": "sims.imus.described",
     "j1939": "sims.imus.aceinna",
     "stim300": "sims.imus.stim300",
     "vectornav": "sims.imus.vectornav",

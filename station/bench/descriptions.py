@@ -1,112 +1,111 @@
 """Descriptions of IMUs on byte links: frames or lines of text, and which of their numbers are what."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import drivers.imus.described
 from drivers.imus.can.imu import CanChannel
 from drivers.imus.described.checks import Check
-from drivers.imus.described.framing import LONGEST, MESSAGE, TIME_TICK_S, FrameCheck, Frames, Lines, Number, database_of
+from drivers.imus.described.framing import MESSAGE, TIME_TICK_S, Frames, Lines, signal
 from drivers.imus.described.imu import Description
 from drivers.imus.signals import UNITS, plain_unit
 from drivers.packaged import packaged_toml
+from drivers.specs import Key
 from station.bench.can_mappings import read_source, read_units, shipped_or_own
 from station.errors import UsageError
 from station.schema.tables import Table
 
 DESCRIPTIONS = Path(drivers.imus.described.__path__[0])
-_TYPES = {f"{kind}{bits}": (kind, bits // 8) for kind in "iu" for bits in (8, 16, 24, 32, 64)}
-_TYPES |= {"f32": ("f", 4), "f64": ("f", 8)}
-_SIGNALS = ("rate", "acceleration", "temperature", "counter", "time")
+_HEX = re.compile(r"(\s*([0-9A-Fa-f]{2}|\?\?))*\s*")
 
 
 class DescriptionError(UsageError):
     """A description that lacks something or says something impossible; the message names file, line and key."""
 
 
-def load_description(name_or_path: str, folder: Path | None = None) -> Description:
+def load_description(name_or_path: str, folder: Path | None = None, device: str = "") -> Description:
     """Return a description that ships with the station by name, or one from a .toml file by path; DescriptionError.
 
-    A relative path counts from ``folder``.
+    A relative path counts from ``folder``. Its source is called as the ``device``.
     """
+    from cantools.database import Database, Message
+    from cantools.database.errors import Error
+
     path = shipped_or_own(name_or_path, folder, DESCRIPTIONS, "description", DescriptionError)
     top = Table.load(path, DescriptionError)
-    units = read_units(top)
-    source = read_source(top, path.stem, units)
+    source = read_source(top, "", read_units(top))
     if top.has("frame") == top.has("line"):
         raise top.fail(None, "needs a table [frame] or a table [line], and not both")
     framing: Frames | Lines
     if top.has("frame"):
-        framing, numbers, size = _frame(top.table("frame"))
+        framing, signals = _frame(top.table("frame"))
+        size = framing.size
     else:
-        framing, numbers, source = _line(top.table("line"), source)
-        size = 8 * len(numbers)
+        framing, signals, source = _line(top.table("line"), source)
+        size = 8 * len(signals)
     try:
-        database = database_of(numbers, size)
-    except ValueError as error:
+        database = Database([Message(0, MESSAGE, size, signals)])
+    except Error as error:
         raise top.fail("frame", str(error)) from None
-    channel = _in_message(top, source, numbers)
-    start, stop = _phrases(top, "start"), _phrases(top, "stop")
-    description = Description(path, framing, database, channel, start, stop, _whole(top, "baud", 1, 1 << 24, 115200))
+    channel = _checked(top, source, {signal.name: signal for signal in signals})
+    start, stop = (tuple(_phrase(phrase) for phrase in top.tables(key)) for key in ("start", "stop"))
     top.done()
-    return description
+    return Description(path, (replace(channel, name=device),), framing, database, start, stop)
 
 
-def _in_message(top: Table, source: CanChannel, numbers: dict[str, Number]) -> CanChannel:
-    """Return the source with the names of its signals in the message; the units that it needs must be there."""
-    named: dict[str, str | tuple[str, ...]] = {}
-    for key in _SIGNALS:
+def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChannel:
+    """Return the source with the full names of its signals, which must be there, with the units that they need."""
+    full: dict[str, Any] = {}
+    for key in ("rate", "acceleration", "temperature", "counter", "time"):
         if (names := getattr(source, key)) is None:
             continue
-        for name in [names] if isinstance(names, str) else names:
-            if name not in numbers:
-                raise top.fail(key, f"there is no {name!r}, only {', '.join(numbers)}")
-            if key in ("counter", "time") and numbers[name].kind == "f":
+        listed = [names] if isinstance(names, str) else names
+        for name in listed:
+            if name not in signals:
+                raise top.fail(key, f"there is no {name!r}, only {', '.join(signals)}")
+            if key in ("counter", "time") and signals[name].is_float:
                 raise top.fail(key, f"{name} is no whole number: it cannot count or tell time")
-        if key in UNITS and key != "temperature" and key not in dict(source.units):
+        if key in UNITS and key not in (*dict(source.units), "temperature"):
             raise top.fail("units", f"{key} is missing: give one of {', '.join(UNITS[key])}")
-        named[key] = f"{MESSAGE}.{names}" if isinstance(names, str) else tuple(f"{MESSAGE}.{name}" for name in names)
-    if source.counter is not None and source.time is not None:
+        named = tuple(f"{MESSAGE}.{name}" for name in listed)
+        full[key] = named[0] if isinstance(names, str) else named
+    if source.counter and source.time:
         raise top.fail("time", "give a counter or a time, not both")
-    return replace(source, **named)  # type: ignore[arg-type]
+    return replace(source, **full)
 
 
-def _frame(table: Table) -> tuple[Frames, dict[str, Number], int]:
-    """Return the framing, the numbers in a frame, and its size."""
-    size, sync = _whole(table, "bytes", 1, LONGEST), _hex(table, "sync")
-    order = _order(table, "little")
-    length = check = None
-    plus = 0
-    if table.has("length"):
-        of = table.table("length")
-        length, plus = _number(of, order, size), of.integer("plus", 0)
-        of.done()
+def _frame(table: Table) -> tuple[Frames, list[Any]]:
+    """Return the framing, and the signals in a frame."""
+    own = _keys(table, "frame")
+    size, order = own["bytes"], own["byte_order"]
+    sync = _bytes(table, "sync", own["sync"])
+    end = bytes(byte or 0 for byte in _bytes(table, "end", own["end"]))
+    framing = Frames(size, sync, end)
     if table.has("check"):
-        of = table.table("check")
-        first, end = _whole(of, "from", 0, size, 0), _whole(of, "to", -size, size, size)
-        rule = _check(of)
-        place = Number(_whole(of, "at", -size, size - rule.bits // 8), "u", rule.bits // 8, _order(of, order) == "big")
-        check = FrameCheck(rule, place, first, end if end < size else None)
-        of.done()
-    numbers, equals = {}, []
-    fields = table.table("fields")
+        within = table.table("check")
+        rule, own = _check(within)
+        first, last = own["from"], size if own["to"] is None else own["to"] % size
+        big = (own["byte_order"] or order) == "big"
+        framing = Frames(size, sync, end, rule, _place(within, own["at"], rule.bits, size), big, first, last)
+    elif sum(byte is not None for byte in sync) + len(end) < 2:
+        raise table.fail("sync", "too little tells a frame: give 2 bytes or more in sync and end, or a check")
+    fields, signals = table.table("fields"), []
     for name in fields.remaining():
         of = fields.table(name)
-        if of.has("equals"):
-            equals.append((_whole(of, "at", -size, size - 1), _hex(of, "equals")))
-        else:
-            numbers[name] = _number(of, order, size)
+        own = _keys(of, "field")
+        kind, big = own["type"], (own["byte_order"] or order) == "big"
+        at = _place(of, own["at"], int(kind[1:]), size)
+        signals.append(signal(name, at, kind, big, own["scale"], own["offset"]))
         of.done()
-    if check is None and len(sync) + sum(len(same) for _, same in equals) < 2:
-        raise table.fail(
-            "sync", "is all that tells a frame: give 2 bytes or more, fields that equal something, or a check"
-        )
     table.done()
-    return Frames(sync, size, tuple(equals), length, plus, check), numbers, size
+    return framing, signals
 
 
-def _line(table: Table, source: CanChannel) -> tuple[Lines, dict[str, Number], CanChannel]:
-    """Return the framing, the numbers in a line, and the source with its wrap as it is kept."""
+def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChannel]:
+    """Return the framing, the signals in a line, and the source with its wrap as it is then kept."""
+    own, check = _keys(table, "line"), None
     columns = table.strings("columns")
     names = [name for name in columns if name != "-"]
     if len(set(names)) < len(names):
@@ -115,68 +114,57 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, dict[str, Number], C
     scale = {name: scales.number(name, 1.0) for name in names}
     scales.done()
     unit_s = UNITS["time"][plain_unit(dict(source.units).get("time", "s"))]
-    whole = {name: 1.0 for name in names if name == source.counter}
-    whole |= {name: scale[name] * unit_s / TIME_TICK_S for name in names if name == source.time}
-    scale |= {name: 1.0 if name == source.counter else TIME_TICK_S / unit_s for name in whole}
-    numbers = {name: Number(8 * i, "i" if name in whole else "f", 8, scale=scale[name]) for i, name in enumerate(names)}
-    check, first = None, 0
+    whole = {name: scale[name] * unit_s / TIME_TICK_S for name in names if name == source.time}
+    scale |= dict.fromkeys(whole, TIME_TICK_S / unit_s)
+    whole |= {name: 1.0 for name in names if name == source.counter}
+    signals = [
+        signal(name, 8 * i, "i64" if name in whole else "f64", False, scale[name], 0.0) for i, name in enumerate(names)
+    ]
+    first = 0
     if table.has("check"):
-        of = table.table("check")
-        check, first = _check(of), _whole(of, "from", 0, LONGEST, 0)
-        of.done()
-    separator, prefix = table.string("separator", ","), table.string("prefix", "")
-    if not separator:
-        raise table.fail("separator", 'is empty: give what stands between two columns, as "," or " "')
+        check, where = _check(table.table("check"))
+        first = where["from"]
     table.done()
-    lines = Lines(columns, separator.encode(), prefix.encode(), check, first, whole)
-    return lines, numbers, replace(source, wrap=round(source.wrap * max(whole.values(), default=1.0)))
+    framing = Lines(columns, own["separator"].encode(), own["prefix"].encode(), check, first, whole)
+    return framing, signals, replace(source, wrap=round(source.wrap * max(whole.values(), default=1.0)))
 
 
-def _number(of: Table, order: str, size: int) -> Number:
-    kind, length = _TYPES[of.string("type", one_of=_TYPES)]
-    at, big = _whole(of, "at", -size, size - length), _order(of, order) == "big"
-    return Number(at, kind, length, big, of.number("scale", 1.0), of.number("offset", 0.0))
+def _check(table: Table) -> tuple[Check, dict[str, Any]]:
+    """Return a check, and where it is."""
+    own, known = _keys(table, "check"), packaged_toml("drivers", "codes.toml")["check"]
+    table.done()
+    if own["name"] in known:
+        return Check(**known[own["name"]]), own
+    if own["name"] is not None or own["bits"] is None:
+        raise table.fail("name", f"give one of {', '.join(known)}; or bits, polynomial and so on of a CRC")
+    return Check("crc", *(own[key] for key in ("bits", "polynomial", "init", "reflected", "xorout"))), own
 
 
-def _check(of: Table) -> Check:
-    if of.has("name"):
-        known = packaged_toml("drivers", "codes.toml")["check"]
-        return Check(**known[of.string("name", one_of=known)])
-    bits = of.integer("bits")
-    if bits not in (8, 16, 24, 32, 64):
-        raise of.fail("bits", f"{bits}: give 8, 16, 24, 32 or 64")
-    polynomial, init, xorout = (_whole(of, key, 0, (1 << bits) - 1, default) for key, default in _OF_CRC.items())
-    return Check("crc", bits, polynomial, init, of.flag("reflected", False), xorout)
+def _phrase(table: Table) -> tuple[bytes, float]:
+    """Return what is sent, and the pause behind it."""
+    own = _keys(table, "phrase")
+    table.done()
+    if (own["text"] is None) == (own["hex"] is None):
+        raise table.fail(None, "needs text or hex, and not both")
+    data = own["text"].encode() if own["hex"] is None else bytes(byte or 0 for byte in _bytes(table, "hex", own["hex"]))
+    return data, own["pause"]
 
 
-_OF_CRC = {"polynomial": None, "init": 0, "xorout": 0}
+def _place(table: Table, at: int | None, bits: int, size: int) -> int:
+    """Return the first byte of a number, from the beginning of its frame."""
+    if at is None or not -size <= at < size or at % size + bits // 8 > size:
+        raise table.fail("at", f"{at}: give a place where {bits // 8} bytes fit in a frame of {size}")
+    return at % size
 
 
-def _order(of: Table, default: str) -> str:
-    return of.string("byte_order", default, one_of=("little", "big"))
+def _bytes(table: Table, key: str, text: str) -> tuple[int | None, ...]:
+    """Return bytes written in hex, None for ??."""
+    if not _HEX.fullmatch(text):
+        raise table.fail(key, f'{text!r}: write bytes in hex, as "5A A5"')
+    return tuple(None if pair == "??" else int(pair, 16) for pair in re.findall(r"\S\S", text))
 
 
-def _whole(table: Table, key: str, low: int, high: int, default: int | None = None) -> int:
-    number = table.integer(key, default)
-    if not low <= number <= high:
-        raise table.fail(key, f"{number}: give a whole number from {low} to {high}")
-    return number
-
-
-def _hex(table: Table, key: str) -> bytes:
-    text = table.string(key)
-    try:
-        if data := bytes.fromhex(text):
-            return data
-    except ValueError:
-        pass
-    raise table.fail(key, f'{text!r}: write bytes in hex, as "5A A5"')
-
-
-def _phrases(top: Table, key: str) -> tuple[tuple[bytes, float], ...]:
-    phrases = []
-    for phrase in top.tables(key):
-        data = phrase.string("text").encode() if phrase.has("text") else _hex(phrase, "hex")
-        phrases.append((data, phrase.quantity("pause", "time", 0.0, "not_negative")))
-        phrase.done()
-    return tuple(phrases)
+def _keys(table: Table, section: str) -> dict[str, Any]:
+    """Take the keys of a table, as description_keys.toml has them."""
+    keys = packaged_toml("station.bench", "description_keys.toml")[section]
+    return table.options(Key(name, **key) for name, key in keys.items())

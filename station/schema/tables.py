@@ -74,6 +74,8 @@ class Table(StrictTable):
             return None
         if key.kind == "flag":
             return self.flag(key.name, key.default)
+        if key.kind == "number":
+            return self.number(key.name, key.default)
         if key.kind == "text":
             return self.string(key.name, key.default, one_of=key.one_of or None)
         if key.kind != "integer":

@@ -19,6 +19,7 @@ from drivers.imus.described.imu import DescribedImu, Description
 from drivers.links.byte_links import MemoryLink
 from drivers.types import ImuBlock
 from sims.imus.described import DescribedDevice
+from sims.imus.registry import Ride
 from sims.physics.body import Body
 from sims.physics.geometry import along
 from sims.physics.gyro import GyroArray, GyroTruth
@@ -59,6 +60,7 @@ step = 2
 units = { rate = "deg/s" }
 [frame]
 sync = "AA"
+end = "33"
 bytes = 25
 byte_order = "big"
 check = { bits = 16, polynomial = 0x8005, init = 0xFFFF, reflected = true, xorout = 0xFF, at = -3, from = 1, to = -3 }
@@ -71,23 +73,22 @@ d = { at = 11, type = "i24", scale = 6.103515625e-5 }
 e = { at = 14, type = "i24", scale = 6.103515625e-5 }
 f = { at = 17, type = "i24", scale = 6.103515625e-5, byte_order = "little" }
 status = { at = 20, type = "u16" }
-end = { at = -1, equals = "33" }
 """
 
 
 def described(text: str, folder: Path) -> Description:
     path = folder / "imu.toml"
     path.write_text(text, encoding="utf-8")
-    return load_description(str(path))
+    return load_description(str(path), device="imu")
 
 
 @pytest.fixture(scope="module")
 def hi91() -> Description:
-    return load_description("hipnuc_hi91")
+    return load_description("hipnuc_hi91", device="imu")
 
 
 def signals(description: Description) -> ChannelSignals:
-    return ChannelSignals("imu", description.database, description.file, description.channel)
+    return ChannelSignals("imu", description.database, description.dbc, description.channels[0])
 
 
 def values(description: Description, messages: list[bytes]) -> np.ndarray:
@@ -186,7 +187,7 @@ def test_checks_give_their_published_values_over_123456789(check: str, value: in
     framing = described(text, tmp_path).framing
     assert isinstance(framing, Frames)
     assert framing.check is not None
-    assert framing.check.of(b"123456789" + bytes(11)) == value
+    assert framing.check.of(b"123456789") == value
 
 
 @pytest.mark.parametrize("text", [None, ARDUINO, SENTENCE, MIXED], ids=["hi91", "arduino", "sentence", "mixed"])
@@ -258,19 +259,13 @@ class Bench:
     ) -> None:
         self.near, self.far = MemoryLink.pair("imu")
         body = Body("z", lambda _axis, t: self.SLOPE_RPS2 * t**2 / 2, lambda: 0, 0.0, 0.0, earth_turns=False)
-        axes = np.eye(3)[np.arange(len(description.channel.rates)) % 3]
+        axes = np.eye(3)[np.arange(len(description.channels[0].rates)) % 3]
         none = np.zeros(len(axes))
         gyros = GyroArray(along(axes.tolist()), GyroTruth(none, none, none, none, 0.0, 0.0), body, rate_hz, (1,))
         self.heard = b""
         self.faults = NodeFaults(**faults)
-        self.device = DescribedDevice(
-            gyros,
-            lambda data: self.far.write(wire(data)),
-            rate_hz,
-            description,
-            faults=self.faults,
-            specific_force=lambda t_s: np.tile([0.0, 0.0, 9.80665], (len(t_s), 1)),
-        )
+        ride = Ride(gyros, rate_hz, lambda t_s: np.tile([0.0, 0.0, 1.0], (len(t_s), 1)), self.faults, {}, description)
+        self.device = DescribedDevice(ride, lambda data: self.far.write(wire(data)))
         self.imu = DescribedImu("imu", self.near, description, rate_hz)
 
     async def _hear(self) -> None:
@@ -320,8 +315,8 @@ def test_a_device_and_its_driver_agree(text: str | None, hi91: Description, tmp_
     assert len(block.t_ns) > 1960
     assert (counts.lost, counts.repeated, counts.corrupt) == (0, 0, 0)
     assert np.abs(bench.errors_s(block)[500:]).max() < 2e-3
-    assert np.isnan(block.temperature_c).all() == (description.channel.temperature is None)
-    if description.channel.acceleration:
+    assert np.isnan(block.temperature_c).all() == (description.channels[0].temperature is None)
+    if description.channels[0].acceleration:
         np.testing.assert_allclose(block.accel_mps2[:, 2], 9.80665, rtol=1e-6)
     alignment = bench.imu.alignment("imu")
     assert alignment is not None
@@ -351,7 +346,7 @@ def test_lost_and_doubled_samples_are_counted(
 
 def test_a_time_stamp_wraps(tmp_path: Path) -> None:
     text = (DESCRIPTIONS / "hipnuc_hi91.toml").read_text()
-    description = described(text.replace("baud =", "wrap = 3000\nbaud ="), tmp_path)
+    description = described(text.replace("rate = [", "wrap = 3000\nrate = ["), tmp_path)
     bench = Bench(description, 100.0)
     block, counts = bench.run(20.0), bench.imu.counts("imu")
     assert (counts.lost, counts.repeated) == (0, 0)

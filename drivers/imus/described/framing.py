@@ -4,8 +4,6 @@ A frame is a message as a DBC describes them: cantools reads and writes its sign
 8 bytes a column.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Mapping
@@ -19,147 +17,61 @@ from drivers.imus.described.checks import Check
 
 MESSAGE = "frame"
 """Name of the message that is in each frame."""
-LONGEST = 4096
-"""Bytes of the longest frame or line: what would be longer is none."""
 TIME_TICK_S = 1e-6
 """Times in lines of text are kept to this."""
+_LONGEST_LINE = 4096
 _DIGITS = 9  # after the point, where numbers are written
 _NUMBER = rb"[ \t]*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)[ \t]*"
 
 
-@dataclass(frozen=True, slots=True)
-class Number:
-    """A number in a frame: "i", "u" or "f", and how many bytes it takes from ``at`` on, from the end if below 0.
-
-    What it stands for is number * ``scale`` + ``offset``.
-    """
-
-    at: int
-    kind: str
-    size: int
-    big: bool = False
-    scale: float = 1.0
-    offset: float = 0.0
-
-    def bounds(self, frame: bytes | bytearray) -> tuple[int, int]:
-        """Return its first byte and the one behind it."""
-        start = self.at % len(frame)
-        return start, start + self.size
-
-    def read(self, frame: bytes) -> int:
-        """Return the number, which has no sign."""
-        return int.from_bytes(frame[slice(*self.bounds(frame))], "big" if self.big else "little")
-
-    def write(self, frame: bytearray, number: int) -> None:
-        """Put a number without sign there."""
-        frame[slice(*self.bounds(frame))] = number.to_bytes(self.size, "big" if self.big else "little")
-
-
-def database_of(numbers: Mapping[str, Number], size: int) -> Any:
-    """Return cantools' database of one message of ``size`` bytes that has these numbers; ValueError if they overlap."""
-    import cantools.database as dbc
-    from cantools.database.conversion import BaseConversion
-
-    signals = []
-    for name, of in numbers.items():
-        limits: list[float | None] = [None, None]
-        bits = 8 * of.size
-        if of.kind != "f":
-            lowest = -(1 << bits - 1) if of.kind == "i" else 0
-            limits[:] = sorted(end * of.scale + of.offset for end in (lowest, lowest + (1 << bits) - 1))
-        signal = dbc.Signal(
-            name,
-            8 * (of.at % size) + 7 * of.big,
-            bits,
-            "big_endian" if of.big else "little_endian",
-            of.kind == "i",
-            conversion=BaseConversion.factory(of.scale, of.offset, is_float=of.kind == "f"),
-            minimum=limits[0],
-            maximum=limits[1],
-        )
-        signals.append(signal)
-    try:
-        return dbc.Database([dbc.Message(0, MESSAGE, size, signals)])
-    except dbc.errors.Error as error:
-        raise ValueError(str(error)) from None
-
-
-@dataclass(frozen=True, slots=True)
-class FrameCheck:
-    """Where the check of a frame is, and which bytes it is over: from ``first`` to ``end``, less its own."""
-
-    rule: Check
-    place: Number
-    first: int = 0
-    end: int | None = None
-
-    def of(self, frame: bytes | bytearray) -> int:
-        """Return the check that a frame should carry."""
-        start, stop = self.place.bounds(frame)
-        end = len(frame) if self.end is None else self.end % len(frame)
-        return self.rule.of(bytes(frame[self.first : min(start, end)] + frame[max(stop, self.first) : end]))
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Frames:
-    """Binary frames of ``size`` bytes that have the bytes ``equals`` at their places and begin with ``sync``.
+    """Binary frames of ``size`` bytes that begin with ``sync``, in which None is any byte, and end with ``end``.
 
-    Where a ``length`` field says how many bytes a frame has beside ``plus`` others, messages of other sizes may lie
-    between; where there is a check, other messages of the same size.
+    A ``check``, if there is one, is at ``at`` and over the bytes from ``first`` to ``last``, less its own.
     """
 
-    sync: bytes
     size: int
-    equals: tuple[tuple[int, bytes], ...] = ()
-    length: Number | None = None
-    plus: int = 0
-    check: FrameCheck | None = None
+    sync: tuple[int | None, ...]
+    end: bytes = b""
+    check: Check | None = None
+    at: int = 0
+    big: bool = False
+    first: int = 0
+    last: int = 0
 
     def scan(self, view: bytes) -> tuple[list[bytes], int, int]:
         """Return the frames, how many places began like one and are none, and how many bytes are done with."""
         found: list[bytes] = []
         damaged = at = 0
-        while (start := view.find(self.sync, at)) >= 0:
-            size = self._size(view[start : start + LONGEST])
-            if start + size > len(view):
+        while (sync := self._sync.search(view, at)) is not None:
+            start = sync.start()
+            frame = view[start : start + self.size]
+            if len(frame) < self.size:
                 return found, damaged, start
-            frame = view[start : start + size]
-            if frame and self._right(frame):
-                found += [frame] if self._ours(frame) else []
-                at = start + size
-            else:
-                damaged += 1
-                at = start + 1
+            right = frame.endswith(self.end) and frame == self._checked(frame)
+            found += [frame] if right else []
+            damaged += not right
+            at = start + (self.size if right else 1)
         return found, damaged, max(at, len(view) - len(self.sync) + 1)
 
     def written(self, message: bytes) -> bytes:
         """Return the frame with the signals of a message."""
-        frame = bytearray(message)
-        for at, same in ((0, self.sync), *self.equals):
-            frame[at % self.size : at % self.size + len(same)] = same
-        if self.length is not None:
-            self.length.write(frame, self.size - self.plus)
-        if self.check is not None:
-            self.check.place.write(frame, self.check.of(frame))
-        return bytes(frame)
+        begin = bytes(old if new is None else new for old, new in zip(message, self.sync, strict=False))
+        return self._checked(begin + message[len(begin) : self.size - len(self.end)] + self.end)
 
-    def _size(self, view: bytes) -> int:
-        """Return the size of the frame that begins here, beyond the view if more is needed to tell; 0 if it is none."""
-        if self.length is None:
-            return self.size
-        header = self.length.at + self.length.size
-        if header > len(view):
-            return header
-        size = self.length.read(view) + self.plus
-        return size if header <= size <= LONGEST else 0
+    def _checked(self, frame: bytes) -> bytes:
+        """Return a frame with its right check."""
+        if self.check is None:
+            return frame
+        stop = self.at + self.check.bits // 8
+        over = frame[self.first : min(self.at, self.last)] + frame[max(stop, self.first) : self.last]
+        check = self.check.of(over).to_bytes(stop - self.at, "big" if self.big else "little")
+        return frame[: self.at] + check + frame[stop:]
 
-    def _right(self, frame: bytes) -> bool:
-        if self.check is not None and len(frame) >= self.check.place.size:
-            return self.check.place.read(frame) == self.check.of(frame)
-        return self.check is None and (self.length is not None or self._ours(frame))
-
-    def _ours(self, frame: bytes) -> bool:
-        return len(frame) == self.size and all(frame.startswith(same, at % self.size) for at, same in self.equals)
+    @cached_property
+    def _sync(self) -> re.Pattern[bytes]:
+        return re.compile(b"".join(b"." if byte is None else re.escape(bytes([byte])) for byte in self.sync), re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -175,7 +87,7 @@ class Lines:
     prefix: bytes = b""
     check: Check | None = None
     first: int = 0
-    whole: dict[str, float] = field(default_factory=dict)
+    whole: Mapping[str, float] = field(default_factory=dict)
 
     def scan(self, view: bytes) -> tuple[list[bytes], int, int]:
         """Return the messages, how many lines were damaged, and how many bytes are done with.
@@ -188,13 +100,13 @@ class Lines:
         for line in lines:
             start = line.rfind(self.prefix) if self.prefix else 0
             text = line[start:].rstrip(b"\r")
-            if start >= 0 and text and len(line) <= LONGEST:
+            if start >= 0 and text and len(line) <= _LONGEST_LINE:
                 match = self._pattern.fullmatch(text)
                 if match is not None and self._checked(text):
                     found.append(self._packed.pack(*map(self._number, self._names, match.groups())))
                 else:
                     damaged += 1
-        kept = 0 if len(rest) > LONGEST else len(rest) + (rest is not view)
+        kept = 0 if len(rest) > _LONGEST_LINE else len(rest) + (rest is not view)
         return found, damaged, len(view) - kept
 
     def written(self, message: bytes) -> bytes:
@@ -247,3 +159,26 @@ class Decoder:
         self._rest = view[done:]
         self.damaged += damaged
         return found
+
+
+def signal(name: str, at: int, kind: str, big: bool, scale: float, offset: float) -> Any:
+    """Return cantools' signal whose first byte is at ``at``; ``kind`` is i, u or f before its bits.
+
+    The value is number * scale + offset.
+    """
+    from cantools.database import Signal
+    from cantools.database.conversion import BaseConversion
+
+    bits, signed, real = int(kind[1:]), kind[0] == "i", kind[0] == "f"
+    lowest = -(1 << bits - 1) if signed else 0
+    low, high = sorted(end * scale + offset for end in (lowest, lowest + (1 << bits) - 1))
+    return Signal(
+        name,
+        8 * at + 7 * big,
+        bits,
+        "big_endian" if big else "little_endian",
+        signed,
+        conversion=BaseConversion.factory(scale, offset, is_float=real),
+        minimum=None if real else low,
+        maximum=None if real else high,
+    )

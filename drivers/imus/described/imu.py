@@ -2,7 +2,7 @@
 
 import asyncio
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +17,16 @@ from drivers.types import ByteChunk, Frame, SourceCounts
 class Description:
     """How an IMU speaks on a byte link: the framing, and the one message of a cantools ``database`` in each frame.
 
-    ``channel`` names its signals. ``start`` and ``stop`` are what is sent to it, each with a pause in s behind it.
-    ``baud`` is that of a serial link that states none.
+    ``dbc`` is the file that says so; the one of ``channels`` names the signals. ``start`` and ``stop`` are what is
+    sent to it, each with a pause in s behind it.
     """
 
-    file: Path
+    dbc: Path
+    channels: tuple[CanChannel, ...]
     framing: Frames | Lines
     database: Any
-    channel: CanChannel
     start: tuple[tuple[bytes, float], ...] = ()
     stop: tuple[tuple[bytes, float], ...] = ()
-    baud: int = 115200
 
 
 class FramedLink:
@@ -79,8 +78,8 @@ class DescribedImu(CanImu):
     def __init__(self, device: str, link: ByteLink, description: Description, rate_hz: float) -> None:
         """Expect samples at ``rate_hz``: a description does not say how to ask for them."""
         self._framed = FramedLink(link, description)
-        channel = replace(description.channel, name=device)
-        super().__init__(device, self._framed, description.file, (channel,), rate_hz, database=description.database)
+        channels, database = description.channels, description.database
+        super().__init__(device, self._framed, description.dbc, channels, rate_hz, database=database)
 
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are places that began like a frame, or lines, and were none."""
