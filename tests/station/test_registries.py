@@ -34,7 +34,7 @@ def test_every_imu_names_itself_and_has_a_twin() -> None:
 
 def test_an_unknown_protocol_is_told_with_the_known_ones_and_the_nearest(tmp_path: Path) -> None:
     path = bench(tmp_path, ('protocol = "xsens"', 'protocol = "xsense"'))
-    known = "'xsense' is not one of can, j1939, stim300, vectornav, xsens; did you mean xsens?"
+    known = "'xsense' is not one of can, described, j1939, stim300, vectornav, xsens; did you mean xsens?"
     with pytest.raises(BenchError, match=rf"bench.toml, line \d+: imu.0.protocol: {known}"):
         load_bench(path)
 
