@@ -3,13 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import drivers.imus.can.dbc
 from drivers.imus.can.imu import CanChannel
 from drivers.imus.signals import UNITS, plain_unit
+from drivers.specs import Key
 from station.errors import UsageError
 from station.schema.tables import Table
 
+_COUNTING = (
+    Key("wrap", "integer", "raw number at which a counter or a time begins anew; 0: with its length", 0, low=0),
+    Key("step", "integer", "how much a counter goes on with each sample", 1, low=1),
+)
 MAPPING_FOLDER = Path(drivers.imus.can.dbc.__path__[0])
 
 
@@ -95,20 +101,16 @@ def read_source(table: Table, name: str, units: tuple[tuple[str, str], ...]) -> 
     acceleration = table.strings("acceleration") if table.has("acceleration") else None
     if acceleration is not None and len(acceleration) != 3:
         raise table.fail("acceleration", f"names {len(acceleration)} signals, not x, y and z")
-    single = {key: table.string(key) if table.has(key) else None for key in ("temperature", "counter", "time")}
-    wrap = table.integer("wrap", 0)
-    step = table.integer("step", 1)
-    for key, number, least in (("wrap", wrap, 0), ("step", step, 1)):
-        if number < least:
-            raise table.fail(key, f"{number} is less than {least}")
+    single: dict[str, Any] = {
+        key: table.string(key) if table.has(key) else None for key in ("temperature", "counter", "time")
+    }
     return CanChannel(
         table.string("name", name),
         table.strings("rate"),
         **single,
         acceleration=None if acceleration is None else (acceleration[0], acceleration[1], acceleration[2]),
         units=units,
-        wrap=wrap,
-        step=step,
+        **table.options(_COUNTING),
     )
 
 

@@ -86,7 +86,7 @@ def _frame(table: Table) -> tuple[Frames, list[Any]]:
     if table.has("check"):
         within = table.table("check")
         rule, own = _check(within)
-        first, last = own["from"], size if own["to"] is None else own["to"] % size
+        first, last = own["from"], (own["to"] or 0) % size or size
         big = (own["byte_order"] or order) == "big"
         framing = Frames(size, sync, end, rule, _place(within, own["at"], rule.bits, size), big, first, last)
     elif sum(byte is not None for byte in sync) + len(end) < 2:

@@ -148,6 +148,14 @@ def test_an_arduino_takes_six_lines(tmp_path: Path) -> None:
     assert np.isnan(rows[:, 3]).all()
 
 
+def test_blanks_may_part_columns_and_a_line_of_blanks_costs_no_time(tmp_path: Path) -> None:
+    blanks = described(ARDUINO + 'separator = " "\n', tmp_path)
+    decoder = Decoder(blanks.framing)
+    messages = decoder.feed(b"\n  1   2\t3 \r\n1" + b" " * 4000 + b"x\n" + b"1" * 5000 + b"\n4 5 6\n")
+    np.testing.assert_allclose(np.degrees(values(blanks, messages)[:, :3]), [[1, 2, 3], [4, 5, 6]])
+    assert decoder.damaged == 1
+
+
 def test_a_line_with_prefix_counter_and_checksum(tmp_path: Path) -> None:
     sentence = described(SENTENCE, tmp_path)
     decoder = Decoder(sentence.framing)

@@ -85,6 +85,13 @@ def test_a_wrong_description_is_told_with_file_line_and_key(
         load_description(str(path))
 
 
+def test_the_guide_shows_what_ships() -> None:
+    guide = (Path(__file__).parents[2] / "docs" / "pages" / "guide" / "describe-an-imu.md").read_text()
+    shipped = CSV.partition("\n")[2]
+    assert len(shipped.splitlines()) == 6
+    assert shipped in guide
+
+
 def test_a_frame_that_nothing_tells_from_garbage_is_refused(tmp_path: Path) -> None:
     text = 'rate = "g"\nunits.rate = "deg/s"\n[frame]\nsync = "AA ??"\nbytes = 4\nfields.g = { at = 2, type = "i16" }\n'
     (tmp_path / "imu.toml").write_text(text)

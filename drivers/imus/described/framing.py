@@ -21,7 +21,7 @@ TIME_TICK_S = 1e-6
 """Times in lines of text are kept to this."""
 _LONGEST_LINE = 4096
 _DIGITS = 9  # after the point, where numbers are written
-_NUMBER = rb"[ \t]*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)[ \t]*"
+_NUMBER = rb"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)"
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Lines:
         found, damaged = [], 0
         for line in lines:
             start = line.rfind(self.prefix) if self.prefix else 0
-            text = line[start:].rstrip(b"\r")
+            text = line[start:].strip()
             if start >= 0 and text and len(line) <= _LONGEST_LINE:
                 match = self._pattern.fullmatch(text)
                 if match is not None and self._checked(text):
@@ -133,8 +133,8 @@ class Lines:
         anything = rb"[^ \t]*" if blank else b"[^" + re.escape(self.separator[:1]) + b"]*"
         columns = [anything if name == "-" else _NUMBER for name in self.columns]
         check = b"" if self.check is None else rb"\*[0-9A-Fa-f]{%d}" % (self.check.bits // 4)
-        between = rb"[ \t]+" if blank else re.escape(self.separator)
-        return re.compile(re.escape(self.prefix) + between.join(columns) + check)
+        between = rb"[ \t]+" if blank else rb"[ \t]*" + re.escape(self.separator) + rb"[ \t]*"
+        return re.compile(re.escape(self.prefix) + rb"[ \t]*" + between.join(columns) + check)
 
     def _number(self, name: str, text: bytes) -> float | int:
         return round(float(text) * self.whole[name]) % (1 << 63) if name in self.whole else float(text)
