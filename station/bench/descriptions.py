@@ -8,7 +8,7 @@ from typing import Any
 import drivers.imus.described
 from drivers.imus.can.imu import CanChannel
 from drivers.imus.described.checks import Check
-from drivers.imus.described.framing import MESSAGE, TIME_TICK_S, Frames, Lines, signal
+from drivers.imus.described.framing import MESSAGE, RESOLUTION, TIME_TICK_S, Frames, Lines, signal
 from drivers.imus.described.imu import Description
 from drivers.imus.signals import UNITS, plain_unit
 from drivers.packaged import packaged_toml
@@ -114,19 +114,20 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChanne
     scale = {name: scales.number(name, 1.0) for name in names}
     scales.done()
     unit_s = UNITS["time"][plain_unit(dict(source.units).get("time", "s"))]
-    whole = {name: scale[name] * unit_s / TIME_TICK_S for name in names if name == source.time}
-    scale |= dict.fromkeys(whole, TIME_TICK_S / unit_s)
-    whole |= {name: 1.0 for name in names if name == source.counter}
-    signals = [
-        signal(name, 8 * i, "i64" if name in whole else "f64", False, scale[name], 0.0) for i, name in enumerate(names)
-    ]
+    by = dict.fromkeys(names, 1 / RESOLUTION)
+    if source.time in by:
+        by[source.time] = scale[source.time] * unit_s / TIME_TICK_S
+    if source.counter in by:
+        by[source.counter] = 1.0
+    signals = [signal(name, 8 * i, "i64", False, scale[name] / by[name], 0.0) for i, name in enumerate(names)]
     first = 0
     if table.has("check"):
         check, where = _check(table.table("check"))
         first = where["from"]
     table.done()
-    framing = Lines(columns, own["separator"].encode(), own["prefix"].encode(), check, first, whole)
-    return framing, signals, replace(source, wrap=round(source.wrap * max(whole.values(), default=1.0)))
+    whole = tuple(by.get(name) for name in columns)
+    framing = Lines(whole, own["separator"].encode(), own["prefix"].encode(), check, first)
+    return framing, signals, replace(source, wrap=round(source.wrap * by.get(source.time or "", 1.0)))
 
 
 def _check(table: Table) -> tuple[Check, dict[str, Any]]:

@@ -5,9 +5,8 @@ A frame is a message as a DBC describes them: cantools reads and writes its sign
 """
 
 import re
-import struct
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -17,9 +16,10 @@ from drivers.imus.described.checks import Check
 
 MESSAGE = "frame"
 """Name of the message that is in each frame."""
-TIME_TICK_S = 1e-6
-"""Times in lines of text are kept to this."""
+RESOLUTION, TIME_TICK_S = 1e-9, 1e-6
+"""Numbers and times in lines of text are kept to this."""
 _LONGEST_LINE = 4096
+_MOST = 2.0**62
 _DIGITS = 9  # after the point, where numbers are written
 _NUMBER = rb"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)"
 
@@ -76,18 +76,17 @@ class Frames:
 
 @dataclass(frozen=True)
 class Lines:
-    """Lines of text that begin with ``prefix``; columns "-" are passed over, ``whole`` ones are kept as integers.
+    """Lines of text that begin with ``prefix``: numbers in ``columns``, None for what is passed over.
 
-    These are multiplied by what ``whole`` says. A check stands behind the last "*", in hex, and is over what stands
-    before that, from character ``first`` on. A separator of blanks is any number of them.
+    In the message a number is a whole one, multiplied by what its column says. A check stands behind the last "*", in
+    hex, and is over what stands before that, from character ``first`` on. A separator of blanks is any number of them.
     """
 
-    columns: tuple[str, ...]
+    columns: tuple[float | None, ...]
     separator: bytes = b","
     prefix: bytes = b""
     check: Check | None = None
     first: int = 0
-    whole: Mapping[str, float] = field(default_factory=dict)
 
     def scan(self, view: bytes) -> tuple[list[bytes], int, int]:
         """Return the messages, how many lines were damaged, and how many bytes are done with.
@@ -102,8 +101,9 @@ class Lines:
             text = line[start:].strip()
             if start >= 0 and text and len(line) <= _LONGEST_LINE:
                 match = self._pattern.fullmatch(text)
-                if match is not None and self._checked(text):
-                    found.append(self._packed.pack(*map(self._number, self._names, match.groups())))
+                body, _, digits = text.rpartition(b"*")
+                if match is not None and (self.check is None or digits.upper() == self._digits(body, self.check)):
+                    found.append(self._packed(match.groups()))
                 else:
                     damaged += 1
         kept = 0 if len(rest) > _LONGEST_LINE else len(rest) + (rest is not view)
@@ -111,37 +111,31 @@ class Lines:
 
     def written(self, message: bytes) -> bytes:
         """Return the line with the signals of a message, and 0 in the columns that are passed over."""
-        numbers = dict(zip(self._names, self._packed.unpack(message), strict=True))
-        numbers |= {name: numbers[name] / by for name, by in self.whole.items()}
-        texts = (np.format_float_positional(numbers.get(name, 0.0), _DIGITS, trim="-") for name in self.columns)
-        line = self.prefix + self.separator.join(text.encode() for text in texts)
-        if self.check is not None:
-            line += b"*%0*X" % (self.check.bits // 4, self.check.of(line[self.first :]))
-        return line + b"\r\n"
+        numbers = (number / by for number, by in zip(np.frombuffer(message, "<i8"), self._factors, strict=True))
+        values = (0.0 if by is None else next(numbers) for by in self.columns)
+        texts = (np.format_float_positional(value, _DIGITS, trim="-").encode() for value in values)
+        line = self.prefix + self.separator.join(texts)
+        return line + (b"" if self.check is None else b"*" + self._digits(line, self.check)) + b"\r\n"
+
+    def _digits(self, body: bytes, check: Check) -> bytes:
+        return b"%0*X" % (check.bits // 4, check.of(body[self.first :]))
+
+    def _packed(self, texts: Sequence[bytes]) -> bytes:
+        numbers = np.array([float(text) * by for text, by in zip(texts, self._factors, strict=True)])
+        return bytes(np.rint(numbers.clip(-_MOST, _MOST)).astype("<i8"))
 
     @property
-    def _names(self) -> list[str]:
-        return [name for name in self.columns if name != "-"]
-
-    @cached_property
-    def _packed(self) -> struct.Struct:
-        return struct.Struct("<" + "".join("q" if name in self.whole else "d" for name in self._names))
+    def _factors(self) -> list[float]:
+        return [by for by in self.columns if by is not None]
 
     @cached_property
     def _pattern(self) -> re.Pattern[bytes]:
         blank = self.separator.isspace()
         anything = rb"[^ \t]*" if blank else b"[^" + re.escape(self.separator[:1]) + b"]*"
-        columns = [anything if name == "-" else _NUMBER for name in self.columns]
-        check = b"" if self.check is None else rb"\*[0-9A-Fa-f]{%d}" % (self.check.bits // 4)
+        columns = [anything if by is None else _NUMBER for by in self.columns]
+        check = b"" if self.check is None else rb"\*[0-9A-Fa-f]+"
         between = rb"[ \t]+" if blank else rb"[ \t]*" + re.escape(self.separator) + rb"[ \t]*"
         return re.compile(re.escape(self.prefix) + rb"[ \t]*" + between.join(columns) + check)
-
-    def _number(self, name: str, text: bytes) -> float | int:
-        return round(float(text) * self.whole[name]) % (1 << 63) if name in self.whole else float(text)
-
-    def _checked(self, line: bytes) -> bool:
-        body, _, check = line.rpartition(b"*")
-        return self.check is None or self.check.of(body[self.first :]) == int(check, 16)
 
 
 class Decoder:
