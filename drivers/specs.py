@@ -1,15 +1,19 @@
 """A device as one record: what it is called, how it is reached, what a bench file says of it, how its driver is made.
 
-Such a record stands in the folder of its device; ``drivers.imus.registry`` and ``drivers.tables.registry`` name them.
+Such a record stands in the folder of its device, plain facts in spec.toml, the rest in spec.py;
+``drivers.imus.registry`` and ``drivers.tables.registry`` name them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
 
-from drivers.protocols import ImuSource
+from drivers.packaged import packaged_toml
+from drivers.protocols import ImuSource, Turntable
+from drivers.types import AxisLimits
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,8 +22,9 @@ class Key:
 
     ``kind`` is "text", "flag", "integer", "number", or what a quantity measures ("time", "angle"); its value is then
     in SI. Without a ``default`` it may be left out (None), unless it is ``required``. ``one_of`` are the values that it
-    may have, ``low`` and ``high`` the bounds of an integer; ``noun`` is what such a number is called, ``unit`` what it
-    is in. ``bound`` of a quantity is "above_zero" or "not_negative".
+    may have; ``bound`` of a number is "above_zero" or "not_negative"; ``told`` is what is said of an integer that is
+    neither, with {} for it. ``read`` makes something else of a text, given the folder of the bench file; its
+    ValueError is told. ``station init`` asks for the value of one that is ``asked``.
     """
 
     name: str
@@ -28,14 +33,10 @@ class Key:
     default: Any = None
     required: bool = False
     one_of: Collection[Any] = ()
-    low: int | None = None
-    high: int | None = None
-    noun: str = ""
-    unit: str = ""
     bound: str = ""
-
-
-CONFIGURE = Key("configure", "flag", "false: the station does not set it up; it must send as it should already", True)
+    told: str = ""
+    read: Callable[[str, Path], Any] | None = None
+    asked: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +97,7 @@ class ImuSpec:
     keys: tuple[Key, ...] = ()
     twin: Callable[[Any, Any], Any] | None = None
     family: str = ""
+    opens_links: ClassVar[bool] = False
 
     def refused_rate(self, rate_hz: float, options: Mapping[str, Any]) -> str:
         """Return which rates a device with these options has, if this is none of them, else nothing."""
@@ -106,3 +108,79 @@ class ImuSpec:
         listed = ", ".join(f"{legal:g}" for legal in legal_hz) + " Hz"
         which = f"a whole number of Hz, up to {legal_hz[-1]}" if isinstance(legal_hz, range) else listed
         return " ".join(["protocol", self.name, "sends", *chosen, "at", which])
+
+
+@dataclass(frozen=True, slots=True)
+class AxisSetup:
+    """One axis of a table: its ``address`` at the controller, encoder counts a turn, limits, values of its own keys.
+
+    ``link`` is that of a drive with one of its own, else empty; a driver is given the Address that it means.
+    """
+
+    address: int | str
+    counts_per_turn: int
+    limits: AxisLimits
+    link: Any = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class TableSetup:
+    """What the bench says of the table, for its driver: axes outermost first, values of the protocol's keys.
+
+    A request is tried twice, each for ``timeout_s``.
+    """
+
+    axes: Mapping[str, AxisSetup]
+    timeout_s: float
+    options: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableSpec:
+    """A protocol of tables.
+
+    ``what`` says which controllers speak it, ``link`` is an example of one; ``baud`` and ``tcp_port`` hold for links
+    that state none. ``address`` is the key of an axis that says which it is at the controller, None where there is
+    but one; ``station init`` proposes ``addresses`` and ``proposed_counts`` a turn, which must be given unless 0.
+    ``keys`` stand in [table], ``axis_keys`` in the table of each axis. ``acceleration_step`` in counts/s2 is what
+    accelerations are multiples of. ``make`` gives the driver on a ByteLink or, where it ``opens_links`` itself and an
+    axis may have one of its own, at an Address: (host, port) or SerialPort. ``refused`` says what else cannot be.
+
+    Of its twin: ``limits_trip`` says whether drives know a limit switch only as a reason to trip; ``twin`` makes one
+    from outside the station, those of its own are in ``sims.tables.registry``.
+    """
+
+    name: str
+    what: str
+    link: str
+    make: Callable[[TableSetup, Any], Turntable]
+    baud: int = 115_200
+    tcp_port: int | None = None
+    most_axes: int = 3
+    address: Key | None = None
+    addresses: Sequence[str] = ("",)
+    proposed_counts: int = 0
+    keys: tuple[Key, ...] = ()
+    axis_keys: tuple[Key, ...] = ()
+    acceleration_step: int = 0
+    opens_links: bool = False
+    refused: Callable[[AxisSetup, str], str] = lambda axis, link: ""
+    limits_trip: bool = False
+    on_can: ClassVar[bool] = False
+    twin: Callable[[Any, Any], Any] | None = None
+
+
+S = TypeVar("S", ImuSpec, TableSpec)
+
+
+def described(kind: type[S], package: str, keys: Mapping[str, Any] | None = None, **more: Any) -> S:
+    """Return the record whose plain facts are in spec.toml of a package; ``keys`` adds to those of its keys."""
+    facts = {**packaged_toml(package, "spec.toml"), **more}
+    for part in ("keys", "axis_keys") if kind is TableSpec else ("keys",):
+        facts[part] = tuple(Key(**key, **(keys or {}).get(key["name"], {})) for key in facts.get(part, ()))
+    if "address" in facts:
+        facts["address"] = Key(**facts["address"], **(keys or {}).get(facts["address"]["name"], {}))
+    if "proposed" in facts:
+        facts["proposed"] = ProposedImu(**facts["proposed"])
+    return kind(**facts)

@@ -8,7 +8,6 @@ import numpy as np
 from drivers.imus.aceinna import codec as aceinna
 from drivers.imus.signals import parameter_group
 from drivers.types import Floats
-from sims.imus.registry import Ride
 from sims.physics.gyro import GyroArray
 from sims.wires.frames import FrameSink, NodeFaults, SpecificForce
 
@@ -129,10 +128,3 @@ class AceinnaDevice:
     def _send(self, group: int, data: bytes) -> None:
         frame = aceinna.message(group, data, self._address)
         self._bus.send(can.Message(arbitration_id=frame.identifier, is_extended_id=True, data=data))
-
-
-def twin(ride: Ride, bus: FrameSink) -> AceinnaDevice:
-    """Return the device on a bus."""
-    own = {key: ride.options[key] for key in ("model", "address")}
-    faults, force = ride.faults, ride.force_mps2
-    return AceinnaDevice(ride.gyros, bus, ride.rate_hz, **own, faults=faults, specific_force=force)

@@ -12,7 +12,6 @@ import numpy as np
 from drivers.imus.can.imu import CanChannel, ChannelSignals, load_dbc
 from drivers.imus.signals import SignalReader
 from drivers.types import Floats
-from sims.imus.registry import Ride
 from sims.physics.gyro import GyroArray
 from sims.wires.frames import FrameSink, NodeFaults, SpecificForce
 
@@ -76,12 +75,6 @@ class CanNodes:
                 messages = node.messages(rates[node.gyros], told, with_temperature=with_temperature)
                 for message in messages * times:
                     self._bus.send(message)
-
-
-def twin(ride: Ride, bus: FrameSink) -> CanNodes:
-    """Return the nodes of a device on a bus."""
-    signals = ride.signals.dbc, ride.signals.channels
-    return CanNodes(ride.gyros, bus, *signals, ride.rate_hz, faults=ride.faults, specific_force=ride.force_mps2)
 
 
 class _Told:

@@ -1,33 +1,27 @@
 """Twin of an IMU on a byte link that a file describes: what it sends is written by the same description."""
 
 from collections.abc import Callable
+from typing import Any
 
 import can
 
 from drivers.imus.described.imu import Description
 from sims.imus.can_nodes import CanNodes
-from sims.imus.registry import Ride
+from sims.physics.gyro import GyroArray
 
 
-class DescribedDevice:
+class DescribedDevice(CanNodes):
     """Measures all the time; sends when it has heard all that starts it, until it has heard all that stops it."""
 
-    def __init__(self, ride: Ride, write: Callable[[bytes], None]) -> None:
-        """``ride.signals`` is the description."""
-        description: Description = ride.signals
+    def __init__(
+        self, gyros: GyroArray, write: Callable[[bytes], None], rate_hz: float, description: Description, **more: Any
+    ) -> None:
+        """The gyros are those of the description, and made for ``rate_hz``; ``more`` is as of any node."""
+        dbc, channels, database = description.dbc, description.channels, description.database
+        super().__init__(gyros, self, dbc, channels, rate_hz, database=database, **more)
         self._write, self._framing = write, description.framing
         self._start, self._stop = (
             b"".join(data for data, _ in phrases) for phrases in (description.start, description.stop)
-        )
-        self._nodes = CanNodes(
-            ride.gyros,
-            self,
-            description.dbc,
-            description.channels,
-            ride.rate_hz,
-            faults=ride.faults,
-            specific_force=ride.force_mps2,
-            database=description.database,
         )
         self._heard = b""
         self.running = not self._start
@@ -44,10 +38,3 @@ class DescribedDevice:
         """Send a message as the description frames it."""
         if self.running:
             self._write(self._framing.written(bytes(msg.data)))
-
-    async def serve(self) -> None:
-        """Send until cancelled."""
-        await self._nodes.serve()
-
-
-twin = DescribedDevice

@@ -10,7 +10,6 @@ from drivers.imus.stim300.special import BiasTrim, ExtendedError, PartNumber, Se
 from drivers.imus.stim300.units import ACCEL_LSB_G, GYRO_LSB_DEG, GYRO_LSB_DPS, UNITS
 from drivers.imus.stim300.utility import UtilityMessage, encode_message
 from drivers.types import Flags, Floats, Ints
-from sims.imus.registry import Ride
 from sims.imus.stim300_output import GyroOutput
 from sims.imus.stim300_settings import SERVICE_ERRORS, Settings, banner, service_lines, utility_reply
 from sims.physics.geometry import upright
@@ -236,8 +235,3 @@ class Stim300Device(LineDevice):
 
     def _print(self, lines: list[str]) -> None:
         self._write("\r".join([*lines, ">"]).encode("ascii") if lines else b"\r>")
-
-
-def twin(ride: Ride, write: Callable[[bytes], None]) -> Stim300Device:
-    """Return the device on a byte link."""
-    return Stim300Device(ride.gyros, write, round(ride.rate_hz), specific_force_g=ride.up, faults=ride.faults)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from drivers.imus.vectornav import codec as vectornav
 from drivers.packaged import packaged_codes, packaged_toml
 from drivers.types import Floats, Ints
-from sims.imus.registry import Ride
 from sims.physics.geometry import tilt_deg, upright
 from sims.physics.gyro import GyroArray
 from sims.wires.burst import burst_of
@@ -318,8 +317,3 @@ def _values(layout: vectornav.Layout, rows: Floats, time_ns: Ints) -> NDArray[np
 
 def _printed(row: Floats, register: int) -> tuple[str, ...]:
     return tuple(format(row[column], _FORMATS[column]) for column in _COLUMNS[register])
-
-
-def twin(ride: Ride, write: Callable[[bytes], None]) -> VectorNavDevice:
-    """Return the device on a byte link."""
-    return VectorNavDevice(ride.gyros, write, rate_hz=ride.rate_hz, up=ride.up, faults=ride.faults)

@@ -11,7 +11,6 @@ from drivers.imus.xsens import mtdata2
 from drivers.imus.xsens.xbus import Mid, XbusDecoder, encode
 from drivers.packaged import packaged_codes
 from drivers.types import Flags, Floats, Ints
-from sims.imus.registry import Ride
 from sims.physics.geometry import tilt_deg
 from sims.physics.gyro import GyroArray
 from sims.wires.burst import burst_of, copies_sent
@@ -223,8 +222,3 @@ class XsensDevice:
         }
         status = np.full((len(at), 1), _SELF_TEST_PASSED)  # byte and word
         return lambda kind: made[kind]() if kind in made else status
-
-
-def twin(ride: Ride, write: Callable[[bytes], None]) -> XsensDevice:
-    """Return the device on a byte link."""
-    return XsensDevice(ride.gyros, write, round(ride.rate_hz), specific_force_g=ride.up, faults=ride.faults)

@@ -13,6 +13,7 @@ from types import ModuleType
 from drivers.imus.registry import IMUS
 from drivers.packaged import packaged_text
 from drivers.plugins import PluginError, load_file
+from drivers.tables.registry import TABLES
 from estimator.effects.entries import Kind, entries
 from estimator.geometry.kinematics import Site
 from station.bench.imu import ImuConfig, read_imu
@@ -104,12 +105,13 @@ def load_bench(path: Path | None) -> Bench:
             raise BenchError(f"cannot read bench file {path}: {error}") from None
     top = Table.parse(text, file, BenchError)
     name, place = top.string("name", path.stem if path else "bench"), top.table("station", optional=True)
-    imus = IMUS.beside(_plugins(top, folder))
+    own = _plugins(top, folder)
+    imus = IMUS.beside(own)
     bench = Bench(
         name=name,
         text=text,
         site=_site(top),
-        table=read_table(top.table("table"), folder),
+        table=read_table(top.table("table"), folder, TABLES.beside(own)),
         imus=_distinct([read_imu(t, folder, imus) for t in top.tables("imu")]),
         limits=_limits(top.table("limits", optional=True)),
         twin=_twin(top.table("twin", optional=True), folder),

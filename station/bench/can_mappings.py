@@ -1,6 +1,6 @@
 """Mapping files: which signals of a DBC are the channels of an IMU on CAN."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -8,14 +8,11 @@ from typing import Any
 import drivers.imus.can.dbc
 from drivers.imus.can.imu import CanChannel
 from drivers.imus.signals import UNITS, plain_unit
+from drivers.packaged import packaged_toml
 from drivers.specs import Key
 from station.errors import UsageError
 from station.schema.tables import Table
 
-_COUNTING = (
-    Key("wrap", "integer", "raw number at which a counter or a time begins anew; 0: with its length", 0, low=0),
-    Key("step", "integer", "how much a counter goes on with each sample", 1, low=1),
-)
 MAPPING_FOLDER = Path(drivers.imus.can.dbc.__path__[0])
 
 
@@ -110,8 +107,14 @@ def read_source(table: Table, name: str, units: tuple[tuple[str, str], ...]) -> 
         **single,
         acceleration=None if acceleration is None else (acceleration[0], acceleration[1], acceleration[2]),
         units=units,
-        **table.options(_COUNTING),
+        **read_keys(table, "source"),
     )
+
+
+def read_keys(table: Table, section: str, **read: Callable[[str, Path], Any]) -> dict[str, Any]:
+    """Take the keys of a table, as description_keys.toml has them; ``read`` makes something else of some texts."""
+    keys = packaged_toml("station.bench", "description_keys.toml")[section]
+    return {name: table.option(Key(name, **key, read=read.get(name))) for name, key in keys.items()}
 
 
 def read_units(top: Table) -> tuple[tuple[str, str], ...]:

@@ -5,19 +5,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import drivers.imus.described
+import drivers.imus.described.shipped
 from drivers.imus.can.imu import CanChannel
 from drivers.imus.described.checks import Check
 from drivers.imus.described.framing import MESSAGE, RESOLUTION, TIME_TICK_S, Frames, Lines, signal
 from drivers.imus.described.imu import Description
 from drivers.imus.signals import UNITS, plain_unit
 from drivers.packaged import packaged_toml
-from drivers.specs import Key
-from station.bench.can_mappings import read_source, read_units, shipped_or_own
+from station.bench.can_mappings import read_keys, read_source, read_units, shipped_or_own
 from station.errors import UsageError
 from station.schema.tables import Table
 
-DESCRIPTIONS = Path(drivers.imus.described.__path__[0])
+DESCRIPTIONS = Path(drivers.imus.described.shipped.__path__[0])
 _HEX = re.compile(r"(\s*([0-9A-Fa-f]{2}|\?\?))*\s*")
 
 
@@ -78,10 +77,9 @@ def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChan
 
 def _frame(table: Table) -> tuple[Frames, list[Any]]:
     """Return the framing, and the signals in a frame."""
-    own = _keys(table, "frame")
+    own = read_keys(table, "frame", sync=_bytes, end=_bytes)
     size, order = own["bytes"], own["byte_order"]
-    sync = _bytes(table, "sync", own["sync"])
-    end = bytes(byte or 0 for byte in _bytes(table, "end", own["end"]))
+    sync, end = own["sync"], bytes(byte or 0 for byte in own["end"])
     framing = Frames(size, sync, end)
     if table.has("check"):
         within = table.table("check")
@@ -94,7 +92,7 @@ def _frame(table: Table) -> tuple[Frames, list[Any]]:
     fields, signals = table.table("fields"), []
     for name in fields.remaining():
         of = fields.table(name)
-        own = _keys(of, "field")
+        own = read_keys(of, "field")
         kind, big = own["type"], (own["byte_order"] or order) == "big"
         at = _place(of, own["at"], int(kind[1:]), size)
         signals.append(signal(name, at, kind, big, own["scale"], own["offset"]))
@@ -105,7 +103,7 @@ def _frame(table: Table) -> tuple[Frames, list[Any]]:
 
 def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChannel]:
     """Return the framing, the signals in a line, and the source with its wrap as it is then kept."""
-    own, check = _keys(table, "line"), None
+    own, check = read_keys(table, "line"), None
     columns = table.strings("columns")
     names = [name for name in columns if name != "-"]
     if len(set(names)) < len(names):
@@ -132,7 +130,7 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChanne
 
 def _check(table: Table) -> tuple[Check, dict[str, Any]]:
     """Return a check, and where it is."""
-    own, known = _keys(table, "check"), packaged_toml("drivers", "codes.toml")["check"]
+    own, known = read_keys(table, "check"), packaged_toml("drivers", "codes.toml")["check"]
     table.done()
     if own["name"] in known:
         return Check(**known[own["name"]]), own
@@ -143,12 +141,11 @@ def _check(table: Table) -> tuple[Check, dict[str, Any]]:
 
 def _phrase(table: Table) -> tuple[bytes, float]:
     """Return what is sent, and the pause behind it."""
-    own = _keys(table, "phrase")
+    own = read_keys(table, "phrase", hex=_bytes)
     table.done()
     if (own["text"] is None) == (own["hex"] is None):
         raise table.fail(None, "needs text or hex, and not both")
-    data = own["text"].encode() if own["hex"] is None else bytes(byte or 0 for byte in _bytes(table, "hex", own["hex"]))
-    return data, own["pause"]
+    return own["text"].encode() if own["hex"] is None else bytes(byte or 0 for byte in own["hex"]), own["pause"]
 
 
 def _place(table: Table, at: int | None, bits: int, size: int) -> int:
@@ -158,14 +155,8 @@ def _place(table: Table, at: int | None, bits: int, size: int) -> int:
     return at % size
 
 
-def _bytes(table: Table, key: str, text: str) -> tuple[int | None, ...]:
+def _bytes(text: str, _: Path) -> tuple[int | None, ...]:
     """Return bytes written in hex, None for ??."""
     if not _HEX.fullmatch(text):
-        raise table.fail(key, f'{text!r}: write bytes in hex, as "5A A5"')
+        raise ValueError(f'{text!r}: write bytes in hex, as "5A A5"')
     return tuple(None if pair == "??" else int(pair, 16) for pair in re.findall(r"\S\S", text))
-
-
-def _keys(table: Table, section: str) -> dict[str, Any]:
-    """Take the keys of a table, as description_keys.toml has them."""
-    keys = packaged_toml("station.bench", "description_keys.toml")[section]
-    return table.options(Key(name, **key) for name, key in keys.items())

@@ -84,7 +84,7 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     can: CanSource | Description | None = _can(table, folder, name, array) if spec.signals_of_dbc else None
     if spec.described:
         can = _described(table, folder, name, array)
-    options = table.options(spec.keys)
+    options = table.options(spec.keys, folder)
     if refused := spec.refused_rate(rate_hz, options):
         raise table.fail("rate", refused)
     noise, prior = _datasheet(table.table("datasheet"))

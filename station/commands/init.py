@@ -8,11 +8,12 @@ from itertools import zip_longest
 from pathlib import Path
 
 from drivers.imus.registry import IMUS
+from drivers.tables.registry import TABLES
 from station.atomic_write import write_whole
 from station.bench.bench import Bench, load_bench
 from station.bench.table import TWIN
 from station.errors import EXIT_ABORTED, ScriptError, UsageError
-from station.init.bench_text import TABLES, BenchAnswer, ImuAnswer, bench_text
+from station.init.bench_text import BenchAnswer, ImuAnswer, bench_text
 from station.init.dialogue import Dialogue, EndedError
 from station.init.hardware import can_interfaces, serial_ports
 from station.init.imu import ask_imu

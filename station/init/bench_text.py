@@ -3,15 +3,11 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from drivers.imus.registry import IMUS
-from drivers.packaged import packaged_toml
+from drivers.tables.registry import TABLES
 from station.bench.table import TWIN
 from station.render.template import rendered
-
-TABLES: Mapping[str, Mapping[str, Any]] = packaged_toml("station.init", "devices.toml")["tables"]
-"""What is known of controllers, by protocol."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,11 +27,11 @@ class AxisAnswer:
 
 @dataclass(frozen=True, slots=True)
 class TableAnswer:
-    """The table; axes by name, outermost first."""
+    """The table: keys of its protocol that are asked for, axes by name, outermost first."""
 
     protocol: str
     link: str
-    profile: str
+    options: Mapping[str, str]
     axes: Mapping[str, AxisAnswer]
 
 
@@ -100,5 +96,5 @@ def _quoted(value: str | Sequence[str]) -> str:
 
 
 def _link_comment(device: TableAnswer | ImuAnswer) -> str:
-    known = TABLES[device.protocol]["link"] if isinstance(device, TableAnswer) else IMUS[device.protocol].link
-    return f"the twin; hardware: {known}" if device.link == TWIN else ""
+    spec = TABLES[device.protocol] if isinstance(device, TableAnswer) else IMUS[device.protocol]
+    return f"the twin; hardware: {spec.link}" if device.link == TWIN else ""

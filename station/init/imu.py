@@ -44,7 +44,7 @@ def ask_imu(
         checked(replace(answer, name=text))
 
     answer = replace(answer, name=dialogue.ask("its name on the bench", answer.name, check_name))
-    answer = replace(answer, link=links.ask(dialogue, protocol, answer.name, link))
+    answer = replace(answer, link=links.ask(dialogue, spec, answer.name, link))
     if spec.signals_of_dbc and dialogue.asks:
         answer = ask_gyros(dialogue, answer, folder, checked)
     answer = _ask_key(dialogue, answer, "rate", "samples a second", checked)

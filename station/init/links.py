@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from drivers.imus.registry import IMUS
+from drivers.specs import ImuSpec, TableSpec
 from station.bench.table import TWIN
 from station.init.dialogue import Dialogue
 from station.init.hardware import SerialFound
@@ -16,43 +16,29 @@ class Links:
     can: list[str] = field(default_factory=list)
     taken: set[str] = field(default_factory=set)
 
-    def proposed(self, protocol: str) -> str:
+    def proposed(self, spec: ImuSpec | TableSpec) -> str:
         """Return the link to propose: something that was plugged in, else the twin."""
-        if _on_can(protocol):
+        if spec.on_can:
             return self.can[0] if self.can else TWIN
         free = [port.link for port in self.serial if port.plugged_in and port.link not in self.taken]
         return free[0] if free else TWIN
 
-    def ask(self, dialogue: Dialogue, protocol: str, device: str, proposed: str = "") -> str:
+    def ask(self, dialogue: Dialogue, spec: ImuSpec | TableSpec, device: str, proposed: str = "") -> str:
         """Return the link of a device; where nobody is asked and none is proposed, the twin."""
-        found = self.can if _on_can(protocol) else [f"{p.link} {p.description}".rstrip() for p in self.serial]
+        found = self.can if spec.on_can else [f"{p.link} {p.description}".rstrip() for p in self.serial]
         if found:
             dialogue.say("  found here: " + "; ".join(found))
-        proposed = proposed or (self.proposed(protocol) if dialogue.asks else TWIN)
+        proposed = proposed or (self.proposed(spec) if dialogue.asks else TWIN)
         link = dialogue.ask(
-            f"link of it; {TWIN} for a simulated one", proposed, lambda text: check_link(protocol, text, device)
+            f"link of it; {TWIN} for a simulated one", proposed, lambda text: check_link(spec, text, device)
         )
         self.taken.add(link.partition("?")[0])
         return link
 
 
-def check_link(protocol: str, link: str, device: str) -> None:
+def check_link(spec: ImuSpec | TableSpec, link: str, device: str) -> None:
     """See that a text is a link that a protocol can use; BenchError if not."""
-    from station.opening.devices import BAUD, TCP_PORT  # with pymodbus, half a second: when the first link is there
-    from station.opening.links import byte_link, can_address, modbus_address
+    from station.opening.links import driver_link  # with pymodbus, half a second: when the first link is there
 
-    if link == TWIN:
-        return
-    if protocol == "modbus":
-        modbus_address(link, device)
-    elif _on_can(protocol):
-        can_address(link, device)
-    else:
-        imu = IMUS.get(protocol)
-        baud, port = (imu.baud, imu.tcp_port) if imu else (BAUD[protocol], TCP_PORT.get(protocol))
-        byte_link(link, device, baud=baud, time_scale=1.0, port=port)
-
-
-def _on_can(protocol: str) -> bool:
-    imu = IMUS.get(protocol)
-    return imu is not None and imu.on_can
+    if link != TWIN:
+        driver_link(spec, link, device)

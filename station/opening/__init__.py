@@ -8,17 +8,16 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
-from drivers.links.can_link import CanLink
 from drivers.links.lock import held
-from drivers.protocols import ByteLink, FrameLink, ImuSource, Turntable
-from drivers.specs import ImuSetup
+from drivers.protocols import ImuSource, Turntable
+from drivers.specs import ImuSetup, TableSetup
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
 from station.bench.table import TWIN
 from station.errors import BenchError
-from station.opening.devices import BAUD, TCP_PORT, byte_table, modbus_table
-from station.opening.links import byte_link, can_address, modbus_address
+from station.opening.links import driver_link
 from station.opening.serving import serve_twins
 from station.opening.simulate import DeviceTruth, Hidden, simulate, simulate_bench
 from station.opening.twins import Twins
@@ -105,35 +104,28 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
         table = await _table(bench, twins, time_scale)
         for link in bench.table.links:
             if link != TWIN:
-                port = TCP_PORT.get(bench.table.protocol)
-                await stack.enter_async_context(held("table", link, port, f"bench {bench.name}"))
+                await stack.enter_async_context(held("table", link, bench.table.spec.tcp_port, f"bench {bench.name}"))
         imus = tuple([OpenImu(imu, await _source(imu, twins, time_scale)) for imu in used])
         yield OpenBench(bench, table, imus, twins.table.at_rest)
 
 
 async def _table(bench: Bench, twins: Twins, time_scale: float) -> Turntable:
     config = bench.table
-    if config.protocol == "modbus":
-        if config.link == TWIN:
-            return modbus_table(config, await twins.modbus_in_memory(), {}, time_scale)
-        own = {name: modbus_address(axis.link, f"axis {name}") for name, axis in config.axes.items() if axis.link}
-        return modbus_table(config, modbus_address(config.link, "table"), own, time_scale)
-    if config.link == TWIN:
-        return byte_table(config, twins.table_in_memory(), time_scale)
-    link = byte_link(
-        config.link, "table", baud=BAUD[config.protocol], time_scale=time_scale, port=TCP_PORT.get(config.protocol)
-    )
-    return byte_table(config, link, time_scale)
+    spec = config.spec
+    axes = {
+        name: replace(axis, link=driver_link(spec, axis.link, f"axis {name}", time_scale) if axis.link else None)
+        for name, axis in config.axes.items()
+    }
+    twin = config.link == TWIN
+    link = await twins.table_in_memory() if twin else driver_link(spec, config.link, "table", time_scale)
+    return spec.make(TableSetup(axes, config.timeout_s * time_scale, config.options), link)
 
 
 async def _source(imu: ImuConfig, twins: Twins, time_scale: float) -> ImuSource:
     spec = imu.spec
-    link: ByteLink | FrameLink
+    link: Any
     if imu.link == TWIN:
         link = twins.bus_in_memory(imu) if spec.on_can else twins.imu_in_memory(imu)
-    elif spec.on_can:
-        link = CanLink(imu.name, *can_address(imu.link, imu.name))
     else:
-        baud, port = spec.baud, spec.tcp_port
-        link = byte_link(imu.link, imu.name, baud=baud, port=port, time_scale=time_scale, gather_s=_GATHER_S)
+        link = driver_link(spec, imu.link, imu.name, time_scale, gather_s=_GATHER_S)
     return spec.make(ImuSetup(imu.name, imu.rate_hz, _ANSWER_S * time_scale, imu.options, imu.can), link)

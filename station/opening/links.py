@@ -5,8 +5,9 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from drivers.links.byte_links import SerialLink, TcpLink
-from drivers.protocols import ByteLink
-from drivers.tables.modbus.line import Address, SerialPort
+from drivers.links.can_link import CanLink
+from drivers.specs import ImuSpec, TableSpec
+from drivers.tables.modbus.line import SerialPort
 from station.errors import BenchError
 
 _BYTE_LINKS = "write serial:///dev/ttyUSB0?baud=921600, tcp://host:port, rfc2217://host:port, or twin:"
@@ -15,18 +16,22 @@ _TCP_LIMIT_S = 2.0
 _LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would be more than what a pty holds
 
 
-def byte_link(
-    link: str, device: str, *, baud: int, time_scale: float, port: int | None = None, gather_s: float = 0.0
-) -> ByteLink:
-    """Return the link to a device that speaks bytes; BenchError if it is none.
+def driver_link(
+    spec: ImuSpec | TableSpec, link: str, device: str, time_scale: float = 1.0, *, gather_s: float = 0.0
+) -> Any:
+    """Return what the driver of a device is put on, by what its record says of links; BenchError if it is none.
 
-    ``baud`` is that of a serial link that states none, ``port`` that of a TCP link that states none; ``gather_s`` is
-    for streams, whose bytes may come in handfuls.
+    That is a link to CAN frames or bytes, not yet open, or the Address of a driver that opens links itself;
+    ``gather_s`` is for streams, whose bytes may come in handfuls.
     """
+    if spec.on_can:
+        return CanLink(device, *can_address(link, device))
     if urlsplit(link).scheme == "tcp":
-        host, number = tcp_address(link, device, port)
-        return TcpLink(device, host, number, _TCP_LIMIT_S * time_scale)
-    serial = _serial(link, device, baud)
+        host, number = tcp_address(link, device, spec.tcp_port)
+        return (host, number) if spec.opens_links else TcpLink(device, host, number, _TCP_LIMIT_S * time_scale)
+    serial = _serial(link, device, spec.baud)
+    if spec.opens_links:
+        return serial
     return SerialLink(
         device,
         serial.port,
@@ -35,13 +40,6 @@ def byte_link(
         stop_bits=serial.stop_bits,
         gather_s=max(gather_s / time_scale, _LEAST_GATHER_S) if gather_s else 0.0,
     )
-
-
-def modbus_address(link: str, device: str) -> Address:
-    """Return where drives on Modbus are: a host and port, or a serial line (RTU); BenchError if it is neither."""
-    if urlsplit(link).scheme == "tcp":
-        return tcp_address(link, device, 502)
-    return _serial(link, device, 19200)
 
 
 def tcp_address(link: str, device: str, default_port: int | None) -> tuple[str, int]:

@@ -16,8 +16,6 @@ from drivers.errors import DeviceError
 from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
 from drivers.protocols import ByteLink, FrameLink
-from drivers.tables.modbus.line import Address, SerialPort
-from drivers.tables.modbus.registers import DriveProfile
 from drivers.types import Floats
 from sims.imus.registry import Ride, twin_of
 from sims.physics.body import Body
@@ -26,10 +24,9 @@ from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.hidden import Hidden, HiddenError
 from sims.physics.hidden.table import TableFaults
 from sims.physics.table import AxisData, TableModel
-from sims.tables.acutrol_controller import AcutrolController
-from sims.tables.aerosmith_controller import AerosmithController
-from sims.tables.galil_controller import GalilController
-from sims.tables.modbus import FaultyModbus, ModbusRtu, drives_by_unit, modbus_server, pull_plug
+from sims.tables.modbus import FaultyModbus, modbus_server, pull_plug
+from sims.tables.registry import Seat
+from sims.tables.registry import twin_of as twin_of_table
 from sims.wires.faults import DeviceFaults, FaultyFrames, faulty_device
 from sims.wires.frames import FrameSink, NodeFaults
 from sims.wires.wires import ByteDevice, Plug, Write, in_memory
@@ -75,21 +72,16 @@ class Twins:
         truths.done()
         if (fault := self._faults.table) is not None:
             strike = loop.call_later(
-                fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.protocol == "modbus")
+                fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.spec.limits_trip)
             )
             stack.callback(strike.cancel)
 
-    async def modbus_in_memory(self) -> Address:
-        """Serve the drives on a wire in memory; return where."""
-        address = (NULLMODEM_HOST, next(_wires))
-        await self.serve_modbus(address)
-        return address
-
-    async def serve_modbus(self, address: tuple[str, int]) -> Any:
-        """Serve the drives at a host and port; return pymodbus's server."""
+    async def serve_table(self, address: tuple[str, int]) -> Any:
+        """Serve the controller of a driver that opens links itself at a host and port; return pymodbus's server."""
         faults = self._faults.wires["table"]
         wire = FaultyModbus(faults, self._seed("table")) if faults.any else None
-        server = modbus_server(self.table, *self._drives(), address, self.watchdog_s, wire)
+        seat = self._seat()
+        server = modbus_server(seat.table, seat.options["profile"], seat.addresses, address, seat.watchdog_s, wire)
         try:
             await server.serve_forever(background=True)
         except RuntimeError:
@@ -102,30 +94,22 @@ class Twins:
         plug.schedule(faults.unplug_s, faults.replug_s)
         return server
 
-    def _drives(self) -> tuple[DriveProfile, dict[str, int]]:
-        """Return the profile of the drives, and their unit ids."""
+    def _seat(self) -> Seat:
         config = self.bench.table
-        assert config.profile is not None
-        return config.profile, {name: int(axis.address) for name, axis in config.axes.items()}
+        addresses = {name: axis.address for name, axis in config.axes.items()}
+        return Seat(self.table, addresses, config.options, self.watchdog_s)
 
     def table_device(self, write: Write) -> ByteDevice:
         """Return the controller, or the drives on a serial line."""
-        config, watchdog_s = self.bench.table, self.watchdog_s
-        if config.protocol == "modbus":
-            drives = drives_by_unit(self.table, *self._drives(), watchdog_s)
-            return ModbusRtu(drives, SerialPort("").silence_s, write)
-        if config.protocol == "galil":
-            letters = {name: str(axis.address) for name, axis in config.axes.items()}
-            window_s = config.velocity_window_s
-            return GalilController(self.table, write, letters, watchdog_s=watchdog_s, velocity_window_s=window_s)
-        if config.protocol == "acutrol":
-            numbers = {name: int(axis.address) for name, axis in config.axes.items()}
-            return AcutrolController(self.table, write, numbers, watchdog_s=watchdog_s, prefix_length=config.prefix)
-        return AerosmithController(self.table, write, config.gimbals[0], watchdog_s=watchdog_s)
+        return twin_of_table(self.bench.table.spec)(self._seat(), write)
 
-    def table_in_memory(self) -> ByteLink:
-        """Return the near end of a wire to the controller."""
-        return self._in_memory("table", self.table_device)
+    async def table_in_memory(self) -> Any:
+        """Return the near end of a wire to the controller, or where it is served in memory."""
+        if not self.bench.table.spec.opens_links:
+            return self._in_memory("table", self.table_device)
+        address = (NULLMODEM_HOST, next(_wires))
+        await self.serve_table(address)
+        return address
 
     def imu_device(self, imu: ImuConfig, out: Write | FrameSink) -> Any:
         """Put a device on a wire, where it sends from now on; return it."""

@@ -65,29 +65,31 @@ class Table(StrictTable):
 
         return self._take(key, None if default is None else known[default], convert)
 
-    def options(self, keys: Iterable[Key]) -> dict[str, Any]:
+    def options(self, keys: Iterable[Key], folder: Path) -> dict[str, Any]:
         """Take the keys that the record of a device declares; None for one that is left out and has no default."""
-        return {key.name: self._option(key) for key in keys}
+        return {key.name: self.option(key, folder) for key in keys}
 
-    def _option(self, key: Key) -> Any:
-        if key.default is None and not key.required and not self.has(key.name):
+    def option(self, key: Key, folder: Path = Path()) -> Any:
+        """Take one of them; what a text names is read from a folder."""
+        name, read = key.name, key.read
+        if key.default is None and not key.required and not self.has(name):
             return None
         if key.kind == "flag":
-            return self.flag(key.name, key.default)
+            return self.flag(name, key.default)
+        if key.kind == "integer":
+            number = self.integer(name, key.default)
+            if (key.one_of and number not in key.one_of) or (key.bound and number < (key.bound == "above_zero")):
+                raise self.fail(name, key.told.format(number))
+            return number
         if key.kind == "number":
-            return self.number(key.name, key.default)
-        if key.kind == "text":
-            return self.string(key.name, key.default, one_of=key.one_of or None)
-        if key.kind != "integer":
-            return self.quantity(key.name, key.kind, key.default, key.bound)
-        number = self.integer(key.name, key.default)
-        if key.one_of and number not in key.one_of:
-            raise self.fail(key.name, f"is one of {', '.join(map(str, key.one_of))} {key.unit}".rstrip())
-        low, high = key.low, key.high
-        if (low is not None and number < low) or (high is not None and number > high):
-            most = f"{low} to {high}" if high is not None else f"{low} or more"
-            raise self.fail(key.name, f"{number} is no {key.noun or 'such number'}: give {most}")
-        return number
+            return self.number(name, key.default)
+        if key.kind != "text":
+            return self.quantity(name, key.kind, key.default, key.bound)
+        text = self.string(name, key.default, one_of=key.one_of or None)
+        try:
+            return text if read is None else read(text, folder)
+        except ValueError as error:
+            raise self.fail(name, str(error)) from None
 
     def quantities(self, key: str, kind: str, count: int, default: float | None = None) -> list[float]:
         """Take one quantity for all, or a list of ``count`` of them."""

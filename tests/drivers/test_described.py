@@ -19,7 +19,6 @@ from drivers.imus.described.imu import DescribedImu, Description
 from drivers.links.byte_links import MemoryLink
 from drivers.types import ImuBlock
 from sims.imus.described import DescribedDevice
-from sims.imus.registry import Ride
 from sims.physics.body import Body
 from sims.physics.geometry import along
 from sims.physics.gyro import GyroArray, GyroTruth
@@ -273,8 +272,14 @@ class Bench:
         gyros = GyroArray(along(axes.tolist()), GyroTruth(none, none, none, none, 0.0, 0.0), body, rate_hz, (1,))
         self.heard = b""
         self.faults = NodeFaults(**faults)
-        ride = Ride(gyros, rate_hz, lambda t_s: np.tile([0.0, 0.0, 1.0], (len(t_s), 1)), self.faults, {}, description)
-        self.device = DescribedDevice(ride, lambda data: self.far.write(wire(data)))
+        self.device = DescribedDevice(
+            gyros,
+            lambda data: self.far.write(wire(data)),
+            rate_hz,
+            description,
+            faults=self.faults,
+            specific_force=lambda t_s: np.tile([0.0, 0.0, 9.80665], (len(t_s), 1)),
+        )
         self.imu = DescribedImu("imu", self.near, description, rate_hz)
 
     async def _hear(self) -> None:

@@ -16,10 +16,9 @@ import pytest
 from support import command
 
 from drivers.imus.registry import IMUS
+from drivers.tables.registry import TABLES
 from station.bench.bench import load_bench
-from station.bench.table import PROTOCOLS as TABLE_PROTOCOLS
 from station.cli import main
-from station.init.bench_text import TABLES
 
 
 def init(*arguments: str | Path) -> int:
@@ -33,11 +32,7 @@ def answered(folder: Path, *answers: str, options: tuple[str, ...] = ()) -> subp
     return subprocess.run(arguments, input=typed, capture_output=True, text=True, cwd=folder, timeout=60, check=False)
 
 
-def test_every_protocol_can_be_chosen() -> None:
-    assert set(TABLES) == set(TABLE_PROTOCOLS)
-
-
-@pytest.mark.parametrize(("table", "imu"), product(TABLE_PROTOCOLS, IMUS))
+@pytest.mark.parametrize(("table", "imu"), product(TABLES, IMUS))
 def test_every_table_with_every_imu_gives_a_file_that_loads(tmp_path: Path, table: str, imu: str) -> None:
     path = tmp_path / "new" / "my bench.toml"
     assert init(path, "--defaults", "--table", table, "--imu", imu) == 0

@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 
 from drivers.imus.registry import IMUS
-from sims.imus.registry import twin_of
+from drivers.specs import ImuSpec
+from drivers.tables.registry import TABLES
+from sims.imus import registry as imus
+from sims.tables import registry as tables
 from station.bench.bench import load_bench
 from station.errors import BenchError
 
@@ -25,17 +28,29 @@ def bench(folder: Path, *changes: tuple[str, str], first: str = "") -> Path:
     return path
 
 
-def test_every_imu_names_itself_and_has_a_twin() -> None:
-    for name, spec in IMUS.items():
+def test_every_device_names_itself_says_what_its_keys_mean_and_has_a_twin() -> None:
+    for name, spec in (*IMUS.items(), *TABLES.items()):
         assert spec.name == name
-        assert callable(twin_of(spec))
+        assert callable((imus if isinstance(spec, ImuSpec) else tables).twin_of(spec))
         assert all(key.doc for key in spec.keys)
 
 
-def test_an_unknown_protocol_is_told_with_the_known_ones_and_the_nearest(tmp_path: Path) -> None:
-    path = bench(tmp_path, ('protocol = "xsens"', 'protocol = "xsense"'))
-    known = "'xsense' is not one of can, described, j1939, stim300, vectornav, xsens; did you mean xsens?"
-    with pytest.raises(BenchError, match=rf"bench.toml, line \d+: imu.0.protocol: {known}"):
+@pytest.mark.parametrize(
+    ("right", "wrong", "told"),
+    [
+        (
+            "xsens",
+            "xsense",
+            r"imu.0.protocol: 'xsense' is not one of can, described, j1939, stim300, vectornav, xsens.* xsens\?",
+        ),
+        ("galil", "gallil", r"table.protocol: 'gallil' is not one of modbus, galil, acutrol, aerosmith; .* galil\?"),
+    ],
+)
+def test_an_unknown_protocol_is_told_with_the_known_ones_and_the_nearest(
+    tmp_path: Path, right: str, wrong: str, told: str
+) -> None:
+    path = bench(tmp_path, (f'protocol = "{right}"', f'protocol = "{wrong}"'))
+    with pytest.raises(BenchError, match=rf"bench.toml, line \d+: {told}"):
         load_bench(path)
 
 

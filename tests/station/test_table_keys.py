@@ -13,13 +13,13 @@ from support import TwinProcess
 
 from drivers.errors import LinkLost
 from drivers.links.memory_link import MemoryLink
+from drivers.specs import TableSetup
 from sims.physics.table import AxisData, TableModel
 from sims.tables.galil_controller import GalilController
 from station.bench.bench import load_bench
 from station.cli import main
 from station.errors import BenchError
 from station.opening import open_bench, with_links
-from station.opening.devices import byte_table
 from station.run.event_loop.loops import VirtualLoop
 from station.scripts.script import paper_script
 
@@ -82,7 +82,7 @@ def test_a_galil_is_told_its_error_limit_in_counts_before_its_motor_is_on(tmp_pa
         model = TableModel(axes, asyncio.get_running_loop().time)
         letters = {name: str(own.address) for name, own in config.axes.items()}
         controller = GalilController(model, link.deliver, letters)
-        table = byte_table(config, link, 1.0)
+        table = config.spec.make(TableSetup(config.axes, config.timeout_s, config.options), link)
         await table.open()
         await table.enable()
         table.close()

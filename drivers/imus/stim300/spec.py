@@ -4,7 +4,7 @@ from drivers.imus.stim300.imu import Stim300Imu
 from drivers.imus.stim300.special import RATES_HZ
 from drivers.imus.stim300.units import ACCEL_LSB_G, UNITS
 from drivers.protocols import ByteLink, ImuSource
-from drivers.specs import ImuSetup, ImuSpec, Key, ProposedImu
+from drivers.specs import ImuSetup, ImuSpec, described
 
 
 def _make(setup: ImuSetup, link: ByteLink) -> ImuSource:
@@ -13,16 +13,6 @@ def _make(setup: ImuSetup, link: ByteLink) -> ImuSource:
     return Stim300Imu(setup.name, link, rate_hz, gyro_unit=unit, accel_range_g=most_g, timeout_s=timeout_s)
 
 
-SPEC = ImuSpec(
-    name="stim300",
-    what="Sensonor STIM300",
-    link="serial:///dev/ttyUSB0?baud=921600",
-    make=_make,
-    baud=921_600,
-    rates_hz=RATES_HZ,
-    keys=(
-        Key("gyro_unit", "text", "output unit that it must be set to", one_of=tuple(UNITS.values())),
-        Key("accel_range", "integer", "accelerometer range that it must be set to", one_of=ACCEL_LSB_G, unit="g"),
-    ),
-    proposed=ProposedImu("stim300", "500 Hz", "0.0025 deg/s/rtHz", "0.5 deg/h"),
-)
+_RANGES = {"one_of": ACCEL_LSB_G, "told": f"is one of {', '.join(map(str, ACCEL_LSB_G))} g"}
+_KEYS = {"gyro_unit": {"one_of": UNITS.values()}, "accel_range": _RANGES}
+SPEC = described(ImuSpec, __package__, _KEYS, make=_make, rates_hz=RATES_HZ)

@@ -13,7 +13,7 @@ _BITS = {"i8": 8, "u8": 8, "u16": 16, "i16": 16, "i32": 32, "u32": 32}
 _UNITS = ("", "turn", "turn/s", "turn/s2")
 
 
-class ProfileError(Exception):
+class ProfileError(ValueError):
     """A profile file that is missing something or says something impossible."""
 
 

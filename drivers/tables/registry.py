@@ -1,0 +1,16 @@
+"""The protocols of tables, by the name that a bench file gives them: one line each."""
+
+from drivers.plugins import Registry
+from drivers.specs import TableSpec
+
+TABLES = Registry(
+    TableSpec,
+    "turntable_station.tables",
+    {
+        "modbus": "drivers.tables.modbus.spec",
+        "galil": "drivers.tables.galil.spec",
+        "acutrol": "drivers.tables.acutrol.spec",
+        "aerosmith": "drivers.tables.aerosmith.spec",
+    },
+)
+"""Built in and installed ones; a bench file brings its own beside them."""
