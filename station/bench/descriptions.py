@@ -77,9 +77,9 @@ def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChan
 
 def _frame(table: Table) -> tuple[Frames, list[Any]]:
     """Return the framing, and the signals in a frame."""
-    own = read_keys(table, "frame", sync=_bytes, end=_bytes)
+    own = read_keys(table, "frame", sync=_bytes, end=_known)
     size, order = own["bytes"], own["byte_order"]
-    sync, end = own["sync"], bytes(byte or 0 for byte in own["end"])
+    sync, end = own["sync"], own["end"]
     framing = Frames(size, sync, end)
     if table.has("check"):
         within = table.table("check")
@@ -87,8 +87,11 @@ def _frame(table: Table) -> tuple[Frames, list[Any]]:
         first, last = own["from"], (own["to"] or 0) % size or size
         big = (own["byte_order"] or order) == "big"
         framing = Frames(size, sync, end, rule, _place(within, own["at"], rule.bits, size), big, first, last)
-    elif sum(byte is not None for byte in sync) + len(end) < 2:
-        raise table.fail("sync", "too little tells a frame: give 2 bytes or more in sync and end, or a check")
+    known = len(sync) - sync.count(None)
+    if not known or (framing.check is None and known + len(end) < 2):
+        raise table.fail("sync", "too little tells a frame: give 2 bytes or more in sync and end, or 1 and a check")
+    if len(sync) + len(end) > size:
+        raise table.fail("bytes", f"{size}: sync and end alone have {len(sync) + len(end)}")
     fields, signals = table.table("fields"), []
     for name in fields.remaining():
         of = fields.table(name)
@@ -111,6 +114,8 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChanne
     scales = table.table("scale", optional=True)
     scale = {name: scales.number(name, 1.0) for name in names}
     scales.done()
+    if not own["separator"]:
+        raise table.fail("separator", 'give what stands between two columns, as "," or " "')
     unit_s = UNITS["time"][plain_unit(dict(source.units).get("time", "s"))]
     by = dict.fromkeys(names, 1 / RESOLUTION)
     if source.time in by:
@@ -136,16 +141,21 @@ def _check(table: Table) -> tuple[Check, dict[str, Any]]:
         return Check(**known[own["name"]]), own
     if own["name"] is not None or own["bits"] is None:
         raise table.fail("name", f"give one of {', '.join(known)}; or bits, polynomial and so on of a CRC")
+    for key in ("polynomial", "init", "xorout"):
+        if own[key] >> own["bits"]:
+            raise table.fail(
+                key, f"{own[key]:#x} has more than {own['bits']} bits; leave out the highest of a polynomial"
+            )
     return Check("crc", *(own[key] for key in ("bits", "polynomial", "init", "reflected", "xorout"))), own
 
 
 def _phrase(table: Table) -> tuple[bytes, float]:
     """Return what is sent, and the pause behind it."""
-    own = read_keys(table, "phrase", hex=_bytes)
+    own = read_keys(table, "phrase", hex=_known)
     table.done()
     if (own["text"] is None) == (own["hex"] is None):
         raise table.fail(None, "needs text or hex, and not both")
-    return own["text"].encode() if own["hex"] is None else bytes(byte or 0 for byte in own["hex"]), own["pause"]
+    return own["text"].encode() if own["hex"] is None else own["hex"], own["pause"]
 
 
 def _place(table: Table, at: int | None, bits: int, size: int) -> int:
@@ -160,3 +170,10 @@ def _bytes(text: str, _: Path) -> tuple[int | None, ...]:
     if not _HEX.fullmatch(text):
         raise ValueError(f'{text!r}: write bytes in hex, as "5A A5"')
     return tuple(None if pair == "??" else int(pair, 16) for pair in re.findall(r"\S\S", text))
+
+
+def _known(text: str, folder: Path) -> bytes:
+    """Return bytes written in hex."""
+    if None in (data := _bytes(text, folder)):
+        raise ValueError(f"{text!r}: ?? for any byte can only be in sync")
+    return bytes(byte for byte in data if byte is not None)

@@ -63,6 +63,20 @@ def test_a_bench_of_two_described_imus_runs_and_passes(tmp_path: Path, capsys: p
         (HI91, 'at = 38, type = "f32"', 'at = 38, type = "f16"', r"frame.fields.gyr_z.type: 'f16' is not one of u8"),
         (HI91, "check = {", "chek = {", r"line \d+: frame.chek: unknown key; did you mean check\?"),
         (HI91, "check = {", "check = { bits = 16, polynomial = 0x1021, at = 4 }  # {", None),
+        (
+            HI91,
+            "bytes = 82",
+            'bytes = 82\nend = "?? 0D"',
+            r"line \d+: frame.end: .*: \?\? for any byte can only be in",
+        ),
+        (HI91, "bytes = 82", "bytes = 5", r"line \d+: frame.(bytes|check.at|fields.*): 5|give a place where"),
+        (
+            HI91,
+            'name = "CRC-16/XMODEM"',
+            "bits = 8, polynomial = 0x107",
+            r"frame.check.polynomial: 0x107: give 8 bits",
+        ),
+        (CSV, "[line]", '[line]\nseparator = ""', r"line 7: line.separator: give what stands between"),
         (HI91, 'time = "system_time"', 'time = "pressure"', r"line \d+: time: pressure is no whole number"),
         (
             HI91,
