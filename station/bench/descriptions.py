@@ -143,9 +143,7 @@ def _check(table: Table) -> tuple[Check, dict[str, Any]]:
         raise table.fail("name", f"give one of {', '.join(known)}; or bits, polynomial and so on of a CRC")
     for key in ("polynomial", "init", "xorout"):
         if own[key] >> own["bits"]:
-            raise table.fail(
-                key, f"{own[key]:#x} has more than {own['bits']} bits; leave out the highest of a polynomial"
-            )
+            raise table.fail(key, f"{own[key]:#x}: give {own['bits']} bits, of a polynomial without the highest")
     return Check("crc", *(own[key] for key in ("bits", "polynomial", "init", "reflected", "xorout"))), own
 
 
