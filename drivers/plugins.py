@@ -5,27 +5,16 @@ from __future__ import annotations
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from hashlib import sha256
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
-
-
-class Named(Protocol):
-    """A record of a kind."""
-
-    @property
-    def name(self) -> str:
-        """What it is called in the files that people write."""
-
-
-R = TypeVar("R", bound=Named)
 
 
 class PluginError(Exception):
@@ -34,11 +23,8 @@ class PluginError(Exception):
 
 def load(group: str) -> dict[str, Callable[[], Any]]:
     """Return what installed packages announce in a group, by name; called, each imports it, or raises PluginError."""
-
-    def loader(entry: EntryPoint) -> Callable[[], Any]:
-        return lambda: _guarded(f"entry point {entry.name} of {group} ({entry.value})", "", entry.load)
-
-    return {entry.name: loader(entry) for entry in entry_points(group=group)}
+    what = "entry point {0.name} of {0.group} ({0.value})"
+    return {entry.name: partial(_guarded, what.format(entry), "", entry.load) for entry in entry_points(group=group)}
 
 
 def load_file(path: Path) -> ModuleType:
@@ -50,11 +36,7 @@ def load_file(path: Path) -> ModuleType:
         if spec is None or spec.loader is None:
             raise ImportError("it is no Python file")
         module = sys.modules[name] = module_from_spec(spec)
-        try:
-            spec.loader.exec_module(module)
-        except BaseException:
-            del sys.modules[name]
-            raise
+        spec.loader.exec_module(module)
         return module
 
     return _guarded(f"plug-in {path}", str(path), run)
@@ -65,20 +47,20 @@ def records(module: ModuleType, kind: type[T]) -> list[T]:
     return [value for value in vars(module).values() if isinstance(value, kind)]
 
 
-class Registry(Mapping[str, R]):
-    """Records of one kind by name. A module is imported when its record is asked for, not before."""
+class Registry(Mapping[str, T]):
+    """Records of one kind by their ``name``. A module is imported when its record is asked for, not before."""
 
-    def __init__(self, kind: type[R], group: str, modules: Mapping[str, str], beside: Iterable[R] = ()) -> None:
+    def __init__(self, kind: type[T], group: str, modules: Mapping[str, str], beside: Iterable[T] = ()) -> None:
         """``modules`` hold the built-in ones, each as SPEC; ``group`` is that of entry points, ``beside`` are more."""
         self._kind, self._group, self._modules = kind, group, modules
-        self._beside = {record.name: record for record in beside}
+        self._beside = {str(getattr(record, "name", "")): record for record in beside}
 
-    def beside(self, modules: Iterable[ModuleType]) -> Registry[R]:
+    def beside(self, modules: Iterable[ModuleType]) -> Registry[T]:
         """Return the registry with the records in these modules, too; a built-in name stays what it is."""
         found = [record for module in modules for record in records(module, self._kind)]
         return Registry(self._kind, self._group, self._modules, [*self._beside.values(), *found])
 
-    def __getitem__(self, name: str) -> R:
+    def __getitem__(self, name: str) -> T:
         """Return a record; KeyError if there is none of this name, PluginError if it cannot be imported."""
         if name in self._modules:
             record = import_module(self._modules[name]).SPEC
@@ -106,7 +88,6 @@ def _guarded(what: str, file: str, run: Callable[[], T]) -> T:
         return run()
     except (Exception, SystemExit) as error:  # whatever stands in it
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-        line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else lines[-1] if lines else None
+        line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
         reason = (str(error).splitlines() or [""])[0]
-        where = f", line {line}" if line else ""
-        raise PluginError(f"{what}{where}: {type(error).__name__}: {reason}") from None
+        raise PluginError(f"{what}{f', line {line}' if line else ''}: {type(error).__name__}: {reason}") from None

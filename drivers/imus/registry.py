@@ -16,3 +16,6 @@ IMUS = Registry(
     },
 )
 """Built in and installed ones; a bench file brings its own beside them."""
+
+USUAL_IMU = "stim300"
+"""What is meant where nothing is said."""

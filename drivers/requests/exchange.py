@@ -166,6 +166,9 @@ class Exchange:
                 except TimeoutError:
                     self.counts.timeouts += 1
                     attempt += 1
+                except LinkLost:
+                    self._failed = True
+                    raise
                 except _MalformedError as error:
                     self.counts.malformed += 1
                     malformed += 1

@@ -14,3 +14,6 @@ TABLES = Registry(
     },
 )
 """Built in and installed ones; a bench file brings its own beside them."""
+
+USUAL_TABLE = "modbus"
+"""What is meant where nothing is said."""

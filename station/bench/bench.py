@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
-from types import ModuleType
 
 from drivers.imus.registry import IMUS
 from drivers.packaged import packaged_text
@@ -97,15 +96,29 @@ def default_bench_text() -> str:
 def load_bench(path: Path | None) -> Bench:
     """Read a bench file, or the built-in one; BenchError with line and key for what is wrong."""
     if path is None:
-        text, file, folder = default_bench_text(), "built-in bench", Path()
-    else:
-        try:
-            text, file, folder = path.read_text(encoding="utf-8"), str(path), path.parent
-        except (OSError, UnicodeDecodeError) as error:
-            raise BenchError(f"cannot read bench file {path}: {error}") from None
+        return read_bench(default_bench_text(), "built-in bench")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BenchError(f"cannot read bench file {path}: {error}") from None
+    return read_bench(text, str(path), path.stem, path.parent, sorted((path.parent / "plugins").glob("*.py")))
+
+
+def read_bench(
+    text: str, file: str, called: str = "bench", folder: Path = Path(), plugins: Sequence[Path] = ()
+) -> Bench:
+    """Read the text of a bench file; BenchError with line and key for what is wrong.
+
+    ``file`` and ``called`` name it, paths count from ``folder``. ``plugins`` are Python files that bring devices of
+    their own, beside those that it lists.
+    """
     top = Table.parse(text, file, BenchError)
-    name, place = top.string("name", path.stem if path else "bench"), top.table("station", optional=True)
-    own = _plugins(top, folder)
+    name, place = top.string("name", called), top.table("station", optional=True)
+    listed = [folder / plugin for plugin in top.strings("plugins", ())]
+    try:
+        own = [load_file(plugin) for plugin in (*listed, *plugins)]
+    except PluginError as error:
+        raise top.fail("plugins" if listed else None, str(error)) from None
     imus = IMUS.beside(own)
     bench = Bench(
         name=name,
@@ -126,15 +139,6 @@ def load_bench(path: Path | None) -> Bench:
     if not names or len(set(names)) != len(names):
         raise BenchError(f"{file}: it needs one [[imu]] or more, each with a name of its own; it has {names}")
     return bench
-
-
-def _plugins(top: Table, folder: Path) -> list[ModuleType]:
-    """Return the Python files that bring devices of their own: those listed, and those in plugins/ beside the bench."""
-    listed = [folder / file for file in top.strings("plugins", ())]
-    try:
-        return [load_file(path) for path in (*listed, *sorted((folder / "plugins").glob("*.py")))]
-    except PluginError as error:
-        raise top.fail("plugins" if listed else None, str(error)) from None
 
 
 def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:

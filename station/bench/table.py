@@ -10,7 +10,7 @@ from typing import Any
 
 from drivers.plugins import Registry
 from drivers.specs import AxisSetup, TableSpec
-from drivers.tables.registry import TABLES
+from drivers.tables.registry import TABLES, USUAL_TABLE
 from drivers.types import AxisLimits
 from estimator.recordings.reference import TableUncertainty
 from station.schema.tables import Table
@@ -60,7 +60,7 @@ class TableConfig:
 
 def read_table(table: Table, folder: Path, known: Registry[TableSpec] = TABLES) -> TableConfig:
     """Read the section; the table's error with line and key for what is wrong."""
-    spec = table.record("protocol", known, "modbus")
+    spec = table.record("protocol", known, USUAL_TABLE)
     gimbals = table.value("gimbals", ["z", "y", "x"])
     if (
         not isinstance(gimbals, list)

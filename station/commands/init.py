@@ -8,7 +8,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from drivers.imus.registry import IMUS
-from drivers.tables.registry import TABLES
+from drivers.tables.registry import TABLES, USUAL_TABLE
 from station.atomic_write import write_whole
 from station.bench.bench import Bench, load_bench
 from station.bench.table import TWIN
@@ -41,7 +41,7 @@ def command_init(arguments: argparse.Namespace) -> int:
 
 
 def _check_options(arguments: argparse.Namespace) -> None:
-    for option, given, known in (("--table", [arguments.table or "modbus"], TABLES), ("--imu", arguments.imu, IMUS)):
+    for option, given, known in (("--table", [arguments.table or USUAL_TABLE], TABLES), ("--imu", arguments.imu, IMUS)):
         for name in given:
             if name not in known:
                 raise UsageError(f"{option} {name}: give one of {', '.join(known)}")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from drivers.imus.registry import IMUS
+from drivers.imus.registry import IMUS, USUAL_IMU
 from station.bench.imu import read_imu
 from station.bench.table import TWIN
 from station.errors import UsageError
@@ -28,7 +28,7 @@ def ask_imu(
         read_section(imu_text(made), lambda top: read_imu(top.tables("imu")[0], folder))
 
     dialogue.say("\nA device under test. What is it?")
-    protocol = dialogue.choose("device", {name: spec.what for name, spec in IMUS.items()}, protocol or "stim300")
+    protocol = dialogue.choose("device", {name: spec.what for name, spec in IMUS.items()}, protocol or USUAL_IMU)
     spec = IMUS[protocol]
     usual = spec.proposed
     channels = built_in_channels(GYROS[usual.array]) if spec.signals_of_dbc else ()

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from drivers.specs import Key, TableSpec
-from drivers.tables.registry import TABLES
+from drivers.tables.registry import TABLES, USUAL_TABLE
 from station.bench.table import TWIN, read_table
 from station.errors import UsageError
 from station.init.bench_text import AxisAnswer, TableAnswer, table_text
@@ -25,7 +25,9 @@ def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, lin
         read_section(table_text(made), lambda top: read_table(top.table("table"), folder))
 
     dialogue.say("\nThe table. Which controller turns it?")
-    protocol = dialogue.choose("controller", {name: spec.what for name, spec in TABLES.items()}, protocol or "modbus")
+    protocol = dialogue.choose(
+        "controller", {name: spec.what for name, spec in TABLES.items()}, protocol or USUAL_TABLE
+    )
     spec = TABLES[protocol]
     link = links.ask(dialogue, spec, "table", link)
     options = {key.name: str(key.default) for key in spec.keys if key.asked}

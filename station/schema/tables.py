@@ -3,14 +3,16 @@
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from drivers.packaged import packaged_toml
-from drivers.plugins import PluginError, R, Registry
+from drivers.plugins import PluginError, Registry
 from drivers.specs import Key
 from estimator.strict_toml import StrictTable, not_one_of, typed
 from station.errors import UsageError
 from station.schema.quantities import QuantityError, parse
+
+T = TypeVar("T")
 
 
 class Table(StrictTable):
@@ -51,10 +53,10 @@ class Table(StrictTable):
             for name, key in keys.items()
         }
 
-    def record(self, key: str, known: Registry[R], default: str | None = None) -> R:
+    def record(self, key: str, known: Registry[T], default: str | None = None) -> T:
         """Take the name of a record, and return the record."""
 
-        def convert(value: object) -> R:
+        def convert(value: object) -> T:
             name = str(typed(value, (str,), "a text"))
             try:
                 return known[name]

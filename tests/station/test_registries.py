@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,13 @@ def test_every_device_names_itself_says_what_its_keys_mean_and_has_a_twin() -> N
         assert spec.name == name
         assert callable((imus if isinstance(spec, ImuSpec) else tables).twin_of(spec))
         assert all(key.doc for key in spec.keys)
+
+
+def test_the_station_names_no_protocol_but_in_captures_of_them() -> None:
+    names = {*IMUS, *TABLES} - {"can"}  # which is a word of its own
+    for path in (Path(__file__).parents[2] / "station").rglob("*.py"):
+        constants = {node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)}
+        assert path.name == "captures.py" or not names & constants, path
 
 
 @pytest.mark.parametrize(
@@ -83,3 +91,13 @@ def test_files_in_plugins_beside_the_bench_are_taken_without_being_listed(tmp_pa
     (tmp_path / "plugins" / "broken.py").write_text("raise RuntimeError('not today')\n")
     with pytest.raises(BenchError, match=r"plugins/broken.py, line 1: RuntimeError: not today"):
         load_bench(bench(tmp_path))
+
+
+def test_the_key_tables_have_every_protocol_its_baud_rate_and_its_keys() -> None:
+    text = (Path(__file__).parents[2] / "drivers" / "README.md").read_text()
+    rows = text[text.index("## Tables: keys") :].splitlines()
+    for spec in (*IMUS.values(), *TABLES.values()):
+        (row,) = (row for row in rows if row.startswith(f"| `{spec.name}`"))
+        assert spec.on_can or str(spec.baud) in row
+        for key in spec.keys:
+            assert any(f"`{key.name}`" in row and spec.name in row for row in rows), key

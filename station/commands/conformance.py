@@ -1,0 +1,282 @@
+"""station conformance: what the station's own devices do with their twins, does a device of somebody's own do it?"""
+
+import argparse
+import asyncio
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import DeviceError, LinkLost
+from drivers.imus.registry import IMUS, USUAL_IMU
+from drivers.plugins import PluginError, load_file, records
+from drivers.specs import ImuSpec, TableSpec
+from drivers.tables.registry import TABLES, USUAL_TABLE
+from drivers.types import AxisState, Floats, ImuBlock, SourceCounts
+from estimator.strict_toml import not_one_of
+from station.bench.bench import read_bench
+from station.bench.imu import ImuConfig
+from station.errors import UsageError
+from station.init.gyros import GYROS, built_in_channels
+from station.opening import OpenBench, open_bench
+from station.render.template import rendered
+from station.run.event_loop.loops import VirtualLoop
+from station.run.outcome import Outcome
+
+_RATE_RPS, _RAMP_RPS2, _LITTLE_RPS = math.radians(20.0), math.radians(20.0), math.radians(0.3)
+_REST_S, _LOOKS, _LOOK_S = 4.0, 50, 0.1
+
+
+@dataclass(slots=True)
+class Heard:
+    """What an IMU sent, by source, while its table rested and then turned about z.
+
+    ``angles`` are readings of the table, time in s and angle in rad; ``error`` is what ended the stream.
+    """
+
+    imu: ImuConfig
+    blocks: dict[str, list[ImuBlock]] = field(default_factory=dict)
+    counts: dict[str, SourceCounts] = field(default_factory=dict)
+    angles: list[tuple[float, float]] = field(default_factory=list)
+    error: DeviceError | None = None
+
+    def sources(self) -> Iterator[tuple[SourceCounts, Floats, Floats, Floats]]:
+        """Yield of each source: counts, times (n,) in s, rates (n, m) in rad/s, and how its gyros (m,) lie along z."""
+        for name, gyros in self.imu.gyros_of(list(self.blocks)).items():
+            t_s = np.concatenate([block.t_ns for block in self.blocks[name]]) * 1e-9
+            rate_rps = np.vstack([block.rate_rps for block in self.blocks[name]])
+            yield self.counts[name], t_s, rate_rps, self.imu.array.p[gyros, 2]
+
+
+async def heard_on(opened: OpenBench) -> Heard:
+    """Return what the IMU of a bench sends in nine seconds."""
+    table, source = opened.table, opened.imus[0].source
+    heard = Heard(opened.imus[0].config)
+
+    async def listen() -> None:
+        try:
+            await source.open()
+            await source.identify()
+            async for name, block in source.blocks():
+                heard.blocks.setdefault(name, []).append(block)
+        except DeviceError as error:
+            heard.error = error
+
+    listening = asyncio.get_running_loop().create_task(listen())
+    await asyncio.sleep(_REST_S)
+    await table.jog("z", _RATE_RPS, _RAMP_RPS2)
+    for _ in range(_LOOKS):
+        await asyncio.sleep(_LOOK_S)
+        state = await table.read("z")
+        heard.angles.append((state.angle_t_ns * 1e-9, state.angle_rad))
+    listening.cancel()
+    await asyncio.wait({listening})
+    for name, block in source.flush():
+        heard.blocks.setdefault(name, []).append(block)
+    heard.counts = {name: replace(source.counts(name)) for name in heard.blocks}
+    source.close()
+    source.close()  # as a run does that cannot know whether it is closed
+    return heard
+
+
+def _units(heard: Heard) -> str:
+    for _, t_s, rate_rps, along in heard.sources():
+        off_rps = np.nanmean(rate_rps[t_s > t_s[-1] - 2.0], axis=0) - along * _RATE_RPS
+        worst = int(np.argmax(np.abs(off_rps)))
+        if not abs(off_rps[worst]) < _LITTLE_RPS:
+            true_dps, off_dps = math.degrees(along[worst] * _RATE_RPS), math.degrees(off_rps[worst])
+            said = f"gyro {worst + 1} says {true_dps + off_dps:.2f} deg/s where it turns at {true_dps:.2f} deg/s"
+            return f"{said}: look at its unit, scale and sign, and at the order of axes"
+    return ""
+
+
+def _clock(heard: Heard) -> str:
+    for _, t_s, rate_rps, along in heard.sources():
+        step_s = np.diff(t_s)
+        if not (step_s > 0).all():
+            return "sample times do not always go up"
+        if abs(np.median(step_s) * heard.imu.rate_hz - 1) > 0.01:
+            return f"samples are {np.median(step_s) * 1e3:.3f} ms apart, at {heard.imu.rate_hz:g} Hz"
+        best = int(np.argmax(np.abs(along)))
+        way = np.concatenate([[0.0], np.cumsum(step_s * (rate_rps[1:, best] + rate_rps[:-1, best]) / 2)]) / along[best]
+        seen_s, seen_rad = np.array(heard.angles[-20:]).T
+        late_s = float(np.mean(seen_rad - np.interp(seen_s, t_s, way))) / _RATE_RPS
+        if abs(late_s) > 0.02:
+            return f"sample times are {abs(late_s) * 1e3:.0f} ms too {'late' if late_s > 0 else 'early'}"
+    return ""
+
+
+def _complete(heard: Heard) -> str:
+    for counts, t_s, *_ in heard.sources():
+        if counts.lost or counts.corrupt or abs(len(t_s) / ((t_s[-1] - t_s[0]) * heard.imu.rate_hz) - 1) > 0.01:
+            said = f"byte by byte {len(t_s)} samples came, {counts.lost} were lost, {counts.corrupt} corrupt"
+            return f"{said}: keep what is not a whole frame yet"
+    return ""
+
+
+def _counted(heard: Heard) -> str:
+    for counts, t_s, *_ in heard.sources():
+        sent = (t_s[-1] - t_s[0]) * heard.imu.rate_hz + 1
+        if abs(len(t_s) + counts.lost - sent) > 0.01 * sent:
+            return f"of {sent:.0f} samples {len(t_s)} came, and {counts.lost} were counted as lost"
+    return ""
+
+
+def _undamaged(heard: Heard) -> str:
+    for counts, t_s, rate_rps, along in heard.sources():
+        middle_rps = along * _RATE_RPS / 2  # of what the table does
+        wild = int((np.abs(rate_rps - middle_rps) > np.abs(middle_rps) + 5 * _LITTLE_RPS).any(axis=1).sum())
+        if wild > 1 + 0.01 * (counts.lost + counts.corrupt):
+            most_dps = math.degrees(np.nanmax(np.abs(rate_rps)))
+            return f"{wild} damaged samples of up to {most_dps:.0f} deg/s went through: look at its checksum"
+        if len(t_s) < _REST_S * heard.imu.rate_hz:
+            return f"only {len(t_s)} samples came where three bytes in a thousand are damaged"
+    return ""
+
+
+def _unplugged(heard: Heard) -> str:
+    ended, heard.error = heard.error, None
+    return "" if isinstance(ended, LinkLost) else f"it ended with {ended!r}: let LinkLost of its link through"
+
+
+async def _motion(opened: OpenBench) -> str:
+    table, loop = opened.table, asyncio.get_running_loop()
+    for axis in opened.bench.table.gimbals:
+        await table.jog(axis, _RATE_RPS, _RAMP_RPS2)
+        await asyncio.sleep(3.0)
+        first = await table.read(axis)
+        await asyncio.sleep(1.0)
+        then = await table.read(axis)
+        turned_rps = (then.angle_rad - first.angle_rad) / (then.angle_t_ns - first.angle_t_ns) * 1e9
+        for what, rate_rps in (("rate", then.rate_rps), ("angle", turned_rps)):
+            if abs(rate_rps - _RATE_RPS) > 0.01 * _RATE_RPS:
+                return f"axis {axis}, told to turn at 20 deg/s, turns at {math.degrees(rate_rps):.2f} by its {what}"
+        await table.move(axis, -0.5, _RATE_RPS, _RAMP_RPS2)
+        until_s = loop.time() + 60.0
+        while not (await table.status(axis)).target_reached and loop.time() < until_s:
+            await asyncio.sleep(_LOOK_S)
+        off_rad = (await table.read(axis)).angle_rad + 0.5
+        if abs(off_rad) > 1e-3 or loop.time() >= until_s:
+            return f"axis {axis}: a move is {math.degrees(off_rad):.3f} deg off when it says so, or after a minute"
+    return ""
+
+
+async def _late(opened: OpenBench) -> str:
+    axis, seen = opened.bench.table.gimbals[-1], list[AxisState]()
+    for _ in range(3):
+        with suppress(DeviceError):  # which a command may meet with where much is lost
+            await opened.table.jog(axis, _RATE_RPS, _RAMP_RPS2)
+    await asyncio.sleep(2.0)
+    for _ in range(300):
+        with suppress(DeviceError):
+            seen.append(await opened.table.read(axis))
+    ahead = np.array([state.angle_rad - state.angle_t_ns * 1e-9 * _RATE_RPS for state in seen])
+    known = np.array([state.half_width_ns for state in seen]) * 1e-9 * _RATE_RPS + _LITTLE_RPS
+    if (wrong := int((np.abs(ahead - np.median(ahead)) > known).sum())) or not seen:
+        return f"{wrong} of {len(seen)} angles are those of another time: a late answer is taken for the next"
+    await opened.table.stop()
+    await asyncio.sleep(_LOOK_S)
+    return "" if opened.at_rest() else "stop returned, and an axis still turned"
+
+
+async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
+    table, loop = opened.table, asyncio.get_running_loop()
+    for axis in opened.bench.table.gimbals:
+        await table.jog(axis, _RATE_RPS, _RAMP_RPS2)
+    await asyncio.sleep(max(at_s - loop.time(), 2.0))
+    reading = loop.create_task(table.read(opened.bench.table.gimbals[0]))
+    await asyncio.sleep(0)
+    reading.cancel()  # as Ctrl-C does
+    await asyncio.wait({reading})
+    await getattr(table, how)()
+    await asyncio.sleep(_LOOK_S)
+    return "" if opened.at_rest() else f"{how} returned, and an axis still turned"
+
+
+_Suites = dict[str, tuple[Mapping[str, Any], Callable[[Any], Any]]]
+_FRAMES: _Suites = {"units": ({}, _units), "clock": ({}, _clock), "loss": ({"loss": "3 %"}, _counted)}
+_BYTES: _Suites = {
+    "framing cut anywhere": ({"one_byte": True}, _complete),
+    "garbage": ({"bit_flips": "0.3 %"}, _undamaged),
+    "unplugged": ({"unplug": "8 s"}, _unplugged),
+}
+_TABLE: _Suites = {
+    "units": ({}, _motion),
+    "framing cut anywhere": ({"one_byte": True}, _motion),
+    "loss": ({"loss": "1 %", "late": "2 %", "late_by": "0.3 s"}, _late),
+    "stop": ({}, lambda opened: _stopped(opened, "stop")),
+    "abort": ({}, lambda opened: _stopped(opened, "abort")),
+    "stop, unplugged": ({"unplug": "30 s", "replug": "30.5 s"}, lambda opened: _stopped(opened, "stop", 30.2)),
+}
+
+
+def suites_of(spec: ImuSpec | TableSpec) -> _Suites:
+    """Return the suites that a device has to pass: faults of its wire, and what judges it."""
+    if isinstance(spec, TableSpec):
+        return _TABLE
+    return _FRAMES if spec.on_can else _FRAMES | _BYTES  # a bus hands over whole frames
+
+
+def complaint(spec: ImuSpec | TableSpec, suite: str, plugins: Sequence[Path] = ()) -> str:
+    """Return in words what is wrong with a device by one suite, nothing if it passes; ``plugins`` have its record."""
+    faults, judge = suites_of(spec)[suite]
+    (table, imu) = (spec, IMUS[USUAL_IMU]) if isinstance(spec, TableSpec) else (TABLES[USUAL_TABLE], spec)
+    own = table is spec
+    axes = "zyx"[: table.most_axes] if own else "z"
+    keys = "\n".join(f"{key} = {json.dumps(value)}" for key, value in faults.items())
+    values = {"table": table, "imu": imu, "axes": axes, "channels": built_in_channels(GYROS[imu.proposed.array])}
+    values |= {"table_faults": keys if own else "", "imu_faults": "" if own else keys}
+    bench = read_bench(rendered("station.commands", "conformance.toml", values), "conformance", plugins=plugins)
+
+    async def tried() -> str:
+        before = asyncio.all_tasks()
+        async with open_bench(bench) as opened:
+            await opened.table.open()
+            await opened.table.identify()
+            await opened.table.enable()
+            await opened.table.home()
+            if own:
+                wrong = str(await judge(opened))
+            else:
+                heard = await heard_on(opened)
+                wrong = judge(heard) or (f"it ended with {heard.error}" if heard.error is not None else "")
+                wrong = wrong if heard.blocks else f"no samples came; {wrong}"
+            opened.table.close()
+        left = asyncio.all_tasks() - before
+        return wrong or ("closed, it leaves a task running" if any(not task.done() for task in left) else "")
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        try:
+            return runner.run(tried())
+        except Exception as error:  # whatever it does
+            return f"it ended with {type(error).__name__}: {error}"
+
+
+def command_conformance(arguments: argparse.Namespace) -> int:
+    """Try the devices of a Python file, or one by its protocol; 0 if all pass, 1 if not."""
+    name, plugins = arguments.module, [Path(arguments.module)] if arguments.module.endswith(".py") else []
+    try:
+        modules = [load_file(path) for path in plugins]
+        found: list[ImuSpec | TableSpec] = []
+        for module in modules:
+            found += [*records(module, ImuSpec), *records(module, TableSpec)]
+        found += [registry[name] for registry in (IMUS, TABLES) if name in registry]
+    except PluginError as error:
+        raise UsageError(str(error)) from None
+    if not found:
+        raise UsageError(f"{not_one_of(name, [*IMUS, *TABLES])}; or give a .py with an ImuSpec or a TableSpec")
+    told = []
+    for spec, suite in [(one, suite) for one in found for suite in suites_of(one)]:
+        wrong = complaint(spec, suite, plugins)
+        told.append({"device": spec.name, "suite": suite, "wrong": wrong})
+        if not arguments.json:
+            print(f"{'FAIL' if wrong else 'pass'}  {spec.name}, {suite}{': ' if wrong else ''}{wrong}", flush=True)
+    well = not any(finding["wrong"] for finding in told)
+    if arguments.json:
+        print(json.dumps({"ok": well, "findings": told}))
+    return (Outcome.PASS if well else Outcome.FAIL).exit_code
