@@ -20,9 +20,9 @@ from drivers.types import AxisLimits
 class Key:
     """A key of a device in a bench file, with a line that says what it means.
 
-    ``kind`` is "text", "flag", "integer", or what a quantity measures ("time", "angle"); its value is then in SI.
-    Without a ``default`` it may be left out (None), unless it is ``required``. ``one_of`` are the values that it may
-    have; ``bound`` of a number is "above_zero" or "not_negative"; ``told`` is what is said of an integer that is
+    ``kind`` is "text", "flag", "integer", "number", or what a quantity measures ("time", "angle"); its value is then
+    in SI. Without a ``default`` it may be left out (None), unless it is ``required``. ``one_of`` are the values that it
+    may have; ``bound`` of a number is "above_zero" or "not_negative"; ``told`` is what is said of an integer that is
     neither, with {} for it. ``read`` makes something else of a text, given the folder of the bench file; its
     ValueError is told. ``station init`` asks for the value of one that is ``asked``.
     """
@@ -72,7 +72,8 @@ class ImuSpec:
     ``what`` says which devices speak it, ``link`` is an example of one. It is on a CAN bus, or on a byte link with
     this ``baud`` rate and ``tcp_port`` if the link states none. ``rates_hz`` are the legal rates, any if empty; where
     an option decides, they are by the value of the key ``rates_by``. ``gyros`` is how many it has, None if that is
-    said by its signals: the bench file then maps those of a DBC (``signals_of_dbc``). ``temperature`` says whether
+    said by its signals: the bench file then maps those of a DBC (``signals_of_dbc``), or names a description
+    (``described``). ``temperature`` says whether
     each sample has one. ``make`` gives the driver on a link, for CAN on a FrameLink, else on a ByteLink.
 
     ``twin`` makes the twin of a device from outside the station; those of its own are in ``sims.imus.registry``, by
@@ -91,6 +92,7 @@ class ImuSpec:
     rates_by: str = ""
     gyros: int | None = 3
     signals_of_dbc: bool = False
+    described: bool = False
     temperature: bool = True
     keys: tuple[Key, ...] = ()
     twin: Callable[[Any, Any], Any] | None = None

@@ -19,11 +19,11 @@ _NEAR_WHOLE = 0.05
 
 @dataclass(slots=True)
 class CounterClock:
-    """Times of samples that carry a wrapping counter of a known tick."""
+    """Times of samples that carry a wrapping counter of a known tick, of which a sample may take any number."""
 
     tick_s: float
     modulus: int
-    ticks_per_sample: int
+    ticks_per_sample: float
     counts: SourceCounts = field(default_factory=SourceCounts)
     fit: HostFit = field(default_factory=HostFit)
     _last: int = -1  # unwrapped count of the last sample

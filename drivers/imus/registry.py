@@ -8,6 +8,7 @@ IMUS = Registry(
     "turntable_station.imus",
     {
         "can": "drivers.imus.can.spec",
+        "described": "drivers.imus.described.spec",
         "j1939": "drivers.imus.aceinna.spec",
         "stim300": "drivers.imus.stim300.spec",
         "vectornav": "drivers.imus.vectornav.spec",

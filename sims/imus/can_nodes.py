@@ -16,6 +16,7 @@ from sims.physics.gyro import GyroArray
 from sims.wires.frames import FrameSink, NodeFaults, SpecificForce
 
 _BUILT = "can twin"
+_RANGE_RPS = math.radians(2000)
 
 
 class CanNodes:
@@ -31,12 +32,13 @@ class CanNodes:
         *,
         faults: NodeFaults | None = None,
         specific_force: SpecificForce | None = None,
+        database: Any = None,
     ) -> None:
-        """``channels`` are those of the driver, in the order of the gyros.
+        """``channels`` are those of the driver, in the order of the gyros; ``database`` is used in place of the file.
 
         DeviceError for signals that the DBC does not have. Without ``specific_force`` accelerometers say 0.
         """
-        database = load_dbc(_BUILT, dbc)
+        database = database or load_dbc(_BUILT, dbc)
         self._gyros, self._bus, self._rate_hz = gyros, bus, rate_hz
         self._specific_force = specific_force if any(channel.acceleration for channel in channels) else None
         self.faults = faults or NodeFaults()
@@ -102,16 +104,17 @@ class _Node:
 
     def messages(self, rates_rps: Floats, told: _Told, *, with_temperature: bool) -> list[can.Message]:
         signals = self._signals
-        for signal, rate in zip(signals.rates, rates_rps.tolist(), strict=True):
+        for signal, rate in zip(signals.rates, rates_rps.clip(-_RANGE_RPS, _RANGE_RPS).tolist(), strict=True):
             self._put(signal, rate)
         for signal, force in zip(signals.acceleration, told.force_mps2.tolist(), strict=False):
             self._put(signal, force)
         if signals.temperature is not None and with_temperature:
             self._put(signals.temperature, told.temperature_c)
         if signals.counter is not None:
-            self._values[signals.counter.key][signals.counter.name] = told.sample % (1 << signals.counter.bits)
+            modulus = signals.wrap or 1 << signals.counter.bits
+            self._values[signals.counter.key][signals.counter.name] = told.sample * signals.step % modulus
         if signals.time is not None:
-            ticks = round(told.device_s / signals.time.scale) % (1 << signals.time.bits)
+            ticks = round(told.device_s / signals.time.scale) % (signals.wrap or 1 << signals.time.bits)
             self._values[signals.time.key][signals.time.name] = signals.time.unscaled(ticks * signals.time.scale)
         out = []
         for key, message in self._messages:

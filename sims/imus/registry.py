@@ -8,6 +8,7 @@ from drivers.specs import ImuSpec
 from drivers.types import Floats
 from sims.imus.aceinna import AceinnaDevice
 from sims.imus.can_nodes import CanNodes
+from sims.imus.described import DescribedDevice
 from sims.imus.stim300 import Stim300Device
 from sims.imus.vectornav import VectorNavDevice
 from sims.imus.xsens import XsensDevice
@@ -50,6 +51,9 @@ def _aceinna(ride: Ride, bus: Any) -> AceinnaDevice:
 
 TWINS: dict[str, Callable[[Ride, Any], Any]] = {
     "can": _can,
+    "described": lambda r, w: DescribedDevice(
+        r.gyros, w, r.rate_hz, r.signals, faults=r.faults, specific_force=r.force_mps2
+    ),
     "j1939": _aceinna,
     "stim300": lambda r, w: Stim300Device(r.gyros, w, round(r.rate_hz), specific_force_g=r.up, faults=r.faults),
     "vectornav": lambda r, w: VectorNavDevice(r.gyros, w, rate_hz=r.rate_hz, up=r.up, faults=r.faults),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel
+from drivers.imus.described.imu import Description
 from drivers.imus.registry import IMUS
 from drivers.plugins import Registry
 from drivers.specs import ImuSpec
@@ -16,6 +17,7 @@ from estimator.geometry.array import SensorArray, cone, dodecahedron, sensor_arr
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
 from station.bench.can_mappings import MappingError, channels_of, load_mapping
+from station.bench.descriptions import DescriptionError, load_description
 from station.bench.table import TWIN
 from station.schema.tables import Table
 
@@ -35,7 +37,7 @@ class CanSource:
 class ImuConfig:
     """A device under test: how to reach it, what it is made of, what its data sheet says.
 
-    ``can`` where signals of a DBC are mapped; ``options`` are the protocol's own keys.
+    ``can`` where signals of a DBC are mapped, or a file describes them; ``options`` are the protocol's own keys.
     """
 
     name: str
@@ -44,7 +46,7 @@ class ImuConfig:
     array_name: str
     array: SensorArray
     rate_hz: float
-    can: CanSource | None
+    can: CanSource | Description | None
     noise: NoiseModel
     prior: Prior
     used: bool
@@ -79,7 +81,9 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     rate_hz = table.quantity("rate", "frequency", bound="above_zero")
     if spec.gyros not in (None, len(array)):
         raise table.fail("array", f"protocol {spec.name} has {spec.gyros} gyros, this array {len(array)}")
-    can = _can(table, folder, name, array) if spec.signals_of_dbc else None
+    can: CanSource | Description | None = _can(table, folder, name, array) if spec.signals_of_dbc else None
+    if spec.described:
+        can = _described(table, folder, name, array)
     options = table.options(spec.keys, folder)
     if refused := spec.refused_rate(rate_hz, options):
         raise table.fail("rate", refused)
@@ -99,6 +103,17 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     )
     table.done()
     return config
+
+
+def _described(table: Table, folder: Path, device: str, array: SensorArray) -> Description:
+    """Return the description that the section names, which must have the gyros of the array."""
+    try:
+        description = load_description(table.string("description"), folder, device)
+    except DescriptionError as error:
+        raise table.fail("description", str(error)) from None
+    if (gyros := len(description.channels[0].rates)) != len(array):
+        raise table.fail("array", f"the description has {gyros} gyros, this array {len(array)}")
+    return description
 
 
 def _datasheet(sheet: Table) -> tuple[NoiseModel, Prior]:

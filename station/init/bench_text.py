@@ -41,7 +41,7 @@ class ImuAnswer:
 
     Its name is a bare key of TOML. ``geometry`` are the keys of its array, values as TOML. Of gyros on CAN: a mapping,
     or ``channels``, the signals of the rate and (empty for none) of the temperature of each gyro in the DBC, the
-    built-in one if ``dbc`` is empty.
+    built-in one if ``dbc`` is empty. Of a described one: its ``description``.
     """
 
     name: str
@@ -54,6 +54,7 @@ class ImuAnswer:
     mapping: str = ""
     dbc: str = ""
     channels: tuple[tuple[str, str], ...] = ()
+    description: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What is asked about gyros on CAN: how they lie, and which signals they are."""
+"""What is asked about gyros on CAN, or described by a file: how they lie, and which signals they are."""
 
 import json
 import math
@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from drivers.packaged import packaged_toml
+from station.bench.descriptions import DESCRIPTIONS, load_description
 from station.errors import UsageError
 from station.init.bench_text import ImuAnswer
 from station.init.checks import quantity_of, whole_number
@@ -52,11 +53,25 @@ def ask_gyros(dialogue: Dialogue, answer: ImuAnswer, folder: Path, checked: Call
     return replace(answer, mapping=chosen, channels=() if chosen else built_in_channels(count))
 
 
-def _ask_geometry(dialogue: Dialogue, kind: str) -> tuple[dict[str, str], int]:
-    """Return the keys of an array, values as TOML, and how many gyros it has."""
+def ask_description(dialogue: Dialogue, answer: ImuAnswer, folder: Path) -> ImuAnswer:
+    """Return the device with its description and, if that does not have three gyros, with its geometry."""
+    shipped = ", ".join(sorted(path.stem for path in DESCRIPTIONS.glob("*.toml")))
+    question = f"its description: {shipped}, or the path of a .toml"
+    chosen = dialogue.ask(question, "csv", lambda text: load_description(text, folder))
+    count = len(load_description(chosen, folder).channels[0].rates)
+    geometry = answer.geometry
+    if count != GYROS["triad"]:
+        dialogue.say(f"  How do its {count} gyros lie?")
+        fitting = {kind: what for kind, what in _ARRAYS.items() if GYROS.get(kind, count) == count}
+        geometry, _ = _ask_geometry(dialogue, dialogue.choose("array", fitting, next(iter(fitting))), count)
+    return replace(answer, description=chosen, geometry=geometry)
+
+
+def _ask_geometry(dialogue: Dialogue, kind: str, count: int = 0) -> tuple[dict[str, str], int]:
+    """Return the keys of an array, values as TOML, and how many gyros it has; ``count`` if that is known."""
     if kind in GYROS:
         return {"array": json.dumps(kind)}, GYROS[kind]
-    count = int(dialogue.ask("number of gyros", "3", whole_number(3, _MOST)))
+    count = count or int(dialogue.ask("number of gyros", "3", whole_number(3, _MOST)))
     if kind == "cone":
         angle = dialogue.ask("angle between each and z", "54.7 deg", quantity_of("angle"))
         return {"array": json.dumps(kind), "gyros": str(count), "half_angle": json.dumps(angle)}, count

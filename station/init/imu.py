@@ -13,7 +13,7 @@ from station.errors import UsageError
 from station.init.bench_text import ImuAnswer, imu_text
 from station.init.checks import read_section
 from station.init.dialogue import Dialogue
-from station.init.gyros import GYROS, ask_gyros, built_in_channels
+from station.init.gyros import GYROS, ask_description, ask_gyros, built_in_channels
 from station.init.links import Links
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*\Z")
@@ -35,6 +35,8 @@ def ask_imu(
     noise = {"rate": usual.rate, "arw": usual.arw, "bias_instability": usual.bias_instability}
     geometry = {"array": json.dumps(usual.array)}
     answer = ImuAnswer(_free(usual.name, names), protocol, TWIN, geometry, **noise, channels=channels)
+    if spec.described:
+        answer = ask_description(dialogue, answer, folder)
 
     def check_name(text: str) -> None:
         if not _NAME.match(text) or text in names:

@@ -83,6 +83,8 @@ class Table(StrictTable):
             if (key.one_of and number not in key.one_of) or (key.bound and number < (key.bound == "above_zero")):
                 raise self.fail(name, key.told.format(number))
             return number
+        if key.kind == "number":
+            return self.number(name, key.default)
         if key.kind != "text":
             return self.quantity(name, key.kind, key.default, key.bound)
         text = self.string(name, key.default, one_of=key.one_of or None)

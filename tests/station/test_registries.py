@@ -50,7 +50,7 @@ def test_the_station_names_no_protocol_but_in_captures_of_them() -> None:
         (
             "xsens",
             "xsense",
-            r"imu.0.protocol: 'xsense' is not one of can, j1939, stim300, vectornav, xsens.* xsens\?",
+            r"imu.0.protocol: 'xsense' is not one of can, described, j1939, stim300, vectornav, xsens.* xsens\?",
         ),
         ("galil", "gallil", r"table.protocol: 'gallil' is not one of modbus, galil, acutrol, aerosmith; .* galil\?"),
     ],

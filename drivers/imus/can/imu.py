@@ -30,9 +30,9 @@ _COUNT_BITS = 32  # of longer counters the lower bits will do: they wrap, as all
 class CanChannel:
     """Which signals carry one source, as ``MESSAGE.Signal`` names of the DBC.
 
-    ``rate`` is one signal for each gyro, all of one message. ``counter`` counts samples, or ``time`` is the
-    device's own clock; either may wrap at its length. ``units`` has what the DBC does not say: the unit of "rate",
-    "temperature", "acceleration", "time".
+    ``rate`` is one signal for each gyro, all of one message. ``counter`` counts samples, ``step`` on with each, or
+    ``time`` is the device's own clock; its raw number begins anew at ``wrap``, or if that is 0 at its length.
+    ``units`` has what the DBC does not say: the unit of "rate", "temperature", "acceleration", "time".
     """
 
     name: str
@@ -42,6 +42,8 @@ class CanChannel:
     time: str | None = None
     acceleration: tuple[str, str, str] | None = None
     units: tuple[tuple[str, str], ...] = ()
+    wrap: int = 0
+    step: int = 1
 
     @property
     def rates(self) -> tuple[str, ...]:
@@ -74,6 +76,7 @@ class ChannelSignals:
         self.temperature = reader(channel.temperature, "temperature") if channel.temperature is not None else None
         self.counter = reader(channel.counter, "count") if channel.counter is not None else None
         self.time = reader(channel.time, "time") if channel.time is not None else None
+        self.wrap, self.step = channel.wrap, channel.step
         for part, what in ((self.rates, "rates"), (self.acceleration, "accelerations")):
             if len({signal.key for signal in part}) > 1:
                 names = ", ".join(signal.name for signal in part)
@@ -107,13 +110,14 @@ class CanImu:
         rate_hz: float,
         *,
         source_address: int | None = None,
+        database: Any = None,
     ) -> None:
-        """Read the DBC; DeviceError if it cannot be read or lacks a message or signal that is asked for.
+        """Read the DBC, unless there is a ``database`` of it; DeviceError if it cannot be read or lacks a signal.
 
         J1939 messages are told by their parameter group, whoever sends them, unless ``source_address`` names one.
         """
         self._device, self._link, self._address = device, link, source_address
-        database = load_dbc(device, dbc)
+        database = database or load_dbc(device, dbc)
         self._order = 0
         self._arrived: list[Frame] = []
         self._timed: deque[tuple[str, ImuBlock]] = deque()
@@ -250,10 +254,9 @@ class _Source:
         self._count = signals.time or signals.counter
         self._clock: RegularClock | CounterClock = RegularClock(1 / rate_hz, self.counts)
         if self._count is not None:
-            tick_s = signals.time.scale if signals.time is not None else 1 / rate_hz
-            bits = min(self._count.bits, _COUNT_BITS)
-            self._mask = (1 << bits) - 1
-            self._clock = CounterClock(tick_s, 1 << bits, max(round(1 / (rate_hz * tick_s)), 1), self.counts)
+            tick_s = signals.time.scale if signals.time is not None else 1 / (rate_hz * signals.step)
+            self._modulus = signals.wrap or 1 << min(self._count.bits, _COUNT_BITS)
+            self._clock = CounterClock(tick_s, self._modulus, max(round(1 / (rate_hz * tick_s), 6), 1), self.counts)
 
     @property
     def inlets(self) -> list[_Inlet]:
@@ -326,7 +329,7 @@ class _Source:
         if self._count is not None:
             which, data = found[self._count.key]
             counted[which] = self._count.present(data)
-            count[which] = self._count.raw(data) & self._mask
+            count[which] = self._count.raw(data) % self._modulus
         return values, counted, count
 
     def _held(self, temperature_c: Floats) -> Floats:

@@ -1,0 +1,88 @@
+"""An IMU on a byte link whose protocol a file describes, as a DBC describes one on CAN."""
+
+import asyncio
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import LinkLost
+from drivers.imus.can.imu import CanChannel, CanImu
+from drivers.imus.described.framing import Decoder, Frames, Lines
+from drivers.protocols import ByteLink
+from drivers.types import ByteChunk, Frame, SourceCounts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Description:
+    """How an IMU speaks on a byte link: the framing, and the one message of a cantools ``database`` in each frame.
+
+    ``dbc`` is the file that says so; the one of ``channels`` names the signals. ``start`` and ``stop`` are what is
+    sent to it, each with a pause in s behind it.
+    """
+
+    dbc: Path
+    channels: tuple[CanChannel, ...]
+    framing: Frames | Lines
+    database: Any
+    start: tuple[tuple[bytes, float], ...] = ()
+    stop: tuple[tuple[bytes, float], ...] = ()
+
+
+class FramedLink:
+    """A byte link as a bus on which there is one message."""
+
+    def __init__(self, link: ByteLink, description: Description) -> None:
+        """Take the link, which is not open yet."""
+        self._link, self._description = link, description
+        self._identifier: int = description.database.messages[0].frame_id
+        self._started = False
+        self.decoder = Decoder(description.framing)
+
+    async def open(self) -> None:
+        """Open the link and send what starts the device."""
+        await self._link.open()
+        self._started = True
+        for data, pause_s in self._description.start:
+            self._link.write(data)
+            await asyncio.sleep(pause_s)
+
+    async def receive(self) -> list[Frame]:
+        """Return the frames that have come since the last call, waiting for bytes; LinkLost if gone."""
+        frames = self._framed(await self._link.receive())
+        with suppress(TimeoutError, LinkLost):  # what is here already is had without waiting
+            async with asyncio.timeout(0):
+                while True:
+                    frames += self._framed(await self._link.receive())
+        return frames
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame."""
+        self._link.write(self._description.framing.written(frame.data))
+
+    def close(self) -> None:
+        """Send what stops the device, and close the link."""
+        with suppress(LinkLost):
+            for data, _ in self._description.stop if self._started else ():
+                self._link.write(data)
+        self._started = False
+        self._link.close()
+
+    def _framed(self, chunk: ByteChunk) -> list[Frame]:
+        return [Frame(chunk.t_ns, self._identifier, False, message) for message in self.decoder.feed(chunk.data)]
+
+
+class DescribedImu(CanImu):
+    """One source with as many gyros as the description has."""
+
+    def __init__(self, device: str, link: ByteLink, description: Description, rate_hz: float) -> None:
+        """Expect samples at ``rate_hz``: a description does not say how to ask for them."""
+        self._framed = FramedLink(link, description)
+        channels, database = description.channels, description.database
+        super().__init__(device, self._framed, description.dbc, channels, rate_hz, database=database)
+
+    def counts(self, name: str) -> SourceCounts:
+        """Get the counts; ``corrupt`` are places that began like a frame, or lines, and were none."""
+        counts = super().counts(name)
+        counts.corrupt = self._framed.decoder.damaged
+        return counts

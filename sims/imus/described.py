@@ -1,0 +1,40 @@
+"""Twin of an IMU on a byte link that a file describes: what it sends is written by the same description."""
+
+from collections.abc import Callable
+from typing import Any
+
+import can
+
+from drivers.imus.described.imu import Description
+from sims.imus.can_nodes import CanNodes
+from sims.physics.gyro import GyroArray
+
+
+class DescribedDevice(CanNodes):
+    """Measures all the time; sends when it has heard all that starts it, until it has heard all that stops it."""
+
+    def __init__(
+        self, gyros: GyroArray, write: Callable[[bytes], None], rate_hz: float, description: Description, **more: Any
+    ) -> None:
+        """The gyros are those of the description, and made for ``rate_hz``; ``more`` is as of any node."""
+        dbc, channels, database = description.dbc, description.channels, description.database
+        super().__init__(gyros, self, dbc, channels, rate_hz, database=database, **more)
+        self._write, self._framing = write, description.framing
+        self._start, self._stop = (
+            b"".join(data for data, _ in phrases) for phrases in (description.start, description.stop)
+        )
+        self._heard = b""
+        self.running = not self._start
+
+    def received(self, data: bytes) -> None:
+        """Take bytes from the host, cut anywhere."""
+        self._heard += data
+        awaited = self._stop if self.running else self._start
+        if awaited and awaited in self._heard:
+            self.running, self._heard = not self.running, b""
+        self._heard = self._heard[max(len(self._heard) - len(awaited), 0) :]
+
+    def send(self, msg: can.Message) -> None:
+        """Send a message as the description frames it."""
+        if self.running:
+            self._write(self._framing.written(bytes(msg.data)))

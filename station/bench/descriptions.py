@@ -1,0 +1,177 @@
+"""Descriptions of IMUs on byte links: frames or lines of text, and which of their numbers are what."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import drivers.imus.described.shipped
+from drivers.imus.can.imu import CanChannel
+from drivers.imus.described.checks import Check
+from drivers.imus.described.framing import MESSAGE, RESOLUTION, TIME_TICK_S, Frames, Lines, signal
+from drivers.imus.described.imu import Description
+from drivers.imus.signals import UNITS, plain_unit
+from drivers.packaged import packaged_toml
+from station.bench.can_mappings import read_keys, read_source, read_units, shipped_or_own
+from station.errors import UsageError
+from station.schema.tables import Table
+
+DESCRIPTIONS = Path(drivers.imus.described.shipped.__path__[0])
+_HEX = re.compile(r"(\s*([0-9A-Fa-f]{2}|\?\?))*\s*")
+
+
+class DescriptionError(UsageError):
+    """A description that lacks something or says something impossible; the message names file, line and key."""
+
+
+def load_description(name_or_path: str, folder: Path | None = None, device: str = "") -> Description:
+    """Return a description that ships with the station by name, or one from a .toml file by path; DescriptionError.
+
+    A relative path counts from ``folder``. Its source is called as the ``device``.
+    """
+    from cantools.database import Database, Message
+    from cantools.database.errors import Error
+
+    path = shipped_or_own(name_or_path, folder, DESCRIPTIONS, "description", DescriptionError)
+    top = Table.load(path, DescriptionError)
+    source = read_source(top, "", read_units(top))
+    if top.has("frame") == top.has("line"):
+        raise top.fail(None, "needs a table [frame] or a table [line], and not both")
+    framing: Frames | Lines
+    if top.has("frame"):
+        framing, signals = _frame(top.table("frame"))
+        size = framing.size
+    else:
+        framing, signals, source = _line(top.table("line"), source)
+        size = 8 * len(signals)
+    try:
+        database = Database([Message(0, MESSAGE, size, signals)])
+    except Error as error:
+        raise top.fail("frame", str(error)) from None
+    channel = _checked(top, source, {signal.name: signal for signal in signals})
+    start, stop = (tuple(_phrase(phrase) for phrase in top.tables(key)) for key in ("start", "stop"))
+    top.done()
+    return Description(path, (replace(channel, name=device),), framing, database, start, stop)
+
+
+def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChannel:
+    """Return the source with the full names of its signals, which must be there, with the units that they need."""
+    full: dict[str, Any] = {}
+    for key in ("rate", "acceleration", "temperature", "counter", "time"):
+        if (names := getattr(source, key)) is None:
+            continue
+        listed = [names] if isinstance(names, str) else names
+        for name in listed:
+            if name not in signals:
+                raise top.fail(key, f"there is no {name!r}, only {', '.join(signals)}")
+            if key in ("counter", "time") and signals[name].is_float:
+                raise top.fail(key, f"{name} is no whole number: it cannot count or tell time")
+        if key in UNITS and key not in (*dict(source.units), "temperature"):
+            raise top.fail("units", f"{key} is missing: give one of {', '.join(UNITS[key])}")
+        named = tuple(f"{MESSAGE}.{name}" for name in listed)
+        full[key] = named[0] if isinstance(names, str) else named
+    if source.counter and source.time:
+        raise top.fail("time", "give a counter or a time, not both")
+    return replace(source, **full)
+
+
+def _frame(table: Table) -> tuple[Frames, list[Any]]:
+    """Return the framing, and the signals in a frame."""
+    own = read_keys(table, "frame", sync=_bytes, end=_known)
+    size, order = own["bytes"], own["byte_order"]
+    sync, end = own["sync"], own["end"]
+    framing = Frames(size, sync, end)
+    if table.has("check"):
+        within = table.table("check")
+        rule, own = _check(within)
+        first, last = own["from"], (own["to"] or 0) % size or size
+        big = (own["byte_order"] or order) == "big"
+        framing = Frames(size, sync, end, rule, _place(within, own["at"], rule.bits, size), big, first, last)
+    known = len(sync) - sync.count(None)
+    if not known or (framing.check is None and known + len(end) < 2):
+        raise table.fail("sync", "too little tells a frame: give 2 bytes or more in sync and end, or 1 and a check")
+    if len(sync) + len(end) > size:
+        raise table.fail("bytes", f"{size}: sync and end alone have {len(sync) + len(end)}")
+    fields, signals = table.table("fields"), []
+    for name in fields.remaining():
+        of = fields.table(name)
+        own = read_keys(of, "field")
+        kind, big = own["type"], (own["byte_order"] or order) == "big"
+        at = _place(of, own["at"], int(kind[1:]), size)
+        signals.append(signal(name, at, kind, big, own["scale"], own["offset"]))
+        of.done()
+    table.done()
+    return framing, signals
+
+
+def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChannel]:
+    """Return the framing, the signals in a line, and the source with its wrap as it is then kept."""
+    own, check = read_keys(table, "line"), None
+    columns = table.strings("columns")
+    names = [name for name in columns if name != "-"]
+    if len(set(names)) < len(names):
+        raise table.fail("columns", 'a name is there twice; what is to be passed over is called "-"')
+    scales = table.table("scale", optional=True)
+    scale = {name: scales.number(name, 1.0) for name in names}
+    scales.done()
+    if not own["separator"]:
+        raise table.fail("separator", 'give what stands between two columns, as "," or " "')
+    unit_s = UNITS["time"][plain_unit(dict(source.units).get("time", "s"))]
+    by = dict.fromkeys(names, 1 / RESOLUTION)
+    if source.time in by:
+        by[source.time] = scale[source.time] * unit_s / TIME_TICK_S
+    if source.counter in by:
+        by[source.counter] = 1.0
+    signals = [signal(name, 8 * i, "i64", False, scale[name] / by[name], 0.0) for i, name in enumerate(names)]
+    first = 0
+    if table.has("check"):
+        check, where = _check(table.table("check"))
+        first = where["from"]
+    table.done()
+    whole = tuple(by.get(name) for name in columns)
+    framing = Lines(whole, own["separator"].encode(), own["prefix"].encode(), check, first)
+    return framing, signals, replace(source, wrap=round(source.wrap * by.get(source.time or "", 1.0)))
+
+
+def _check(table: Table) -> tuple[Check, dict[str, Any]]:
+    """Return a check, and where it is."""
+    own, known = read_keys(table, "check"), packaged_toml("drivers", "codes.toml")["check"]
+    table.done()
+    if own["name"] in known:
+        return Check(**known[own["name"]]), own
+    if own["name"] is not None or own["bits"] is None:
+        raise table.fail("name", f"give one of {', '.join(known)}; or bits, polynomial and so on of a CRC")
+    for key in ("polynomial", "init", "xorout"):
+        if own[key] >> own["bits"]:
+            raise table.fail(key, f"{own[key]:#x}: give {own['bits']} bits, of a polynomial without the highest")
+    return Check("crc", *(own[key] for key in ("bits", "polynomial", "init", "reflected", "xorout"))), own
+
+
+def _phrase(table: Table) -> tuple[bytes, float]:
+    """Return what is sent, and the pause behind it."""
+    own = read_keys(table, "phrase", hex=_known)
+    table.done()
+    if (own["text"] is None) == (own["hex"] is None):
+        raise table.fail(None, "needs text or hex, and not both")
+    return own["text"].encode() if own["hex"] is None else own["hex"], own["pause"]
+
+
+def _place(table: Table, at: int | None, bits: int, size: int) -> int:
+    """Return the first byte of a number, from the beginning of its frame."""
+    if at is None or not -size <= at < size or at % size + bits // 8 > size:
+        raise table.fail("at", f"{at}: give a place where {bits // 8} bytes fit in a frame of {size}")
+    return at % size
+
+
+def _bytes(text: str, _: Path) -> tuple[int | None, ...]:
+    """Return bytes written in hex, None for ??."""
+    if not _HEX.fullmatch(text):
+        raise ValueError(f'{text!r}: write bytes in hex, as "5A A5"')
+    return tuple(None if pair == "??" else int(pair, 16) for pair in re.findall(r"\S\S", text))
+
+
+def _known(text: str, folder: Path) -> bytes:
+    """Return bytes written in hex."""
+    if None in (data := _bytes(text, folder)):
+        raise ValueError(f"{text!r}: ?? for any byte can only be in sync")
+    return bytes(byte for byte in data if byte is not None)
