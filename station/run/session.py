@@ -25,7 +25,7 @@ from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
 from estimator.estimation.sample_columns import SampleColumns
-from estimator.recordings.recording import TEXT_BYTES, RecordingWriter, write_attributes
+from estimator.recordings.writing import TEXT_BYTES, RecordingWriter, write_attributes
 from station.errors import UsageError
 from station.opening import OpenBench, OpenImu
 from station.opening.reopening import Reopening

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.packaged import packaged_toml
-from estimator.estimation.runs.run import runs_of
+from estimator.estimation.runs.making import runs_of
 from estimator.geometry.array import tetrahedron
 from estimator.geometry.kinematics import Site
 from estimator.recordings.recording import Recording

@@ -18,10 +18,11 @@ from estimator.calibration.stored_calibration import read_calibration
 from estimator.effects.constructed import constructed
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import repeatability
-from estimator.estimation.runs.run import runs_of
+from estimator.estimation.runs.making import runs_of
 from estimator.geometry.array import tetrahedron, triad
-from estimator.recordings.recording import ImuData, Recording, write_recording
+from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings, Turns
+from estimator.recordings.writing import write_recording
 from estimator.tracing.candidates import Candidate, candidates_of
 from estimator.tracing.investigate import fit_known, investigate
 from estimator.tracing.type_model import error_model_of

@@ -14,7 +14,9 @@ from estimator.errors import InvestigationError
 from estimator.estimation.calibrate import calibrate
 from estimator.importing.importing import import_recording
 from estimator.importing.mapping.mapping import read_mapping
-from estimator.recordings.recording import Recording, read_recording, write_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Recording
+from estimator.recordings.writing import write_recording
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Finding
 from estimator.tracing.type_model import error_model_of

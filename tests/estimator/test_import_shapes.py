@@ -26,8 +26,10 @@ from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.importing.importing import SOURCE, Imported, import_recording
 from estimator.importing.mapping.mapping import read_mapping
-from estimator.recordings.recording import ImuData, Recording, read_recording, write_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings, TableReadings
+from estimator.recordings.writing import write_recording
 from station.opening.captures import PROTOCOLS
 
 TRIAD = """\

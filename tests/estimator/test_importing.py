@@ -13,8 +13,10 @@ from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.importing.importing import SOURCE, Imported, import_recording
 from estimator.importing.mapping.mapping import read_mapping
-from estimator.recordings.recording import ImuData, Recording, read_recording, write_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
+from estimator.recordings.writing import write_recording
 
 DATA = Path(__file__).parents[1] / "data"
 

@@ -14,9 +14,10 @@ from support import SITE, TABLE_1
 
 import station.commands.investigate
 from estimator.effects.constructed import in_words
-from estimator.estimation.runs.run import runs_of
+from estimator.estimation.runs.making import runs_of
 from estimator.geometry.array import tetrahedron
-from estimator.recordings.recording import Recording, write_recording
+from estimator.recordings.recording import Recording
+from estimator.recordings.writing import write_recording
 from estimator.tracing.investigation import (
     Added,
     Errors,

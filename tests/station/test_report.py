@@ -24,7 +24,8 @@ from estimator.calibration.stored_calibration import read_calibration
 from estimator.calibration.values import EffectValue, GyroCalibration
 from estimator.geometry.array import tetrahedron
 from estimator.geometry.model import predicted_output
-from estimator.recordings.recording import read_recording, write_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.writing import write_recording
 from station.bench.bench import default_bench_text
 from station.cli import main
 from station.exports.hashes import raw_sha256

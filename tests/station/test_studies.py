@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from estimator.geometry.array import tetrahedron_as_printed
-from estimator.recordings.recording import read_recording
+from estimator.recordings.reading import read_recording
 from station.cli import main
 from station.studies import baselines, paper, paper_text
 from station.studies.printed import baselines_object, print_baselines, print_paper
