@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -63,3 +64,16 @@ def test_a_folder_holds_what_can_be_kept_in_mind() -> None:
 def test_every_folder_of_modules_is_a_package() -> None:
     bare = {named(path.parent) for path in modules() if not (path.parent / "__init__.py").exists()}
     assert not bare
+
+
+def test_no_import_runs_in_a_circle_not_even_for_types() -> None:
+    paths = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in modules()
+    }
+    sorter: TopologicalSorter[str] = TopologicalSorter()
+    for module, path in paths.items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                imported = {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+                sorter.add(module, *((imported & paths.keys()) - {module}))
+    sorter.prepare()  # raises CycleError with the circle
