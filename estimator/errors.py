@@ -11,3 +11,7 @@ class GeometryError(EstimatorError):
 
 class RecordingError(EstimatorError):
     """A file that is not a readable recording, or one that lacks what an estimate needs."""
+
+
+class InvestigationError(EstimatorError):
+    """Recordings that cannot be investigated together, or at all; the message says why and what to do."""

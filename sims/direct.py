@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats, Stamps
-from sims.body import Body
-from sims.geometry import Mounting
-from sims.gyro import GyroArray, GyroTruth
-from sims.hidden.effects import Hidden
-from sims.hidden.table import TableFaults
-from sims.motion import AxisMotion
+from drivers.types import Floats, Stamps
+from sims.physics.body import Body
+from sims.physics.geometry import Mounting
+from sims.physics.gyro import GyroArray, GyroTruth
+from sims.physics.hidden.effects import Hidden
+from sims.physics.hidden.table import TableFaults
+from sims.physics.motion import AxisMotion
 
 _NO_LIMIT = 1e3
 _READ_EVERY_S, _TEMPERATURE_COUNT_C, _TEMPERATURE_NOISE_C = 1.0, 0.01, 0.005

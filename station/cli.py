@@ -14,14 +14,14 @@ from typing import Any, NoReturn
 from drivers.errors import DeviceError
 from drivers.packaged import packaged_toml
 from estimator.errors import EstimatorError
+from station.campaigns.worker_pool import ONE_BLAS_THREAD
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
-from station.exporting.held import HELD
-from station.worker_pool import ONE_BLAS_THREAD
+from station.exports.held import HELD
 
-_MODULES = dict.fromkeys(("run", "twin", "import"), "station.commands") | {"study": "station.studies.command"}
+_MODULES = dict.fromkeys(("run", "twin", "import"), "station.commands.common") | {"study": "station.studies.command"}
 """Where the function of a command is, if not in a module of its name: ``command_NAME(arguments) -> exit code``."""
 
-_TYPED: dict[str, Any] = packaged_toml("station", "commands.toml")
+_TYPED: dict[str, Any] = packaged_toml("station.commands", "commands.toml")
 """What can be typed, and its help."""
 COMMANDS: dict[str, dict[str, Any]] = _TYPED["commands"]
 """Of each command its ``line`` in --help, the ``text`` of its own help, and its ``options``."""
@@ -64,7 +64,9 @@ def _take(parser: argparse._ActionsContainer, spelled: str, help: str, **more: A
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code: 0 pass, 1 fail, 2 wrong usage, 3 aborted, 4 device fault."""
-    arguments = make_parser().parse_args(argv)
+    parser = make_parser()
+    arguments = parser.parse_args(argv)
+    arguments.parser = parser  # what a shell completes is read from it
     # Before any command imports numpy. Matrices here are small: threads of the linear algebra library gain nothing,
     # and on a busy machine they wait for each other for seconds.
     os.environ.update(ONE_BLAS_THREAD)
@@ -72,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     module = None
     try:
         # The libraries behind the commands cost a second: --help does without.
-        module = importlib.import_module(_MODULES.get(command, f"station.{command}_command"))
+        module = importlib.import_module(_MODULES.get(command, f"station.commands.{command}"))
         return int(getattr(module, f"command_{command}")(arguments))
     except (UsageError, EstimatorError, DeviceError) as error:
         return _refuse(error, module, arguments)
@@ -92,7 +94,7 @@ def _refuse(error: Exception, module: ModuleType | None, arguments: argparse.Nam
     print(f"station: {error}", file=sys.stderr)
     fault = isinstance(error, DeviceError)
     if getattr(arguments, "json", False):
-        from station.printing import empty_object
+        from station.render.printing import empty_object
 
         refused = getattr(module, "refused", None)
         empty = refused(str(error), arguments) if refused else empty_object(str(error), "FAULT" if fault else None)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.arrays import Floats
-from estimator.kinematics import AXES, Site, body_rate, check_gimbals, into_body, specific_force
+from estimator.geometry.kinematics import AXES, Site, body_rate, check_gimbals, into_body, specific_force
+from estimator.types import Floats
 
 SLOPE_S = 10.0
 """Time constant over which a causal slope of the temperature is taken: readings are too coarse for differences."""

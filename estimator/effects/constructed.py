@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from estimator.arrays import Floats
 from estimator.effects.conditions import Conditions, follow
 from estimator.effects.effect import Axes, Effect, Parameter
-from estimator.kinematics import AXES, GRAVITY_MPS2, into_body
+from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, into_body
+from estimator.types import Floats
 
 NAME = "constructed"
 REFERENCE_C = 25.0

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from estimator.array import SensorArray
-from estimator.arrays import Floats
 from estimator.effects.conditions import Conditions
+from estimator.geometry.array import SensorArray
+from estimator.types import Floats
 
 
 class Axes(NamedTuple):

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from estimator.arrays import Floats
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Axes, Effect, Parameter
-from estimator.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2, into_body
+from estimator.geometry.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2, into_body
+from estimator.types import Floats
 
 
 def earth_rate() -> Effect:

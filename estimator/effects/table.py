@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.arrays import Floats
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Axes, Effect, Parameter
-from estimator.kinematics import AXES, into_body
+from estimator.geometry.kinematics import AXES, into_body
+from estimator.types import Floats
 
 
 def table_harmonic(gimbals: Sequence[str], order: int, of: Sequence[str] | None = None) -> Effect:

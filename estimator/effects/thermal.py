@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from estimator.arrays import Floats
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Axes, Effect, Parameter
+from estimator.types import Floats
 
 _NEEDS = frozenset({"temperature"})
 REFERENCE_C = 25.0

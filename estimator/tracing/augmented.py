@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.estimation.evidence import Posterior, Term
+from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.tone_columns import samples_of, tone_columns
 from estimator.tracing.candidates import Candidate
-from estimator.tracing.evidence import Posterior, Term
-from estimator.tracing.runs import Run
-from estimator.tracing.tones import ToneFit, samples_of, tone_columns
+from estimator.tracing.tones.tones import ToneFit
 
 Floats = NDArray[np.float64]
 

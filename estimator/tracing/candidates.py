@@ -17,9 +17,10 @@ from estimator.effects.effect import Axes, Effect, Parameter
 from estimator.effects.scale import dead_band
 from estimator.effects.site import earth_rate_upward
 from estimator.effects.table import table_harmonic
-from estimator.kinematics import AXES, GRAVITY_MPS2, into_body
-from estimator.tracing.runs import Run
-from estimator.turned import by_turns
+from estimator.estimation.runs.run import Run
+from estimator.estimation.undeclared import WITHIN_TURNS
+from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, into_body
+from estimator.observations.turned import by_turns
 
 Floats = NDArray[np.float64]
 
@@ -28,8 +29,6 @@ _BY_ITSELF = frozenset({"warm_up", "bias_step", "tone", "table_rate", "latency",
 OF_TIME = frozenset({"warm_up", "bias_step", "bias_drift"})
 """Effects of which all gyros have the same columns."""
 _OF_ENCODERS = ("table_harmonic", "dead_band")
-WITHIN_TURNS = ("latency", "bandwidth", "acceleration_sensitivity")
-"""Effects that come to nothing over a turn from rest to rest."""
 _OTHER_ORDERS = (3, 5, 6)
 # Log odds of an effect against the others before the data. What refines a simpler effect is rarer than that effect.
 # A bias over temperature is in every data sheet; its gradient without it one part in a hundred may have, while beside

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from estimator.effects.constructed import constructed
 from estimator.effects.effect import Effect
+from estimator.estimation.runs.run import Run
 from estimator.tracing.candidates import Candidate
-from estimator.tracing.runs import Run
 
 Floats = NDArray[np.float64]
 

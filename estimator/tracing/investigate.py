@@ -7,34 +7,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.effects.constructed import NAME, in_words
-from estimator.model import STATES, decode
-from estimator.recording import Recording
-from estimator.repeatability import between_runs
+from estimator.errors import InvestigationError
+from estimator.estimation.evidence import Evidence, Posterior, Term
+from estimator.estimation.repeatability import between_runs
+from estimator.estimation.runs.run import BLOCK_S, Run, growth_notes, runs_of, same_devices
+from estimator.estimation.spectra import GyroSpectra, NoiseShapes, gyro_spectra
+from estimator.geometry.model import STATES, decode
+from estimator.observations.defects.faults import Fault
+from estimator.observations.turned import by_turns
+from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.candidates import candidates_of
 from estimator.tracing.composing import laws_of
-from estimator.tracing.evidence import Evidence, Posterior, Term
-from estimator.tracing.faults import Fault
-from estimator.tracing.held_out import FOLDS, by_run, by_step, held, out_of_sample, together, told_by
 from estimator.tracing.investigation import (
     Added,
     Finding,
     GyroErrors,
     Investigation,
-    InvestigationError,
     ModelStep,
     OutOfSample,
     Suspect,
     Unexplained,
     Value,
 )
+from estimator.tracing.judging.cross_validation import FOLDS, by_run, by_step, held, out_of_sample, together, told_by
+from estimator.tracing.judging.verification import Judged, Truth, drawn, judge, sum_of
 from estimator.tracing.open_world import SIZES_RPS, OpenWorld
-from estimator.tracing.residual import Residual, residuals
-from estimator.tracing.runs import BLOCK_S, Run, growth_notes, runs_of, same_devices
+from estimator.tracing.residuals.residual import Residual, residuals
 from estimator.tracing.search import CERTAIN, Choice, Found, Search
-from estimator.tracing.spectra import GyroSpectra, NoiseShapes, gyro_spectra
-from estimator.tracing.verification import Judged, Truth, drawn, judge, sum_of
-from estimator.turned import by_turns
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]

@@ -10,17 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.errors import EstimatorError
-
 if TYPE_CHECKING:
     from estimator.tracing.augmented import Augmented
-    from estimator.tracing.residual import Residual
+    from estimator.tracing.residuals.residual import Residual
 
 Floats = NDArray[np.float64]
-
-
-class InvestigationError(EstimatorError):
-    """Recordings that cannot be investigated together, or at all; the message says why and what to do."""
 
 
 class Finding(StrEnum):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.tracing.evidence import Base, Evidence, Term, log_mean
+from estimator.estimation.evidence import Base, Evidence, Term, log_mean
 
 Floats = NDArray[np.float64]
 

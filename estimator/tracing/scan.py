@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.arrays import Floats
 from estimator.effects.constructed import of_each_gyro
+from estimator.estimation.evidence import Evidence, Term
+from estimator.estimation.runs.run import Run
+from estimator.estimation.spectra import GyroSpectra, cosines
 from estimator.tracing.candidates import OF_TIME, Candidate
-from estimator.tracing.evidence import Evidence, Term
-from estimator.tracing.peaks import highest
-from estimator.tracing.runs import Run
-from estimator.tracing.spectra import GyroSpectra, cosines
+from estimator.tracing.tones.peaks import highest
+from estimator.types import Floats
 
 _NEAR_S = 0.005  # about where its size seems to be an effect is looked for that is exact for its size only
 _SHORTEST_S = 1e-4  # of a time constant, which is not negative

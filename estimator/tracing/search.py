@@ -10,25 +10,17 @@ from numpy.typing import NDArray
 
 from estimator.effects.constructed import NAME
 from estimator.effects.dynamics import tone as tone_at
+from estimator.errors import InvestigationError
+from estimator.estimation.evidence import SCALES, Base, Evidence, Term
+from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.tone_columns import samples_of, tone_columns
+from estimator.estimation.spectra import GyroSpectra
+from estimator.observations.turned import by_turns
 from estimator.tracing.candidates import Candidate
-from estimator.tracing.evidence import SCALES, Base, Evidence, Term
-from estimator.tracing.investigation import InvestigationError
 from estimator.tracing.open_world import OpenWorld
-from estimator.tracing.peaks import highest
-from estimator.tracing.runs import Run
 from estimator.tracing.scan import Scan, at
-from estimator.tracing.spectra import GyroSpectra
-from estimator.tracing.tones import (
-    TONE,
-    ToneFit,
-    ToneFound,
-    find_tone,
-    fit_tone,
-    samples_of,
-    tone_columns,
-    without_tone,
-)
-from estimator.turned import by_turns
+from estimator.tracing.tones.peaks import highest
+from estimator.tracing.tones.tones import TONE, ToneFit, ToneFound, find_tone, fit_tone, without_tone
 
 Floats = NDArray[np.float64]
 

@@ -10,19 +10,20 @@ from itertools import count
 from markupsafe import Markup
 
 from drivers.packaged import packaged_text
-from estimator.compensation import OF_THE_RATE
+from estimator.calibration.compensation import OF_THE_RATE
 from estimator.effects.conditions import SLOPE_S
-from estimator.kinematics import GRAVITY_MPS2
-from station.investigation_printed import words
-from station.rendering import rendered
-from station.report import blind_spots, corrected, course, figures, front, residual, results
-from station.report.correction import corrections_of
-from station.report.hashes import RAW_RULE, file_sha256, raw_sha256
+from estimator.geometry.kinematics import GRAVITY_MPS2
+from station.exports.hashes import RAW_RULE, file_sha256, raw_sha256
+from station.render.investigation_printed import words
+from station.render.template import rendered
+from station.report import figures
+from station.report.chapters import blind_spots, corrected, course, front, residual, results
+from station.report.chapters.correction import corrections_of
+from station.report.chapters.snippet import snippet
+from station.report.chapters.unseen import unseen_of
 from station.report.recorded import Recorded
-from station.report.snippet import snippet
 from station.report.standing import Standing, number_of, standing_of
 from station.report.traced import Traced
-from station.report.unseen import unseen_of
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {

@@ -9,16 +9,16 @@ import numpy as np
 from markupsafe import Markup
 
 from drivers.packaged import packaged_toml
-from estimator.error_model import Size
+from estimator.calibration.error_model import Size
 from estimator.tracing.investigation import Value
-from station.figures import STATE_UNITS
-from station.investigation_printed import human
+from station.render.investigation_printed import human
+from station.views.figures import STATE_UNITS
 
 COVERAGE = 2.0
 """Coverage factor of expanded uncertainties: about 95 % of a normal distribution."""
 UNKNOWN = "not known"
 _DEG = 180 / np.pi
-_SIGNS: dict[str, str] = packaged_toml("station", "units.toml")["typeset"]
+_SIGNS: dict[str, str] = packaged_toml("station.views", "units.toml")["typeset"]
 
 
 def typographic(text: str) -> str:

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Floats
-from station.rendering import rendered
+from drivers.types import Floats
+from station.render.template import rendered
 from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, STATES
 from station.report.recorded import Course
 from station.report.traced import Residual, Spectrum

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drivers.arrays import Floats, Stamps
-from estimator.calibration import Calibration
+from drivers.types import Floats, Stamps
+from estimator.calibration.stored_calibration import read_calibration
+from estimator.calibration.values import Calibration
 from estimator.errors import RecordingError
-from estimator.recording import Recording, read_recording
-from estimator.stored_calibration import read_calibration
-from station.outcome import Outcome
+from estimator.recordings.recording import Recording, read_recording
+from station.run.outcome import Outcome
 
 if TYPE_CHECKING:
     from h5py import Group

@@ -9,12 +9,12 @@ from enum import Enum
 
 from markupsafe import Markup
 
-from estimator.calibration import Calibration
-from station.bench import Limits, read_limits
-from station.bench_table import TWIN
-from station.outcome import Outcome, Verdict, judge
+from estimator.calibration.values import Calibration
+from station.bench.bench import Limits, read_limits
+from station.bench.table import TWIN
 from station.report.figures import ONE, PERCENT, STATES, Unit
 from station.report.recorded import Recorded
+from station.run.outcome import Outcome, Verdict, judge
 
 
 class Kind(Enum):
@@ -142,7 +142,7 @@ def limits_of(recorded: Recorded) -> Limits | None:
 
 
 def limit_lines(found: Calibration, labels: Sequence[str], limits: Limits) -> tuple[Line, ...]:
-    """Return each limit that is stated beside what was found, as ``station.outcome.judge`` compares them."""
+    """Return each limit that is stated beside what was found, as ``station.run.outcome.judge`` compares them."""
     sizes = (limits.k, limits.b_rps, limits.sigma_rad, limits.sigma_rad)
     doubts = (limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad)
     lines = [Line(e.name, Markup("estimate"), ONE, math.nan, 0.0, 1.0, note=e.reason) for e in found.excluded]

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drivers.arrays import Floats
-from estimator.error_model import ErrorModel
+from drivers.types import Floats
+from estimator.calibration.error_model import ErrorModel
 from estimator.errors import RecordingError
-from estimator.prober import probe
-from station.investigation_printed import words
+from estimator.recordings.safe_open import probe
+from station.render.investigation_printed import words
 from station.report.recorded import Recorded, labels_of, plain
 
 if TYPE_CHECKING:

@@ -20,21 +20,21 @@ from textual.driver import Driver
 from textual.message import Message
 from textual.worker import WorkType
 
-from station.attaching import running_sessions
-from station.screen.archive import Archive
+from station.remote.attaching import running_sessions
+from station.screen.archive.archive import Archive
 from station.screen.bars import STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
 from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.history import HistoryScreen
 from station.screen.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.live_run import LiveRun, Stage
 from station.screen.memory import Remembered, load_remembered, save_remembered
-from station.screen.prepare import PrepareScreen
 from station.screen.programs import SessionProcess
-from station.screen.prospects import Prospect
-from station.screen.result import ResultScreen
-from station.screen.run import RunScreen
+from station.screen.tabs.history import HistoryScreen
+from station.screen.tabs.prepare import PrepareScreen
+from station.screen.tabs.prospects import Prospect
+from station.screen.tabs.result import ResultScreen
+from station.screen.tabs.run import RunScreen
 
 _TICK_S = 0.1
 _HANGUP_S = 0.5

@@ -9,8 +9,8 @@ from textual.app import RenderResult
 from textual.widget import Widget
 from textual.widgets import Static
 
-from station.figures import clock
 from station.screen.live_run import LiveRun, Stage
+from station.views.figures import clock
 
 if TYPE_CHECKING:
     from station.screen.app import StationApp

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from station.whole_file import new_recording
+from station.atomic_write import new_recording
 
 TWIN_SCALE = 5.0
 """Speed of runs whose devices are all twins in memory, unless another was asked for: a person can follow it."""

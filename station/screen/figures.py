@@ -5,8 +5,8 @@ from typing import Any
 
 from rich.text import Text
 
-from station.figures import STATE_FIGURES
-from station.rendering import rendered
+from station.render.template import rendered
+from station.views.figures import STATE_FIGURES
 
 
 def columns(rows: Sequence[Sequence[str]], *, left: int = 1, gap: str = "  ") -> list[str]:

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from station.attaching import RemoteSession, running_sessions
 from station.errors import UsageError
+from station.remote.attaching import RemoteSession, running_sessions
 from station.screen.live_run import LiveRun, Stage
 from station.screen.programs import SessionProcess
 

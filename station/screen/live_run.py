@@ -12,7 +12,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from station.snapshot import EventKind, Phase, Snapshot, snapshot_of
+from station.run.snapshot import EventKind, Phase, Snapshot, snapshot_of
 
 _MOST_EVENTS = 500
 _MOST_POINTS = 1200

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from station.atomic_write import write_whole
 from station.errors import UsageError
-from station.whole_file import write_whole
 
 _FOLDER = "turntable-station"
 _FILE = "screen.json"

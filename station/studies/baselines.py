@@ -11,15 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats
-from estimator import baselines
-from estimator.array import SensorArray, tetrahedron
-from estimator.calibrate import calibrate
-from estimator.model import Prior
-from estimator.recording import Recording
-from station.campaigns import Failure, run_all
+from drivers.types import Floats
+from estimator.estimation import baselines
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.array import SensorArray, tetrahedron
+from estimator.geometry.model import Prior
+from estimator.recordings.recording import Recording
+from station.campaigns.campaigns import Failure, run_all
 from station.errors import UsageError
-from station.script import Move, Rest, Rotate, Script, paper_script
+from station.scripts.script import Move, Rest, Rotate, Script, paper_script
 from station.studies.paper import MEMS_NOISE, our_recording, rows_of, source_of
 from station.studies.paper_text import RATE_DPS, SAMPLE_HZ, TABLE_1, from_si
 

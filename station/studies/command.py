@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from station.campaigns import Failure
+from station.campaigns.campaigns import Failure
 from station.errors import UsageError
-from station.investigation_file import check_new_file
+from station.exports.investigation_file import check_new_file
 from station.studies import baselines, detection, paper, printed
 from station.studies.pictures import check_picture, draw_convergence
 

@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.packaged import packaged_toml
-from estimator.array import tetrahedron
-from estimator.kinematics import Site
-from estimator.recording import Recording
+from estimator.estimation.runs.run import runs_of
+from estimator.geometry.array import tetrahedron
+from estimator.geometry.kinematics import Site
+from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigate import fit_known, investigate
-from estimator.tracing.runs import runs_of
 from estimator.tracing.search import CERTAIN
-from station.campaigns import Failure, run_all
-from station.loop_scripts import exploration_script, verification_script
-from station.open_bench import DeviceTruth, Hidden, simulate
-from station.script import Script, paper_script
+from station.campaigns.campaigns import Failure, run_all
+from station.opening import DeviceTruth, Hidden, simulate
+from station.scripts.loop_scripts import exploration_script, verification_script
+from station.scripts.script import Script, paper_script
 
 Floats = NDArray[np.float64]
 

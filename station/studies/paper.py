@@ -15,21 +15,21 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
-from estimator.array import SensorArray, tetrahedron, tetrahedron_as_printed
-from estimator.baselines import FilterRun, bound, covariance_filter
-from estimator.calibrate import calibrate
-from estimator.filter import LiveFilter
-from estimator.gram import Gram, solve
-from estimator.kinematics import Site
-from estimator.model import Prior, decode
-from estimator.recording import ImuData, Recording, write_recording, write_results
-from estimator.reference import RateReadings
-from estimator.rows import BLOCK_S, block_rows, observations
-from station.campaigns import Failure, run_all
+from drivers.types import Floats
+from estimator.estimation.baselines import FilterRun, bound, covariance_filter
+from estimator.estimation.calibrate import calibrate
+from estimator.estimation.filter import LiveFilter
+from estimator.estimation.gram import Gram, solve
+from estimator.geometry.array import SensorArray, tetrahedron, tetrahedron_as_printed
+from estimator.geometry.kinematics import Site
+from estimator.geometry.model import Prior, decode
+from estimator.observations.rows import BLOCK_S, block_rows, observations
+from estimator.recordings.recording import ImuData, Recording, write_recording, write_results
+from estimator.recordings.reference import RateReadings
+from station.campaigns.campaigns import Failure, run_all
 from station.errors import UsageError
-from station.open_bench.simulate import DeviceTruth, simulate
-from station.script import Rest, Rotate, Script, paper_script
+from station.opening.simulate import DeviceTruth, simulate
+from station.scripts.script import Rest, Rotate, Script, paper_script
 from station.studies.paper_text import (
     LATITUDE_DEG,
     NOISE_DPH,
@@ -171,7 +171,7 @@ def run_study(
 
 
 def truth(array: SensorArray) -> Floats:
-    """Return the paper's set values for each gyro, (n, 4) as in ``estimator.model.STATES``."""
+    """Return the paper's set values for each gyro, (n, 4) as in ``estimator.geometry.model.STATES``."""
     return np.tile(to_si(TABLE_1), (len(array), 1))
 
 

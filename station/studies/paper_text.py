@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Floats
 from drivers.packaged import packaged_toml
-from estimator.array import SensorArray
-from station.rendering import rendered
+from drivers.types import Floats
+from estimator.geometry.array import SensorArray
+from station.render.template import rendered
 
 NAMES = ("b", "k", "sigma_j", "sigma_k")
 UNITS = ("deg/s", "ppm", "deg", "deg")
@@ -25,7 +25,7 @@ RATE_DPS, LATITUDE_DEG, NOISE_DPH, SAMPLE_HZ = (
 
 
 def from_si(states: Floats) -> Floats:
-    """Return states or errors (..., 4), in the order and units of ``estimator.model.STATES``, as the paper prints."""
+    """Return states or errors (..., 4), in the order and units of ``STATES``, as the paper prints them."""
     k, b, sigma_j, sigma_k = np.moveaxis(states, -1, 0)
     return np.stack([np.degrees(b), 1e6 * k, np.degrees(sigma_j), np.degrees(sigma_k)], axis=-1)
 

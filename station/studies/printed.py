@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Floats
-from estimator.array import tetrahedron_as_printed
+from drivers.types import Floats
+from estimator.geometry.array import tetrahedron_as_printed
+from station.render.terminal import print_rendered, stdout
 from station.studies.baselines import BaselineStudy
 from station.studies.detection import DetectionStudy
 from station.studies.paper import BARS_PERCENT, PaperStudy
@@ -22,7 +23,6 @@ from station.studies.paper_text import (
     relative_percent,
     sentences,
 )
-from station.terminal import print_rendered, stdout
 
 _STATES = [f"{name}, {unit}" for name, unit in zip(NAMES, UNITS, strict=True)]
 _FORMATS = (".4f", ".1f", ".4f", ".4f")

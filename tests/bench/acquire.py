@@ -18,7 +18,7 @@ from pathlib import Path
 
 from support import TwinProcess, command
 
-from station.bench import default_bench_text
+from station.bench.bench import default_bench_text
 
 BARS = {"stim300": 40, "slcan": 60, "socketcand": 25}
 

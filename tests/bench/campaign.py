@@ -22,11 +22,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from support import TABLE_1, direct_recording, station
 
-from estimator.array import SensorArray, cone, dodecahedron, sensor_array, tetrahedron, triad
-from estimator.calibrate import calibrate
-from estimator.gram import solve
-from estimator.model import decode
-from estimator.rows import gram_of
+from estimator.estimation.calibrate import calibrate
+from estimator.estimation.gram import gram_of, solve
+from estimator.geometry.array import SensorArray, cone, dodecahedron, sensor_array, tetrahedron, triad
+from estimator.geometry.model import decode
 
 
 @dataclass(frozen=True, slots=True)

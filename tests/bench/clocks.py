@@ -23,8 +23,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.sampling import Alignment, CounterClock, RegularClock
-from drivers.seams import SourceCounts
+from drivers.clocks.sampling import Alignment, CounterClock, RegularClock
+from drivers.types import SourceCounts
 
 Floats = NDArray[np.float64]
 

@@ -3,7 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compensation import MOST_ITERATIONS, OF_THE_PAST, TOLERANCE_RPS, Acts, Compensation, CompensationError
+from estimator.calibration.compensation import (
+    MOST_ITERATIONS,
+    OF_THE_PAST,
+    TOLERANCE_RPS,
+    Acts,
+    Compensation,
+    CompensationError,
+)
 from estimator.effects.conditions import Conditions
 from estimator.effects.constructed import functions_of, variables_of
 

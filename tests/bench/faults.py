@@ -19,13 +19,13 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from estimator.recording import read_recording
-from station.bench import load_bench
-from station.loops import VirtualLoop
-from station.open_bench import open_bench
-from station.outcome import Outcome
-from station.script import load_script
-from station.session import Session
+from estimator.recordings.recording import read_recording
+from station.bench.bench import load_bench
+from station.opening import open_bench
+from station.run.event_loop.loops import VirtualLoop
+from station.run.outcome import Outcome
+from station.run.session import Session
+from station.scripts.script import load_script
 
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
 SCRIPT = """

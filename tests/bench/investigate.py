@@ -17,8 +17,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from support import command, station
 
-from estimator.recording import write_recording
-from station.bench import default_bench_text
+from estimator.recordings.recording import write_recording
+from station.bench.bench import default_bench_text
 from station.studies.detection import Case, recordings_of
 
 HIDDEN = {

@@ -22,8 +22,8 @@ import h5py
 from pymodbus.client import AsyncModbusTcpClient
 from support import TwinProcess, command
 
-from estimator.prober import probe
-from station.bench import default_bench_text
+from estimator.recordings.safe_open import probe
+from station.bench.bench import default_bench_text
 
 SCRIPT = """
 [[step]]

@@ -21,11 +21,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from estimator.calibrate import calibrate
-from estimator.importing import import_recording
-from estimator.mapping import read_mapping
-from estimator.recording import Recording
-from estimator.reference import TableReadings
+from estimator.estimation.calibrate import calibrate
+from estimator.importing.importing import import_recording
+from estimator.importing.mapping.mapping import read_mapping
+from estimator.recordings.recording import Recording
+from estimator.recordings.reference import TableReadings
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Investigation
 

@@ -25,7 +25,7 @@ from open_worlds.clean import CleanAnswer, clean_answer_of, clean_cases, clean_s
 from open_worlds.effects import KINDS
 from open_worlds.score import by_kind, scored
 
-from station.campaigns import run_all
+from station.campaigns.campaigns import run_all
 
 
 def listed() -> None:

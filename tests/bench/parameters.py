@@ -25,15 +25,15 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from support import SITE
 
-from estimator.array import tetrahedron
-from estimator.calibrate import calibrate
-from estimator.error_model import ErrorModel
-from estimator.recording import Recording
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.array import tetrahedron
+from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigate import fit_known, investigate
-from station.loop_scripts import exploration_script
-from station.open_bench import DeviceTruth, simulate
-from station.script import paper_script
+from estimator.tracing.type_model import error_model_of
+from station.opening import DeviceTruth, simulate
+from station.scripts.loop_scripts import exploration_script
+from station.scripts.script import paper_script
 from station.studies.detection import STATES, hidden_of
 
 Floats = NDArray[np.float64]
@@ -116,7 +116,7 @@ def one(seed: int, effect: str, by: str, of: int, instability_dph: float, walk_d
     wanted = sizes_in(true)[0]
     runs = [noisy(r, (seed, n), instability_dph, walk_dph_rth) for n, r in enumerate(quiet(effect, seed // of))]
     if by == "model":
-        gyros = calibrate(runs[0], model=ErrorModel.of(true)).gyros
+        gyros = calibrate(runs[0], model=error_model_of(true)).gyros
         values = np.array([[(v.value, v.sd) for v in gyro.effects] for gyro in gyros])[: len(wanted)]
         states = np.array([(gyro.states - own) / gyro.sd for gyro, own in zip(gyros, STATES, strict=True)])
         return Case(states, (values[..., 0] - wanted) / values[..., 1])

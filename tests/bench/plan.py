@@ -15,15 +15,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from estimator.calibrate import calibrate
 from estimator.effects.conditions import Conditions
-from estimator.model import STATES
-from estimator.planning import PlannedDevice, forecast
-from station.bench import Bench, load_bench
-from station.campaigns import run_all
-from station.open_bench.simulate import simulate_bench
-from station.planned import planned_motion
-from station.script import Script, load_script, paper_script
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.model import STATES
+from estimator.planning.planning import PlannedDevice, forecast
+from station.bench.bench import Bench, load_bench
+from station.campaigns.campaigns import run_all
+from station.opening.simulate import simulate_bench
+from station.scripts.planned import planned_motion
+from station.scripts.script import Script, load_script, paper_script
 
 
 def estimate(seed: int, *, bench: Bench, script: Script) -> np.ndarray:

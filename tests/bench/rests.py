@@ -14,9 +14,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from estimator.array import sensor_array
-from estimator.recording import ImuData, Recording
-from estimator.reference import RateReadings
+from estimator.geometry.array import sensor_array
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import RateReadings
 from estimator.tracing.investigate import investigate
 
 RATE_HZ, REST_S, MOVE_S, RESTS = 50.0, 12.0, 4.0, 38

@@ -32,7 +32,7 @@ from pathlib import Path
 import numpy as np
 from support import command
 
-from station.bench import default_bench_text
+from station.bench.bench import default_bench_text
 
 STOP = b"\x1b[20~"  # F9
 _FIRST_PICTURE = b"History"

@@ -20,11 +20,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from support import command, direct_recording
 
-from estimator.array import SensorArray, tetrahedron, triad
-from estimator.gram import Gram, solve
-from estimator.model import Prior, regressor_maps
-from estimator.rows import observations
-from station.bench import default_bench_text
+from estimator.estimation.gram import Gram, solve
+from estimator.geometry.array import SensorArray, tetrahedron, triad
+from estimator.geometry.model import Prior, regressor_maps
+from estimator.observations.rows import observations
+from station.bench.bench import default_bench_text
 
 
 def rows_of(array: SensorArray, kind: str, rate_hz: float) -> tuple[np.ndarray, np.ndarray]:

@@ -27,8 +27,8 @@ from pathlib import Path
 from acquire import bench_of
 from support import TwinProcess, command
 
-from drivers.registers import load_profile
-from station.attaching import RemoteSession, running_sessions
+from drivers.tables.modbus.registers import load_profile
+from station.remote.attaching import RemoteSession, running_sessions
 
 AXES = {3: "z", 2: "y", 1: "x"}  # unit ids of the built-in bench
 TURNING = "x"  # told last of the three

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from estimator.array import SensorArray, tetrahedron
-from estimator.kinematics import Site
-from estimator.recording import Recording
-from station.open_bench import DeviceTruth, simulate
-from station.script import Script, paper_script
+from estimator.geometry.array import SensorArray, tetrahedron
+from estimator.geometry.kinematics import Site
+from estimator.recordings.recording import Recording
+from station.opening import DeviceTruth, simulate
+from station.scripts.script import Script, paper_script
 
 SITE = Site(np.pi / 4, 0.0)
 TABLE_1 = np.array([0.005, np.radians(0.1), np.radians(0.1), np.radians(-0.1)])

@@ -28,13 +28,13 @@ import h5py
 import numpy as np
 from support import TwinProcess, command
 
-from station.bench import Bench, default_bench_text, load_bench
-from station.improve import script_text
-from station.loops import VirtualLoop
-from station.open_bench import open_bench
-from station.open_bench.twins import truth_of
-from station.script import Rest, Rotate, Script, paper_script
-from station.session import Session
+from station.bench.bench import Bench, default_bench_text, load_bench
+from station.commands.improve import script_text
+from station.opening import open_bench
+from station.opening.twins import truth_of
+from station.run.event_loop.loops import VirtualLoop
+from station.run.session import Session
+from station.scripts.script import Rest, Rotate, Script, paper_script
 
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
 DEG = np.pi / 180

@@ -19,11 +19,11 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))
 import numpy as np
 from hand_turned import NAMES, RATE_HZ, Errors, by_known_angles, from_pose_to_pose
 
-from estimator.array import sensor_array
-from estimator.model import Prior, decode
-from estimator.poses import directions_up, estimate
-from estimator.recording import ImuData
-from estimator.reference import Poses
+from estimator.geometry.array import sensor_array
+from estimator.geometry.model import Prior, decode
+from estimator.observations.poses import directions_up, estimate
+from estimator.recordings.recording import ImuData
+from estimator.recordings.reference import Poses
 from estimator.tracing.investigate import investigate
 
 SIZES = np.array([0.004, -0.003, 0.005])

@@ -17,11 +17,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from support import SITE, TABLE_1
 
-from estimator.array import tetrahedron
-from estimator.budget import UNSEEN
-from estimator.calibrate import calibrate
-from station.open_bench import DeviceTruth, simulate
-from station.script import paper_script
+from estimator.calibration.budget import UNSEEN
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.array import tetrahedron
+from station.opening import DeviceTruth, simulate
+from station.scripts.script import paper_script
 from station.studies.detection import KNOWN, hidden_of
 
 EFFECTS = ("nothing", *KNOWN, "scale_quadratic", "bias_step", "bandwidth")

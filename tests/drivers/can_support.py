@@ -12,11 +12,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from drivers.errors import LinkLost
-from drivers.seams import Frame, ImuBlock, ImuSource
-from sims.body import Body
-from sims.geometry import MOUNTS_DEG, mounted
-from sims.gyro import GyroArray, GyroTruth
-from station.loops import VirtualLoop
+from drivers.protocols import ImuSource
+from drivers.types import Frame, ImuBlock
+from sims.physics.body import Body
+from sims.physics.geometry import MOUNTS_DEG, mounted
+from sims.physics.gyro import GyroArray, GyroTruth
+from station.run.event_loop.loops import VirtualLoop
 
 T = TypeVar("T")
 _buses = itertools.count()

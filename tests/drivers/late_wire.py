@@ -10,8 +10,8 @@ from collections.abc import Callable
 import pytest
 from turntable_rigs import COUNTS, DEG, Controller, byte_pair, model_of, virtually
 
-from drivers.byte_links import MemoryLink
 from drivers.errors import BadReply, LinkLost
+from drivers.links.byte_links import MemoryLink
 
 
 class LateWire:

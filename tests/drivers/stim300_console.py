@@ -9,12 +9,13 @@ from types import TracebackType
 from stim300_service import ServiceReader, ServiceReply
 
 from drivers.errors import BadReply, DeviceRefused, LinkLost
+from drivers.imus.stim300.codec import DATAGRAM_CODES, SERVICE_MODE, UTILITY_MODE
+from drivers.imus.stim300.special import RATES_HZ
+from drivers.imus.stim300.units import UNITS
+from drivers.imus.stim300.utility import UtilityMessage, encode_message, parse_message
 from drivers.packaged import packaged_codes
-from drivers.seams import ByteLink, Identity
-from drivers.stim300 import DATAGRAM_CODES, SERVICE_MODE, UTILITY_MODE
-from drivers.stim300_special import RATES_HZ
-from drivers.stim300_units import UNITS
-from drivers.stim300_utility import UtilityMessage, encode_message, parse_message
+from drivers.protocols import ByteLink
+from drivers.types import Identity
 
 STATUS_TEXTS = packaged_codes("drivers", "stim300", "utility")
 """What the status of a reply means (table 10-2)."""

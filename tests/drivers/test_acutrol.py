@@ -16,14 +16,14 @@ from hypothesis import strategies as st
 from late_wire import read_under_lateness
 from turntable_rigs import COUNTS, DEG, LIMITS, MAX_RATE, MemoryWire, model_of, rig, settle, virtually
 
-from drivers.acutrol import NUMBER, OK, AcutrolFraming, refusal
-from drivers.acutrol_table import AcutrolAxis, AcutrolTable
-from drivers.byte_links import MemoryLink
 from drivers.errors import DeviceFault, DeviceRefused, LinkLost
-from drivers.seams import AxisLimits
-from drivers.unwrap import Unwrapper
-from sims.acutrol_controller import AcutrolController
-from sims.table import AxisData, TableModel
+from drivers.links.byte_links import MemoryLink
+from drivers.tables.acutrol.language import NUMBER, OK, AcutrolFraming, refusal
+from drivers.tables.acutrol.table import AcutrolAxis, AcutrolTable
+from drivers.tables.unwrap import Unwrapper
+from drivers.types import AxisLimits
+from sims.physics.table import AxisData, TableModel
+from sims.tables.acutrol_controller import AcutrolController
 
 VECTORS = [
     vector

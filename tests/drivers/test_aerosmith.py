@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from turntable_rigs import DEG, MAX_RATE, rig, settle, virtually
 
-from drivers import aerosmith
-from drivers.aerosmith import NUMBER, AerosmithFraming
 from drivers.errors import DeviceRefused, LinkLost
-from sims.aerosmith_controller import STA_FAULT, STA_SERVO_OFF, AerosmithController
-from sims.table import AxisData, TableModel
+from drivers.tables.aerosmith import table as aerosmith
+from drivers.tables.aerosmith.table import NUMBER, AerosmithFraming
+from sims.physics.table import AxisData, TableModel
+from sims.tables.aerosmith_controller import STA_FAULT, STA_SERVO_OFF, AerosmithController
 
 VECTORS = {
     vector["tx"]: vector

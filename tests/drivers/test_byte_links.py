@@ -14,11 +14,11 @@ from contextlib import ExitStack, asynccontextmanager, closing, contextmanager, 
 
 import pytest
 
-from drivers.byte_links import MemoryLink, SerialLink, TcpLink
 from drivers.errors import DeviceFault, LinkLost
-from drivers.reopen import BackOff, reopen
-from drivers.seams import ByteLink
-from station.loops import VirtualLoop
+from drivers.links.byte_links import MemoryLink, SerialLink, TcpLink
+from drivers.links.reopen import BackOff, reopen
+from drivers.protocols import ByteLink
+from station.run.event_loop.loops import VirtualLoop
 
 
 def really(main: Callable[[], Awaitable[None]]) -> None:

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.can_buses import SlcanBus, SocketcandBus
+from drivers.links.can_buses import SlcanBus, SocketcandBus
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "slcan.json").read_text())["vectors"]
 LINES = [v for v in VECTORS if v["ascii"][0] in "tTrRdDbB"]

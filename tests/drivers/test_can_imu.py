@@ -11,12 +11,12 @@ import can
 import numpy as np
 import pytest
 
-from drivers.can_imu import BUILT_IN_DBC, CanChannel, CanImu
-from drivers.can_link import CanLink
-from drivers.can_memory import MemoryBus
 from drivers.errors import DeviceError, LinkLost
-from drivers.seams import ImuBlock, SourceCounts
-from station.loops import VirtualLoop
+from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanImu
+from drivers.links.can_link import CanLink
+from drivers.links.can_memory import MemoryBus
+from drivers.types import ImuBlock, SourceCounts
+from station.run.event_loop.loops import VirtualLoop
 
 CHANNELS = (
     CanChannel("g1", "GYRO1_RATE.Rate", "GYRO1_TEMPERATURE.Temperature"),

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from can_support import gyros
 
-from drivers.can_imu import BUILT_IN_DBC, CanChannel, CanImu
-from drivers.can_link import CanLink
 from drivers.errors import LinkLost
-from drivers.seams import Frame
-from sims.can_nodes import CanNodes
-from sims.slcan_adapter import SlcanAdapter
-from sims.socketcand_server import SocketcandServer
+from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanImu
+from drivers.links.can_link import CanLink
+from drivers.types import Frame
+from sims.imus.can_nodes import CanNodes
+from sims.wires.slcan_adapter import SlcanAdapter
+from sims.wires.socketcand_server import SocketcandServer
 
 SENT = (
     can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\x01\x02"),

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 from can_support import Flood, collect, gyros, in_virtual_time, vectors, wire
 
-from drivers.can_imu import CanChannel, CanImu
-from drivers.can_link import CanLink
-from drivers.can_memory import MemoryBus
 from drivers.errors import DeviceError, LinkLost
-from drivers.seams import ImuBlock, SourceCounts
-from sims.can_nodes import CanNodes
-from sims.frames import NodeFaults
-from station.can_mappings import MAPPING_FOLDER, CanMapping, MappingError, channels_of, load_mapping
+from drivers.imus.can.imu import CanChannel, CanImu
+from drivers.links.can_link import CanLink
+from drivers.links.can_memory import MemoryBus
+from drivers.types import ImuBlock, SourceCounts
+from sims.imus.can_nodes import CanNodes
+from sims.wires.frames import NodeFaults
+from station.bench.can_mappings import MAPPING_FOLDER, CanMapping, MappingError, channels_of, load_mapping
 
 SHIPPED = ("sbg_ecan", "bosch_mm5_10", "xsens_mti600", "aceinna_openimu300ri")
 RATES_DPS = (10.0, -20.0, 30.0)

@@ -13,8 +13,8 @@ from cantools.database.conversion import LinearConversion, LinearIntegerConversi
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.can_signals import SignalReader, parameter_group, plain_unit
 from drivers.errors import DeviceError
+from drivers.imus.signals import SignalReader, parameter_group, plain_unit
 
 DBC = Path("made.dbc")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.cia402 import DriveState, state_of
+from drivers.tables.modbus.cia402 import DriveState, state_of
 
 MASKS = {
     DriveState.NOT_READY: (0x4F, 0x00),

@@ -15,11 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from turntable_rigs import virtually
 
-from drivers.byte_links import MemoryLink, TcpLink
 from drivers.errors import LinkLost
-from drivers.exchange import Exchange, Token, Unanswered, UnexpectedReply
-from drivers.galil import NOTHING, NUMBER, GalilFraming
-from station.loops import ScaledLoop
+from drivers.links.byte_links import MemoryLink, TcpLink
+from drivers.requests.exchange import Exchange, Token, Unanswered, UnexpectedReply
+from drivers.tables.galil.language import NOTHING, NUMBER, GalilFraming
+from station.run.event_loop.loops import ScaledLoop
 
 TOKEN = re.compile(rb'MG "(T[0-9A-F]+)"')
 

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from late_wire import read_under_lateness
 from turntable_rigs import COUNTS, DEG, LIMITS, MAX_RATE, model_of, rig, settle, virtually
 
-from drivers.byte_links import MemoryLink
 from drivers.errors import DeviceFault, DeviceRefused
-from drivers.galil import NUMBER, GalilFraming, Switches, error_of, floor_acceleration, revision
-from drivers.galil_table import GalilAxis, GalilTable
-from drivers.seams import AxisLimits
-from sims.galil_controller import GalilController
-from sims.table import AxisData, TableModel
+from drivers.links.byte_links import MemoryLink
+from drivers.tables.galil.language import NUMBER, GalilFraming, Switches, error_of, floor_acceleration, revision
+from drivers.tables.galil.table import GalilAxis, GalilTable
+from drivers.types import AxisLimits
+from sims.physics.table import AxisData, TableModel
+from sims.tables.galil_controller import GalilController
 
 VECTORS = [
     vector

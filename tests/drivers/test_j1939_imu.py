@@ -15,7 +15,8 @@ from can_support import Flood, collect, gyros, in_virtual_time, vectors, wire
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.aceinna import (
+from drivers.errors import DeviceRefused, LinkLost
+from drivers.imus.aceinna.codec import (
     ACCS,
     ARI,
     ORIENTATION,
@@ -38,14 +39,13 @@ from drivers.aceinna import (
     message,
     request,
 )
-from drivers.can_link import CanLink
-from drivers.can_memory import MemoryBus
-from drivers.can_signals import parameter_group
-from drivers.errors import DeviceRefused, LinkLost
-from drivers.j1939_imu import AceinnaImu
-from drivers.seams import Frame, Identity, SourceCounts
-from sims.aceinna_device import AceinnaDevice
-from sims.frames import NodeFaults
+from drivers.imus.aceinna.imu import AceinnaImu
+from drivers.imus.signals import parameter_group
+from drivers.links.can_link import CanLink
+from drivers.links.can_memory import MemoryBus
+from drivers.types import Frame, Identity, SourceCounts
+from sims.imus.aceinna import AceinnaDevice
+from sims.wires.frames import NodeFaults
 
 T = TypeVar("T")
 RATES_DPS = (10.0, -20.0, 30.0)

@@ -16,15 +16,15 @@ import pytest
 from misbehaving_wire import KINDS, Kind, Proxy
 from turntable_rigs import COUNTS, DEG, LIMITS, byte_pair, model_of
 
-from drivers.byte_links import MemoryLink, TcpLink
 from drivers.errors import DeviceError
-from drivers.modbus_line import Address, SerialPort
-from drivers.modbus_table import DriveAxis, ModbusTable
-from drivers.registers import load_profile
-from sims.modbus import modbus_server
-from sims.table import TableModel
-from sims.wires import on_pty, on_tcp
-from station.loops import ScaledLoop
+from drivers.links.byte_links import MemoryLink, TcpLink
+from drivers.tables.modbus.line import Address, SerialPort
+from drivers.tables.modbus.registers import load_profile
+from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from sims.physics.table import TableModel
+from sims.tables.modbus import modbus_server
+from sims.wires.wires import on_pty, on_tcp
+from station.run.event_loop.loops import ScaledLoop
 
 PHASES = ("connecting", "homing", "ramp", "steady", "last stop")
 AT_REST_S = 1.5

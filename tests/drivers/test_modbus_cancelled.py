@@ -8,9 +8,9 @@ import time
 
 from support import TwinProcess
 
-from drivers.modbus_table import DriveAxis, ModbusTable
-from drivers.registers import load_profile
-from drivers.seams import AxisLimits
+from drivers.tables.modbus.registers import load_profile
+from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.types import AxisLimits
 
 TIMEOUT_S = 0.5
 

@@ -15,13 +15,13 @@ import pytest
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from serial_wire import wire
 
-from drivers.modbus_line import Address, SerialPort
-from drivers.modbus_table import DriveAxis, ModbusTable
-from drivers.registers import load_profile
-from drivers.seams import AxisLimits
-from sims.modbus import modbus_server
-from sims.table import AxisData, TableModel
-from station.loops import ScaledLoop
+from drivers.tables.modbus.line import Address, SerialPort
+from drivers.tables.modbus.registers import load_profile
+from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.types import AxisLimits
+from sims.physics.table import AxisData, TableModel
+from sims.tables.modbus import modbus_server
+from station.run.event_loop.loops import ScaledLoop
 
 DEG = math.pi / 180
 COUNTS = 65536

@@ -24,14 +24,14 @@ from pymodbus.transport import NULLMODEM_HOST
 from serial_wire import peer, wire
 
 from drivers.errors import BadReply, DeviceRefused, LinkLost
-from drivers.modbus_line import ModbusLine, SerialPort
-from drivers.modbus_order import LineCounts, Request, RtuGate, rtu_frames
-from drivers.modbus_table import DriveAxis, ModbusTable
-from drivers.registers import load_profile
-from drivers.seams import AxisLimits
-from sims.modbus import modbus_server
-from sims.table import AxisData, TableModel
-from station.loops import ScaledLoop, VirtualLoop
+from drivers.tables.modbus.line import ModbusLine, SerialPort
+from drivers.tables.modbus.order import LineCounts, Request, RtuGate, rtu_frames
+from drivers.tables.modbus.registers import load_profile
+from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.types import AxisLimits
+from sims.physics.table import AxisData, TableModel
+from sims.tables.modbus import modbus_server
+from station.run.event_loop.loops import ScaledLoop, VirtualLoop
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "modbus_cia402.json").read_text())["vectors"]
 DEG = math.pi / 180

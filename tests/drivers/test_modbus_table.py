@@ -14,13 +14,13 @@ import pytest
 from pymodbus.transport import NULLMODEM_HOST
 
 from drivers.errors import DeviceFault, DeviceRefused, LinkLost
-from drivers.modbus_line import Address, SerialPort
-from drivers.modbus_table import DriveAxis, ModbusTable
-from drivers.registers import DriveProfile, load_profile
-from drivers.seams import AxisLimits, Identity
-from sims.modbus import modbus_server
-from sims.table import AxisData, TableModel
-from station.loops import ScaledLoop, VirtualLoop
+from drivers.tables.modbus.line import Address, SerialPort
+from drivers.tables.modbus.registers import DriveProfile, load_profile
+from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.types import AxisLimits, Identity
+from sims.physics.table import AxisData, TableModel
+from sims.tables.modbus import modbus_server
+from station.run.event_loop.loops import ScaledLoop, VirtualLoop
 
 DEG = math.pi / 180
 COUNTS = 65536

@@ -20,7 +20,7 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from drivers.registers import PROFILE_FOLDER, DriveProfile, ProfileError, Register, load_profile
+from drivers.tables.modbus.registers import PROFILE_FOLDER, DriveProfile, ProfileError, Register, load_profile
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "modbus_cia402.json").read_text())["vectors"]
 COUNTS = 65536

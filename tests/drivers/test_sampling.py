@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from clocks import Timed, counted, drift_of, regular
 
-from drivers.sampling import CounterClock, RegularClock
-from drivers.seams import SourceCounts
+from drivers.clocks.sampling import CounterClock, RegularClock
+from drivers.types import SourceCounts
 
 PERIOD_S = 0.01
 TICK_S, MODULUS, TICKS = 1 / 2000, 256, 16  # a STIM300 at 125 Hz: its counter wraps every 16 samples

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.stim300 import (
+from drivers.imus.stim300.codec import (
     INCLINOMETER_LSB_G,
     LAYOUTS,
     TEMPERATURE_LSB_C,
@@ -24,7 +24,7 @@ from drivers.stim300 import (
     encode_special,
     invalid_channels,
 )
-from drivers.stim300_special import (
+from drivers.imus.stim300.special import (
     SPECIAL_LAYOUTS,
     BiasTrim,
     Configuration,
@@ -33,7 +33,7 @@ from drivers.stim300_special import (
     SerialNumber,
     Special,
 )
-from drivers.stim300_units import ACCEL_LSB_G, GYRO_LSB_DPS
+from drivers.imus.stim300.units import ACCEL_LSB_G, GYRO_LSB_DPS
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "stim300_normal.json").read_text())["vectors"]
 LONGEST = max(layout.size for layout in LAYOUTS.values()) + 2

@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 from stim300_console import Stim300Service, Stim300Utility
 
-from drivers.byte_links import MemoryLink, SerialLink
 from drivers.errors import DeviceRefused, LinkLost
-from drivers.seams import Identity, ImuBlock
-from drivers.stim300 import encode_special
-from drivers.stim300_imu import Stim300Imu
-from drivers.stim300_special import Configuration
-from sims.body import Body
-from sims.geometry import MOUNTS_DEG, mounted
-from sims.gyro import GyroArray, GyroTruth
-from sims.motion import AxisMotion
-from sims.stim300_device import Stim300Device
-from station.loops import VirtualLoop
+from drivers.imus.stim300.codec import encode_special
+from drivers.imus.stim300.imu import Stim300Imu
+from drivers.imus.stim300.special import Configuration
+from drivers.links.byte_links import MemoryLink, SerialLink
+from drivers.types import Identity, ImuBlock
+from sims.imus.stim300 import Stim300Device
+from sims.physics.body import Body
+from sims.physics.geometry import MOUNTS_DEG, mounted
+from sims.physics.gyro import GyroArray, GyroTruth
+from sims.physics.motion import AxisMotion
+from station.run.event_loop.loops import VirtualLoop
 
 WHO = Identity("STIM300 84167-440000-3321 rev K", "N25582405002002", "0")
 ACCELERATION_DPS2 = 40.0

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from stim300_console import UtilityDecoder, data_of, status_of
 from stim300_service import ServiceReader
 
-from drivers.stim300_utility import UtilityMessage, crc8, encode_message
+from drivers.imus.stim300.utility import UtilityMessage, crc8, encode_message
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "stim300_utility.json").read_text())["vectors"]
 STREAM = [bytes.fromhex(vector["hex"]) for vector in VECTORS]

@@ -21,7 +21,7 @@ from turntable_rigs import (
 )
 
 from drivers.errors import DeviceFault, DeviceRefused, LinkLost
-from drivers.seams import AxisLimits, Identity
+from drivers.types import AxisLimits, Identity
 
 KINDS = ("modbus", "galil", "acutrol", "aerosmith")
 every_table = pytest.mark.parametrize("kind", KINDS)

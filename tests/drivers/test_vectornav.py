@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.vectornav import (
+from drivers.imus.vectornav.codec import (
     ATTITUDE,
     COMMON,
     GPS,

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.vectornav import Frames, Sentence, VectorNavDecoder, encode_sentence
-from sims.body import Body
-from sims.geometry import along
-from sims.gyro import GyroArray, GyroTruth
-from sims.vectornav_device import VectorNavDevice
-from station.loops import VirtualLoop
+from drivers.imus.vectornav.codec import Frames, Sentence, VectorNavDecoder, encode_sentence
+from sims.imus.vectornav import VectorNavDevice
+from sims.physics.body import Body
+from sims.physics.geometry import along
+from sims.physics.gyro import GyroArray, GyroTruth
+from station.run.event_loop.loops import VirtualLoop
 
 REQUESTS = json.loads((Path(__file__).parents[1] / "vectors" / "vectornav_requests.json").read_text())["vectors"]
 RATES_RPS = np.array([0.1, -0.2, 0.3])

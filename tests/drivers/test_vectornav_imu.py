@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.byte_links import MemoryLink
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
-from drivers.seams import Identity, ImuBlock
-from drivers.vectornav import Sentence, encode_sentence
-from drivers.vectornav_imu import VectorNavImu
-from sims.body import Body
-from sims.geometry import along
-from sims.gyro import GyroArray, GyroTruth
-from sims.vectornav_device import VectorNavDevice
-from station.loops import VirtualLoop
+from drivers.imus.vectornav.codec import Sentence, encode_sentence
+from drivers.imus.vectornav.imu import VectorNavImu
+from drivers.links.byte_links import MemoryLink
+from drivers.types import Identity, ImuBlock
+from sims.imus.vectornav import VectorNavDevice
+from sims.physics.body import Body
+from sims.physics.geometry import along
+from sims.physics.gyro import GyroArray, GyroTruth
+from station.run.event_loop.loops import VirtualLoop
 
 SLOPE_RPS2 = 0.05
 """The body turns about z at a rate that grows by this, so a rate tells when it was measured."""

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers import mtdata2
-from drivers.mtdata2 import (
+from drivers.imus.xsens import mtdata2
+from drivers.imus.xsens.mtdata2 import (
     EVERY,
     FORMATS,
     FP12_20,
@@ -32,7 +32,7 @@ from drivers.mtdata2 import (
     name_of,
     parse_mtdata2,
 )
-from drivers.xbus import (
+from drivers.imus.xsens.xbus import (
     LONGEST_DATA,
     Messages,
     Mid,

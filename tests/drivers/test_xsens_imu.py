@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.byte_links import MemoryLink
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused, LinkLost
-from drivers.mtdata2 import (
+from drivers.imus.xsens.imu import XsensImu
+from drivers.imus.xsens.mtdata2 import (
     ACCELERATION,
     EVERY,
     PACKET_COUNTER,
@@ -28,15 +28,15 @@ from drivers.mtdata2 import (
     encode_mtdata2,
     encode_outputs,
 )
-from drivers.seams import Identity, ImuBlock, SourceCounts
-from drivers.xbus import Mid, XbusDecoder, encode
-from drivers.xsens_imu import XsensImu
-from sims.body import Body
-from sims.geometry import MOUNTS_DEG, mounted
-from sims.gyro import GyroArray, GyroTruth
-from sims.motion import AxisMotion
-from sims.xsens_device import XsensDevice
-from station.loops import VirtualLoop
+from drivers.imus.xsens.xbus import Mid, XbusDecoder, encode
+from drivers.links.byte_links import MemoryLink
+from drivers.types import Identity, ImuBlock, SourceCounts
+from sims.imus.xsens import XsensDevice
+from sims.physics.body import Body
+from sims.physics.geometry import MOUNTS_DEG, mounted
+from sims.physics.gyro import GyroArray, GyroTruth
+from sims.physics.motion import AxisMotion
+from station.run.event_loop.loops import VirtualLoop
 
 CAPTURE = Path(__file__).parents[1] / "data" / "xsens" / "capture1.bin"
 DEG = np.pi / 180

@@ -12,19 +12,19 @@ from typing import Any, Protocol
 
 from pymodbus.transport import NULLMODEM_HOST
 
-from drivers.acutrol_table import AcutrolAxis, AcutrolTable
-from drivers.aerosmith import AerosmithTable
-from drivers.byte_links import MemoryLink
-from drivers.galil_table import GalilAxis, GalilTable
-from drivers.modbus_table import DriveAxis, ModbusTable
-from drivers.registers import load_profile
-from drivers.seams import AxisLimits
-from sims.acutrol_controller import AcutrolController
-from sims.aerosmith_controller import STA_FAULT, AerosmithController
-from sims.galil_controller import GalilController
-from sims.modbus import modbus_server
-from sims.table import AxisData, TableModel
-from station.loops import VirtualLoop
+from drivers.links.byte_links import MemoryLink
+from drivers.tables.acutrol.table import AcutrolAxis, AcutrolTable
+from drivers.tables.aerosmith.table import AerosmithTable
+from drivers.tables.galil.table import GalilAxis, GalilTable
+from drivers.tables.modbus.registers import load_profile
+from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.types import AxisLimits
+from sims.physics.table import AxisData, TableModel
+from sims.tables.acutrol_controller import AcutrolController
+from sims.tables.aerosmith_controller import STA_FAULT, AerosmithController
+from sims.tables.galil_controller import GalilController
+from sims.tables.modbus import modbus_server
+from station.run.event_loop.loops import VirtualLoop
 
 DEG = math.pi / 180
 MAX_RATE, MAX_ACCELERATION = 100 * DEG, 50 * DEG

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from estimator.array import sensor_array
-from estimator.kinematics import EARTH_RATE_RPS, Site
-from estimator.recording import ImuData, Recording
-from estimator.reference import RateReadings, Turns
+from estimator.geometry.array import sensor_array
+from estimator.geometry.kinematics import EARTH_RATE_RPS, Site
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import RateReadings, Turns
 
 RATE_HZ = 100.0
 ARW = np.radians(0.005)  # rad/s/rtHz

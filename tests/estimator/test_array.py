@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from estimator.array import (
+from estimator.errors import GeometryError
+from estimator.geometry.array import (
     SensorArray,
     cone,
     dodecahedron,
@@ -16,8 +17,7 @@ from estimator.array import (
     tetrahedron_as_printed,
     triad,
 )
-from estimator.errors import GeometryError
-from sims.geometry import MOUNTS_DEG, mounted
+from sims.physics.geometry import MOUNTS_DEG, mounted
 
 READY_MADE: list[Callable[[], SensorArray]] = [
     triad,

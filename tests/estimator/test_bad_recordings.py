@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from support import TABLE_1, direct_recording
 
-from estimator.array import dodecahedron
-from estimator.calibrate import calibrate
-from estimator.calibration import Calibration
-from estimator.recording import Recording
-from station.script import Rest, Rotate, Script
+from estimator.calibration.values import Calibration
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.array import dodecahedron
+from estimator.recordings.recording import Recording
+from station.scripts.script import Rest, Rotate, Script
 
 DEG = np.pi / 180
 

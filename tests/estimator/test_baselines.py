@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.array import SensorArray, cone, tetrahedron, tetrahedron_as_printed
-from estimator.baselines import (
+from estimator.errors import EstimatorError
+from estimator.estimation.baselines import (
     BaselineEstimate,
     Position,
     augmented_observation,
@@ -18,9 +18,9 @@ from estimator.baselines import (
     table_rates,
     unseen_directions,
 )
-from estimator.errors import EstimatorError
-from estimator.gram import Gram, solve
-from estimator.model import Prior, decode, predicted_output, regressor_maps
+from estimator.estimation.gram import Gram, solve
+from estimator.geometry.array import SensorArray, cone, tetrahedron, tetrahedron_as_printed
+from estimator.geometry.model import Prior, decode, predicted_output, regressor_maps
 
 DEG = np.pi / 180
 NOISE_RPS = 0.05 * DEG

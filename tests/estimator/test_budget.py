@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from support import direct_recording
 
-from estimator.calibrate import calibrate
-from estimator.recording import Recording
-from estimator.reference import TableReadings, TableUncertainty
+from estimator.estimation.calibrate import calibrate
+from estimator.recordings.recording import Recording
+from estimator.recordings.reference import TableReadings, TableUncertainty
 
 
 @pytest.fixture(scope="module")

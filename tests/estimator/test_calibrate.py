@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.array import tetrahedron
-from estimator.calibrate import calibrate
-from estimator.calibration import Calibration
+from estimator.calibration.values import Calibration
 from estimator.errors import RecordingError
-from estimator.kinematics import Site
-from estimator.model import predicted_output
-from estimator.recording import ImuData, Recording
-from estimator.reference import RateReadings, TableReadings
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.array import tetrahedron
+from estimator.geometry.kinematics import Site
+from estimator.geometry.model import predicted_output
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import RateReadings, TableReadings
 from sims.direct import TimedMove, direct_run
-from sims.geometry import MOUNTS_DEG, mounted
-from sims.gyro import GyroTruth
+from sims.physics.geometry import MOUNTS_DEG, mounted
+from sims.physics.gyro import GyroTruth
 
 DEG = np.pi / 180
 SITE = Site(np.radians(45.0), np.radians(30.0))

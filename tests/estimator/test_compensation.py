@@ -9,22 +9,22 @@ import pytest
 from compensating import compensate, needs_of
 from support import SITE
 
-from estimator.array import SensorArray, dodecahedron, tetrahedron, triad
-from estimator.calibrate import calibrate
-from estimator.calibration import EffectValue, GyroCalibration
-from estimator.compensation import Compensation, CompensationError
+from estimator.calibration.calibration_file import write_calibration
+from estimator.calibration.compensation import Compensation, CompensationError
+from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
+from estimator.calibration.stored_calibration import read_calibration
+from estimator.calibration.values import EffectValue, GyroCalibration
 from estimator.effects.conditions import Conditions, smoothed_slope
 from estimator.effects.entries import Kind, entries
-from estimator.error_model import ErrorModel, KnownEffect, Size
 from estimator.errors import RecordingError
-from estimator.kinematics import GRAVITY_MPS2
-from estimator.recording import write_recording
-from estimator.reference import BodyRates, TableReadings
-from estimator.results import write_calibration
-from estimator.stored_calibration import read_calibration
-from sims.hidden import Hidden
-from station.loop_scripts import exploration_script
-from station.open_bench import DeviceTruth, simulate
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.array import SensorArray, dodecahedron, tetrahedron, triad
+from estimator.geometry.kinematics import GRAVITY_MPS2
+from estimator.recordings.recording import write_recording
+from estimator.recordings.reference import BodyRates, TableReadings
+from sims.physics.hidden import Hidden
+from station.opening import DeviceTruth, simulate
+from station.scripts.loop_scripts import exploration_script
 
 SIZES: dict[str, tuple[float, ...]] = {
     "thermal_bias": (2e-4,),

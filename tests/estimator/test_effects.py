@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.array import SensorArray, tetrahedron
 from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import Conditions
 from estimator.effects.dynamics import acceleration_sensitivity, bandwidth, latency
@@ -15,7 +14,8 @@ from estimator.effects.effect import Effect
 from estimator.effects.site import earth_rate, g_sensitivity
 from estimator.effects.table import table_axes, table_rate
 from estimator.effects.thermal import thermal_bias, thermal_gradient
-from estimator.kinematics import AXES, Site, body_rate
+from estimator.geometry.array import SensorArray, tetrahedron
+from estimator.geometry.kinematics import AXES, Site, body_rate
 
 SITE = Site(0.8, 0.5)
 GIMBALS = ("z", "y", "x")

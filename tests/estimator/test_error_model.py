@@ -12,22 +12,23 @@ import numpy as np
 import pytest
 from support import SITE, TABLE_1
 
-from estimator.array import tetrahedron, triad
-from estimator.calibrate import calibrate
+from estimator.calibration.calibration_file import write_calibration
+from estimator.calibration.error_model import ErrorModel, KnownEffect, ModelError, Size
+from estimator.calibration.stored_calibration import read_calibration
 from estimator.effects.constructed import constructed
-from estimator.error_model import ErrorModel, KnownEffect, ModelError, Size
-from estimator.recording import ImuData, Recording, write_recording
-from estimator.reference import RateReadings, Turns
-from estimator.repeatability import repeatability
-from estimator.results import write_calibration
-from estimator.stored_calibration import read_calibration
+from estimator.estimation.calibrate import calibrate
+from estimator.estimation.repeatability import repeatability
+from estimator.estimation.runs.run import runs_of
+from estimator.geometry.array import tetrahedron, triad
+from estimator.recordings.recording import ImuData, Recording, write_recording
+from estimator.recordings.reference import RateReadings, Turns
 from estimator.tracing.candidates import Candidate, candidates_of
 from estimator.tracing.investigate import fit_known, investigate
-from estimator.tracing.runs import runs_of
-from sims.hidden import Hidden
-from station.loop_scripts import exploration_script
-from station.open_bench import DeviceTruth, simulate
-from station.script import Script, paper_script
+from estimator.tracing.type_model import error_model_of
+from sims.physics.hidden import Hidden
+from station.opening import DeviceTruth, simulate
+from station.scripts.loop_scripts import exploration_script
+from station.scripts.script import Script, paper_script
 
 DEG = np.pi / 180
 FIRST = [2000e-6, -2000e-6, 1500e-6, 2000e-6]
@@ -50,7 +51,7 @@ def model() -> ErrorModel:
     found = investigate([simulated(paper_script(), 1, FIRST), simulated(exploration_script(), 2, FIRST)])
     assert found.model is not None
     assert [added.effect for added in found.added] == ["scale_asymmetry"]
-    return ErrorModel.of(found.model)
+    return error_model_of(found.model)
 
 
 def test_the_typical_size_is_that_of_the_gyros_that_were_looked_at(model: ErrorModel) -> None:
@@ -115,7 +116,7 @@ def test_shared_effects_keep_their_value_and_settings_survive_the_file(tmp_path:
         "table_harmonic": {"axis": "y", "order": 2, "cosine": "0.02 deg/s", "sine": "0 deg/s"},
     }
     recording = simulated(exploration_script(), 41, None, **hidden)
-    model = ErrorModel.of(fit_known([recording], ["latency", "table_harmonic", "warm_up"]))
+    model = error_model_of(fit_known([recording], ["latency", "table_harmonic", "warm_up"]))
     known = {effect.name: effect for effect in model.effects}
     assert known["latency"].mean[0] == pytest.approx(4e-3, rel=0.05)
     assert 0 < known["latency"].sd[0] < 1e-3
@@ -193,7 +194,7 @@ def test_a_law_with_a_constant_that_tracing_fitted_goes_into_the_model() -> None
     candidate = Candidate("law: lag(abs(u), {c})", constructed("lag(abs(u), 4.2)", (1e-3,)), 0.0, theta=4.2)
     found = fit_known(runs, ["scale_asymmetry"])
     (part,) = found.parts
-    (known,) = ErrorModel.of(replace(found, parts=(replace(part, candidate=candidate),))).effects
+    (known,) = error_model_of(replace(found, parts=(replace(part, candidate=candidate),))).effects
     assert (known.name, known.law, known.sizes[0].name) == ("constructed", "lag(abs(u), 4.2)", "of lag(abs(u), 4.2)")
     assert known.found.keys() == set(found.names)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from estimator.array import SensorArray, cone, tetrahedron
-from estimator.filter import LiveFilter
-from estimator.gram import Gram, solve
-from estimator.model import Prior, predicted_output, regressor_maps
+from estimator.estimation.filter import LiveFilter
+from estimator.estimation.gram import Gram, solve
+from estimator.geometry.array import SensorArray, cone, tetrahedron
+from estimator.geometry.model import Prior, predicted_output, regressor_maps
 
 DEG = np.pi / 180
 RATE_HZ = 100

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from estimator.errors import RecordingError
-from estimator.prober import probe
-from estimator.recording import RecordingWriter, write_attributes, write_results
+from estimator.recordings.recording import RecordingWriter, write_attributes, write_results
+from estimator.recordings.safe_open import probe
 
 IN_A_SMALL_DISK = ["unshare", "--map-root-user", "--mount", "sh", "-c"]
 

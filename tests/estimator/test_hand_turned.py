@@ -10,13 +10,14 @@ from hand_turned import ARW, G_MPS2, RATE_HZ, Errors, Laid, by_known_angles, fin
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from estimator.calibrate import calibrate
-from estimator.error_model import ErrorModel
-from estimator.importing import import_recording
-from estimator.mapping import read_mapping
-from estimator.recording import Recording, read_recording, write_recording
+from estimator.errors import InvestigationError
+from estimator.estimation.calibrate import calibrate
+from estimator.importing.importing import import_recording
+from estimator.importing.mapping.mapping import read_mapping
+from estimator.recordings.recording import Recording, read_recording, write_recording
 from estimator.tracing.investigate import investigate
-from estimator.tracing.investigation import Finding, InvestigationError
+from estimator.tracing.investigation import Finding
+from estimator.tracing.type_model import error_model_of
 
 SIZES = np.array([0.004, -0.003, 0.005])
 
@@ -66,7 +67,7 @@ def test_an_effect_that_turns_showed_is_judged_on_others_and_put_into_their_cali
     assert found.improvement is not None
     assert found.improvement.low > 2
     assert found.model is not None
-    calibration = calibrate(other, model=ErrorModel.of(found.model))
+    calibration = calibrate(other, model=error_model_of(found.model))
     k, var = (
         np.array(each) for each in zip(*((g.states[0], g.covariance[0, 0]) for g in calibration.gyros), strict=True)
     )

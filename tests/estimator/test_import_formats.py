@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from foreign_logs import SHAPES
 
-from estimator.calibrate import calibrate
 from estimator.errors import RecordingError
-from estimator.importing import SOURCE, Imported, import_recording
-from estimator.mapping import read_mapping
-from estimator.reference import AttitudeReadings, RateReadings, TableReadings
+from estimator.estimation.calibrate import calibrate
+from estimator.importing.importing import SOURCE, Imported, import_recording
+from estimator.importing.mapping.mapping import read_mapping
+from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings
 
 DEVICE = '[device]\nname = "triad"\n'
 CSV = DEVICE + '[file]\nformat = "csv"\n'

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from estimator.errors import RecordingError
-from estimator.importing import Imported, import_recording
-from estimator.mapping import read_mapping
+from estimator.importing.importing import Imported, import_recording
+from estimator.importing.mapping.mapping import read_mapping
 
 MAPPING = """\
 [device]

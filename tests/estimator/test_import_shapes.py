@@ -21,14 +21,14 @@ from foreign_logs import (
     up_and_down,
 )
 
-from estimator.calibrate import calibrate
-from estimator.calibration import Calibration, GyroCalibration
+from estimator.calibration.values import Calibration, GyroCalibration
 from estimator.errors import RecordingError
-from estimator.importing import SOURCE, Imported, import_recording
-from estimator.mapping import read_mapping
-from estimator.recording import ImuData, Recording, read_recording, write_recording
-from estimator.reference import RateReadings, TableReadings
-from station.captures import PROTOCOLS
+from estimator.estimation.calibrate import calibrate
+from estimator.importing.importing import SOURCE, Imported, import_recording
+from estimator.importing.mapping.mapping import read_mapping
+from estimator.recordings.recording import ImuData, Recording, read_recording, write_recording
+from estimator.recordings.reference import RateReadings, TableReadings
+from station.opening.captures import PROTOCOLS
 
 TRIAD = """\
 [device]

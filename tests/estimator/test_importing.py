@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.calibrate import calibrate
-from estimator.calibration import Calibration
+from estimator.calibration.values import Calibration
 from estimator.errors import RecordingError
-from estimator.importing import SOURCE, Imported, import_recording
-from estimator.mapping import read_mapping
-from estimator.recording import ImuData, Recording, read_recording, write_recording
-from estimator.reference import AttitudeReadings, RateReadings, TableReadings, Turns
+from estimator.estimation.calibrate import calibrate
+from estimator.importing.importing import SOURCE, Imported, import_recording
+from estimator.importing.mapping.mapping import read_mapping
+from estimator.recordings.recording import ImuData, Recording, read_recording, write_recording
+from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
 
 DATA = Path(__file__).parents[1] / "data"
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from support import SITE, TABLE_1, direct_recording
 
-from estimator.array import tetrahedron, triad
-from estimator.budget import UNSEEN
-from estimator.calibrate import calibrate
-from estimator.calibration import Calibration
-from estimator.recording import ImuData, Recording
-from estimator.reference import RateReadings, TableReadings
-from sims.hidden import Hidden
-from station.open_bench import DeviceTruth, simulate
-from station.script import paper_script
+from estimator.calibration.budget import UNSEEN
+from estimator.calibration.values import Calibration
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.array import tetrahedron, triad
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import RateReadings, TableReadings
+from sims.physics.hidden import Hidden
+from station.opening import DeviceTruth, simulate
+from station.scripts.script import paper_script
 
 ASYMMETRY = {"scale_asymmetry": {"size": ["2000 ppm", "-1500 ppm", "1000 ppm", "2500 ppm"]}}
 

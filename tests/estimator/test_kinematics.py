@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimator.errors import RecordingError
-from estimator.kinematics import (
+from estimator.geometry.kinematics import (
     EARTH_RATE_RPS,
     GRAVITY_MPS2,
     Site,
@@ -17,8 +17,8 @@ from estimator.kinematics import (
     into_body,
     specific_force,
 )
-from sims.body import Body
-from sims.motion import AxisMotion
+from sims.physics.body import Body
+from sims.physics.motion import AxisMotion
 
 CHAINS = [tuple(c) for n in (1, 2, 3) for c in itertools.permutations("xyz", n)]
 SITE = Site(np.radians(47.3), np.radians(130.0))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.array import SensorArray, cone, dodecahedron, tetrahedron, triad
-from estimator.gram import Gram, solve
-from estimator.model import Prior, decode, predicted_output, regressor_maps
+from estimator.estimation.gram import Gram, solve
+from estimator.geometry.array import SensorArray, cone, dodecahedron, tetrahedron, triad
+from estimator.geometry.model import Prior, decode, predicted_output, regressor_maps
 
 DEG = np.pi / 180
 LOOSE = Prior(k=1e6, b_rps=1e6, sigma_rad=1e6)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support import TABLE_1, direct_recording
 
-from estimator.calibrate import calibrate
-from estimator.calibration import Calibration
-from estimator.noise import MeansCovariance, NoiseModel, allan_deviation_of_parts, identify
+from estimator.calibration.values import Calibration
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.noise import MeansCovariance, NoiseModel, allan_deviation_of_parts, identify
 
 DPH = np.pi / 180 / 3600
 

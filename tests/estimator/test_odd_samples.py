@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.array import sensor_array
-from estimator.calibrate import calibrate
-from estimator.health import usable
-from estimator.importing import SOURCE, Imported, import_recording
-from estimator.mapping import read_mapping
-from estimator.recording import ImuData, Recording
-from estimator.reference import RateReadings
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.array import sensor_array
+from estimator.importing.importing import SOURCE, Imported, import_recording
+from estimator.importing.mapping.mapping import read_mapping
+from estimator.observations.health import usable
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import RateReadings
 
 DATA = Path(__file__).parents[1] / "data"
 MAPPING = """\

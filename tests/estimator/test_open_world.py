@@ -11,9 +11,9 @@ from open_worlds.effects import KINDS, last_sign, played
 from open_worlds.motion import DEG, motion_of
 from open_worlds.oracle import oracle_of
 
-from estimator.calibrate import calibrate
-from estimator.model import predicted_output
-from estimator.reference import TableReadings
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.model import predicted_output
+from estimator.recordings.reference import TableReadings
 
 CHANCE = 3.0
 

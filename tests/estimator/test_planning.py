@@ -8,19 +8,19 @@ from statistics import NormalDist
 import numpy as np
 from support import SITE, direct_recording
 
-from estimator.array import tetrahedron, triad
-from estimator.calibrate import calibrate
 from estimator.effects.conditions import Conditions
 from estimator.effects.drift import bias_drift, warm_up
 from estimator.effects.effect import Effect
 from estimator.effects.scale import scale_asymmetry
 from estimator.effects.site import g_sensitivity
 from estimator.effects.thermal import thermal_bias
-from estimator.model import Prior, regressor_maps
-from estimator.noise import NoiseModel
-from estimator.planning import Forecast, PlannedDevice, forecast
-from station.planned import planned_motion
-from station.script import Rest, Rotate, Script, paper_script
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.array import tetrahedron, triad
+from estimator.geometry.model import Prior, regressor_maps
+from estimator.geometry.noise import NoiseModel
+from estimator.planning.planning import Forecast, PlannedDevice, forecast
+from station.scripts.planned import planned_motion
+from station.scripts.script import Rest, Rotate, Script, paper_script
 
 DEG = np.pi / 180
 ARW = 0.005 * DEG

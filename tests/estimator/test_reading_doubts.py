@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.reading_doubts import reading_doubts
-from estimator.reference import TableReadings
+from estimator.observations.defects.reading_doubts import reading_doubts
+from estimator.recordings.reference import TableReadings
 
 T_S = np.arange(0, 30, 0.05)
 RATE = np.radians(20.0) * np.clip(np.minimum(T_S - 3, 25 - T_S), 0, 1)

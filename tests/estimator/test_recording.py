@@ -12,11 +12,11 @@ import h5py
 import numpy as np
 import pytest
 
-from estimator.array import sensor_array, tetrahedron, triad
 from estimator.errors import RecordingError
-from estimator.kinematics import Site
-from estimator.model import Prior
-from estimator.recording import (
+from estimator.geometry.array import sensor_array, tetrahedron, triad
+from estimator.geometry.kinematics import Site
+from estimator.geometry.model import Prior
+from estimator.recordings.recording import (
     FORMAT_VERSION,
     ImuData,
     Recording,
@@ -26,8 +26,8 @@ from estimator.recording import (
     write_recording,
     write_results,
 )
-from estimator.reference import AttitudeReadings, RateReadings, Reference, TableReadings, Turns
-from station.bench import default_bench_text
+from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings, Turns
+from station.bench.bench import default_bench_text
 from station.cli import main
 
 RNG = np.random.default_rng(1)

@@ -7,10 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from estimator.array import triad
-from estimator.calibrate import calibrate
-from estimator.recording import ImuData, Recording
-from estimator.reference import AttitudeReadings, rates_from_attitude
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.array import triad
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import AttitudeReadings, rates_from_attitude
 
 
 def attitudes(axis: np.ndarray, rate_rps: float, count: int = 200, step_ns: int = 5_000_000) -> AttitudeReadings:

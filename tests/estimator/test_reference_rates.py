@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from estimator.errors import RecordingError
-from estimator.kinematics import Site, body_rate
-from estimator.reference import GAP_NS, BodyRates, TableReadings, TableUncertainty
+from estimator.geometry.kinematics import Site, body_rate
+from estimator.recordings.reference import GAP_NS, BodyRates, TableReadings, TableUncertainty
 
 DEG = np.pi / 180
 COUNT_RAD = 2 * np.pi / 65536

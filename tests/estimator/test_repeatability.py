@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from support import TABLE_1, direct_recording, station
 
-from estimator.array import triad
-from estimator.calibrate import calibrate
-from estimator.calibration import GyroCalibration
-from estimator.recording import write_recording
-from estimator.repeatability import between_runs, repeatability, same_device
+from estimator.calibration.values import GyroCalibration
+from estimator.estimation.calibrate import calibrate
+from estimator.estimation.repeatability import between_runs, repeatability, same_device
+from estimator.geometry.array import triad
+from estimator.recordings.recording import write_recording
 
 DPH = np.pi / 180 / 3600
 

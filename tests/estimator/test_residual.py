@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.recording import Recording
+from estimator.estimation.runs.run import Run, runs_of
+from estimator.recordings.recording import Recording
 from estimator.tracing.investigate import fit_known, investigate
-from estimator.tracing.origin import Origin
-from estimator.tracing.residual import GyroResidual, Residual, residuals
-from estimator.tracing.runs import Run, runs_of
+from estimator.tracing.residuals.origin import Origin
+from estimator.tracing.residuals.residual import GyroResidual, Residual, residuals
 from station.studies.detection import Case, recordings_of
 
 DEG = np.pi / 180

@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.array import sensor_array
-from estimator.importing import import_recording
-from estimator.kinematics import EARTH_RATE_RPS
-from estimator.mapping import read_mapping
-from estimator.recording import ImuData, Recording
-from estimator.reference import RateReadings, TableReadings
+from estimator.errors import InvestigationError
+from estimator.geometry.array import sensor_array
+from estimator.geometry.kinematics import EARTH_RATE_RPS
+from estimator.importing.importing import import_recording
+from estimator.importing.mapping.mapping import read_mapping
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import RateReadings, TableReadings
 from estimator.tracing.investigate import fit_known, investigate
-from estimator.tracing.investigation import Finding, InvestigationError
+from estimator.tracing.investigation import Finding
 from station.studies.detection import Case, end_of, recordings_of
 
 DEG = np.pi / 180

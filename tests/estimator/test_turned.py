@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.reference import AttitudeReadings, RateReadings, TableReadings
-from estimator.turned import Turned, by_turns
+from estimator.observations.turned import Turned, by_turns
+from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings
 
 
 def ns(t_s: np.ndarray) -> np.ndarray:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from estimator.array import sensor_array
-from estimator.calibrate import calibrate
-from estimator.importing import Imported, import_recording
-from estimator.mapping import read_mapping
-from estimator.recording import ImuData, Recording
-from estimator.reference import RateReadings
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.array import sensor_array
+from estimator.importing.importing import Imported, import_recording
+from estimator.importing.mapping.mapping import read_mapping
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import RateReadings
 
 DATA = Path(__file__).parents[1] / "data"
 HEAD = '[device]\nname = "unit"\n[file]\nformat = "csv"\n[time]\ncolumn = "t"\nunit = "s"\n'

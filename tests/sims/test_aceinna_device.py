@@ -9,10 +9,10 @@ import can
 import numpy as np
 import pytest
 
-from sims.aceinna_device import AceinnaDevice
-from sims.body import Body
-from sims.geometry import MOUNTS_DEG, mounted
-from sims.gyro import GyroArray, GyroTruth
+from sims.imus.aceinna import AceinnaDevice
+from sims.physics.body import Body
+from sims.physics.geometry import MOUNTS_DEG, mounted
+from sims.physics.gyro import GyroArray, GyroTruth
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "j1939_requests.json").read_text())["vectors"]
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sims.body import Body
-from sims.table import AxisData, TableModel
+from sims.physics.body import Body
+from sims.physics.table import AxisData, TableModel
 
 DEG = np.pi / 180
 PERIOD_S = 1 / 2000

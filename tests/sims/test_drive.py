@@ -6,11 +6,11 @@ import math
 
 import pytest
 
-from drivers import cia402
-from drivers.cia402 import DriveState
-from drivers.registers import load_profile
-from sims.drive import Drive
-from sims.table import AxisData, TableModel
+from drivers.tables.modbus import cia402
+from drivers.tables.modbus.cia402 import DriveState
+from drivers.tables.modbus.registers import load_profile
+from sims.physics.table import AxisData, TableModel
+from sims.tables.drive import Drive
 
 RATE, ACCELERATION = 0.1, 0.1  # turns/s, turns/s2
 ENABLE, HALT = 0x0F, 0x10F

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from drivers.errors import LinkLost
-from sims.faults import (
+from sims.physics.hidden import HiddenError
+from sims.physics.table import FOLLOWING_ERROR, AxisData, TableModel
+from sims.wires.faults import (
     DeviceFaults,
     FaultyBytes,
     FaultyFrames,
@@ -22,10 +24,8 @@ from sims.faults import (
     faulty_device,
     table_faults,
 )
-from sims.hidden import HiddenError
-from sims.table import FOLLOWING_ERROR, AxisData, TableModel
-from sims.wires import Plug, Write, in_memory
-from station.loops import VirtualLoop
+from sims.wires.wires import Plug, Write, in_memory
+from station.run.event_loop.loops import VirtualLoop
 
 
 def virtually(main: Callable[[], Awaitable[Any]]) -> Any:

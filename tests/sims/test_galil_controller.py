@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sims.galil_controller import GalilController
-from sims.table import AxisData, TableModel
+from sims.physics.table import AxisData, TableModel
+from sims.tables.galil_controller import GalilController
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "galil_exchanges.json").read_text())["vectors"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sims.body import Body
-from sims.geometry import MOUNTS_DEG, mounted
-from sims.gyro import GyroArray, GyroTruth
-from sims.motion import AxisMotion
+from sims.physics.body import Body
+from sims.physics.geometry import MOUNTS_DEG, mounted
+from sims.physics.gyro import GyroArray, GyroTruth
+from sims.physics.motion import AxisMotion
 
 DEG = np.pi / 180
 MOUNTING = mounted(MOUNTS_DEG["tetrahedron"])

@@ -9,22 +9,22 @@ import h5py
 import numpy as np
 import pytest
 
-from estimator.array import tetrahedron
-from sims.body import Body
+from estimator.geometry.array import tetrahedron
 from sims.direct import DirectRun, TimedMove, direct_run
-from sims.geometry import MOUNTS_DEG, mounted
-from sims.gyro import GyroArray, GyroTruth
-from sims.hidden import KINDS, Hidden, HiddenError, Temperature
-from sims.hidden.biases import BiasStep, ThermalBias, WalkPath
-from sims.hidden.timing import Latency
-from sims.hidden.units import quantity
-from sims.motion import AxisMotion
-from sims.table import AxisData, TableModel
-from station.bench import default_bench_text, load_bench
+from sims.physics.body import Body
+from sims.physics.geometry import MOUNTS_DEG, mounted
+from sims.physics.gyro import GyroArray, GyroTruth
+from sims.physics.hidden import KINDS, Hidden, HiddenError, Temperature
+from sims.physics.hidden.biases import BiasStep, ThermalBias, WalkPath
+from sims.physics.hidden.timing import Latency
+from sims.physics.hidden.units import quantity
+from sims.physics.motion import AxisMotion
+from sims.physics.table import AxisData, TableModel
+from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
 from station.errors import BenchError
-from station.open_bench import DeviceTruth, simulate, simulate_bench
-from station.script import Rest, Rotate, Script
+from station.opening import DeviceTruth, simulate, simulate_bench
+from station.scripts.script import Rest, Rotate, Script
 
 DEG = np.pi / 180
 MOUNTING = mounted(MOUNTS_DEG["tetrahedron"])

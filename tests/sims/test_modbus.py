@@ -14,11 +14,11 @@ import pytest
 from pymodbus.framer import FramerRTU
 from pymodbus.transport import NULLMODEM_HOST, CommParams, CommType, ModbusProtocol
 
-from drivers.modbus_line import Address, SerialPort
-from drivers.registers import load_profile
-from sims.modbus import modbus_server
-from sims.table import AxisData, TableModel
-from station.loops import VirtualLoop
+from drivers.tables.modbus.line import Address, SerialPort
+from drivers.tables.modbus.registers import load_profile
+from sims.physics.table import AxisData, TableModel
+from sims.tables.modbus import modbus_server
+from station.run.event_loop.loops import VirtualLoop
 
 REFUSALS = json.loads((Path(__file__).parents[1] / "vectors" / "modbus_refusals.json").read_text())["vectors"]
 STATUS, POSITION = "0332000001", "0337000002"

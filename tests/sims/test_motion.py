@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sims.motion import AxisMotion
+from sims.physics.motion import AxisMotion
 
 MAX_RATE, MAX_ACCELERATION = 2.0, 1.5
 

@@ -10,8 +10,8 @@ from typing import Any
 import can
 import pytest
 
-from sims.socketcand_server import SocketcandServer
-from sims.wires import Write, on_tcp
+from sims.wires.socketcand_server import SocketcandServer
+from sims.wires.wires import Write, on_tcp
 
 FRAME = can.Message(arbitration_id=0x123, data=bytes(8), is_extended_id=False)
 

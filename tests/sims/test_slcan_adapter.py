@@ -19,8 +19,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.can_imu import BUILT_IN_DBC
-from sims.slcan_adapter import SlcanAdapter, decode_frame, encode_frame
+from drivers.imus.can.imu import BUILT_IN_DBC
+from sims.wires.slcan_adapter import SlcanAdapter, decode_frame, encode_frame
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "slcan.json").read_text())["vectors"]
 FRAMES = [v for v in VECTORS if v["ascii"][0] in "tTrRdDbB"]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sims.socketcand_server import SocketcandSession
+from sims.wires.socketcand_server import SocketcandSession
 
 
 class Client:

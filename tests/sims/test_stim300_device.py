@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.stim300 import LAYOUTS, STATUS_OVERLOAD, STATUS_START_UP, Datagrams, Stim300Decoder
-from drivers.stim300_special import BiasTrim, Configuration, ExtendedError, PartNumber, SerialNumber, Special
-from drivers.stim300_units import GYRO_LSB_DEG, GYRO_LSB_DPS
-from drivers.stim300_utility import UtilityMessage, encode_message, parse_message
-from sims.body import Body
-from sims.geometry import MOUNTS_DEG, mounted
-from sims.gyro import GyroArray, GyroTruth
-from sims.motion import AxisMotion
-from sims.stim300_device import Stim300Device
-from station.loops import VirtualLoop
+from drivers.imus.stim300.codec import LAYOUTS, STATUS_OVERLOAD, STATUS_START_UP, Datagrams, Stim300Decoder
+from drivers.imus.stim300.special import BiasTrim, Configuration, ExtendedError, PartNumber, SerialNumber, Special
+from drivers.imus.stim300.units import GYRO_LSB_DEG, GYRO_LSB_DPS
+from drivers.imus.stim300.utility import UtilityMessage, encode_message, parse_message
+from sims.imus.stim300 import Stim300Device
+from sims.physics.body import Body
+from sims.physics.geometry import MOUNTS_DEG, mounted
+from sims.physics.gyro import GyroArray, GyroTruth
+from sims.physics.motion import AxisMotion
+from station.run.event_loop.loops import VirtualLoop
 
 DPS = np.array([20.0, -7.0, 3.0])
 

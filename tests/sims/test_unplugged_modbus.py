@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import LinkLost
-from drivers.reopen import BackOff, reopen
-from drivers.seams import Turntable
-from station.bench import Bench, load_bench
-from station.loops import VirtualLoop
-from station.open_bench import open_bench, serve_twins, with_links
+from drivers.links.reopen import BackOff, reopen
+from drivers.protocols import Turntable
+from station.bench.bench import Bench, load_bench
+from station.opening import open_bench, serve_twins, with_links
+from station.run.event_loop.loops import VirtualLoop
 
 BENCH = Path(__file__).parents[1] / "data" / "benches" / "rtu_stim300.toml"
 OUT_S, BACK_S = 0.8, 2.0

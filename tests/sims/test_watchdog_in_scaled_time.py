@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.bench import Bench, load_bench
-from station.loops import ScaledLoop, VirtualLoop
-from station.open_bench import open_bench, serve_twins
+from station.bench.bench import Bench, load_bench
+from station.opening import open_bench, serve_twins
+from station.run.event_loop.loops import ScaledLoop, VirtualLoop
 
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
 WATCHDOG_S = 0.2

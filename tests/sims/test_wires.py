@@ -9,13 +9,13 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from drivers.byte_links import MemoryLink, SerialLink, TcpLink
 from drivers.errors import LinkLost
-from drivers.reopen import reopen
-from drivers.seams import ByteLink
-from sims.galil_controller import GalilController
-from sims.table import AxisData, TableModel
-from sims.wires import ByteDevice, Plug, Write, in_memory, on_pty, on_tcp
+from drivers.links.byte_links import MemoryLink, SerialLink, TcpLink
+from drivers.links.reopen import reopen
+from drivers.protocols import ByteLink
+from sims.physics.table import AxisData, TableModel
+from sims.tables.galil_controller import GalilController
+from sims.wires.wires import ByteDevice, Plug, Write, in_memory, on_pty, on_tcp
 
 
 class Parrot:

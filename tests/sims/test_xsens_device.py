@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.mtdata2 import (
+from drivers.imus.xsens.mtdata2 import (
     ACCELERATION,
     EULER_ANGLES,
     EVERY,
@@ -28,15 +28,15 @@ from drivers.mtdata2 import (
     encode_outputs,
     parse_mtdata2,
 )
-from drivers.xbus import Mid, XbusDecoder, encode
-from sims.body import Body
-from sims.geometry import MOUNTS_DEG, mounted
-from sims.gyro import GyroArray, GyroTruth
-from sims.hidden.converter import Saturation, Stuck
-from sims.hidden.effects import Hidden
-from sims.motion import AxisMotion
-from sims.xsens_device import XsensDevice
-from station.loops import VirtualLoop
+from drivers.imus.xsens.xbus import Mid, XbusDecoder, encode
+from sims.imus.xsens import XsensDevice
+from sims.physics.body import Body
+from sims.physics.geometry import MOUNTS_DEG, mounted
+from sims.physics.gyro import GyroArray, GyroTruth
+from sims.physics.hidden.converter import Saturation, Stuck
+from sims.physics.hidden.effects import Hidden
+from sims.physics.motion import AxisMotion
+from station.run.event_loop.loops import VirtualLoop
 
 OPENING = json.loads((Path(__file__).parents[1] / "vectors" / "xsens_opening.json").read_text())["vectors"]
 RATE_HZ = 400

@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 from support import SITE, TABLE_1
 
-from drivers.seams import ImuBlock
-from estimator.array import tetrahedron
+from drivers.types import ImuBlock
+from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
 from estimator.effects.catalogue import catalogue
-from estimator.error_model import ErrorModel, KnownEffect, Size
-from estimator.recording import write_recording
-from estimator.reference import TableReadings
-from estimator.sample_columns import SampleColumns, white_solution
-from sims.hidden import Hidden
-from station.bench import default_bench_text
+from estimator.estimation.sample_columns import SampleColumns, white_solution
+from estimator.geometry.array import tetrahedron
+from estimator.recordings.recording import write_recording
+from estimator.recordings.reference import TableReadings
+from sims.physics.hidden import Hidden
+from station.bench.bench import default_bench_text
 from station.cli import main
-from station.live import LiveEstimate, LiveSource
-from station.loop_scripts import exploration_script
-from station.open_bench import DeviceTruth, simulate
-from station.script import Script, load_script, paper_script
-from station.table_watch import TableRow
+from station.opening import DeviceTruth, simulate
+from station.run.live import LiveEstimate, LiveSource
+from station.run.table_watch import TableRow
+from station.scripts.loop_scripts import exploration_script
+from station.scripts.script import Script, load_script, paper_script
 
 DEG = np.pi / 180
 REST = '[[step]]\nkind = "rest"\nduration = "6 s"\n'

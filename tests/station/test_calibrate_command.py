@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.array import triad
-from estimator.recording import ImuData, Recording, write_recording
-from estimator.reference import RateReadings
-from station.bench import default_bench_text, load_bench
+from estimator.geometry.array import triad
+from estimator.recordings.recording import ImuData, Recording, write_recording
+from estimator.recordings.reference import RateReadings
+from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
 from station.errors import BenchError
 

@@ -22,14 +22,14 @@ import pytest
 from chores import die_at_three, own_threads, square, square_but_three, unwelcome
 from support import command, direct_recording, station
 
-from estimator.recording import write_recording
-from station.calibrate_command import Estimated, estimate
-from station.campaigns import Failure, run_all
+from estimator.recordings.recording import write_recording
+from station.campaigns.campaigns import Failure, run_all
+from station.campaigns.cluster import run_on_cluster
+from station.campaigns.worker_pool import ONE_BLAS_THREAD
 from station.cli import main
-from station.cluster import run_on_cluster
+from station.commands.calibrate import Estimated, estimate
 from station.errors import UsageError
-from station.printing import result_object
-from station.worker_pool import ONE_BLAS_THREAD
+from station.render.printing import result_object
 
 
 def estimate_or_be_the_victim(victim: Path, name: str) -> Estimated:
@@ -269,7 +269,7 @@ def test_ctrl_c_stops_the_processes_and_what_they_started(tmp_path: Path) -> Non
     script.write_text(
         "import os, subprocess, sys\n"
         "from pathlib import Path\n"
-        "from station.campaigns import run_all\n"
+        "from station.campaigns.campaigns import run_all\n"
         "def work(number):\n"
         "    with subprocess.Popen(['sleep', '1000']) as child:\n"
         "        try:\n"

@@ -13,12 +13,12 @@ import cantools
 import numpy as np
 import pytest
 
-from drivers.stim300 import Datagrams, encode, encode_special
-from drivers.stim300_special import Configuration
-from drivers.vectornav import COMMON, IMU, Sentence, encode_frames, encode_sentence, layout_of
-from estimator.recording import ImuData, read_recording
-from estimator.reference import TableReadings
-from station.can_mappings import load_mapping
+from drivers.imus.stim300.codec import Datagrams, encode, encode_special
+from drivers.imus.stim300.special import Configuration
+from drivers.imus.vectornav.codec import COMMON, IMU, Sentence, encode_frames, encode_sentence, layout_of
+from estimator.recordings.recording import ImuData, read_recording
+from estimator.recordings.reference import TableReadings
+from station.bench.can_mappings import load_mapping
 from station.cli import main
 
 DATA = Path(__file__).parents[1] / "data"

@@ -14,11 +14,11 @@ from typing import Any
 import pytest
 from support import TwinProcess, station
 
-from station.bench import default_bench_text, load_bench
-from station.checking import check_bench
+from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
-from station.loops import VirtualLoop
-from station.open_bench import open_bench
+from station.opening import open_bench
+from station.opening.checking import check_bench
+from station.run.event_loop.loops import VirtualLoop
 
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
 SCALE = "2"

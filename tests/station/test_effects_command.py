@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from sims.hidden.effects import KINDS
+from sims.physics.hidden.effects import KINDS
 from station.cli import main
 
 NOT_IN_IT = {"hysteresis", "rate_dependent_delay", "motor_current_gain", "encoder_eccentricity", "thermal_lag"}

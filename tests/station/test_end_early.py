@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
-from station.bench import default_bench_text
+from station.bench.bench import default_bench_text
 from station.cli import main
 
 TURNS = "".join(

@@ -18,18 +18,18 @@ import yaml
 from compensating import compensate, less_added
 from support import station
 
-from estimator.array import SensorArray, dodecahedron, sensor_array, tetrahedron, triad
-from estimator.calibration import Calibration, EffectValue, GyroCalibration
-from estimator.compensation import Compensation
+from estimator.calibration.calibration_file import write_calibration
+from estimator.calibration.compensation import Compensation
+from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
+from estimator.calibration.values import Calibration, EffectValue, GyroCalibration
 from estimator.effects.entries import entries
-from estimator.error_model import ErrorModel, KnownEffect, Size
-from estimator.noise import NoiseFound, NoiseModel
-from estimator.recording import ImuData, Recording, write_recording
-from estimator.reference import TableReadings
-from estimator.results import write_calibration
+from estimator.geometry.array import SensorArray, dodecahedron, sensor_array, tetrahedron, triad
+from estimator.geometry.noise import NoiseFound, NoiseModel
+from estimator.recordings.recording import ImuData, Recording, write_recording
+from estimator.recordings.reference import TableReadings
 from station.cli import main
-from station.exporting.exported import Exported, exported_of
-from station.exporting.formats import FORMATS
+from station.exports.exported import Exported, exported_of
+from station.exports.formats import FORMATS
 
 SAMPLES = 400
 PERIOD_S = 0.01

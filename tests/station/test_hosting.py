@@ -25,9 +25,9 @@ import pytest
 from support import command
 from test_run import bench_file, events, run_json
 
-from station.attaching import RemoteSession, running_sessions
 from station.errors import UsageError
-from station.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot, json_object, snapshot_of
+from station.remote.attaching import RemoteSession, running_sessions
+from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot, json_object, snapshot_of
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="Unix sockets")
 
@@ -75,7 +75,7 @@ FLOOD = b'{"do":"dance"}\n' * 20_000
 CLIENT = """
 import asyncio, sys
 from pathlib import Path
-from station.attaching import RemoteSession
+from station.remote.attaching import RemoteSession
 async def look():
     session = await RemoteSession.connect(Path(sys.argv[1]))
     async for message in session.messages():

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator.calibrate import calibrate
-from estimator.kinematics import body_rate
-from station.bench import default_bench_text, load_bench
+from estimator.estimation.calibrate import calibrate
+from estimator.geometry.kinematics import body_rate
+from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
-from station.improve import predicted
-from station.open_bench import simulate_bench
-from station.plan import make_plan
-from station.planned import planned_motion
-from station.script import Move, Rest, Rotate, Script, check, load_script, paper_script
-from station.script_family import Shape, sums, ways_of
-from station.script_search import sds_of
+from station.commands.improve import predicted
+from station.opening import simulate_bench
+from station.scripts.plan import make_plan
+from station.scripts.planned import planned_motion
+from station.scripts.script import Move, Rest, Rotate, Script, check, load_script, paper_script
+from station.scripts.script_family import Shape, sums, ways_of
+from station.scripts.script_search import sds_of
 
 GIMBALS = ("z", "y", "x")
 _DEG = np.pi / 180

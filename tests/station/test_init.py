@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 from support import command
 
-from station.asking.bench_text import IMUS, TABLES
-from station.bench import load_bench
-from station.bench_imu import PROTOCOLS as IMU_PROTOCOLS
-from station.bench_table import PROTOCOLS as TABLE_PROTOCOLS
+from station.bench.bench import load_bench
+from station.bench.imu import PROTOCOLS as IMU_PROTOCOLS
+from station.bench.table import PROTOCOLS as TABLE_PROTOCOLS
 from station.cli import main
+from station.init.bench_text import IMUS, TABLES
 
 
 def init(*arguments: str | Path) -> int:

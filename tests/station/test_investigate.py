@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from support import SITE, TABLE_1
 
-import station.investigate_command
-from estimator.array import tetrahedron
+import station.commands.investigate
 from estimator.effects.constructed import in_words
-from estimator.recording import Recording, write_recording
+from estimator.estimation.runs.run import runs_of
+from estimator.geometry.array import tetrahedron
+from estimator.recordings.recording import Recording, write_recording
 from estimator.tracing.investigation import (
     Added,
     Errors,
@@ -29,16 +30,15 @@ from estimator.tracing.investigation import (
     Unexplained,
     Value,
 )
-from estimator.tracing.runs import runs_of
-from sims.hidden import Hidden
-from station.bench import default_bench_text, load_bench
+from sims.physics.hidden import Hidden
+from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
-from station.investigation_printed import human, investigation_object, print_investigation, probability
-from station.loop_scripts import candidates, exploration_script, there_and_back, verification_script
-from station.next_script import NextScript, Past, next_script
-from station.open_bench import DeviceTruth, simulate
-from station.script import Rest, Script, check, load_script, paper_script
-from station.terminal import stdout
+from station.opening import DeviceTruth, simulate
+from station.render.investigation_printed import human, investigation_object, print_investigation, probability
+from station.render.terminal import stdout
+from station.scripts.loop_scripts import candidates, exploration_script, there_and_back, verification_script
+from station.scripts.next_script import NextScript, Past, next_script
+from station.scripts.script import Rest, Script, check, load_script, paper_script
 
 DEG = np.pi / 180
 ASYMMETRY = {"scale_asymmetry": {"size": ["2000 ppm", "-2000 ppm", "1500 ppm", "2000 ppm"]}}
@@ -141,7 +141,7 @@ def test_the_360_s_script_alone_does_not_show_an_asymmetry_and_the_script_that_i
 def test_without_a_bench_it_says_what_the_next_script_needs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(station.investigate_command, "investigate", lambda *_, **__: made(Finding.CANNOT_TELL))
+    monkeypatch.setattr(station.commands.investigate, "investigate", lambda *_, **__: made(Finding.CANNOT_TELL))
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "run.h5"
     short = Script("short", (Rest(15.0), *there_and_back("z", 20.0, 12.0), Rest(15.0)))

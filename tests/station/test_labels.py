@@ -9,12 +9,12 @@ import h5py
 import pytest
 from test_run import bench_file
 
-from station.bench import load_bench
-from station.loops import VirtualLoop
-from station.open_bench import open_bench
-from station.script import load_script
-from station.session import Result, Session
-from station.snapshot import EventKind, Phase, Snapshot
+from station.bench.bench import load_bench
+from station.opening import open_bench
+from station.run.event_loop.loops import VirtualLoop
+from station.run.session import Result, Session
+from station.run.snapshot import EventKind, Phase, Snapshot
+from station.scripts.script import load_script
 
 LABELS = ("finishing", "estimating", "coming to rest", "homing")
 

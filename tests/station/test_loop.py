@@ -17,14 +17,14 @@ import pytest
 from support import command
 from test_investigate import made
 
-import station.loop_command
-from estimator.recording import Recording, read_recording
+import station.commands.loop
+from estimator.recordings.recording import Recording, read_recording
 from estimator.tracing.investigation import Finding, Investigation
-from station.bench import default_bench_text
+from station.bench.bench import default_bench_text
 from station.cli import main
-from station.closed_loop import CALIBRATION, EXPLORATION, VERIFICATION
-from station.loop_scripts import between_rests, there_and_back
-from station.script import Script, load_script
+from station.run.closed_loop import CALIBRATION, EXPLORATION, VERIFICATION
+from station.scripts.loop_scripts import between_rests, there_and_back
+from station.scripts.script import Script, load_script
 
 SHORT = between_rests("short", [turn for axis in "xz" for turn in there_and_back(axis, 20.0, 3.0)], 3.0)
 
@@ -105,7 +105,7 @@ def short_scripts(monkeypatch: pytest.MonkeyPatch) -> None:
     def three(bench: object, budget_s: float) -> list[tuple[str, Script]]:
         return [(purpose, replace(SHORT, name=purpose)) for purpose in (CALIBRATION, EXPLORATION, VERIFICATION)]
 
-    monkeypatch.setattr(station.loop_command, "_first_scripts", three)
+    monkeypatch.setattr(station.commands.loop, "_first_scripts", three)
 
 
 @pytest.mark.usefixtures("short_scripts")
@@ -113,7 +113,7 @@ def test_rivals_are_told_apart_by_another_run_that_joins_the_fitted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = Told(Finding.CANNOT_TELL, Finding.ADDED)
-    monkeypatch.setattr(station.loop_command, "investigate", told)
+    monkeypatch.setattr(station.commands.loop, "investigate", told)
     folder = tmp_path / "loop"
     code = main(["loop", "--bench", str(bench_file(tmp_path)), "-o", str(folder), "--minutes", "3"])
     text = capsys.readouterr().out
@@ -135,7 +135,7 @@ def test_rivals_are_told_apart_by_another_run_that_joins_the_fitted(
 def test_table_time_bounds_the_loop(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(station.loop_command, "investigate", Told(Finding.CANNOT_TELL))
+    monkeypatch.setattr(station.commands.loop, "investigate", Told(Finding.CANNOT_TELL))
     code, found, _ = looped(capsys, "--bench", bench_file(tmp_path), "-o", tmp_path / "loop", "--minutes", "2")
     assert code == 1
     assert found["verdict"] == "cannot tell"
@@ -150,7 +150,7 @@ def test_table_time_bounds_the_loop(
 def test_the_runs_of_one_loop_have_noise_of_their_own_and_the_seed_repeats_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(station.loop_command, "investigate", Told(Finding.NOTHING))
+    monkeypatch.setattr(station.commands.loop, "investigate", Told(Finding.NOTHING))
     bench = bench_file(tmp_path)
     rates = []
     for name in ("first", "second"):

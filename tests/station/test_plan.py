@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from plan import spread_over_predicted
 
-from sims.motion import AxisMotion
-from station.axis_profile import profile_lines
-from station.bench import default_bench_text, load_bench
+from sims.physics.motion import AxisMotion
+from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
 from station.errors import ScriptError
-from station.planned import planned_motion
-from station.script import Move, Rest, Rotate, Script, check, paper_script
+from station.scripts.axis_profile import profile_lines
+from station.scripts.planned import planned_motion
+from station.scripts.script import Move, Rest, Rotate, Script, check, paper_script
 
 DEG = np.pi / 180
 

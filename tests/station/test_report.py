@@ -18,24 +18,24 @@ import pytest
 from compensating import compensate
 from test_investigate import ASYMMETRY, simulated
 
-from estimator.array import tetrahedron
-from estimator.calibration import EffectValue, GyroCalibration
-from estimator.compensation import ADDED, OF_THE_PAST, OF_THE_RATE, Compensation
-from estimator.error_model import ErrorModel, KnownEffect, Size
-from estimator.model import predicted_output
-from estimator.recording import read_recording, write_recording
-from estimator.stored_calibration import read_calibration
-from station.bench import default_bench_text
+from estimator.calibration.compensation import ADDED, OF_THE_PAST, OF_THE_RATE, Compensation
+from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
+from estimator.calibration.stored_calibration import read_calibration
+from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.geometry.array import tetrahedron
+from estimator.geometry.model import predicted_output
+from estimator.recordings.recording import read_recording, write_recording
+from station.bench.bench import default_bench_text
 from station.cli import main
-from station.exporting.terms import FORMULAS
-from station.loop_scripts import exploration_script
-from station.report.correction import Correction
-from station.report.front import links_of, local_links
-from station.report.hashes import raw_sha256
+from station.exports.hashes import raw_sha256
+from station.exports.terms import FORMULAS
+from station.report.chapters.correction import Correction
+from station.report.chapters.front import links_of, local_links
+from station.report.chapters.snippet import snippet
 from station.report.recorded import read_recorded
-from station.report.snippet import snippet
 from station.report.standing import Kind, standing_of
 from station.report.traced import read_traced
+from station.scripts.loop_scripts import exploration_script
 
 FERRARIS = Path(__file__).parents[1] / "data" / "ferraris"
 SCRIPT = "name = 'short'\n" + "".join(

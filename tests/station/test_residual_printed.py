@@ -10,17 +10,17 @@ import h5py
 import numpy as np
 import pytest
 
-from estimator.tracing.dependence import Dependence
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Investigation
-from estimator.tracing.origin import Origin, Split
-from estimator.tracing.residual import GyroResidual, Residual, Spectrum
-from station.investigation_file import write_investigation
-from station.investigation_pictures import draw_investigation
-from station.investigation_printed import investigation_object, print_investigation
-from station.residual_printed import origin_line
+from estimator.tracing.residuals.dependence import Dependence
+from estimator.tracing.residuals.origin import Origin, Split
+from estimator.tracing.residuals.residual import GyroResidual, Residual, Spectrum
+from station.exports.investigation_file import write_investigation
+from station.render.investigation_pictures import draw_investigation
+from station.render.investigation_printed import investigation_object, print_investigation
+from station.render.residual_printed import origin_line
+from station.render.terminal import stdout
 from station.studies.detection import Case, recordings_of
-from station.terminal import stdout
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from support import TABLE_1, command
 
-from station.bench import default_bench_text
+from station.bench.bench import default_bench_text
 from station.cli import main
 
 KEYS = ("k", "b_rps", "sigma_j_rad", "sigma_k_rad")

@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 import pytest
 
-from estimator.array import tetrahedron_as_printed
-from estimator.recording import read_recording
+from estimator.geometry.array import tetrahedron_as_printed
+from estimator.recordings.recording import read_recording
 from station.cli import main
 from station.studies import baselines, paper, paper_text
 from station.studies.printed import baselines_object, print_baselines, print_paper

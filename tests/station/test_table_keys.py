@@ -12,16 +12,16 @@ import pytest
 from support import TwinProcess
 
 from drivers.errors import LinkLost
-from drivers.memory_link import MemoryLink
-from sims.galil_controller import GalilController
-from sims.table import AxisData, TableModel
-from station.bench import load_bench
+from drivers.links.memory_link import MemoryLink
+from sims.physics.table import AxisData, TableModel
+from sims.tables.galil_controller import GalilController
+from station.bench.bench import load_bench
 from station.cli import main
 from station.errors import BenchError
-from station.loops import VirtualLoop
-from station.open_bench import open_bench, with_links
-from station.open_bench.devices import byte_table
-from station.script import paper_script
+from station.opening import open_bench, with_links
+from station.opening.devices import byte_table
+from station.run.event_loop.loops import VirtualLoop
+from station.scripts.script import paper_script
 
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
 DEG = math.pi / 180

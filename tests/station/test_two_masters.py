@@ -15,20 +15,20 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import DeviceError, DeviceRefused
-from drivers.link_lock import held
-from station.bench import load_bench
+from drivers.links.lock import held
+from station.bench.bench import load_bench
 from station.cli import main
-from station.loops import ScaledLoop, VirtualLoop
-from station.open_bench import open_bench, with_links
-from station.script import Rest, Script
-from station.session import RunOptions, Session
+from station.opening import open_bench, with_links
+from station.run.event_loop.loops import ScaledLoop, VirtualLoop
+from station.run.session import RunOptions, Session
+from station.scripts.script import Rest, Script
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="locks by flock are POSIX only")
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
 KINDS = ("rtu_stim300", "galil_xsens", "acutrol_vectornav")
 HOLDER = """
 import asyncio, sys
-from drivers.link_lock import held
+from drivers.links.lock import held
 async def hold():
     async with held("table", sys.argv[1], 502, "bench of the others"):
         print("held", flush=True)

@@ -10,12 +10,12 @@ import h5py
 import pytest
 from faults import BENCHES
 
-from station.bench import Bench, load_bench
-from station.loops import VirtualLoop
-from station.open_bench import open_bench
-from station.outcome import Outcome
-from station.script import load_script
-from station.session import Result, RunOptions, Session
+from station.bench.bench import Bench, load_bench
+from station.opening import open_bench
+from station.run.event_loop.loops import VirtualLoop
+from station.run.outcome import Outcome
+from station.run.session import Result, RunOptions, Session
+from station.scripts.script import load_script
 
 SCRIPT = """
 [[step]]

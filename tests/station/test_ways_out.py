@@ -18,14 +18,14 @@ from faults import BENCHES
 from test_run import bench_file, events
 
 import station
-from estimator.recording import read_recording
-from station.bench import load_bench
+from estimator.recordings.recording import read_recording
+from station.bench.bench import load_bench
 from station.cli import main
-from station.loops import VirtualLoop, run_to_end
-from station.open_bench import open_bench
-from station.outcome import Outcome
-from station.script import load_script
-from station.session import Result, Session
+from station.opening import open_bench
+from station.run.event_loop.loops import VirtualLoop, run_to_end
+from station.run.outcome import Outcome
+from station.run.session import Result, Session
+from station.scripts.script import load_script
 
 SCRIPT = '[[step]]\nkind = "rest"\nduration = "1 s"\n' + "".join(
     f'[[step]]\nkind = "rotate"\naxis = "{axis}"\nrate = "40 deg/s"\nacceleration = "40 deg/s2"\nduration = "3 s"\n'

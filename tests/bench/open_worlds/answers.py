@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model import decode
-from estimator.recording import Recording
+from estimator.estimation.runs.run import Run, runs_of
+from estimator.geometry.model import decode
+from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Added, GyroErrors, Investigation
-from estimator.tracing.runs import Run, runs_of
 from open_worlds.cases import STATES, Case, made, sizes_of
 from open_worlds.motion import DEG
 from open_worlds.oracle import oracle_of

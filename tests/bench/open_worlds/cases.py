@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.array import SensorArray, tetrahedron
-from estimator.recording import ImuData, Recording
+from estimator.geometry.array import SensorArray, tetrahedron
+from estimator.recordings.recording import ImuData, Recording
 from open_worlds.effects import KINDS, Kind, Scene
 from open_worlds.motion import DEG, SCRIPTS, SITE, motion_of
-from sims.hidden.temperature import Temperature
-from station.open_bench import DeviceTruth, Hidden, simulate
+from sims.physics.hidden.temperature import Temperature
+from station.opening import DeviceTruth, Hidden, simulate
 
 Floats = NDArray[np.float64]
 

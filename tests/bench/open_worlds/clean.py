@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimator.foreign_rows import foreign_reference
-from estimator.mapping_columns import Columns
-from estimator.mapping_reference import AngleColumn
-from estimator.recording import Recording
-from estimator.reference import AttitudeReadings, RateReadings, Reference
+from estimator.importing.foreign_rows import foreign_reference
+from estimator.importing.mapping.columns import Columns
+from estimator.importing.mapping.reference import AngleColumn
+from estimator.recordings.recording import Recording
+from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference
 from estimator.tracing.investigate import investigate
 from open_worlds.answers import covered
 from open_worlds.cases import ARRAY, STATES
 from open_worlds.motion import DEG, SCRIPTS, SITE, motion_of
-from station.open_bench import DeviceTruth, simulate
+from station.opening import DeviceTruth, simulate
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]

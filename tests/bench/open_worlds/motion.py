@@ -10,10 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimator.kinematics import Site
-from sims.motion import AxisMotion
-from station.loop_scripts import RAMP_RPS2, between_rests, exploration_script, there_and_back, verification_script
-from station.script import Move, Rest, Script, Step, paper_script
+from estimator.geometry.kinematics import Site
+from sims.physics.motion import AxisMotion
+from station.scripts.loop_scripts import (
+    RAMP_RPS2,
+    between_rests,
+    exploration_script,
+    there_and_back,
+    verification_script,
+)
+from station.scripts.script import Move, Rest, Script, Step, paper_script
 
 Floats = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from estimator.recording import Recording
+from estimator.recordings.recording import Recording
 from open_worlds.cases import ARRAY, INSTABILITY_DPH, RATE_HZ, Case, Made
 from open_worlds.motion import DEG, Motion, motion_of
 

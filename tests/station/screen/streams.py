@@ -21,14 +21,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from station.bench import default_bench_text, load_bench
-from station.hosting import introduction
-from station.loops import VirtualLoop
-from station.open_bench import open_bench
-from station.printing import result_object
-from station.script import load_script
-from station.session import RunOptions, Session
-from station.snapshot import EventKind, json_object
+from station.bench.bench import default_bench_text, load_bench
+from station.opening import open_bench
+from station.remote.hosting import introduction
+from station.render.printing import result_object
+from station.run.event_loop.loops import VirtualLoop
+from station.run.session import RunOptions, Session
+from station.run.snapshot import EventKind, json_object
+from station.scripts.script import load_script
 
 STREAMS = Path(__file__).parents[2] / "data" / "screen"
 RECORDING = "recordings/run-20261121-101502.h5"

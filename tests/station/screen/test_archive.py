@@ -14,7 +14,7 @@ from conftest import HistoryFirst, until
 from textual.pilot import Pilot
 from textual.widgets import OptionList
 
-from station.screen.archive import Archive
+from station.screen.archive.archive import Archive
 from station.screen.choices import Choices
 
 ACCEPTED = {"accepted_by": "A. Operator", "accepted_utc": "2026-11-21T12:00:00+00:00"}

@@ -13,9 +13,9 @@ import pytest
 from support import command, station
 
 from station.cli import main
+from station.commands.ui import choices_of
 from station.screen.choices import Choices
 from station.screen.memory import Remembered, load_remembered, save_remembered
-from station.ui_command import choices_of
 
 
 def in_terminal(arguments: list[str], **variables: str) -> tuple[int, str]:

@@ -1,0 +1,187 @@
+"""How late samples come, learned from those that have come, and what it says of samples that were lost."""
+
+import math
+
+import numpy as np
+
+from drivers.clocks.alignment import median
+from drivers.types import Flags, Floats
+
+_KEPT = 4096
+_OVER_S = 60.0  # what was learned longer ago is forgotten
+_FEWEST = 100
+_ROUGH = 512
+_HIDDEN_DRIFT = 1e-4
+_HIDING = 0.6  # jitter, in periods, that hides single losses
+_HIDING_SHARE = 0.3  # or where no more than these waited for no other
+_RELEARN_S = 2.0
+_HALF_LIFE_S = 10.0  # of what is known of the share of samples that wait for none, and of their correlation
+_FLOOR = 0.003  # density of what never comes, of the highest
+_EARLY_COST, _MOST_EARLY_COST = 1.0, 20.0  # in nats a bin of the histogram, beyond its ends
+_LATE_COST, _MOST_LATE_COST = 0.2, 3.0
+_LEAST_WEIGHT = 0.1
+_LITTLE_PERIODS = 0.03
+
+
+class _Newest:
+    """The newest so many rows, in any order."""
+
+    def __init__(self, most: int, columns: int) -> None:
+        self._kept = np.empty((most, columns))
+        self._count = 0
+
+    def __len__(self) -> int:
+        return min(self._count, len(self._kept))
+
+    @property
+    def rows(self) -> Floats:
+        return self._kept[: len(self)]
+
+    def add(self, rows: Floats) -> None:
+        rows = rows[-len(self._kept) :]
+        at = (self._count + np.arange(len(rows))) % len(self._kept)
+        self._kept[at] = rows
+        self._count += len(rows)
+
+
+class Lateness:
+    """Histogram of the excess (arrival less device time, in s) of samples that waited for no other.
+
+    A sample that arrives together with the next one waited for it, in a buffer or for a poll; it only says that
+    its time was not later.
+    """
+
+    PROOF = 32
+    """How many later samples must agree, in a steady rhythm, that one was lost or doubled."""
+    LONGEST_S = 0.3
+    """How long samples are held at the most for the sake of jitter, in a steady rhythm."""
+
+    def __init__(self, period_s: float) -> None:
+        """Know nothing yet of samples that are taken every ``period_s``."""
+        self._period_s = period_s
+        self._seen = _Newest(_KEPT, 2)  # device time and excess
+        self._rough = _Newest(_ROUGH, 1)  # changes of excess from one to the next
+        self._every = max(1, round(_OVER_S / period_s / _KEPT))
+        self._new = 0
+        self._lagged, self._square = 0.0, 1e-18  # sums of products of neighbours
+        self._own, self._all = 1e-9, 1e-9
+        self._weight, self._share = 1.0, 1.0
+        self._rms_s: float | None = None
+        self._low = self._middle = self._high = 0.0
+        self._width, self._first, self._costs = 1.0, 0.0, np.zeros(1)
+        self.sharp = True
+        """Whether the earliest are no more than a tenth of a period apart."""
+
+    @property
+    def learned(self) -> bool:
+        """Whether anything is known."""
+        return self._rms_s is not None
+
+    @property
+    def least_s(self) -> float:
+        """The excess that one sample of a hundred undercuts."""
+        return self._low
+
+    @property
+    def hidden_drift(self) -> float:
+        """The most that a drift may be taken for, where jitter hides losses, which would pass for drift; else 0."""
+        if len(self._rough) < _FEWEST:
+            return 0.0
+        jitter_s = median(np.abs(self._rough.rows[:, 0]))
+        hiding = jitter_s > _HIDING * self._period_s or self._share < _HIDING_SHARE
+        return _HIDDEN_DRIFT if hiding else 0.0
+
+    @property
+    def hold(self) -> int:
+        """How many later samples it takes to place a loss."""
+        longest = max(self.PROOF, round(self.LONGEST_S / self._period_s))
+        if self._rms_s is None:
+            return longest
+        jitter = self._rms_s / self._period_s
+        return min(max(self.PROOF, round(8 * (1 + jitter**2) / self._share)), longest)
+
+    def guess(self, excess: Floats, least_s: float) -> None:
+        """Learn from the first samples, of which some may have been lost: an edge and what they scatter above it."""
+        if len(excess) < 2:
+            excess = np.zeros(2)
+        at = np.arange(len(excess)) - (len(excess) - 1) / 2
+        slope = max(float(at @ excess) / float(at @ at), 0.0)
+        # What was lost or doubled makes the first of these too large, and not the second.
+        level = float((excess - slope * at).std())
+        steps = 2.0 * float(np.median(np.abs(np.diff(excess))))
+        rms_s = max(min(level, steps), 0.05 * self._period_s)
+        self._learn(least_s - rms_s * np.log(1 - (np.arange(1000) + 0.5) / 1000))
+
+    def add(self, device_s: Floats, excess: Floats, own: Flags, drifted_s: float, drift: float) -> None:
+        """Learn from samples whose place is known; ``own`` are those that waited for no other.
+
+        ``drifted_s`` is what of the excess is drift at the last of them, ``drift`` how that grows in a second.
+        """
+        keep = 0.5 ** (len(own) * self._period_s / _HALF_LIFE_S)
+        self._own, self._all = keep * self._own + float(own.sum()), keep * self._all + len(own)
+        self._new += len(own)
+        newest_s = float(device_s[-1])
+        device_s, excess = device_s[own], excess[own]
+        self._seen.add(np.column_stack([device_s[:: self._every], excess[:: self._every]]))
+        if len(excess) > 1:
+            self._rough.add((excess[1:] - excess[:-1])[:, None])
+            about = np.clip(excess - drifted_s, self._low, self._high) - self._middle
+            # Next to what is far less than a period nothing is late, together or not.
+            little = len(about) * (_LITTLE_PERIODS * self._period_s) ** 2
+            self._square = keep * self._square + float(about[1:] @ about[1:]) + little
+            self._lagged = keep * self._lagged + float(about[1:] @ about[:-1])
+        enough = min(len(self._seen) * self._every // 4, round(_RELEARN_S / self._period_s))
+        if len(self._seen) >= _FEWEST and self._new >= enough:
+            self._new = 0
+            at, all_excess = self._seen.rows.T
+            self._learn(all_excess - drifted_s - drift * (at - newest_s))
+
+    def _learn(self, excess: Floats) -> None:
+        low, high = (float(v) for v in np.percentile(excess, [1.0, 99.0]))
+        inner = excess[(excess >= low) & (excess <= high)]
+        rms_s = max(float(inner.std()), 1e-6)
+        self._rms_s, self._low, self._middle, self._high = rms_s, low, float(inner.mean()), high
+        self.sharp = bool(low - excess.min() < 0.1 * self._period_s)
+        self._share = max(self._own / self._all, 0.02)
+        # Neighbours that are late together are no two witnesses.
+        along = self._lagged / self._square
+        self._weight = min(max((1 - along) / (1 + along), _LEAST_WEIGHT), 1.0)
+        self._width = width = min(rms_s / 5, max(self._period_s / 3, (high - low) / 300))
+        edges = np.arange(low - 3 * width, high + 4 * width, width)
+        hits = np.histogram(excess, edges)[0].astype(np.float64)
+        blur = max(rms_s * min(0.4, 4 / math.sqrt(len(excess))) / width, 0.7)
+        reach = np.arange(-math.ceil(3 * blur), math.ceil(3 * blur) + 1)
+        kernel = np.exp(-0.5 * (reach / blur) ** 2)
+        density = np.convolve(hits, kernel / kernel.sum())
+        self._first = edges[0] + reach[0] * width
+        self._costs = -np.log(density / density.max() + _FLOOR)
+
+    def costs(self, excess: Floats, own: Flags) -> Floats:
+        """Return how unlikely each excess (n, k) is, in nats; rows (n,) that are not ``own`` only if too early."""
+        likeliest = self._first + (int(self._costs.argmin()) + 0.5) * self._width
+        excess = np.where(own[:, None] | (excess < likeliest), excess, likeliest)
+        bins = np.floor((excess - self._first) / self._width).astype(np.int64)
+        last = len(self._costs) - 1
+        cost = self._costs[np.clip(bins, 0, last)]
+        cost += np.minimum(np.maximum(-bins, 0) * _EARLY_COST, _MOST_EARLY_COST)
+        cost += np.minimum(np.maximum(bins - last, 0) * _LATE_COST, _MOST_LATE_COST)
+        return np.asarray(cost * self._weight)
+
+    def steady(self, excess: Floats) -> bool:
+        """Return whether the rhythm has been steady lately: while a sender catches up, lateness proves nothing.
+
+        ``excess`` are samples that waited for no other, with losses taken into account.
+        """
+        half = max(round(self.hold * self._share / 2), 1)
+        if len(excess) < 2 * half or self._rms_s is None:
+            return False
+        allowed = max(0.3 * self._period_s, 4 * self._rms_s * math.sqrt(2 / (half * self._weight)))
+        return bool(abs(np.mean(excess[-half:]) - np.mean(excess[-2 * half : -half])) < allowed)
+
+    def most_lost(self, excess: Floats) -> int:
+        """Return how many can have been lost before the last of samples that waited for no other."""
+        last = excess[-max(round(self.hold * self._share / 2), 8) :]
+        if not len(last):
+            return 1
+        high = float(np.median(last)) - self._middle + (self._rms_s or 0.0)
+        return max(math.ceil(high / self._period_s), 0) + 2

@@ -1,0 +1,310 @@
+"""Times of samples that carry no count and are known to be taken regularly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from drivers.clocks.alignment import HostFit
+from drivers.clocks.arrival_delay import Lateness
+from drivers.clocks.counter_clock import LATE_PERIODS, LATE_S
+from drivers.types import Alignment, Flags, Floats, SourceCounts, Stamps
+
+_MOST_STATES = 400
+_GROUPS = 64
+_LOST_FIRST = 0.004  # share of samples that are lost, until it is known
+_ONE_OF_LOSSES = 0.8  # share of the losses of one sample among all
+_LONG_GAP = 0.95  # longer losses: each sample more is so much less likely
+_REPEATED = 0.02  # share of samples like the one before that are the one before
+_CERTAIN = 0.999
+_UNLIKELY = 1e-4
+_MOST_DRIFT = 2e-3  # a larger one would not be told from losses
+_LEAST_STEP = 0.1  # in periods
+_TOO_EARLY_PERIODS, _TOO_EARLY_S = 5.0, 0.05  # nothing arrives before it was taken
+
+
+class RegularClock:
+    """Times of samples that carry no counter and are known to be taken regularly.
+
+    Samples are held back a little while, because only what follows tells a late sample from a lost one: after
+    a loss all later samples keep coming a period late, after a stall they catch up. A doubled sample shows in
+    that all later ones keep coming a period early; it is dropped where two neighbours are equal.
+
+    Where arrivals jitter by less than the period each loss can be placed, a few samples later. Where they jitter
+    by more, a sample's place is given as its mean over all that may have happened (forward-backward smoothing of
+    a hidden Markov chain), at the latest ``Lateness.LONGEST_S`` later; losses are then right in number.
+
+    A sender that falls behind for seconds looks like one that loses. When it catches up, samples seem to come before
+    they were taken. The clock then begins anew, and drops those whose times would run back: as many as have been
+    counted as lost meanwhile.
+    """
+
+    HOLD = 8
+    """How many later samples there must be before one is given its time."""
+    MOST = 256
+    """How many are held at the most, should the rhythm not come back; or a second's, where that is more."""
+
+    def __init__(self, period_s: float, counts: SourceCounts) -> None:
+        """Start empty, for samples that come every ``period_s`` on average."""
+        self._period_s = period_s
+        self._counts = counts
+        self._most = max(self.MOST, round(1 / period_s))
+        self._held: list[tuple[int, Floats | float, bytes]] = []  # arrival_ns, values, raw bytes
+        self._last_raw = b""
+        self._last_arrival_ns: int | None = None
+        self._last_t_ns = -(2**62)
+        self._resumed_ns: int | None = None  # last arrival before a break
+        self._begin()
+
+    def _begin(self) -> None:
+        self._fit = HostFit()
+        self._lateness = Lateness(self._period_s)
+        self._next = 0  # place of the first held sample, if nothing was lost
+        self._shifts = np.ones(1)  # probabilities that 0, 1, 2 ... more were lost before it
+        self._last_place = -1.0
+        self._least_s = math.inf  # excess of the earliest, until more is known
+        self._lost_before = self._counts.lost
+        self._given = 0
+        self._look_again = 0
+
+    @property
+    def alignment(self) -> Alignment | None:
+        """The device's clock against the loop's; None in the first seconds."""
+        found = self._fit.alignment
+        hidden = self._lateness.hidden_drift
+        if found is None or not hidden:
+            return found
+        # Where jitter hides single losses, they and a drift look alike.
+        return replace(
+            found,
+            sd_offset_s=math.hypot(found.sd_offset_s, self._period_s / math.sqrt(12)),
+            sd_drift_ppm=math.hypot(found.sd_drift_ppm, hidden * 1e6 / math.sqrt(3)),
+        )
+
+    def add(self, arrival_ns: int, values: Floats | float, raw: bytes) -> None:
+        """Take in one sample, a number or a row (k,); ``raw`` is what equal samples share."""
+        self._held.append((arrival_ns, values, raw))
+
+    def restart(self) -> None:
+        """Begin anew after a break, whose length tells how many were lost; nothing must be held any more."""
+        self._begin()
+        self._resumed_ns = self._last_arrival_ns
+
+    @property
+    def due(self) -> bool:
+        """Whether enough is held for ``ready`` to give something."""
+        return len(self._held) >= max(2 * self.HOLD, self._look_again)
+
+    def ready(self, *, everything: bool = False) -> tuple[Stamps, Stamps, Floats] | None:
+        """Return (t_ns, arrival_ns, values) of the samples that can be timed, or None while too few are held."""
+        if not self._held or not (self.due or everything):
+            return None
+        arrival = np.array([row[0] for row in self._held], dtype=np.int64)
+        # In a burst only the last came as soon as it could; the last of all may be followed by another yet.
+        own = np.append(np.abs(np.diff(arrival)) > 0.2e9 * self._period_s, False)
+        certain = everything or len(arrival) >= self._most
+        place, known, kept = self._places(arrival, own, certain=certain, everything=everything)
+        if not len(place):
+            return None
+        if self._too_early(place, arrival[: len(kept)][kept]):
+            self._begin()
+            return self.ready(everything=everything)
+        rows, self._held, self._look_again = self._held[: len(kept)], self._held[len(kept) :], 0
+        self._last_raw = rows[-1][2]
+        arrival = arrival[: len(kept)][kept]
+        values = np.array([row[1] for row, keep in zip(rows, kept, strict=True) if keep])
+        t_ns = self._time_ns(place, arrival, own[: len(kept)][kept], known)
+        later = t_ns > self._last_t_ns
+        if not later.all():
+            self._counts.samples -= int(np.count_nonzero(~later))
+            t_ns, arrival, values = t_ns[later], arrival[later], values[later]
+        if not len(t_ns):
+            return None
+        self._last_t_ns = int(t_ns[-1])
+        return t_ns, arrival, values
+
+    def _too_early(self, place: Floats, arrival: Stamps) -> bool:
+        """Return whether all samples seem to come well before they were taken."""
+        if not self._given:
+            return False
+        early_s = -float(self._fit.lateness_of(place * self._period_s, arrival).max())
+        return early_s > max(_TOO_EARLY_PERIODS * self._period_s, _TOO_EARLY_S)
+
+    def _search(self, excess: Floats, own: Flags) -> _Search:
+        """Look for what has been lost or doubled; if nothing is known yet of lateness, guess, and guess better."""
+        equal = self._equal()
+        if not self._lateness.learned:
+            self._lateness.guess(excess[own], self._least(excess))
+            better = excess - self._searched(excess, own, equal).mean * self._period_s
+            self._lateness.guess(better[own], float(better.min()))
+        return self._searched(excess, own, equal)
+
+    def _searched(self, excess: Floats, own: Flags, equal: Flags) -> _Search:
+        return _Search(self._lateness, self._period_s, excess, own, equal, self._shifts, self._lost_share)
+
+    def _equal(self) -> Flags:
+        """Return which of the held samples are like the one before."""
+        raws = [self._last_raw, *(row[2] for row in self._held)]
+        return np.array([now == before for before, now in pairwise(raws)])
+
+    def _least(self, excess: Floats) -> float:
+        """Return the excess of samples that are not late, as far as it is known."""
+        if self._lateness.learned:
+            return self._lateness.least_s
+        if self._given:
+            return self._least_s
+        equal = self._equal()
+        if equal.mean() > 0.5 or not equal[1:].any():
+            return float(excess.min())
+        return float(excess[: int(equal[1:].argmax()) + 1].min())  # after one that is doubled, all seem early
+
+    def _time_ns(self, place: Floats, arrival: Stamps, own: Flags, known: Flags) -> Stamps:
+        device_s = place * self._period_s
+        drifted_s = float(self._fit.drifted(device_s[-1:])[0])
+        self._lateness.add(device_s, self._fit.excess_of(device_s, arrival), own, drifted_s, self._fit.drift)
+        self._fit.most_drift = self._lateness.hidden_drift or _MOST_DRIFT
+        self._fit.add(device_s, arrival, known)
+        t_ns = self._fit.time_ns(device_s)
+        lateness_s = (arrival - t_ns) * 1e-9
+        self._given += len(place)
+        self._counts.samples += len(place)
+        self._counts.late += int(np.count_nonzero(lateness_s > max(LATE_PERIODS * self._period_s, LATE_S)))
+        if self._resumed_ns is not None:  # nobody counted meanwhile: the pause tells
+            missed = round((int(arrival[0]) - self._resumed_ns) * 1e-9 / self._period_s) - 1
+            self._lost_before += max(missed, 0)
+            self._resumed_ns = None
+        lost = self._lost_before + round(float(place[-1])) + 1 - self._given
+        self._counts.lost = max(self._counts.lost, lost)
+        self._last_place, self._last_arrival_ns = float(place[-1]), int(arrival[-1])
+        return t_ns
+
+    def _places(self, arrival: Stamps, own: Flags, *, certain: bool, everything: bool) -> tuple[Floats, Flags, Flags]:
+        """Return the place in the rhythm of each sample that can be timed, whether it is certain, and which to keep."""
+        place = self._next + np.arange(len(arrival), dtype=np.float64)
+        device_s = place * self._period_s
+        excess = self._fit.excess_of(device_s, arrival) - self._fit.drifted(device_s)
+        if self._in_time(excess):
+            take = len(place) - (0 if everything else self.HOLD)
+            self._next += take
+            self._least_s = min(self._least_s, float(excess[:take].min()))
+            kept = np.ones(take, dtype=np.bool_)
+            return place[:take], kept, kept
+        hold = 0 if everything else self._lateness.hold
+        if not certain and len(place) < hold + hold // 2:
+            self._look_again = hold + hold // 2
+            return place[:0], own[:0], own[:0]
+        search = self._search(excess, own)
+        if not certain and not self._lateness.steady((excess - search.mean * self._period_s)[own]):
+            self._look_again = len(place) + max(self.HOLD, len(place) // 8)
+            return place[:0], own[:0], own[:0]
+        take = max(len(place) - hold, 1)
+        take, base, self._shifts = search.cut(take)
+        self._next += take + base
+        kept = np.ones(take, dtype=np.bool_)
+        repeats = search.repeats[search.repeats < take]
+        kept[repeats] = False
+        self._counts.repeated += len(repeats)
+        place = (place + search.mean)[:take][kept]
+        place[0] = max(place[0], self._last_place + _LEAST_STEP)
+        steps = np.arange(len(place)) * _LEAST_STEP
+        return np.maximum.accumulate(place - steps) + steps, search.certain[:take][kept], kept
+
+    @property
+    def _lost_share(self) -> float:
+        seen = 1000.0
+        lost = self._counts.lost - self._lost_before
+        return min(max((lost + _LOST_FIRST * seen) / (self._given + lost + seen), 1e-3), 0.1)
+
+    def _in_time(self, excess: Floats) -> bool:
+        """Return whether the last samples are in time, so that nothing was lost or doubled before them."""
+        late = (excess - self._least(excess)) / self._period_s
+        sharp = self._lateness.sharp and len(self._shifts) == 1
+        return bool(sharp and late.min() > -0.5 and late[-self.HOLD :].min() < 0.6)
+
+
+class _Search:
+    """What has been lost or doubled among samples, by how late they came.
+
+    State of the chain: by how many samples each is further on than if none had been lost or doubled before. Where
+    jitter is many periods, samples go in groups.
+    """
+
+    def __init__(
+        self,
+        lateness: Lateness,
+        period_s: float,
+        excess: Floats,
+        own: Flags,
+        equal: Flags,
+        before: Floats,
+        lost_share: float,
+    ) -> None:
+        back = min(int(equal.sum()), 8)
+        most = min(max(lateness.most_lost(excess[own]), len(before) + 1), _MOST_STATES)
+        self._states = np.arange(-back, most + 1)
+        self._group = group = max(1, lateness.hold // _GROUPS)
+        self._starts = np.arange(0, len(excess), group)
+        costs = lateness.costs(excess[:, None] - self._states * period_s, own)
+        costs = np.add.reduceat(costs, self._starts, axis=0)
+        weights = np.exp(costs.min(axis=1, keepdims=True) - costs)
+        twice = np.logical_or.reduceat(equal, self._starts)
+        start = np.zeros(len(self._states))
+        start[back : back + len(before)] = before
+        posterior, self._forward, down = _smooth(weights, start, twice, 1 - (1 - lost_share) ** group)
+        sure = posterior.max(axis=1) > _CERTAIN
+        mean = np.where(sure, self._states[posterior.argmax(axis=1)], posterior @ self._states)
+        # A group in which, or next to which, something was lost has no certain place.
+        moved = np.diff(mean, prepend=mean[0]) != 0
+        near = moved | np.append(moved[1:], False)
+        self.mean = np.repeat(mean, group)[: len(excess)]
+        self.certain = np.repeat(sure & ~near, group)[: len(excess)] & own
+        groups = np.flatnonzero(down > 0.5)
+        self.repeats = np.array([self._starts[g] + int(equal[self._starts[g] :].argmax()) for g in groups], dtype=int)
+
+    def cut(self, take: int) -> tuple[int, int, Floats]:
+        """Return how many samples end with a whole group, and what is lost before the next: a number, and more."""
+        groups = len(self._starts) if take >= len(self.mean) else max(take // self._group, 1)
+        taken = min(groups * self._group, len(self.mean))
+        shares = self._forward[groups - 1]
+        likely = np.flatnonzero(shares > _UNLIKELY)
+        shares = shares[likely[0] : likely[-1] + 1]
+        return taken, int(self._states[likely[0]]), shares / shares.sum()
+
+
+def _smooth(weights: Floats, start: Floats, twice: Flags, lost_share: float) -> tuple[Floats, Floats, Floats]:
+    """Return what each state's probability is (n, k) by all weights, and by those so far; and of a repeat (n,).
+
+    ``weights`` (n, k) are likelihoods of what was seen in each state, ``start`` (k,) the probabilities before. A
+    loss goes up from state to state, a repeat, where ``twice``, down by one.
+    """
+    count = len(start)
+    up = np.subtract.outer(np.arange(count), np.arange(count)).T
+    long_gaps = (1 - _ONE_OF_LOSSES) * (1 - _LONG_GAP) * _LONG_GAP ** np.maximum(up - 1, 0)
+    step = np.where(up > 0, lost_share * (long_gaps + _ONE_OF_LOSSES * (up == 1)), 0.0)
+    step += (1 - lost_share) * np.eye(count)
+    step_twice = step + _REPEATED * np.eye(count, k=-1)
+    forward = np.empty_like(weights)
+    ahead = np.empty_like(weights)
+    now = start
+    for i, weight in enumerate(weights):
+        now = (now @ (step_twice if twice[i] else step)) * weight
+        total = float(now.sum())
+        now = now / total if total > 0 else weight / weight.sum()
+        forward[i] = now
+    back = np.ones(count)
+    for i in range(len(weights) - 1, -1, -1):
+        ahead[i] = back
+        back = (step_twice if twice[i] else step) @ (weights[i] * back)
+        back /= max(float(back.max()), 1e-300)
+    posterior = forward * ahead
+    posterior /= np.maximum(posterior.sum(axis=1, keepdims=True), 1e-300)
+    repeated = np.zeros(len(weights))
+    for j in np.flatnonzero(twice):
+        before = forward[j - 1] if j else start
+        both = (weights[j] * ahead[j])[:-1] * before[1:] * _REPEATED
+        every = (before @ step_twice) @ (weights[j] * ahead[j])
+        repeated[j] = both.sum() / max(float(every), 1e-300)
+    return posterior, forward, repeated

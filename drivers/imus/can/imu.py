@@ -1,0 +1,338 @@
+"""Any IMU on CAN that a DBC describes, with a mapping of its signals to channels."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import deque
+from collections.abc import AsyncIterator, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.clocks.sampling import Alignment, CounterClock, RegularClock
+from drivers.errors import DeviceError
+from drivers.imus.samples import Companion, Piece, block_of, regular_block
+from drivers.imus.signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
+from drivers.protocols import FrameLink
+from drivers.types import Flags, Floats, Frame, Identity, ImuBlock, Octets, SourceCounts, Stamps
+
+BUILT_IN_DBC = Path(__file__).with_name("gyro_nodes.dbc")
+
+
+_GATHERED, _LEAST_GATHER_S, _MOST_GATHER_S = 32, 0.05, 0.33  # samples taken in together, and how long that may take
+_COUNT_BITS = 32  # of longer counters the lower bits will do: they wrap, as all do
+
+
+@dataclass(frozen=True, slots=True)
+class CanChannel:
+    """Which signals carry one source, as ``MESSAGE.Signal`` names of the DBC.
+
+    ``rate`` is one signal for each gyro, all of one message. ``counter`` counts samples, or ``time`` is the
+    device's own clock; either may wrap at its length. ``units`` has what the DBC does not say: the unit of "rate",
+    "temperature", "acceleration", "time".
+    """
+
+    name: str
+    rate: str | tuple[str, ...]
+    temperature: str | None = None
+    counter: str | None = None
+    time: str | None = None
+    acceleration: tuple[str, str, str] | None = None
+    units: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def rates(self) -> tuple[str, ...]:
+        """Names of the rate signals, one a gyro."""
+        return (self.rate,) if isinstance(self.rate, str) else self.rate
+
+
+def load_dbc(device: str, dbc: Path) -> Any:
+    """Return cantools' database of a DBC file; DeviceError if it cannot be read."""
+    import cantools
+
+    try:
+        return cantools.database.load_file(dbc)
+    except Exception as error:  # cantools has no common base for what a file can have wrong
+        raise DeviceError(device, f"DBC file {dbc.name} cannot be read: {error}") from None
+
+
+class ChannelSignals:
+    """The signals of one channel, found in the DBC."""
+
+    def __init__(self, device: str, database: Any, dbc: Path, channel: CanChannel) -> None:
+        """Find them; DeviceError for one that is missing, or cannot be what the mapping says."""
+        units = dict(channel.units)
+
+        def reader(name: str, quantity: str) -> SignalReader:
+            return SignalReader(device, database, dbc, name, quantity, units.get(quantity, ""))
+
+        self.rates = [reader(name, "rate") for name in channel.rates]
+        self.acceleration = [reader(name, "acceleration") for name in channel.acceleration or ()]
+        self.temperature = reader(channel.temperature, "temperature") if channel.temperature is not None else None
+        self.counter = reader(channel.counter, "count") if channel.counter is not None else None
+        self.time = reader(channel.time, "time") if channel.time is not None else None
+        for part, what in ((self.rates, "rates"), (self.acceleration, "accelerations")):
+            if len({signal.key for signal in part}) > 1:
+                names = ", ".join(signal.name for signal in part)
+                raise DeviceError(
+                    device, f"{names} are {what} of one source in several messages of {dbc.name}: make each a source"
+                )
+        if self.counter is not None and self.time is not None:
+            raise DeviceError(device, f"{self.counter.name} and {self.time.name}: give a counter or a time, not both")
+        for signal in (self.counter, self.time):
+            if signal is not None and not signal.counts:
+                raise DeviceError(
+                    device, f"{signal.name} in {dbc.name} is no whole number: it cannot count or tell time"
+                )
+
+    @property
+    def all(self) -> list[SignalReader]:
+        """Every signal of the channel."""
+        single = (self.temperature, self.counter, self.time)
+        return [*self.rates, *self.acceleration, *(signal for signal in single if signal is not None)]
+
+
+class CanImu:
+    """Each channel is a source of its own: nodes on a bus share no clock."""
+
+    def __init__(
+        self,
+        device: str,
+        link: FrameLink,
+        dbc: Path,
+        channels: tuple[CanChannel, ...],
+        rate_hz: float,
+        *,
+        source_address: int | None = None,
+    ) -> None:
+        """Read the DBC; DeviceError if it cannot be read or lacks a message or signal that is asked for.
+
+        J1939 messages are told by their parameter group, whoever sends them, unless ``source_address`` names one.
+        """
+        self._device, self._link, self._address = device, link, source_address
+        database = load_dbc(device, dbc)
+        self._order = 0
+        self._arrived: list[Frame] = []
+        self._timed: deque[tuple[str, ImuBlock]] = deque()
+        self._timing = threading.Lock()
+        self._sources = {
+            channel.name: _Source(ChannelSignals(device, database, dbc, channel), rate_hz) for channel in channels
+        }
+        self._gather_s = min(max(_GATHERED / rate_hz, _LEAST_GATHER_S), _MOST_GATHER_S)
+        self._exact: dict[MessageKey, list[_Inlet]] = {}
+        self._groups: dict[int, list[_Inlet]] = {}
+        for source in self._sources.values():
+            for inlet in source.inlets:
+                if is_j1939(inlet.message):
+                    self._groups.setdefault(parameter_group(inlet.message.frame_id), []).append(inlet)
+                else:
+                    self._exact.setdefault(message_key(inlet.message), []).append(inlet)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the channels."""
+        return tuple(self._sources)
+
+    def counts(self, name: str) -> SourceCounts:
+        """Get the counts of one channel."""
+        return self._sources[name].counts
+
+    def alignment(self, name: str) -> Alignment | None:
+        """Get how the clock of one channel lies to the loop's; None while that is not known."""
+        return self._sources[name].alignment
+
+    async def open(self) -> None:
+        """Open the bus."""
+        await self._link.open()
+
+    async def identify(self) -> Identity:
+        """A DBC says how to read values, not how to ask: nothing is known."""
+        return Identity()
+
+    async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
+        """Yield blocks of each channel; LinkLost when the bus is gone. Begun again, it goes on after the break."""
+        for name, held in self.flush():
+            yield name, held
+        for source in self._sources.values():
+            source.restart()
+        loop = asyncio.get_running_loop()
+        while True:
+            frames = await self._link.receive()
+            self._arrived += frames
+            # In a thread: whoever waits for an answer of the table should not wait for numbers.
+            await loop.run_in_executor(None, self._time)
+            while self._timed:
+                yield self._timed.popleft()
+            # Frames are stamped by the link: to take them in handfuls costs no accuracy and a tenth of the work.
+            await asyncio.sleep(self._gather_s)
+
+    def flush(self) -> list[tuple[str, ImuBlock]]:
+        """Return what is still held back for its timing, or for a part to come."""
+        self._time(everything=True)
+        last = list(self._timed)
+        self._timed.clear()
+        return last
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._link.close()
+
+    def _time(self, *, everything: bool = False) -> None:
+        """Put what can be timed of the frames that have arrived with the blocks to be given.
+
+        Under a lock: who stops taking blocks leaves a thread behind that may not be done yet.
+        """
+        with self._timing:
+            arrived, self._arrived = self._arrived, []
+            self._take(arrived)
+            for name, source in self._sources.items():
+                if (block := source.block(everything=everything)) is not None:
+                    self._timed.append((name, block))
+
+    def _take(self, frames: Iterable[Frame]) -> None:
+        for frame in frames:
+            inlets = self._exact.get((frame.identifier, frame.extended)) or self._group(frame)
+            self._order += 1
+            for inlet in inlets:
+                inlet.take(Piece(self._order, frame.t_ns, frame.data))
+
+    def _group(self, frame: Frame) -> Sequence[_Inlet]:
+        """Return who takes a frame by its J1939 parameter group."""
+        if not self._groups or not frame.extended:
+            return ()
+        if self._address is not None and frame.identifier & 0xFF != self._address:
+            return ()
+        return self._groups.get(parameter_group(frame.identifier), ())
+
+
+class _Inlet:
+    """One message of one source; ``companion`` collects it where it is not the leading one."""
+
+    def __init__(self, message: Any, counts: SourceCounts, companion: Companion | None) -> None:
+        self.message, self.companion = message, companion
+        self.waiting: list[Piece] = []
+        self._length, self._counts = int(message.length), counts
+
+    def take(self, piece: Piece) -> None:
+        if len(piece.data) != self._length:
+            self._counts.corrupt += 1
+        elif self.companion is not None:
+            self.companion.add(piece)
+        else:
+            self.waiting.append(piece)
+
+    def table(self, rows: list[bytes]) -> Octets:
+        return np.frombuffer(b"".join(rows), dtype=np.uint8).reshape(len(rows), self._length)
+
+
+class _Source:
+    """What one channel has received and not yet given."""
+
+    def __init__(self, signals: ChannelSignals, rate_hz: float) -> None:
+        self.counts = SourceCounts()
+        self._signals = signals
+        lead = signals.rates[0]
+        self._lead = _Inlet(lead.message, self.counts, None)
+        self._others: dict[MessageKey, _Inlet] = {}
+        self._companions: dict[MessageKey, Companion] = {}
+        of_a_sample = [*signals.acceleration, *(s for s in (signals.counter, signals.time) if s is not None)]
+        for signal in signals.all:
+            if signal.key != lead.key and signal.key not in self._others:
+                # A temperature is that of the next sample; what belongs to a sample may also come after it.
+                follows = signal.key > lead.key and any(signal.key == other.key for other in of_a_sample)
+                self._companions[signal.key] = Companion(follows=follows)
+                self._others[signal.key] = _Inlet(signal.message, self.counts, self._companions[signal.key])
+        self._before = 0  # place of the last leading frame given
+        self._temperature_c = float("nan")
+        self._count = signals.time or signals.counter
+        self._clock: RegularClock | CounterClock = RegularClock(1 / rate_hz, self.counts)
+        if self._count is not None:
+            tick_s = signals.time.scale if signals.time is not None else 1 / rate_hz
+            bits = min(self._count.bits, _COUNT_BITS)
+            self._mask = (1 << bits) - 1
+            self._clock = CounterClock(tick_s, 1 << bits, max(round(1 / (rate_hz * tick_s)), 1), self.counts)
+
+    @property
+    def inlets(self) -> list[_Inlet]:
+        return [self._lead, *self._others.values()]
+
+    @property
+    def alignment(self) -> Alignment | None:
+        return self._clock.alignment
+
+    def restart(self) -> None:
+        """Begin anew after a break; nothing must be held any more."""
+        if isinstance(self._clock, RegularClock):
+            self._clock.restart()
+
+    def block(self, *, everything: bool = False) -> ImuBlock | None:
+        """Return what can be timed of what has come, or None."""
+        pieces, gyros = self._whole(everything=everything), len(self._signals.rates)
+        if isinstance(self._clock, RegularClock):
+            values = self._rows(pieces)[0] if pieces else np.empty((0, gyros))
+            samples = [(piece.t_ns, row, piece.data) for piece, row in zip(pieces, values, strict=True)]
+            return regular_block(self._clock, samples, gyros, everything=everything)
+        if not pieces:
+            return None
+        values, counted, count = self._rows(pieces)
+        arrival_ns = np.array([piece.t_ns for piece in pieces], dtype=np.int64)[counted]
+        new, t_ns = self._clock.stamp(count[counted], arrival_ns)
+        return block_of(t_ns, arrival_ns[new], values[counted][new], gyros, count[counted][new]) if len(t_ns) else None
+
+    def _whole(self, *, everything: bool) -> list[Piece]:
+        """Take the leading frames whose companions have come, or will not come any more."""
+        waiting = self._lead.waiting
+        for signal in self._signals.rates:
+            if waiting and signal.multiplexed:
+                present = signal.present(self._lead.table([piece.data for piece in waiting]))
+                waiting = [piece for piece, has in zip(waiting, present, strict=True) if has]
+        if not waiting:
+            self._lead.waiting = waiting
+            for companion in self._companions.values():
+                companion.idle()
+            return []
+        order = waiting[-1].order
+        open_end = any(c.follows and not c.reached(order) for c in self._companions.values())
+        hold = 1 if open_end and not everything else 0
+        pieces, self._lead.waiting = waiting[: len(waiting) - hold], waiting[len(waiting) - hold :]
+        return pieces
+
+    def _rows(self, pieces: list[Piece]) -> tuple[Floats, Flags, Stamps]:
+        """Return rates, temperature, accelerations of each leading frame, (n, k); which have a count, and it."""
+        n = len(pieces)
+        places = [piece.order for piece in pieces]
+        after = self._lead.waiting[0].order if self._lead.waiting else np.iinfo(np.int64).max
+        lead = self._lead.table([piece.data for piece in pieces])
+        found: dict[MessageKey, tuple[Flags, Octets]] = {self._signals.rates[0].key: (np.ones(n, dtype=np.bool_), lead)}
+        for key, companion in self._companions.items():
+            which, rows = companion.matched(self._before, places, after)
+            found[key] = which, self._others[key].table(rows)
+            companion.forget(places[-1])
+        self._before = places[-1]
+
+        def column(signal: SignalReader) -> Floats:
+            which, data = found[signal.key]
+            out = np.full(n, np.nan)
+            out[which] = signal.values(data)
+            return out
+
+        temperature = np.full(n, np.nan) if self._signals.temperature is None else column(self._signals.temperature)
+        columns = [column(signal) for signal in self._signals.rates]
+        values = np.column_stack([*columns, self._held(temperature), *map(column, self._signals.acceleration)])
+        counted, count = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64)
+        if self._count is not None:
+            which, data = found[self._count.key]
+            counted[which] = self._count.present(data)
+            count[which] = self._count.raw(data) & self._mask
+        return values, counted, count
+
+    def _held(self, temperature_c: Floats) -> Floats:
+        """Return the temperature at each sample: the last one told."""
+        known = np.concatenate([[self._temperature_c], temperature_c])
+        told = np.maximum.accumulate(np.where(np.isnan(known), 0, np.arange(len(known))))
+        held = known[told]
+        self._temperature_c = float(held[-1])
+        return np.asarray(held[1:])

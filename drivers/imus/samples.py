@@ -1,0 +1,78 @@
+"""Samples of one source on a bus of frames: what arrives piece by piece, put together and timed.
+
+A source has one leading message, which carries its rates. What else belongs to a sample (accelerometer, counter,
+time) may be in that message or in others. Frames of one instant win the bus in the order of their identifiers, so
+a message of a smaller one is looked for just before the leading frame, a message of a larger one just after it.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.clocks.sampling import RegularClock
+from drivers.types import Flags, Floats, ImuBlock, Stamps
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A frame's data with its place in the order of arrival and its arrival in ns."""
+
+    order: int
+    t_ns: int
+    data: bytes
+
+
+class Companion:
+    """Frames that go with the leading ones: at most one with each."""
+
+    def __init__(self, *, follows: bool) -> None:
+        """``follows`` tells whether it comes after the leading frame of its instant, or before it."""
+        self.follows = follows
+        self._pieces: list[Piece] = []
+
+    def add(self, piece: Piece) -> None:
+        """Take in one."""
+        self._pieces.append(piece)
+
+    def reached(self, order: int) -> bool:
+        """Return whether one has come after this place."""
+        return bool(self._pieces) and self._pieces[-1].order > order
+
+    def matched(self, before: int, lead: list[int], after: int) -> tuple[Flags, list[bytes]]:
+        """Return which leading frames (n,) have one, and the data of these.
+
+        ``before`` and ``after`` are the places of the leading frames before the first and after the last.
+        """
+        own = np.array([piece.order for piece in self._pieces], dtype=np.int64)
+        edges = np.array([*lead, after] if self.follows else [before, *lead], dtype=np.int64)
+        last = np.searchsorted(own, edges[1:]) - 1  # the nearest before the end of each gap
+        first = np.searchsorted(own, edges[:-1])
+        found = first <= last
+        chosen = first if self.follows else last
+        return found, [self._pieces[i].data for i in chosen[found]]
+
+    def idle(self) -> None:
+        """Drop what no leading frame can have any more, while none has come: all but the newest, or all."""
+        self._pieces = [] if self.follows else self._pieces[-1:]
+
+    def forget(self, order: int) -> None:
+        """Drop what no leading frame after this place can have; of what is kept for later, only the newest."""
+        kept = [piece for piece in self._pieces if piece.order > order]
+        self._pieces = kept if self.follows else kept[-1:]
+
+
+def regular_block(
+    clock: RegularClock, rows: Iterable[tuple[int, Floats, bytes]], gyros: int, *, everything: bool = False
+) -> ImuBlock | None:
+    """Give the clock rows as ``block_of`` takes them, and return those that can be timed, or None."""
+    for arrival_ns, values, raw in rows:
+        clock.add(arrival_ns, values, raw)
+    ready = clock.ready(everything=everything)
+    return None if ready is None else block_of(*ready, gyros)
+
+
+def block_of(t_ns: Stamps, arrival_ns: Stamps, values: Floats, gyros: int, counter: Stamps | None = None) -> ImuBlock:
+    """Return a block of rows: rates of the gyros, temperature, and three accelerations where there are such."""
+    accel = values[:, gyros + 1 :] if values.shape[1] > gyros + 1 else None
+    return ImuBlock(t_ns, arrival_ns, values[:, :gyros], values[:, gyros], counter, accel)

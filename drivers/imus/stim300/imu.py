@@ -1,0 +1,220 @@
+"""A STIM300 in normal mode on a byte link: its datagrams as blocks of rates with true sample times."""
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncIterator
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.clocks.sampling import Alignment, CounterClock
+from drivers.errors import DeviceRefused
+from drivers.imus.one_source import OneSource
+from drivers.imus.stim300 import codec as stim300
+from drivers.imus.stim300.special import RATES_HZ, Configuration, PartNumber, SerialNumber, Special
+from drivers.imus.stim300.units import UNITS, accel_unit_mps2, gyro_unit_rps
+from drivers.protocols import ByteLink
+from drivers.types import ByteChunk, Identity, ImuBlock, SourceCounts, Stamps
+
+_BLOCK_S = 0.01
+_TRIES = 2
+_MOST_REPLACED = 8
+_NO_TEMPERATURE = stim300.STATUS_INTEGRITY | stim300.STATUS_START_UP
+_CODES = {name: code for code, name in UNITS.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Arrived:
+    """Normal datagrams and when the last byte of each was here."""
+
+    data: stim300.Datagrams
+    arrival_ns: Stamps
+
+
+class Stim300Imu(OneSource[ByteLink]):
+    """One source of three gyros, with accelerometer and temperatures where the datagram carries them."""
+
+    def __init__(
+        self,
+        device: str,
+        link: ByteLink,
+        rate_hz: int,
+        *,
+        gyro_unit: str | None = None,
+        accel_range_g: int | None = None,
+        timeout_s: float = 0.5,
+    ) -> None:
+        """Expect datagrams at ``rate_hz``, one of 125, 250, 500, 1000, 2000.
+
+        ``gyro_unit`` (a name of ``UNITS``) and ``accel_range_g`` are what the device must be set to; None takes
+        what it says, and of a device that does not say: rate, 10 g. A question waits ``timeout_s`` twice.
+        """
+        super().__init__(device, link)
+        self._rate_hz, self._timeout_s = rate_hz, timeout_s
+        self._ticks = stim300.INTERNAL_RATE_HZ // rate_hz
+        self._wanted_unit, self._wanted_range_g = gyro_unit, accel_range_g
+        self._gyro = gyro_unit_rps(_CODES[gyro_unit or UNITS[0]], rate_hz)
+        self._accel = accel_unit_mps2(0, accel_range_g or 10, rate_hz)
+        self._decoder = stim300.Stim300Decoder()
+        self._clock = CounterClock(1 / stim300.INTERNAL_RATE_HZ, stim300.COUNTER_MODULUS, self._ticks)
+        self._chunks: list[ByteChunk] = []  # not yet decoded
+        self._chunk_bytes, self._block_bytes = 0, 1
+        self._fed = 0
+        self._arrived: deque[_Arrived | Special] = deque()  # decoded, not yet made into blocks
+        self._said: dict[type, Special] = {}
+        self._last_counter = -1
+        self._answered = False  # since the last normal datagram
+
+    def counts(self, name: str) -> SourceCounts:
+        """Get the counts; ``corrupt`` are places that began like a datagram and had a wrong CRC."""
+        counts = self._clock.counts
+        counts.corrupt = self._decoder.bad_datagrams
+        return counts
+
+    def alignment(self, name: str) -> Alignment | None:
+        """Get how the device's clock lies to the loop's; None while that is not known."""
+        return self._clock.alignment
+
+    async def open(self) -> None:
+        """Open the link."""
+        self._said.clear()  # it may be another device now
+        await super().open()
+
+    async def identify(self) -> Identity:
+        """Ask for configuration, serial and part number; empty if the device answers nothing.
+
+        DeviceRefused if it is set otherwise than the bench file says. Samples that come meanwhile are kept.
+        """
+        for question, kind in (
+            (stim300.ASK_CONFIGURATION, Configuration),
+            (stim300.ASK_SERIAL_NUMBER, SerialNumber),
+            (stim300.ASK_PART_NUMBER, PartNumber),
+        ):
+            await self._ask(question, kind)
+            if not self._said:
+                return Identity()
+        configuration, serial, part = (self._said.get(kind) for kind in (Configuration, SerialNumber, PartNumber))
+        if isinstance(configuration, Configuration):
+            self._accept(configuration)
+        return Identity(
+            f"STIM300 {part.text} rev {part.revision}" if isinstance(part, PartNumber) else "STIM300",
+            serial.text if isinstance(serial, SerialNumber) else "",
+            str(configuration.firmware) if isinstance(configuration, Configuration) else "",
+        )
+
+    async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
+        """Yield blocks of about 10 ms; LinkLost when the link ends, DeviceRefused if the device is set anew."""
+        while True:
+            for block in self._blocks():
+                yield self._device, block
+            self._take(await self._link.receive())
+
+    def flush(self) -> list[tuple[str, ImuBlock]]:
+        """Return the last samples, which were too few for a block."""
+        self._decode()
+        return [(self._device, block) for block in self._blocks()]
+
+    async def _ask(self, question: bytes, kind: type) -> None:
+        for _ in range(_TRIES):
+            if kind in self._said:
+                return
+            self._link.write(question)
+            with suppress(TimeoutError):
+                async with asyncio.timeout(self._timeout_s):
+                    while kind not in self._said:
+                        self._take(await self._link.receive())
+                        self._decode()
+
+    def _take(self, chunk: ByteChunk) -> None:
+        """Take in bytes; they are decoded when they may hold a block, for a line hands them over one by one."""
+        self._chunks.append(chunk)
+        self._chunk_bytes += len(chunk.data)
+        if self._chunk_bytes >= self._block_bytes or chunk.t_ns - self._chunks[0].t_ns >= _BLOCK_S * 1e9:
+            self._decode()
+
+    def _decode(self) -> None:
+        chunks, self._chunks, self._chunk_bytes = self._chunks, [], 0
+        if not chunks:
+            return
+        ends = self._fed + np.cumsum([len(chunk.data) for chunk in chunks])
+        self._fed = int(ends[-1])
+        t_ns = np.array([chunk.t_ns for chunk in chunks], dtype=np.int64)
+        for found in self._decoder.feed(b"".join(chunk.data for chunk in chunks)):
+            if isinstance(found, stim300.Datagrams):
+                assert found.ends is not None  # those of a decoder have them
+                self._arrived.append(_Arrived(found, t_ns[np.searchsorted(ends, found.ends)]))
+                self._block_bytes = max(round(self._rate_hz * _BLOCK_S), 1) * stim300.LAYOUTS[found.identifier].size
+            else:
+                self._said[type(found)] = found
+                self._arrived.append(found)
+
+    def _blocks(self) -> list[ImuBlock]:
+        blocks = []
+        while self._arrived:
+            item = self._arrived.popleft()
+            if isinstance(item, _Arrived):
+                block = self._block(item.data, item.arrival_ns)
+                if block is not None:
+                    blocks.append(block)
+            else:
+                self._answered = True
+                if isinstance(item, Configuration):
+                    self._accept(item)
+        return blocks
+
+    def _block(self, data: stim300.Datagrams, arrival_ns: Stamps) -> ImuBlock | None:
+        # The device states how long it held each sample before it began to send.
+        new, t_ns = self._clock.stamp(data.counter, arrival_ns - data.latency_us * 1000)
+        self._forgive_replaced(data.counter)
+        if not len(t_ns):
+            return None
+        counter = data.counter[new]
+        raw = {name: (values[new], status[new]) for name, (values, status) in data.groups.items()}
+        rate = self._gyro.rates(stim300.vouched(*raw["gyro"]), counter, t_ns, self._ticks)
+        temperature, accel = np.full(len(t_ns), np.nan), None
+        if "gyro_temperature" in raw:
+            values, status = raw["gyro_temperature"]
+            temperature = values.mean(axis=1) * stim300.TEMPERATURE_LSB_C
+            temperature[(status & _NO_TEMPERATURE) != 0] = np.nan
+        if "accelerometer" in raw:
+            accel = self._accel.rates(stim300.vouched(*raw["accelerometer"]), counter, t_ns, self._ticks)
+        centre_ns = round(self._gyro.centre_s * 1e9)
+        return ImuBlock(t_ns - centre_ns, arrival_ns[new], rate, temperature, counter, accel)
+
+    def _forgive_replaced(self, counter: Stamps) -> None:
+        """Take samples off the count of lost ones in whose place the device sent an answer."""
+        if self._answered and self._last_counter >= 0:
+            missing = int(counter[0] - self._last_counter) % stim300.COUNTER_MODULUS // self._ticks - 1
+            if 0 < missing <= _MOST_REPLACED:
+                self._clock.counts.lost -= missing
+        self._answered = False
+        self._last_counter = int(counter[-1])
+
+    def _accept(self, configuration: Configuration) -> None:
+        """Take units and ranges from the device; DeviceRefused where the bench file says otherwise."""
+        unit, ranges = UNITS.get(configuration.gyro_unit), configuration.accel_ranges_g
+        if configuration.rate_hz != self._rate_hz:
+            found = f"sends at {configuration.rate_hz} Hz" if configuration.rate_hz else "waits for an external trigger"
+            self._refuse(found, f"rate {self._rate_hz} Hz", f"m {RATES_HZ.index(self._rate_hz)}")
+        if unit is None or self._wanted_unit not in (None, unit):
+            wanted = self._wanted_unit or UNITS[0]
+            self._refuse(f"has the gyro unit {unit or 'unknown here'}", wanted, f"u g,{_CODES[wanted]}")
+        if not all(configuration.gyros_on):
+            off = ", ".join(axis for axis, on in zip("xyz", configuration.gyros_on, strict=True) if not on)
+            raise DeviceRefused(
+                self._device, f"its gyro {off} is off, and the bench has all three; is it the right part?"
+            )
+        self._gyro = gyro_unit_rps(configuration.gyro_unit, self._rate_hz)
+        if configuration.accelerometer:
+            known = {range_g for range_g in ranges if range_g is not None}
+            if len(known) != 1 or self._wanted_range_g not in (None, *known):
+                said = ", ".join(f"{range_g} g" for range_g in sorted(known)) or "an unknown range"
+                self._refuse(f"has accelerometers of {said}", f"{self._wanted_range_g or 'one range for all'} g", "")
+            self._accel = accel_unit_mps2(configuration.accel_unit, known.pop(), self._rate_hz)
+
+    def _refuse(self, found: str, wanted: str, command: str) -> None:
+        otherwise = f", or set the device (service mode: {command}, then s)" if command else ""
+        raise DeviceRefused(
+            self._device, f"the device {found}, the bench file says {wanted}: correct the bench file{otherwise}"
+        )

@@ -1,0 +1,265 @@
+"""A VectorNav VN-100, 200 or 300 on a byte link: identity, configuration, and its output as blocks of rates."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Literal
+
+import numpy as np
+
+from drivers.clocks.sampling import Alignment, CounterClock, RegularClock
+from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
+from drivers.imus.one_source import OneSource
+from drivers.imus.samples import regular_block
+from drivers.imus.vectornav import codec as vectornav
+from drivers.protocols import ByteLink
+from drivers.types import ByteChunk, Flags, Identity, ImuBlock, SourceCounts, Stamps
+
+Output = Literal["binary", "ascii"]
+
+# The rates before the filter takes off the bias that it estimates: that bias moves, and would hide what is calibrated.
+LAYOUT = vectornav.layout_of({vectornav.COMMON: 1 << 0, vectornav.IMU: 1 << 2 | 1 << 3 | 1 << 4})
+"""TimeStartup, UncompAccel, UncompGyro, Temp."""
+
+_ASYNC_OFF, _ASYNC_IMU = 0, 19
+_REGISTER_TYPE, _REGISTER_RATE = "06", "07"
+_REGISTERS_BINARY = ("75", "76", "77")
+_SHOWN = [6, 7, 8, 9, 3, 4, 5]  # of VNIMU, after three of magnetic field: rates, temperature, accelerations
+_IMU_FIELDS = 11
+
+_TRIES = 2
+_FAULTS = (1, 10)
+_DAMAGED = 3
+_UNASKED = (2, 11, 255)
+"""Errors that no command causes; what was lost by them shows as lost samples, or as no reply."""
+_HINTS = {12: "; lower the rate, or raise the baud rate of the device (register 5) and of its link"}
+_LONGEST_STEP_BACK_NS = 1_000_000_000
+_STAMP_MODULUS = 1 << 62  # ns: it never wraps
+
+
+class VectorNavImu(OneSource[ByteLink]):
+    """One source of three gyros and three accelerometers, uncompensated, with temperature."""
+
+    def __init__(
+        self,
+        device: str,
+        link: ByteLink,
+        rate_hz: float,
+        *,
+        output: Output = "binary",
+        serial_port: int = 1,
+        timeout_s: float = 0.25,
+    ) -> None:
+        """Ask for output at ``rate_hz``; ValueError names the rates there are if it is none of them.
+
+        ``serial_port`` (1, 2) is the device's own, at which the link ends. ``timeout_s`` is for one try, of which
+        each command has two.
+        """
+        super().__init__(device, link)
+        self._rate_hz = _legal_rate(device, rate_hz, output)
+        self._output, self._serial_port, self._timeout_s = output, serial_port, timeout_s
+        self._decoder = vectornav.VectorNavDecoder()
+        self._counts = SourceCounts()
+        self._unreadable = 0
+        self._start_clocks()
+
+    def counts(self, name: str) -> SourceCounts:
+        """Get the counts; ``corrupt`` are frames and sentences that began well and were damaged."""
+        self._counts.corrupt = self._decoder.bad_frames + self._decoder.bad_sentences + self._unreadable
+        return self._counts
+
+    def alignment(self, name: str) -> Alignment | None:
+        """Get how the device's clock lies to the loop's; None while that is not known."""
+        return (self._stamped if self._output == "binary" else self._regular).alignment
+
+    async def identify(self) -> Identity:
+        """Read model, hardware revision, serial number and firmware; its output is paused from then on.
+
+        LinkLost if it does not answer, DeviceRefused, DeviceFault, BadReply.
+        """
+        await self._pause()
+        model, hardware, serial, firmware = [await self._read(register) for register in ("01", "02", "03", "04")]
+        return Identity(f"{model}, hardware {hardware}", serial, firmware)
+
+    async def configure(self) -> None:
+        """Stop every output of the device but the one asked for, set that, and let it run. Nothing goes to its flash.
+
+        LinkLost if it does not answer, DeviceRefused, DeviceFault, BadReply.
+        """
+        await self._pause()
+        await self._write(_REGISTER_TYPE, str(_ASYNC_OFF))
+        for register in _REGISTERS_BINARY:
+            await self._write(register, "0", "1", *LAYOUT.register_fields)
+        if self._output == "binary":
+            divisor = str(vectornav.IMU_RATE_HZ // self._rate_hz)
+            await self._write(_REGISTERS_BINARY[0], str(self._serial_port), divisor, *LAYOUT.register_fields)
+        else:
+            await self._write(_REGISTER_RATE, str(self._rate_hz))
+            await self._write(_REGISTER_TYPE, str(_ASYNC_IMU))
+        await self._ask(vectornav.Sentence("VNASY", ("1",)))
+
+    async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
+        """Configure the device and yield blocks as the bytes come; LinkLost when the link ends, and as ``configure``.
+
+        DeviceFault when the device says so, or when its clock shows that it has restarted.
+        """
+        await self.configure()
+        self._start_clocks()
+        while True:
+            chunk = await self._link.receive()
+            for item in self._decoder.feed(chunk.data):
+                block = (
+                    self._of_frames(chunk, item)
+                    if isinstance(item, vectornav.Frames)
+                    else self._of_sentence(chunk, item)
+                )
+                if block is not None:
+                    yield self._device, block
+
+    def flush(self) -> list[tuple[str, ImuBlock]]:
+        """Return what is still held back for its timing: ASCII output has no time stamp."""
+        block = regular_block(self._regular, [], gyros=3, everything=True)
+        return [] if block is None else [(self._device, block)]
+
+    def _start_clocks(self) -> None:
+        """Begin the times anew: the device may have been off since."""
+        period_ns = round(1e9 / self._rate_hz)
+        self._stamped = CounterClock(1e-9, _STAMP_MODULUS, period_ns, counts=self._counts)
+        self._newest_ns = -1
+        self._regular = RegularClock(1 / self._rate_hz, self._counts)
+
+    def _of_frames(self, chunk: ByteChunk, frames: vectornav.Frames) -> ImuBlock | None:
+        if frames.layout != LAYOUT:
+            return None  # left from what it was set to before
+        values = frames.values
+        device_ns = values["common.time_startup"].astype(np.int64)
+        new = self._new(device_ns)
+        if not new.any():
+            return None
+        values, device_ns = values[new], device_ns[new]
+        arrival_ns = np.full(len(values), chunk.t_ns, dtype=np.int64)
+        _, t_ns = self._stamped.stamp(device_ns, arrival_ns)
+        return ImuBlock(
+            t_ns,
+            arrival_ns,
+            values["imu.uncomp_gyro"].astype(np.float64),
+            values["imu.temperature"].astype(np.float64),
+            device_ns,
+            values["imu.uncomp_accel"].astype(np.float64),
+        )
+
+    def _new(self, device_ns: Stamps) -> Flags:
+        """Return which samples come after all before them; the others are repeats, unless time starts again."""
+        newest = np.maximum.accumulate(np.concatenate([[self._newest_ns], device_ns]))
+        if (newest[:-1] - device_ns).max() > _LONGEST_STEP_BACK_NS:
+            raise DeviceFault(self._device, "its clock went back, so it has restarted; check its power, then run again")
+        new = np.asarray(device_ns > newest[:-1])
+        self._newest_ns = int(newest[-1])
+        self._counts.repeated += int(np.sum(~new))
+        return new
+
+    def _of_sentence(self, chunk: ByteChunk, sentence: vectornav.Sentence) -> ImuBlock | None:
+        self._complain(sentence)
+        if sentence.header != "VNIMU" or self._output != "ascii":
+            return None
+        try:
+            row = np.array(sentence.fields, dtype=np.float64)
+        except ValueError:
+            row = np.empty(0)
+        if len(row) != _IMU_FIELDS:
+            self._unreadable += 1
+            return None
+        return regular_block(self._regular, [(chunk.t_ns, row[_SHOWN], sentence.text.encode("ascii"))], gyros=3)
+
+    def _complain(self, sentence: vectornav.Sentence) -> None:
+        """Raise DeviceFault if the device reports a fault of its own."""
+        if sentence.header == "VNERR" and (code := _code(sentence)) in _FAULTS:
+            raise DeviceFault(self._device, f"it reports {vectornav.error_text(code)}; switch it off and on again")
+
+    async def _pause(self) -> None:
+        await self._ask(vectornav.Sentence("VNASY", ("0",)))
+
+    async def _read(self, register: str) -> str:
+        reply = await self._ask(vectornav.Sentence("VNRRG", (register,)))
+        return ",".join(reply.fields[1:])
+
+    async def _write(self, register: str, *values: str) -> None:
+        await self._ask(vectornav.Sentence("VNWRG", (register, *values)))
+
+    async def _ask(self, command: vectornav.Sentence) -> vectornav.Sentence:
+        """Send a command and return its reply."""
+        other: vectornav.Sentence | None = None
+        for attempt in range(_TRIES):
+            self._link.write(vectornav.encode_sentence(command))
+            reply, other = await self._reply_to(command, self._timeout_s)
+            if reply is None:
+                continue
+            if attempt:
+                # Sent twice, it may be answered twice, a time-out apart: let the second answer pass.
+                await self._reply_to(command, 2 * self._timeout_s)
+            if reply.header == "VNERR":
+                code = _code(reply)
+                raise DeviceRefused(
+                    self._device, f"it refused {command.text} with {vectornav.error_text(code)}{_HINTS.get(code, '')}"
+                )
+            return reply
+        if other is not None:
+            raise BadReply(self._device, f"to {command.text} it answered {other.text}")
+        raise LinkLost(
+            self._device,
+            f"no reply to {command.text} within {_TRIES * self._timeout_s:g} s; is it powered, and its baud rate "
+            "that of the link?",
+        )
+
+    async def _reply_to(
+        self, command: vectornav.Sentence, limit_s: float
+    ) -> tuple[vectornav.Sentence | None, vectornav.Sentence | None]:
+        """Return the reply if it comes in time; beside it the last that would have been one, had it been right."""
+        other: vectornav.Sentence | None = None
+        try:
+            async with asyncio.timeout(limit_s):
+                while True:
+                    items = self._decoder.feed((await self._link.receive()).data)
+                    for sentence in (item for item in items if isinstance(item, vectornav.Sentence)):
+                        self._complain(sentence)
+                        if _answers(sentence, command):
+                            return sentence, other
+                        if _is_about(sentence, command):
+                            other = sentence
+        except TimeoutError:
+            # What looked like the beginning of a frame may have hidden the reply.
+            for sentence in (item for item in self._decoder.flush() if isinstance(item, vectornav.Sentence)):
+                if _answers(sentence, command):
+                    return sentence, other
+        return None, other
+
+
+def _legal_rate(device: str, rate_hz: float, output: Output) -> int:
+    if rate_hz not in vectornav.RATES_HZ[output]:
+        rates = ", ".join(map(str, vectornav.RATES_HZ[output]))
+        raise ValueError(f"{device}: a VectorNav has no {output} output at {rate_hz:g} Hz, only at {rates} Hz")
+    return round(rate_hz)
+
+
+def _answers(sentence: vectornav.Sentence, command: vectornav.Sentence) -> bool:
+    """Return whether this is the reply to that command: late ones name another register, or give other values."""
+    if sentence.header == "VNERR":
+        return _code(sentence) not in (*_UNASKED, _DAMAGED)
+    if not _is_about(sentence, command):
+        return False
+    given = command.fields
+    return len(sentence.fields) > len(given) if command.header == "VNRRG" else _same(sentence.fields, given)
+
+
+def _is_about(sentence: vectornav.Sentence, command: vectornav.Sentence) -> bool:
+    if sentence.header == "VNERR":
+        return _code(sentence) == _DAMAGED
+    return sentence.header == command.header and _same(sentence.fields[:1], command.fields[:1])
+
+
+def _same(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
+    """Return whether these are the same numbers, decimal or hex, with or without leading zeros."""
+    return [text.lstrip("0").upper() for text in one] == [text.lstrip("0").upper() for text in other]
+
+
+def _code(sentence: vectornav.Sentence) -> int:
+    return vectornav.error_code(sentence.fields[0]) if sentence.fields else -1

@@ -1,0 +1,106 @@
+"""Messages to and from one Xbus device on a byte link: requests with their answers, and what comes by itself."""
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+
+from drivers.errors import DeviceRefused, LinkLost
+from drivers.imus.xsens.xbus import ERROR_DATA_OVERFLOW, Messages, Mid, XbusDecoder, encode, error_text
+from drivers.protocols import ByteLink
+
+_TRIES = 2
+
+
+def _any(_answer: bytes) -> bool:
+    return True
+
+
+class XbusLink:
+    """One device alone on its wire."""
+
+    def __init__(self, device: str, link: ByteLink, timeout_s: float) -> None:
+        """``timeout_s`` is for one try, of which each request has two."""
+        self._device, self._link, self._timeout_s = device, link, timeout_s
+        self._decoder = XbusDecoder()
+        self._inbox: deque[tuple[int, Messages]] = deque()  # with the instant of arrival, ns
+        self._hears_data = False
+
+    @property
+    def bad_messages(self) -> int:
+        """Number of places that began like a message and were none, for instance by their checksum."""
+        return self._decoder.bad_messages
+
+    async def open(self) -> None:
+        """Open the link."""
+        await self._link.open()
+
+    def close(self) -> None:
+        """Close the link."""
+        self._link.close()
+
+    async def receive(self) -> tuple[int, Messages]:
+        """Return the next messages, all of a kind, with the loop time at which they arrived; LinkLost if gone."""
+        while not self._inbox:
+            await self._fill()
+        return self._inbox.popleft()
+
+    async def request(self, mid: Mid, data: bytes = b"", expected: Callable[[bytes], bool] = _any) -> bytes:
+        """Send a request and return its answer: the one as expected, or the last one when that does not come in time.
+
+        Answers bear no number of their request, and devices answer in the order of the requests. So one that comes
+        late can only be taken for the answer to a later request of the same kind; unless it is as expected, the right
+        one is waited for. What else has come is dropped. LinkLost without an answer, DeviceRefused for an Error.
+        """
+        self._inbox.clear()
+        dropped, self._hears_data = self._decoder.dropped_bytes, False
+        for _ in range(_TRIES):
+            self._link.write(encode(mid, data))
+            answer: bytes | None = None
+            try:
+                async with asyncio.timeout(self._timeout_s):
+                    while answer is None or not expected(answer):
+                        answer = await self._answer_to(mid)
+                return answer
+            except TimeoutError:
+                # What looked like the beginning of a long message may hide the answer.
+                self._inbox.extend((0, messages) for messages in self._decoder.flush())
+            hidden = self._find_answer(mid)
+            if hidden is not None:
+                return hidden
+            if answer is not None:
+                return answer
+        raise LinkLost(self._device, self._why_silent(mid, noise=self._decoder.dropped_bytes > dropped))
+
+    async def _fill(self) -> None:
+        chunk = await self._link.receive()
+        self._inbox.extend((chunk.t_ns, messages) for messages in self._decoder.feed(chunk.data))
+
+    async def _answer_to(self, mid: Mid) -> bytes:
+        while (answer := self._find_answer(mid)) is None:
+            await self._fill()
+        return answer
+
+    def _find_answer(self, mid: Mid) -> bytes | None:
+        """Return the answer if it is here, messages before it being dropped; DeviceRefused if it is an Error."""
+        while self._inbox:
+            t_ns, messages = self._inbox.popleft()
+            self._hears_data |= messages.mid == Mid.MTDATA2
+            if messages.mid == mid + 1:
+                answer, *more = messages.each()
+                if more:
+                    self._inbox.appendleft((t_ns, Messages(messages.mid, messages.data[1:])))
+                return answer
+            # GoToConfig is never refused: an Error that comes then is older than the request.
+            if messages.mid == Mid.ERROR and mid != Mid.GO_TO_CONFIG:
+                error = messages.each()[0]
+                if error[:1] != bytes([ERROR_DATA_OVERFLOW]):
+                    raise DeviceRefused(self._device, f"it refused {mid.label} with {error_text(error)}")
+        return None
+
+    def _why_silent(self, mid: Mid, *, noise: bool) -> str:
+        silent = f"no answer to {mid.label} within {_TRIES * self._timeout_s:g} s"
+        if self._hears_data:
+            return f"{silent}, yet it sends data: is the wire to it connected? Only to listen, set configure = false"
+        if noise:
+            return f"{silent}, and what comes is no Xbus: is the baud rate that of the device?"
+        return f"{silent}; is it powered, and its baud rate that of the link?"

@@ -1,0 +1,197 @@
+"""A CAN bus through python-can, with any of its interfaces."""
+
+import asyncio
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from typing import Any
+
+import can
+
+from drivers.clocks.loop_scale import call_from_thread, loop_scale, settle
+from drivers.errors import LinkLost
+from drivers.links.can_buses import SlcanBus, SocketcandBus, open_bus
+from drivers.links.can_memory import MemoryBus
+from drivers.types import Frame
+
+# Interfaces whose stamps are the host's time of day, taken by the kernel before any program gets to see the frame.
+_STAMPED_BY_KERNEL = ("socketcan", "udp_multicast")
+_OLDEST_S = 1.0
+_OPEN_LIMIT_S = 5.0
+_WAIT_S = 0.1
+_SEND_LIMIT_S = 0.1
+_MOST_AT_ONCE = 500
+_MOST_WAITING = 100_000  # ten seconds of a full bus; what is older and nobody has asked for is missed as lost samples
+
+
+class CanLink:
+    """Frames of one bus, stamped on arrival by a thread of its own, so that stamps do not wait for the loop.
+
+    Interface "memory" is the bus within this loop and has no thread.
+    """
+
+    def __init__(self, device: str, interface: str, channel: str, options: dict[str, Any]) -> None:
+        """Name the bus in python-can's terms; it is opened by ``open``."""
+        self._device, self._interface, self._channel = device, interface, channel
+        self._options = options
+        self._bus: can.BusABC | None = None
+        self._thread: threading.Thread | None = None
+        self._closing = threading.Event()
+        self._frames: deque[Frame] = deque(maxlen=_MOST_WAITING)
+        self._wake = asyncio.Event()
+        self._waiting = False
+        self._ended = ""
+
+    @property
+    def malformed(self) -> int:
+        """Number of lines that began like a frame and could not be read, for interfaces that speak in text."""
+        return int(getattr(self._bus, "malformed", 0))
+
+    async def open(self) -> None:
+        """Open the bus; LinkLost if python-can cannot, or not within five seconds."""
+        self._closing.clear()
+        self._ended = ""
+        if self._interface == "memory":
+            self._bus = MemoryBus(self._channel, self._take_from_memory)
+            return
+        loop = asyncio.get_running_loop()
+        opened: asyncio.Future[can.BusABC] = loop.create_future()
+        # A daemon, not an executor's thread: what hangs in a driver must not keep the program from ending.
+        self._thread = threading.Thread(
+            target=self._run, args=(loop, opened, self._closing), name=f"can {self._device}", daemon=True
+        )
+        self._thread.start()
+        try:
+            async with asyncio.timeout(_OPEN_LIMIT_S * loop_scale(loop)):
+                self._bus = await opened
+        except TimeoutError:
+            self._give_up()
+            raise LinkLost(self._device, f"{self._named} did not open within {_OPEN_LIMIT_S:g} s") from None
+        except asyncio.CancelledError:
+            self._give_up()
+            raise
+        except Exception as error:  # interfaces raise what their vendors' libraries raise
+            self._give_up()
+            raise LinkLost(
+                self._device, f"cannot open {self._named} ({_plain(error)}); is it plugged in, free, and spelled right?"
+            ) from None
+
+    async def receive(self) -> list[Frame]:
+        """Return the frames since the last call, waiting for the first; LinkLost when the bus is gone."""
+        while not self._frames:
+            if self._ended:
+                raise LinkLost(self._device, self._ended)
+            self._wake.clear()
+            self._waiting = True  # before the look at what has come, so that the thread cannot miss it
+            if not self._frames and not self._ended:
+                await self._wake.wait()
+        return [self._frames.popleft() for _ in range(len(self._frames))]
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame; LinkLost if the bus does not take it within 0.1 s."""
+        if self._bus is None:
+            raise LinkLost(self._device, f"{self._named} is not open")
+        message = can.Message(arbitration_id=frame.identifier, is_extended_id=frame.extended, data=frame.data)
+        try:
+            self._bus.send(message, _SEND_LIMIT_S)
+        except (can.CanError, OSError, ValueError) as error:
+            raise LinkLost(self._device, f"{self._named} does not take frames ({_plain(error)})") from None
+
+    def end(self, reason: str) -> None:
+        """Let the reader know that the bus is gone."""
+        self._ended = reason
+        self._wake.set()
+
+    def close(self) -> None:
+        """Leave the bus; twice is once."""
+        thread = self._give_up()
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(2 * _WAIT_S + _SEND_LIMIT_S)
+        if isinstance(self._bus, MemoryBus):
+            self._bus.shutdown()
+        self._bus = None
+
+    def _end_if_read(self, closing: threading.Event, reason: str) -> None:
+        """End, unless the thread that says so has been told to leave, perhaps for a new one."""
+        if not closing.is_set():
+            self.end(reason)
+
+    @property
+    def _named(self) -> str:
+        return f"CAN bus {self._interface}:{self._channel}"
+
+    def _give_up(self) -> threading.Thread | None:
+        """Tell the thread to leave the bus, as soon as it has it; each thread has an event of its own."""
+        thread, self._thread = self._thread, None
+        self._closing.set()
+        self._closing = threading.Event()
+        return thread
+
+    def _take_from_memory(self, message: can.Message) -> None:
+        loop = asyncio.get_running_loop()
+        if (frame := _frame(message, round(loop.time() * 1e9))) is not None:
+            self._frames.append(frame)
+            self._wake.set()
+
+    def _run(
+        self, loop: asyncio.AbstractEventLoop, opened: asyncio.Future[can.BusABC], closing: threading.Event
+    ) -> None:
+        """Open the bus, read it, leave it: all of it here, because opening may take seconds."""
+        try:
+            bus = open_bus(self._interface, self._channel, self._options)
+        except Exception as error:
+            call_from_thread(loop, settle, opened, error)
+            return
+        call_from_thread(loop, settle, opened, bus)
+        try:
+            self._read(loop, bus, closing)
+        except Exception as error:  # as above
+            call_from_thread(loop, self._end_if_read, closing, f"{self._named} failed ({_plain(error)})")
+        finally:
+            _leave(bus)
+
+    def _read(self, loop: asyncio.AbstractEventLoop, bus: can.BusABC, closing: threading.Event) -> None:
+        scale = loop_scale(loop)
+        by_kernel = self._interface in _STAMPED_BY_KERNEL
+        if isinstance(bus, (SlcanBus, SocketcandBus)):
+            # A thousand times a second four frames: a python-can message for each would take a fifth of a core.
+            while not closing.is_set():
+                if frames := bus.frames(_WAIT_S):
+                    t_ns = round(loop.time() * 1e9)
+                    self._frames.extend([Frame(t_ns, *frame) for frame in frames])
+                    self._wake_reader(loop)
+            return
+        while not closing.is_set():
+            message, room = bus.recv(_WAIT_S), _MOST_AT_ONCE
+            while message is not None:
+                age_s = min(max(time.time() - message.timestamp, 0.0), _OLDEST_S) if by_kernel else 0.0
+                if (frame := _frame(message, round((loop.time() - age_s * scale) * 1e9))) is not None:
+                    self._frames.append(frame)
+                room -= 1
+                message = bus.recv(0) if room else None
+            self._wake_reader(loop)
+
+    def _wake_reader(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self._waiting and self._frames:
+            self._waiting = False
+            call_from_thread(loop, self._wake.set)
+
+
+def _frame(message: can.Message, t_ns: int) -> Frame | None:
+    """Return the frame of a message; error and remote frames carry no data."""
+    if message.is_error_frame or message.is_remote_frame:
+        return None
+    return Frame(t_ns, message.arbitration_id, message.is_extended_id, bytes(message.data))
+
+
+def _plain(error: BaseException) -> str:
+    """Return what went wrong in one line; python-can's own texts may carry a whole traceback."""
+    cause = error.__cause__ or error
+    lines = str(cause).strip().splitlines()
+    return lines[0] if lines else type(cause).__name__
+
+
+def _leave(bus: can.BusABC) -> None:
+    with suppress(Exception):  # an adapter that is gone cannot be told to close
+        bus.shutdown()

@@ -1,0 +1,73 @@
+"""A wire in memory: two ends in one event loop, without thread or socket, for virtual time too."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from drivers.links.inbox import Inbox
+from drivers.types import ByteChunk
+
+
+class MemoryLink:
+    """One end of a wire in memory; bytes written at one end arrive at the other in the same instant.
+
+    Bytes written to a wire that nobody holds at its other end are gone, as on a cable; ``receive`` tells.
+    """
+
+    def __init__(self, device: str, send: Callable[[bytes], None] | None = None) -> None:
+        """Make an end whose bytes go to ``send``; what comes from there is given to ``deliver``."""
+        self._device = device
+        self._inbox = Inbox(device)
+        self._send = send
+        self._other: MemoryLink | None = None
+        self._unplugged = ""
+        self._closed = False
+
+    @classmethod
+    def pair(cls, device: str) -> tuple[MemoryLink, MemoryLink]:
+        """Return the two ends of a wire; must be called within a running loop."""
+        near, far = cls(device), cls(device)
+        near._other, far._other = far, near
+        near._send, far._send = far.deliver, near.deliver
+        return near, far
+
+    async def open(self) -> None:
+        """Take hold of this end, after ``close`` again; LinkLost while the wire is unplugged."""
+        self._inbox.begin()
+        self._closed = False
+        if self._unplugged:
+            self._inbox.fail(self._unplugged)
+
+    async def receive(self) -> ByteChunk:
+        """Return the next bytes; LinkLost when the wire is unplugged or the other end has closed."""
+        return await self._inbox.get()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the other end."""
+        if self._send is not None and not self._closed and not self._unplugged:
+            self._send(data)
+
+    def deliver(self, data: bytes) -> None:
+        """Let bytes arrive at this end."""
+        if not self._closed and not self._unplugged:
+            self._inbox.put(ByteChunk(round(asyncio.get_running_loop().time() * 1e9), data))
+
+    def unplug(self, reason: str = "the wire was unplugged") -> None:
+        """Break the wire at this end."""
+        self._unplugged = reason
+        self._inbox.end(reason)
+
+    def plug(self) -> None:
+        """Mend the wire; it has to be opened again."""
+        self._unplugged = ""
+
+    def close(self) -> None:
+        """Let go of this end; a pair that one end has left stays apart."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._other is not None:
+            self.unplug()
+            self._other.unplug()
+        self._inbox.end("the link was closed")

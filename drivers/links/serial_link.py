@@ -1,0 +1,236 @@
+"""A serial port through pyserial: a device, or one at the far end of a network by pyserial's URLs.
+
+The port is opened, read and closed by a thread of its own: opening and closing may take long (rfc2217 negotiates,
+sockets connect), and stamps must not wait for the loop.
+"""
+
+import asyncio
+import os
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from drivers.clocks.loop_scale import call_from_thread, loop_scale, settle
+from drivers.errors import LinkLost
+from drivers.links.inbox import Inbox
+from drivers.types import ByteChunk
+
+_MOST_AT_ONCE = 65536
+_BACKLOG_S, _BACKLOG_LOOK_S = 0.3, 0.002
+_LOOK_S = 0.1  # how often the thread looks whether it should end, where it cannot be woken
+_WRITE_LIMIT_S = 0.2
+_OPEN_LIMIT_S = 10.0
+_CLOSE_LIMIT_S = 0.5
+
+
+class SerialLink:
+    """A serial port, or what pyserial makes look like one.
+
+    ``url`` is a device (/dev/ttyUSB0, COM3), socket://host:port for a plain converter, or rfc2217://host:port for
+    one that is told the line's settings.
+    """
+
+    def __init__(
+        self, device: str, url: str, baud: int, *, parity: str = "N", stop_bits: float = 1, gather_s: float = 0.0
+    ) -> None:
+        """Name the port; it is opened by ``open``. Eight data bits; ``parity`` N, E, O, M or S.
+
+        With ``gather_s`` bytes of a stream are handed over so seldom, by the wall's clock, which saves most of its
+        cost; what comes after a pause of that length is handed over at once.
+        """
+        self._device, self._url, self._gather_s = device, url, gather_s
+        self._settings: dict[str, Any] = {"baudrate": baud, "parity": parity, "stopbits": stop_bits}
+        self._inbox = Inbox(device)
+        self._reader: _Reader | None = None
+
+    async def open(self) -> None:
+        """Open the port and start to read; LinkLost if it cannot be opened."""
+        self.close()
+        self._inbox.begin()
+        loop = asyncio.get_running_loop()
+        reader = _Reader(self._url, self._settings, self._gather_s, loop, self._inbox)
+        self._reader = reader
+        try:
+            async with asyncio.timeout(_OPEN_LIMIT_S * loop_scale(loop)):
+                await reader.opened
+        except asyncio.CancelledError:
+            self.close()
+            raise
+        except TimeoutError:
+            self.close()
+            raise LinkLost(self._device, f"serial port {self._url} did not open within {_OPEN_LIMIT_S:g} s") from None
+        except Exception as error:  # pyserial has no common kind for what a port can have wrong
+            self.close()
+            raise LinkLost(self._device, f"cannot open serial port {self._url}: {_why_not(self._url, error)}") from None
+
+    async def receive(self) -> ByteChunk:
+        """Return the next bytes; LinkLost when the port is gone."""
+        return await self._inbox.get()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; LinkLost if the port is gone or does not take them within 0.2 s."""
+        if self._reader is None or self._inbox.ended:
+            raise LinkLost(self._device, self._inbox.ended or f"serial port {self._url} is not open")
+        try:
+            self._reader.write(data)
+        except OSError as error:
+            timeout = type(error).__name__ == "SerialTimeoutException"
+            reason = "takes no more bytes: is its handshake or its cable stuck?" if timeout else "is gone"
+            self._inbox.fail(f"serial port {self._url} {reason}")
+
+    def close(self) -> None:
+        """Stop reading and close the port; twice is once."""
+        reader, self._reader = self._reader, None
+        if reader is not None:
+            reader.end()
+            self._inbox.end("the link was closed")
+
+
+class _Reader:
+    """One opening of a port: its thread, from opening to closing it."""
+
+    def __init__(
+        self, url: str, settings: dict[str, Any], gather_s: float, loop: asyncio.AbstractEventLoop, inbox: Inbox
+    ) -> None:
+        self._url, self._settings, self._gather_s, self._loop = url, settings, gather_s, loop
+        self._inbox = inbox
+        self._port: Any = None
+        self._closing = threading.Event()
+        self._woken, self._wakes = socket.socketpair()
+        self.opened: asyncio.Future[None] = loop.create_future()
+        # A daemon: what hangs in a driver must not keep the program from ending.
+        self._thread = threading.Thread(target=self._run, name=f"serial {url}", daemon=True)
+        self._thread.start()
+
+    def write(self, data: bytes) -> None:
+        self._port.write(data)
+
+    def end(self) -> None:
+        """Let the thread close the port; a port of this machine is closed on return, others soon after."""
+        self._closing.set()
+        with suppress(OSError):
+            self._wakes.send(b"x")
+        if self._port is not None and not _is_url(self._url):
+            self._thread.join(_CLOSE_LIMIT_S)
+        if self.opened.done() and not self.opened.cancelled():
+            self.opened.exception()  # whoever gave up waiting does not want to know
+        else:
+            self.opened.cancel()
+
+    def _run(self) -> None:
+        try:
+            port = self._open()
+        except Exception as error:  # handed over to whoever opens
+            call_from_thread(self._loop, settle, self.opened, error)
+        else:
+            self._port = port
+            call_from_thread(self._loop, settle, self.opened, None)
+            try:
+                self._read(port)
+            except Exception:  # pyserial raises many kinds for a port that has gone
+                call_from_thread(self._loop, self._end_inbox)
+            _close(port)
+        self._woken.close()
+        self._wakes.close()
+
+    def _open(self) -> Any:
+        import serial
+
+        # Whoever has a descriptor waits on that; to change the time-out later would set up the line once more.
+        settings = dict(self._settings, timeout=0 if self._waits_on_descriptor else _LOOK_S, exclusive=True)
+        if not self._url.startswith("rfc2217:"):  # pyserial's rfc2217 knows no limit for writing
+            settings["write_timeout"] = _WRITE_LIMIT_S
+        port = serial.serial_for_url(self._url, do_not_open=True, **settings)
+        port.open()
+        if not _is_url(self._url):
+            _drop_backlog(port)
+        return port
+
+    def _read(self, port: Any) -> None:
+        wait, take = self._ways(port)
+        handed_over = time.monotonic()
+        while not self._closing.is_set():
+            data = wait()
+            if not data:
+                continue
+            rest = self._gather_s - (time.monotonic() - handed_over)
+            if rest > 0 and self._closing.wait(rest):
+                return
+            try:
+                while len(data) < _MOST_AT_ONCE and (more := take()):
+                    data += more
+            finally:  # what came before the end still counts
+                handed_over = time.monotonic()
+                call_from_thread(self._loop, self._put, ByteChunk(round(self._loop.time() * 1e9), data))
+
+    @property
+    def _waits_on_descriptor(self) -> bool:
+        scheme = self._url.partition("://")[0] if _is_url(self._url) else ""
+        return scheme == "socket" or (scheme not in ("rfc2217", "loop") and os.name != "nt")
+
+    def _ways(self, port: Any) -> tuple[Callable[[], bytes], Callable[[], bytes]]:
+        """Return how to wait for first bytes, and how to take what else has come, without waiting."""
+        if not self._waits_on_descriptor:
+            # A buffer that tells how much is in it; on sockets in_waiting only tells whether there is anything.
+            return lambda: bytes(port.read(1)), lambda: bytes(port.read(min(port.in_waiting, _MOST_AT_ONCE)))
+        descriptor = port.fileno()
+
+        def take() -> bytes:
+            return bytes(port.read(_MOST_AT_ONCE))
+
+        def wait() -> bytes:
+            ready, _, _ = select.select([descriptor, self._woken], [], [])
+            return take() if descriptor in ready else b""
+
+        return wait, take
+
+    def _put(self, chunk: ByteChunk) -> None:
+        if not self._closing.is_set():
+            self._inbox.put(chunk)
+
+    def _end_inbox(self) -> None:
+        if not self._closing.is_set():
+            what = "closed the connection" if _is_url(self._url) else "is gone: unplugged, or without power"
+            self._inbox.end(f"serial port {self._url} {what}")
+
+
+def _drop_backlog(port: Any) -> None:
+    """Drop what came before anybody listened: it has no time. A buffer behind the port's own may fill it again."""
+    ends = time.monotonic() + _BACKLOG_S
+    empty = 0
+    while empty < 3 and time.monotonic() < ends:
+        waiting = port.in_waiting
+        empty = 0 if waiting else empty + 1
+        if waiting:
+            port.reset_input_buffer()
+        time.sleep(_BACKLOG_LOOK_S)
+
+
+def _close(port: Any) -> None:
+    sock = getattr(port, "_socket", None)
+    with suppress(Exception):
+        port.close()
+    if sock is not None:  # pyserial leaves a socket open that the other end has reset
+        sock.close()
+
+
+def _is_url(url: str) -> bool:
+    return "://" in url
+
+
+def _why_not(url: str, error: Exception) -> str:
+    """Say in plain words why a port could not be opened, and what to do."""
+    text = str(error)
+    if isinstance(error, ValueError):
+        return f"{text}; write a device such as /dev/ttyUSB0, socket://host:port or rfc2217://host:port"
+    if "lock" in text:
+        return "another program has it open; close that first"
+    if _is_url(url):
+        return f"nothing there answers as it should ({text}); is the converter on, and the address right?"
+    if getattr(error, "errno", None) == 13:
+        return "it is not allowed to you; on Linux, join the group dialout"
+    return f"is it plugged in, and the name right? ({text})"

@@ -1,0 +1,90 @@
+"""A TCP stream, for instance to a serial-to-Ethernet converter or a motion controller."""
+
+import asyncio
+import socket
+
+from drivers.errors import LinkLost
+from drivers.types import ByteChunk
+
+_READ_LIMIT = 65536
+_MOST_UNSENT = 1 << 18
+# A peer that has lost its power says nothing: ask after two silent seconds, give it up five seconds later.
+_KEEPALIVE = {"TCP_KEEPIDLE": 2, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 5}
+
+
+class TcpLink:
+    """A TCP stream without delay, whose peer is asked whether it is still there when it says nothing."""
+
+    def __init__(self, device: str, host: str, port: int, timeout_s: float) -> None:
+        """Name the peer; it is connected by ``open`` within ``timeout_s``."""
+        self._device, self._host, self._port, self._timeout_s = device, host, port, timeout_s
+        self._reader: asyncio.StreamReader | None = None
+        self._writer: asyncio.StreamWriter | None = None
+        self._ended = ""
+
+    async def open(self) -> None:
+        """Connect; LinkLost if nobody listens."""
+        self.close()
+        try:
+            async with asyncio.timeout(self._timeout_s):
+                self._reader, self._writer = await asyncio.open_connection(self._host, self._port)
+        except TimeoutError:
+            raise LinkLost(
+                self._device,
+                f"{self._host}:{self._port} does not answer within {self._timeout_s:g} s; is it on, the address right?",
+            ) from None
+        except OSError as error:
+            raise LinkLost(
+                self._device,
+                f"no connection to {self._host}:{self._port} ({_plain(error)}); is it on, and the address right?",
+            ) from None
+        self._ended = ""
+        _set_up(self._writer.get_extra_info("socket"))
+
+    async def receive(self) -> ByteChunk:
+        """Return the next bytes; LinkLost when the peer has closed."""
+        if self._reader is None:
+            raise LinkLost(self._device, self._ended or "the link is not open")
+        try:
+            data = await self._reader.read(_READ_LIMIT)
+        except OSError as error:
+            raise self._end(f"broke the connection ({_plain(error)})") from None
+        if not data:
+            raise self._end("closed the connection")
+        return ByteChunk(round(asyncio.get_running_loop().time() * 1e9), data)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; LinkLost if the peer is gone or takes no more."""
+        if self._writer is None:
+            raise LinkLost(self._device, self._ended or "the link is not open")
+        if self._writer.is_closing():
+            raise self._end("closed the connection")
+        if self._writer.transport.get_write_buffer_size() > _MOST_UNSENT:
+            raise self._end("takes no more bytes")
+        self._writer.write(data)
+
+    def close(self) -> None:
+        """Close the connection; twice is once."""
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = self._reader = None
+            self._ended = self._ended or "the link was closed"
+
+    def _end(self, what: str) -> LinkLost:
+        self._ended = self._ended or f"{self._host}:{self._port} {what}"
+        if self._writer is not None:
+            self._writer.transport.abort()
+        self._writer = self._reader = None
+        return LinkLost(self._device, self._ended)
+
+
+def _set_up(sock: socket.socket) -> None:
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in _KEEPALIVE.items():
+        if hasattr(socket, name):
+            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
+def _plain(error: OSError) -> str:
+    return error.strerror or str(error) or type(error).__name__

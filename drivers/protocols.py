@@ -1,0 +1,131 @@
+"""The four seams to hardware. Nothing inherits from these to plug in."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Mapping
+from typing import Protocol
+
+from drivers.types import (
+    Alignment,
+    AxisLimits,
+    AxisState,
+    AxisStatus,
+    ByteChunk,
+    Frame,
+    Identity,
+    ImuBlock,
+    SourceCounts,
+)
+
+
+class ByteLink(Protocol):
+    """A stream of bytes to one device."""
+
+    async def open(self) -> None:
+        """Open the link; LinkLost if there is none."""
+
+    async def receive(self) -> ByteChunk:
+        """Return the next bytes; LinkLost when the other end is gone."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+
+    def close(self) -> None:
+        """Close; twice is once."""
+
+
+class FrameLink(Protocol):
+    """A CAN bus."""
+
+    async def open(self) -> None:
+        """Open the bus; LinkLost if there is none."""
+
+    async def receive(self) -> list[Frame]:
+        """Return the frames that have come since the last call, waiting for the first; LinkLost if gone."""
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame, whatever its stamp; LinkLost if the bus does not take it."""
+
+    def close(self) -> None:
+        """Close; twice is once."""
+
+
+class Turntable(Protocol):
+    """A rate table of one to three axes, named x, y, z."""
+
+    @property
+    def limits(self) -> Mapping[str, AxisLimits]:
+        """Limits by axis."""
+
+    async def open(self) -> None:
+        """Connect and see that every axis answers; an axis that is enabled is told nothing by that."""
+
+    async def identify(self) -> Identity:
+        """Ask the controller what it is; empty where it cannot be asked."""
+
+    async def enable(self) -> None:
+        """Bring every axis to holding position under power."""
+
+    async def home(self) -> None:
+        """Find the home position of every axis; their angles count from there."""
+
+    async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
+        """Turn at a rate until told otherwise."""
+
+    async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
+        """Start towards an angle from home (turns are not wrapped) with a trapezoid of rate."""
+
+    async def read(self, axis: str) -> AxisState:
+        """Measure angle and rate."""
+
+    async def status(self, axis: str) -> AxisStatus:
+        """Get condition and fault."""
+
+    async def stop(self) -> str:
+        """Bring every axis to rest by a controlled stop, whatever has become of the link, and say what was seen.
+
+        A link that is lost, or on which the last request was not answered, is opened again at once. Every axis is told,
+        the one that was moved last first, and watched until it stands. DeviceError, after some ten seconds without
+        news, tells what was seen last of those that may still turn.
+        """
+
+    async def abort(self) -> None:
+        """Stop every axis at once, as hard as the controller can, and wait for it."""
+
+    async def reset_fault(self) -> None:
+        """Clear the faults that can be cleared."""
+
+    async def disable(self) -> None:
+        """Take power off."""
+
+    def close(self) -> None:
+        """Drop the link."""
+
+
+class ImuSource(Protocol):
+    """A device under test, or a part of one, that gives samples by itself."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the sources it delivers."""
+
+    def counts(self, name: str) -> SourceCounts:
+        """Get the counts of one source."""
+
+    def alignment(self, name: str) -> Alignment | None:
+        """Get how the clock of one source lies to the loop's; None while that is not known."""
+
+    async def open(self) -> None:
+        """Open the link."""
+
+    async def identify(self) -> Identity:
+        """Ask the device what it is, after ``open`` and before ``blocks``; empty where it cannot be asked."""
+
+    def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
+        """Yield (source name, block) as they come; LinkLost when the link ends."""
+
+    def flush(self) -> list[tuple[str, ImuBlock]]:
+        """Return the samples still held back for their timing, at the end of a run."""
+
+    def close(self) -> None:
+        """Close the link."""

@@ -1,0 +1,280 @@
+"""One request at a time on a byte link, and answers that are surely the answers to their requests.
+
+Languages of plain lines put no number on an answer. As long as every request got its answer in time, the next
+bytes answer the next request: the stream is *in step*. After a time-out, a malformed answer, a cancel or a byte
+that nobody asked for it is *in doubt*: what comes next may belong to an older request. It is then brought back
+by a token, a request whose answer cannot be anything else's. A controller answers in order, so all that comes
+before the answer to the token is old: it is discarded and counted.
+"""
+
+import asyncio
+import re
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Protocol
+
+from drivers.errors import BadReply, LinkLost
+from drivers.protocols import ByteLink
+from drivers.requests.turn import Turn
+
+_LONGEST_ANSWER = 4096  # bytes; what is longer is no answer
+_ATTEMPTS = 2
+_MALFORMED_AT_MOST = 3  # answers to one request that are none, before it is given up
+_KEEP_LOOKING_FOR_TOKEN = 512  # bytes in which a token's answer is looked for
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The text of an answer without its framing, and when its request was sent and it was here, in loop time."""
+
+    text: str
+    refused: bool
+    repeated: bool
+    sent_s: float
+    received_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Framed:
+    """An answer found at the beginning of the bytes received; ``length`` bytes of them are its own."""
+
+    text: str
+    refused: bool
+    length: int
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """A request with an answer of its own: ``find`` tells from where to where that is in the bytes received."""
+
+    request: bytes
+    find: Callable[[bytes], tuple[int, int] | None]
+
+
+class Framing(Protocol):
+    """How a language puts requests and answers into bytes."""
+
+    @property
+    def idle(self) -> bytes:
+        """Bytes that may come at any time and mean nothing."""
+
+    @property
+    def settle_s(self) -> float:
+        """How long nothing may follow the answer to a token, for a language whose tokens are not unmistakable."""
+
+    def request(self, line: str) -> bytes:
+        """Return the bytes of a request."""
+
+    def answer(self, line: str, received: bytes) -> Framed | None:
+        """Return the answer to ``line`` that the bytes begin with, None while it is not complete."""
+
+    def token(self) -> Token:
+        """Return a token that differs from those before."""
+
+
+@dataclass(slots=True)
+class ExchangeCounts:
+    """What went wrong on the way; ``discarded`` are bytes that answered nothing."""
+
+    requests: int = 0
+    timeouts: int = 0
+    malformed: int = 0
+    resyncs: int = 0
+    discarded: int = 0
+
+
+class UnexpectedReply(BadReply):
+    """An answer that its request cannot have, several times over; ``text`` is what the controller said."""
+
+    def __init__(self, device: str, message: str, text: str) -> None:
+        """Keep the controller's own text."""
+        super().__init__(device, message)
+        self.text = text
+
+
+class Unanswered(LinkLost):
+    """The controller is there, but whether it has carried out a request that must not be repeated is not known."""
+
+
+class _MalformedError(Exception):
+    """An answer that is none; ``text`` is what there was of it."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.text = text
+
+
+class Exchange:
+    """Requests and answers on a link; a controller that does not answer is known after two time-outs."""
+
+    def __init__(self, device: str, link: ByteLink, framing: Framing, timeout_s: float) -> None:
+        """Each request is tried twice, ``timeout_s`` each time; getting back in step is part of that time."""
+        self._device, self._link, self._framing, self._timeout_s = device, link, framing, timeout_s
+        self._turn = Turn()
+        self._in_doubt = True  # a serial line may hold answers to whoever asked before
+        self._silence_s = float("-inf")  # when the controller was last found silent
+        self._failed = False  # since the link was opened, and not answered since
+        self._heard = b""  # last
+        self.counts = ExchangeCounts()
+
+    async def open(self) -> None:
+        """Open the link and get in step; LinkLost if the controller does not answer."""
+        await self._link.open()
+        self._in_doubt, self._failed = True, False
+        await self.get_in_step()
+
+    async def tell_all(self, lines: Iterable[str]) -> None:
+        """Send lines at once, asking nothing first: for stopping. LinkLost if the link cannot be opened.
+
+        If it is lost, or the last request was not answered, that is on a new connection. An empty line goes before
+        them, which ends one that was cut on its way.
+        """
+        data = b"".join(map(self._framing.request, ("", *lines)))
+        async with self._turn:
+            if not self._failed:
+                with suppress(LinkLost):
+                    self._write(data)
+                    return
+            self.close()
+            await self._link.open()
+            self._failed = False
+            self._write(data)
+
+    def close(self) -> None:
+        """Close the link."""
+        self._link.close()
+
+    async def ask(self, line: str, pattern: re.Pattern[str], *, repeat: bool = True) -> Answer:
+        """Send a request and return its answer, which matches ``pattern`` whole or is a refusal.
+
+        With ``repeat`` false the request is sent at most once. LinkLost if there is no answer, Unanswered if
+        there is none to a request sent once, UnexpectedReply if what came was no answer to it.
+        """
+        arrived = asyncio.get_running_loop().time()
+        async with self._turn:
+            began = self._began(arrived)
+            attempt, malformed, sent = 1, 0, False
+            while attempt <= _ATTEMPTS:
+                try:
+                    async with asyncio.timeout_at(began + attempt * self._timeout_s):
+                        await self._be_in_step()
+                        if sent and not repeat:
+                            raise Unanswered(self._device, f"it is not known whether {line!r} was carried out")
+                        repeated, sent = sent, True
+                        return await self._once(line, pattern, repeated)
+                except TimeoutError:
+                    self.counts.timeouts += 1
+                    attempt += 1
+                except _MalformedError as error:
+                    self.counts.malformed += 1
+                    malformed += 1
+                    if malformed == _MALFORMED_AT_MOST or not repeat:
+                        self._failed = True
+                        raise UnexpectedReply(
+                            self._device, f"answers {error.text[:60]!r} to {line!r}", error.text
+                        ) from None
+            raise self._silent(f"to {line!r}")
+
+    async def get_in_step(self, line: str | None = None) -> bytes:
+        """Send a request, if one is given, and a token; return what came before its answer; LinkLost if none comes."""
+        arrived = asyncio.get_running_loop().time()
+        async with self._turn:
+            self._write(b"" if line is None else self._framing.request(line))
+            began = self._began(arrived)
+            before = b""
+            for attempt in range(1, _ATTEMPTS + 1):
+                try:
+                    async with asyncio.timeout_at(began + attempt * self._timeout_s):
+                        before += await self._resync()
+                        return before
+                except TimeoutError:
+                    self.counts.timeouts += 1
+            raise self._silent("")
+
+    def _began(self, arrived: float) -> float:
+        """Return when a request's time began: earlier than now, to half a time-out's rest, if silence was met since."""
+        self._heard = b""
+        now = asyncio.get_running_loop().time()
+        return now - 1.5 * self._timeout_s if self._silence_s > arrived else now
+
+    def _silent(self, to_what: str) -> LinkLost:
+        self._silence_s, self._failed = asyncio.get_running_loop().time(), True
+        within = f"within {_ATTEMPTS * self._timeout_s:g} s, twice asked"
+        why = "is the controller on, and the link to it whole?"
+        if self._heard:
+            why = f"what comes is none, or late ({self._heard[-20:]!r})"
+        return LinkLost(self._device, f"no answer {to_what + ' ' if to_what else ''}{within}: {why}")
+
+    async def _be_in_step(self) -> None:
+        if not self._in_doubt:
+            stray = await self._waiting()
+            self.counts.discarded += len(stray)
+            self._in_doubt = bool(stray.strip(self._framing.idle))
+        if self._in_doubt:
+            await self._resync()
+
+    async def _once(self, line: str, pattern: re.Pattern[str], repeated: bool) -> Answer:
+        self.counts.requests += 1
+        sent_s = asyncio.get_running_loop().time()
+        self._write(self._framing.request(line))
+        received = b""
+        while True:
+            chunk = await self._link.receive()
+            received += chunk.data
+            self._heard = received
+            framed = self._framing.answer(line, received)
+            if framed is not None:
+                break
+            if len(received) > _LONGEST_ANSWER:
+                raise self._malformed(received)
+        beyond = received[framed.length :]
+        if beyond.strip(self._framing.idle) or not (framed.refused or pattern.fullmatch(framed.text)):
+            raise self._malformed(received)
+        # A refusal is one character, which noise can be: what it is about is asked in step.
+        self._in_doubt, self._failed = framed.refused, False
+        return Answer(framed.text, framed.refused, repeated, sent_s, chunk.t_ns * 1e-9)
+
+    def _malformed(self, received: bytes) -> _MalformedError:
+        self.counts.discarded += len(received)
+        return _MalformedError(received.decode("ascii", "replace").strip())
+
+    async def _resync(self) -> bytes:
+        """Return the last of what came before the answer to a token."""
+        self.counts.resyncs += 1
+        before = b""
+        while True:
+            token = self._framing.token()
+            self._write(token.request)
+            while (found := token.find(before)) is None:
+                chunk = await self._link.receive()
+                before += chunk.data
+                self._heard = before
+                self.counts.discarded += max(len(before) - _KEEP_LOOKING_FOR_TOKEN, 0)
+                before = before[-_KEEP_LOOKING_FOR_TOKEN:]
+            start, end = found
+            before, after = before[:start], before[end:] + await self._waiting(self._framing.settle_s)
+            if not after.strip(self._framing.idle):
+                self.counts.discarded += start
+                self._in_doubt = False
+                return before
+            before += after
+
+    async def _waiting(self, for_s: float = 0.0) -> bytes:
+        """Return what has come without being asked for, listening for so long."""
+        received = b""
+        await asyncio.sleep(0)  # lets a socket hand over what it already has
+        try:
+            async with asyncio.timeout(for_s):
+                while len(received) <= _LONGEST_ANSWER:
+                    received += (await self._link.receive()).data
+        except TimeoutError:
+            pass
+        return received
+
+    def _write(self, data: bytes) -> None:
+        self._in_doubt = True  # until the answer is here, also if the wait for it is cancelled
+        try:
+            self._link.write(data)
+        except OSError as error:
+            raise LinkLost(self._device, f"cannot send ({error}): is it still plugged in?") from None

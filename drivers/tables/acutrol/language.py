@@ -1,0 +1,93 @@
+"""A subset of the ACUTROL command language (ACL): framing and answers. No I/O.
+
+It is what open drivers show (AcutronicRobotics/acutrol over TCP, IEAv-EFO/acutrol3000): lines ended by CR LF, words
+between colons, the axis first among the arguments; every answer has a prefix of fixed length, then OK, a value or a
+text. What they do not show is not used: the format of the prefix, the texts of errors, a flag for "in position".
+"""
+
+import random
+import re
+from collections import deque
+
+from drivers.requests.exchange import Framed, Token
+
+PREFIX_LENGTH = 8  # of an answer on TCP
+
+OK = re.compile("OK")
+NUMBER = re.compile(r"[-+]?\d{1,15}(\.\d{0,15})?([eE][-+]?\d{1,2})?")
+NUMBERS = re.compile(rf"{NUMBER.pattern}(, ?{NUMBER.pattern})*")
+WORD = re.compile(r"(?!OK$)[A-Za-z][A-Za-z ]*")
+TEXT = re.compile(r"(?!OK$)[\x20-\x7e]*[A-Za-z][\x20-\x7e]*")
+
+INTERLOCK_SUMMARY = 0x01  # of the status byte: seen as 65 = this and the master summary, 64
+
+_TOKENS_REMEMBERED = 64
+
+
+def absolute_limits(text: str) -> tuple[float, float] | None:
+    """Return the maker's limits of an axis from the answer to ``:limit:absolute?``, in deg/s and deg/s2.
+
+    They are the first of the values; None if there are fewer than two.
+    """
+    values = [float(value) for value in text.split(",")]
+    return (values[0], values[1]) if len(values) >= 2 else None
+
+
+def refusal(text: str) -> bool:
+    """Return whether an answer is the controller's own words for why it does not do what it is told."""
+    return bool(TEXT.fullmatch(text)) and not NUMBER.fullmatch(text)
+
+
+class AcutrolFraming:
+    """Bytes of requests and answers.
+
+    The token: a number is written where nothing of ours depends on it, the rate limit of the synthesis mode of
+    one axis, and read back. The answers to look for are OK and, next, that number. Its limits: a number of 9,900
+    is the answer that an angle or a rate could give by chance, after an OK and to two decimals; a controller that
+    does not have this limit, or tells it in coarser steps than 0.01 deg/s, cannot be brought back in step and counts
+    as silent, which is known when the link is opened; the limit keeps the last number written.
+    """
+
+    idle = b""
+    settle_s = 0.0
+
+    def __init__(self, axis_number: int, largest_rate_dps: float, prefix_length: int = PREFIX_LENGTH) -> None:
+        """``largest_rate_dps`` is what the axis whose limit is written may have as one."""
+        self._axis, self._prefix = axis_number, prefix_length
+        self._largest = min(max(int(largest_rate_dps * 100) - 1, 200), 9999)
+        self._used: deque[int] = deque(maxlen=_TOKENS_REMEMBERED)
+        self._random = random.SystemRandom()
+        self._pattern = re.compile(
+            rb"[\s\S]{%d}OK *\r?\n[\s\S]{%d} *(%s) *\r?\n"
+            % (prefix_length, prefix_length, NUMBER.pattern.encode("ascii"))
+        )
+
+    def request(self, line: str) -> bytes:
+        """Return a command line, ended by CR LF."""
+        return line.encode("ascii") + b"\r\n"
+
+    def answer(self, line: str, received: bytes) -> Framed | None:
+        """Return the line behind the prefix; the prefix may hold any byte."""
+        end = received.find(b"\n", self._prefix)
+        if end < 0:
+            return None
+        return Framed(received[self._prefix : end].decode("ascii", "replace").strip(), False, end + 1)
+
+    def token(self) -> Token:
+        """Return a new number to write and read back. The line end before it ends a line cut on its way."""
+        number = self._random.randint(100, self._largest)
+        while number in self._used:
+            number = self._random.randint(100, self._largest)
+        self._used.append(number)
+        write = f"\r\n:lim:rate synt,{self._axis},{number / 100:05.2f}\r\n"
+        ask = f":limit:rate? synt,{self._axis}\r\n"
+
+        def find(received: bytes) -> tuple[int, int] | None:
+            start = 0
+            while found := self._pattern.search(received, start):
+                if abs(float(found[1]) * 100 - number) < 0.6:
+                    return found.span()
+                start = found.start() + 1
+            return None
+
+        return Token((write + ask).encode("ascii"), find)

@@ -1,0 +1,404 @@
+"""A rate table on an ACUTROL controller: up to three axes on one controller, told apart by number.
+
+The language has no command that takes an axis over several turns, and its controllers tell angles within one turn.
+So angles are counted on here, and a long way is made in rate mode, watched over, with its last part as a change of
+position. While an axis turns, a task reads it often enough to count its turns.
+"""
+
+import asyncio
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
+from drivers.protocols import ByteLink
+from drivers.requests.exchange import Answer, Unanswered, UnexpectedReply
+from drivers.tables.acutrol import language as acutrol
+from drivers.tables.halting import kept
+from drivers.tables.line_table import LineTable
+from drivers.tables.unwrap import Unwrapper
+from drivers.types import AxisLimits, AxisState, AxisStatus, Identity
+
+_POLL_S = 0.02
+_TRACK_S = 0.1
+_AT_REST_DPS = 0.02
+_ON_TARGET_DEG = 0.0005
+_NEAR_TARGET_DEG = 0.02  # good enough when another change of position has not brought it nearer
+_LONGEST_CHANGE_DEG = 170.0  # of position at once; the language allows 180
+_QUIET_S = 0.3  # an axis that stands so long will not go on
+_STUCK_S = 1.0  # an axis that has not begun to turn by then will not
+_LEAD_S = 0.06  # braking begins so much early, for the way of the command to the axis
+_MOST_LEGS = 8
+_HOMING_RATE_DPS = 30.0
+_MODE_LIMIT_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class AcutrolAxis:
+    """One axis: its number on the controller, and its limits."""
+
+    number: int
+    limits: AxisLimits
+
+
+@dataclass(slots=True)
+class _Task:
+    """What an axis has been told to do: a target to reach, or a rate to keep."""
+
+    rate_dps: float
+    acceleration_dps2: float
+    target_deg: float | None = None
+    reached: bool = False
+
+
+@dataclass(slots=True)
+class _Axis:
+    """What the driver knows of an axis."""
+
+    own: AcutrolAxis
+    unwrapper: Unwrapper = field(default_factory=lambda: Unwrapper(360.0))
+    task: _Task | None = None
+
+
+class AcutrolTable(LineTable):
+    """Turntable driver over a byte link, TCP or serial."""
+
+    def __init__(
+        self,
+        device: str,
+        link: ByteLink,
+        axes: Mapping[str, AcutrolAxis],
+        timeout_s: float,
+        *,
+        prefix_length: int = acutrol.PREFIX_LENGTH,
+    ) -> None:
+        """Name the axes; ``prefix_length`` bytes before each answer are left out.
+
+        A request is tried twice, each for ``timeout_s``. ValueError for a number that two axes have.
+        """
+        self._axes = {name: _Axis(axis) for name, axis in axes.items()}
+        numbers = [axis.number for axis in axes.values()]
+        if len(set(numbers)) != len(numbers):
+            raise ValueError(f"two axes have the same number: {numbers}")
+        first = next(iter(axes.values()))
+        framing = acutrol.AcutrolFraming(first.number, math.degrees(first.limits.rate_rps), prefix_length)
+        super().__init__(device, link, framing, timeout_s, {name: axis.limits for name, axis in axes.items()})
+        self._watchers: set[asyncio.Task[None]] = set()
+        self._failure: DeviceError | None = None
+
+    async def open(self) -> None:
+        """Open the link, get in step, and compare limits; DeviceRefused if the bench allows more than the maker."""
+        await self._exchange.open()
+        for name, axis in self._axes.items():
+            axis.unwrapper.restart()
+            text = (await self._ask(f":limit:absolute? {axis.own.number}", acutrol.NUMBERS)).text
+            absolute, limits = acutrol.absolute_limits(text), axis.own.limits
+            asked = math.degrees(limits.rate_rps), math.degrees(limits.acceleration_rps2)
+            if absolute is not None and any(ours > 1.001 * most for ours, most in zip(asked, absolute, strict=True)):
+                raise DeviceRefused(
+                    self._device,
+                    f"axis {name} has limits of {absolute[0]:g} deg/s and {absolute[1]:g} deg/s2, "
+                    f"the bench allows {asked[0]:g} deg/s and {asked[1]:g} deg/s2: lower max_rate, max_acceleration",
+                )
+
+    async def identify(self) -> Identity:
+        """Ask ``*idn?``: maker, model, serial number, firmware, as IEEE 488.2 has it."""
+        parts = [part.strip() for part in (await self._ask("*idn?", acutrol.TEXT)).text.split(",")]
+        if len(parts) < 4:
+            return Identity(model=", ".join(parts))
+        return Identity(f"{parts[0]} {parts[1]}", parts[2], parts[3])
+
+    async def enable(self) -> None:
+        """Close every interlock and hold in rate mode at zero; DeviceFault if an axis is in fault."""
+        await self._tell(":utility:lockout on")
+        for name, axis in self._axes.items():
+            status = await self.status(name)
+            if status.fault:
+                raise DeviceFault(self._device, f"{status.fault}; clear its cause, then start with --reset-fault")
+            if status.enabled:
+                continue
+            number = axis.own.number
+            for line in (":interlock:open", ":interlock:reset", ":interlock:close"):
+                await self._tell(f"{line} {number}")
+            await self._enter(name, "rate")
+            await self._tell(f":demand:rate {number},0")
+            status = await self.status(name)
+            if status.fault or not status.enabled:
+                raise DeviceFault(self._device, status.fault or f"axis {name} stays {status.text}")
+
+    async def home(self) -> None:
+        """Turn every axis to the zero of its encoder, on the shorter way; angles count from there."""
+        for name, axis in self._axes.items():
+            axis.unwrapper.restart()
+            limits = axis.own.limits
+            rate = min(math.radians(_HOMING_RATE_DPS), limits.rate_rps)
+            await self.move(name, 0.0, rate, limits.acceleration_rps2)
+        await self._wait_for_home(self._at_home, _POLL_S)
+
+    async def _at_home(self, axis: str) -> bool:
+        status = await self.status(axis)
+        if status.fault:
+            raise DeviceFault(self._device, status.fault)
+        return status.target_reached
+
+    async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
+        """Turn an axis at a rate (rate mode) until told otherwise."""
+        self._moved, task = axis, _Task(math.degrees(rate_rps), math.degrees(acceleration_rps2))
+        self._axes[axis].task = task
+        await self._turn(axis, task.rate_dps, task.acceleration_dps2)
+        self._watch(axis, task)
+
+    async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
+        """Start towards an angle from home; it goes on by itself, over as many turns as there are."""
+        self._moved = axis
+        task = _Task(abs(math.degrees(rate_rps)), math.degrees(acceleration_rps2), math.degrees(angle_rad))
+        self._axes[axis].task = task
+        leg = await self._begin_leg(axis, task)
+        self._watch(axis, task, leg)
+
+    async def read(self, axis: str) -> AxisState:
+        """Measure angle and rate; each is stamped with the middle of its own round trip."""
+        self._raise_failure()
+        return await self._read(axis)
+
+    async def status(self, axis: str) -> AxisStatus:
+        """Get mode, interlock and status byte, and the fault in words with both."""
+        self._raise_failure()
+        own = self._axes[axis]
+        interlock = (await self._ask(f":interlock? {own.own.number}", acutrol.WORD)).text
+        mode = (await self._ask(f":mode? {own.own.number}", acutrol.WORD)).text
+        fault = ""
+        if interlock.lower() == "fault":
+            byte = round(float((await self._ask("*stb?", acutrol.NUMBER)).text))
+            summary = ", interlock summary set" if byte & acutrol.INTERLOCK_SUMMARY else ""
+            fault = f"axis {axis}: its interlock says {interlock} (status byte {byte}{summary})"
+        enabled = interlock.lower() not in ("fault", "open") and mode.lower() != "off"
+        return AxisStatus(
+            enabled, enabled and await self._reached(axis), fault, f"mode {mode.lower()}, interlock {interlock.lower()}"
+        )
+
+    async def stop(self) -> str:
+        """Bring every axis to rest in rate mode with the acceleration it is allowed, over a new connection if need be.
+
+        An axis that is switched off refuses rate mode, which does no harm.
+        """
+        self._drop_tasks()
+
+        def lines(axis: str) -> tuple[str, ...]:
+            own = self._axes[axis].own
+            most_dps2 = math.degrees(own.limits.acceleration_rps2)
+            braking = f":lim:acc rate,{own.number},{most_dps2:.6f}"
+            return braking, f":demand:rate {own.number},0", f":mode:rate {own.number}", f":demand:rate {own.number},0"
+
+        return await self._rest(lines, self._read)
+
+    async def abort(self) -> None:
+        """Open every interlock at once, so that the drives lose their power, and wait for rest."""
+        self._drop_tasks()
+        await self._rest(lambda axis: (f":interlock:open {self._axes[axis].own.number}",), self._read)
+
+    def _drop_tasks(self) -> None:
+        self._failure = None
+        for axis in self._axes.values():
+            axis.task = None
+
+    async def reset_fault(self) -> None:
+        """Reset the interlock of every axis that is in fault; DeviceFault if one stays."""
+        for name, axis in self._axes.items():
+            if not (await self.status(name)).fault:
+                continue
+            axis.task = None
+            await self._tell(f":interlock:reset {axis.own.number}")
+            fault = (await self.status(name)).fault
+            if fault:
+                raise DeviceFault(self._device, f"{fault}; it stays after a reset, its cause is still there")
+
+    async def disable(self) -> None:
+        """Switch every axis off and open its interlock; the first failure is raised once all have been tried."""
+        failures: list[DeviceError] = []
+        for axis in self._axes.values():
+            axis.task = None
+            for line in (":mode:off", ":interlock:open"):
+                with kept(failures):
+                    await self._tell(f"{line} {axis.own.number}")
+        if failures:
+            raise failures[0]
+
+    def close(self) -> None:
+        """Drop the link and what watches over axes."""
+        for watcher in self._watchers:
+            watcher.cancel()
+        super().close()
+
+    def _watch(self, axis: str, task: _Task, leg: str = "") -> None:
+        watcher = asyncio.get_running_loop().create_task(self._guard(axis, task, leg), name=f"{self._device} {axis}")
+        self._watchers.add(watcher)
+        watcher.add_done_callback(self._watchers.discard)
+
+    async def _guard(self, axis: str, task: _Task, leg: str) -> None:
+        """Watch over an axis, and keep what goes wrong with that for the next who asks."""
+        try:
+            if task.target_deg is None:
+                await self._follow(axis, task)
+            else:
+                await self._travel(axis, task, leg)
+        except DeviceError as error:
+            if self._axes[axis].task is task:
+                self._failure = self._failure or error
+
+    def _raise_failure(self) -> None:
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    async def _follow(self, axis: str, task: _Task) -> None:
+        """Count the turns of a jogging axis, until it is told something else or stands."""
+        own, loop = self._axes[axis], asyncio.get_running_loop()
+        rate = math.inf
+        while own.task is task and (task.rate_dps or abs(rate) > _AT_REST_DPS):
+            if loop.time() - own.unwrapper.last_s >= _TRACK_S:
+                rate = math.degrees((await self._read(axis)).rate_rps)
+            await asyncio.sleep(_TRACK_S / 2)
+
+    async def _travel(self, axis: str, task: _Task, leg: str) -> None:
+        """Go on, leg by leg, until the target is reached; DeviceRefused if it is not."""
+        changes = 0
+        for _ in range(_MOST_LEGS):
+            if leg == "done":
+                task.reached = True
+                return
+            if leg == "run" and not await self._run_to_braking(axis, task):
+                return
+            if not await self._until_rest(axis, task):
+                return
+            changes += leg == "change"
+            leg = await self._begin_leg(axis, task, _NEAR_TARGET_DEG if changes > 1 else _ON_TARGET_DEG)
+        if (await self._interlock(axis)) not in ("fault", "open"):
+            angle = math.degrees((await self._read(axis)).angle_rad)
+            raise DeviceRefused(
+                self._device, f"axis {axis} stays at {angle:.4f} deg, sent to {task.target_deg:.4f} deg"
+            )
+
+    async def _begin_leg(self, axis: str, task: _Task, near_deg: float = _ON_TARGET_DEG) -> str:
+        """Start the next part of a way, and return which: brake, run (in rate mode), change (of position), done."""
+        assert task.target_deg is not None
+        state = await self._read(axis)
+        way = task.target_deg - math.degrees(state.angle_rad)
+        if self._axes[axis].task is not task:
+            return "done"
+        if abs(math.degrees(state.rate_rps)) > _AT_REST_DPS:
+            await self._turn(axis, 0.0, task.acceleration_dps2)
+            return "brake"
+        if abs(way) > _LONGEST_CHANGE_DEG:
+            await self._turn(axis, math.copysign(task.rate_dps, way), task.acceleration_dps2)
+            return "run"
+        if abs(way) <= near_deg:
+            return "done"
+        await self._change_position(axis, way, task)
+        return "change"
+
+    async def _run_to_braking(self, axis: str, task: _Task) -> bool:
+        """Watch a long way in rate mode and brake in time; False if the axis has been told something else."""
+        assert task.target_deg is not None
+        own = self._axes[axis]
+        began = asyncio.get_running_loop().time()
+        while True:
+            state = await self._read(axis)
+            if own.task is not task:
+                return False
+            rate = abs(math.degrees(state.rate_rps))
+            left = abs(task.target_deg - math.degrees(state.angle_rad)) - rate * (
+                rate / (2 * task.acceleration_dps2) + _LEAD_S
+            )
+            if left <= 0.0:
+                break
+            if rate <= _AT_REST_DPS and asyncio.get_running_loop().time() - began > _STUCK_S:
+                break
+            await asyncio.sleep(min(max(left / (2 * task.rate_dps), 0.002), _TRACK_S / 2))
+        await self._tell(f":demand:rate {own.own.number},0")
+        return True
+
+    async def _until_rest(self, axis: str, task: _Task) -> bool:
+        """Wait until an axis is on its target or stands; False if it has been told something else."""
+        own, loop = self._axes[axis], asyncio.get_running_loop()
+        stands_since = math.inf
+        while own.task is task:
+            state = await self._read(axis)
+            if abs(math.degrees(state.rate_rps)) > _AT_REST_DPS:
+                stands_since = math.inf
+            else:
+                stands_since = min(stands_since, loop.time())
+                on_target = abs(math.degrees(state.angle_rad) - (task.target_deg or 0.0)) <= _ON_TARGET_DEG
+                if on_target or loop.time() - stands_since >= _QUIET_S:
+                    return True
+            await asyncio.sleep(_POLL_S)
+        return False
+
+    async def _change_position(self, axis: str, way_deg: float, task: _Task) -> None:
+        """Change the position demand. If the answer is lost it is not repeated: the next leg sees what came of it."""
+        number = self._axes[axis].own.number
+        await self._tell(f":lim:rate pos,{number},{task.rate_dps:.6f}")
+        await self._tell(f":lim:acc pos,{number},{task.acceleration_dps2:.6f}")
+        await self._enter(axis, "position")
+        try:
+            await self._ask(f":dem:delta {number},{way_deg:.6f}", acutrol.OK, repeat=False)
+        except (Unanswered, BadReply):
+            return
+
+    async def _turn(self, axis: str, rate_dps: float, acceleration_dps2: float) -> None:
+        number = self._axes[axis].own.number
+        await self._tell(f":lim:acc rate,{number},{acceleration_dps2:.6f}")
+        await self._enter(axis, "rate")
+        await self._tell(f":demand:rate {number},{rate_dps:.6f}")
+
+    async def _enter(self, axis: str, mode: str) -> None:
+        """Change mode and wait for it; the rate demand is zero before rate mode, whatever it was the last time."""
+        if await self._mode(axis) == mode:
+            return
+        number = self._axes[axis].own.number
+        if mode == "rate":
+            await self._tell(f":demand:rate {number},0")
+        await self._tell(f":mode:{mode} {number}")
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + _MODE_LIMIT_S
+        while (now := await self._mode(axis)) != mode:
+            if loop.time() > deadline:
+                raise DeviceRefused(self._device, f"axis {axis} stays in mode {now} and does not enter mode {mode}")
+            await asyncio.sleep(_POLL_S)
+
+    async def _reached(self, axis: str) -> bool:
+        task = self._axes[axis].task
+        if task is None or task.target_deg is not None:
+            return task is None or task.reached
+        rate = math.degrees((await self._read(axis)).rate_rps)
+        return abs(rate - task.rate_dps) <= _AT_REST_DPS
+
+    async def _read(self, axis: str) -> AxisState:
+        own = self._axes[axis]
+        position = await self._ask(f":read:position {own.own.number}", acutrol.NUMBER)
+        rate = await self._ask(f":read:rate {own.own.number}", acutrol.NUMBER)
+        angle_s = (position.sent_s + position.received_s) / 2
+        angle_deg = own.unwrapper.place(angle_s, float(position.text), float(rate.text))
+        return AxisState.told(
+            (position.sent_s, position.received_s, math.radians(angle_deg)),
+            (rate.sent_s, rate.received_s, math.radians(float(rate.text))),
+        )
+
+    async def _mode(self, axis: str) -> str:
+        return (await self._ask(f":mode? {self._axes[axis].own.number}", acutrol.WORD)).text.lower()
+
+    async def _interlock(self, axis: str) -> str:
+        return (await self._ask(f":interlock? {self._axes[axis].own.number}", acutrol.WORD)).text.lower()
+
+    async def _tell(self, line: str) -> None:
+        """Send a command that is answered OK."""
+        await self._ask(line, acutrol.OK)
+
+    async def _ask(self, line: str, pattern: re.Pattern[str], *, repeat: bool = True) -> Answer:
+        try:
+            return await self._exchange.ask(line, pattern, repeat=repeat)
+        except UnexpectedReply as error:
+            if acutrol.refusal(error.text):
+                raise DeviceRefused(self._device, f"refuses {line!r}: {error.text}") from None
+            raise

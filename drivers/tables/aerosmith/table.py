@@ -1,0 +1,226 @@
+"""EXPERIMENTAL: a single-axis Ideal Aerosmith table (1270VS and kin) by its table language.
+
+No manual was found; this is what public programs send (actigraph/RateTableSweepGUI and others), tried on a twin that
+knows no more. Three letters and a number without a space, ended by CR; the answer ends with the prompt ``>``, and a
+``?`` in it is a refusal. While the table jogs, the prompt is held back until the next command comes. Rates are whole
+deg/s (JOG, VEL), and so are accelerations (ACL). Not known: what the bits of STA mean, whether angles go on beyond a
+turn, whether a move's prompt comes before or after it. So a fault is only seen where the bench says which bits
+of STA tell one, and angles are counted on over the turns while the table is read often enough.
+"""
+
+import asyncio
+import math
+import re
+
+from drivers.errors import DeviceFault, DeviceRefused
+from drivers.protocols import ByteLink
+from drivers.requests.exchange import Answer, Framed, Token
+from drivers.tables.line_table import LineTable
+from drivers.tables.unwrap import Unwrapper
+from drivers.types import AxisLimits, AxisState, AxisStatus, Identity
+
+NOTHING = re.compile("")
+INTEGER = re.compile(r"(?:STA)?\s*(\d+)")
+NUMBER = re.compile(r"(?:PPO|PVE)?\s*([-+]?\d+(?:\.\d*)?)")
+
+_ANSWER = re.compile(rb"[^>]*>[\r\n]*")
+_STATUS_ANSWER = re.compile(rb"(?:STA)?\s*\d+\s*[\r\n]+>[\r\n]*")
+_POLL_S = 0.05
+_AT_REST_DPS = 0.02
+_ON_TARGET_DEG = 0.02
+_JOG_REACHED_DPS = 0.1
+_BEGUN_S = 0.3  # a motion that is to come has begun by then
+_SETTLE_SHARE = 0.15  # of a time-out, in which nothing may follow the answer to a token
+
+
+class AerosmithFraming:
+    """Bytes of requests and answers.
+
+    The token is STA, whose whole number no other request of ours is answered with. It is not unmistakable: an
+    STA that was asked before is answered alike. So nothing may follow its answer for a while; an answer that comes
+    later still can be taken for a later one.
+    """
+
+    idle = b"\r\n "
+
+    def __init__(self, settle_s: float) -> None:
+        """Listen for ``settle_s`` after the answer to a token."""
+        self.settle_s = settle_s
+
+    def request(self, line: str) -> bytes:
+        """Return a command, ended by CR."""
+        return line.encode("ascii") + b"\r"
+
+    def answer(self, line: str, received: bytes) -> Framed | None:
+        """Return what stands before the prompt."""
+        found = _ANSWER.match(received)
+        if found is None:
+            return None
+        text = received[: received.index(b">")].decode("ascii", "replace").strip()
+        return Framed(text, "?" in text, found.end())
+
+    def token(self) -> Token:
+        """Return STA, which asks for the status word."""
+
+        def find(received: bytes) -> tuple[int, int] | None:
+            found = list(_STATUS_ANSWER.finditer(received))
+            return found[-1].span() if found else None
+
+        return Token(b"STA\r", find)
+
+
+class AerosmithTable(LineTable):
+    """Turntable driver over a byte link; one axis. Experimental, as its status says."""
+
+    def __init__(
+        self, device: str, link: ByteLink, axis: str, limits: AxisLimits, timeout_s: float, *, fault_mask: int = 0
+    ) -> None:
+        """``fault_mask``: the bits of STA that mean a fault, by the table's own manual; 0: faults are not seen."""
+        super().__init__(device, link, AerosmithFraming(_SETTLE_SHARE * timeout_s), timeout_s, {axis: limits})
+        self._axis, self._fault_mask = axis, fault_mask
+        self._unwrapper = Unwrapper(360.0)
+        self._target_deg: float | None = None
+        self._jog_dps: float | None = None
+        self._servo_on = False
+        self._started_s = -math.inf
+
+    async def open(self) -> None:
+        """Open the link and ask for the status; LinkLost if the table does not answer."""
+        await self._exchange.open()
+        self._unwrapper.restart()
+
+    async def identify(self) -> Identity:
+        """Return what is known without asking: no public program asks the table what it is."""
+        return Identity(model="Ideal Aerosmith (experimental)")
+
+    async def enable(self) -> None:
+        """Switch the servo on; DeviceFault if the table says fault."""
+        fault = (await self.status(self._axis)).fault
+        if fault:
+            raise DeviceFault(self._device, f"{fault}; clear its cause, then start with --reset-fault")
+        await self._tell("SRV1")
+        self._servo_on = True
+
+    async def home(self) -> None:
+        """Turn to the table's home position and wait for it; angles count from there."""
+        await self._set_acceleration(self.limits[self._axis].acceleration_rps2)
+        await self._start("HOM")
+        self._target_deg, self._jog_dps = 0.0, None
+        await self._wait_for_home(self._at_home, _POLL_S)
+
+    async def _at_home(self, axis: str) -> bool:
+        self._unwrapper.restart()
+        status = await self.status(axis)
+        if status.fault:
+            raise DeviceFault(self._device, status.fault)
+        return status.target_reached
+
+    async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
+        """Turn at a whole number of deg/s until told otherwise; DeviceRefused for any other rate."""
+        rate = self._whole_rate(rate_rps)
+        await self._set_acceleration(acceleration_rps2)
+        await self._start(f"JOG{rate}")
+        self._target_deg, self._jog_dps = None, float(rate)
+
+    async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
+        """Start a move to an angle from home, at a whole number of deg/s."""
+        rate = abs(self._whole_rate(rate_rps))
+        await self._set_acceleration(acceleration_rps2)
+        await self._tell(f"VEL{rate}")
+        target = math.degrees(angle_rad)
+        await self._start(f"MOV{target:.4f}")
+        self._target_deg, self._jog_dps = target, None
+
+    async def read(self, axis: str) -> AxisState:
+        """Measure angle (PPO) and rate (PVE); each is stamped with the middle of its own round trip."""
+        position = await self._ask("PPO", NUMBER)
+        velocity = await self._ask("PVE", NUMBER)
+        rate = _value(velocity, NUMBER)
+        angle_s = (position.sent_s + position.received_s) / 2
+        angle = self._unwrapper.place(angle_s, _value(position, NUMBER), rate)
+        return AxisState.told(
+            (position.sent_s, position.received_s, math.radians(angle)),
+            (velocity.sent_s, velocity.received_s, math.radians(rate)),
+        )
+
+    async def status(self, axis: str) -> AxisStatus:
+        """Get the status word; whether a target is reached is told by angle and rate."""
+        word = int(_value(await self._ask("STA", INTEGER), INTEGER))
+        state = await self.read(axis)
+        angle, rate = math.degrees(state.angle_rad), math.degrees(state.rate_rps)
+        if self._target_deg is not None:
+            begun = asyncio.get_running_loop().time() - self._started_s >= _BEGUN_S
+            reached = begun and abs(rate) <= _AT_REST_DPS and abs(angle - self._target_deg) <= _ON_TARGET_DEG
+        else:
+            reached = abs(rate - (self._jog_dps or 0.0)) <= _JOG_REACHED_DPS
+        faulty = word & self._fault_mask
+        fault = f"axis {axis} says fault (STA {word}, of which {faulty} means fault)" if faulty else ""
+        text = f"servo {'on' if self._servo_on else 'off'}, STA {word} (experimental driver: its bits are not known)"
+        return AxisStatus(self._servo_on and not faulty, reached, fault, text)
+
+    async def stop(self) -> str:
+        """Stop (STO) and wait for rest, over a new connection if need be."""
+        self._target_deg, self._jog_dps = None, None
+        return await self._rest(lambda axis: ("STO",), self.read)
+
+    async def abort(self) -> None:
+        """Switch the servo off; a table that does not know SRV is stopped by STO all the same. Waits for rest."""
+        self._target_deg, self._jog_dps, self._servo_on = None, None, False
+        await self._rest(lambda axis: ("STO", "SRV0"), self.read)
+
+    async def reset_fault(self) -> None:
+        """Switch the servo off and on, which is all there is; DeviceFault if the table still says fault."""
+        if not (await self.status(self._axis)).fault:
+            return
+        await self._tell("SRV0")
+        await self._tell("SRV1")
+        await self._tell("SRV0")
+        self._servo_on = False
+        fault = (await self.status(self._axis)).fault
+        if fault:
+            raise DeviceFault(self._device, f"{fault}; it stays after a reset, its cause is still there")
+
+    async def disable(self) -> None:
+        """Switch the servo off."""
+        await self._tell("SRV0")
+        self._servo_on = False
+
+    def _whole_rate(self, rate_rps: float) -> int:
+        rate = math.degrees(rate_rps)
+        whole = round(rate)
+        if abs(rate - whole) > 1e-6:
+            raise DeviceRefused(
+                self._device, f"axis {self._axis}: the table's language has whole deg/s only, not {rate:g}"
+            )
+        return whole
+
+    async def _set_acceleration(self, acceleration_rps2: float) -> None:
+        """Set the ramp, in whole deg/s2, not above what is asked for."""
+        whole = math.floor(math.degrees(acceleration_rps2) + 1e-6)
+        if whole < 1:
+            raise DeviceRefused(self._device, f"axis {self._axis}: the gentlest ramp of the language is 1 deg/s2")
+        await self._tell(f"ACL{whole}")
+
+    async def _start(self, line: str) -> None:
+        """Send a motion command, whose prompt may come at once or be held back, and see that it is not refused."""
+        self._started_s = asyncio.get_running_loop().time()
+        before = await self._exchange.get_in_step(line)
+        if b"?" in before:
+            raise self._refusal(line, before.decode("ascii", "replace"))
+
+    async def _tell(self, line: str) -> None:
+        await self._ask(line, NOTHING)
+
+    async def _ask(self, line: str, pattern: re.Pattern[str]) -> Answer:
+        answer = await self._exchange.ask(line, pattern)
+        if answer.refused:
+            raise self._refusal(line, answer.text)
+        return answer
+
+    def _refusal(self, line: str, text: str) -> DeviceRefused:
+        return DeviceRefused(self._device, f"axis {self._axis} refuses {line!r}: {' '.join(text.split())!r}")
+
+
+def _value(answer: Answer, pattern: re.Pattern[str]) -> float:
+    found = pattern.fullmatch(answer.text)
+    return float(found[1]) if found else math.nan

@@ -1,0 +1,327 @@
+"""A turntable on a Galil DMC motion controller: up to eight axes on one controller, told apart by letter."""
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from drivers.errors import DeviceFault, DeviceRefused
+from drivers.protocols import ByteLink
+from drivers.requests.exchange import Answer
+from drivers.tables.galil import language as galil
+from drivers.tables.halting import bring_to_rest
+from drivers.tables.line_table import LineTable
+from drivers.types import AxisLimits, AxisState, AxisStatus, Identity
+
+TURN = 2 * math.pi
+VELOCITY_WINDOW_S = 0.25  # TV is the mean of the last 0.25 s at the default sample time (TM 1000)
+
+_LETTERS = "ABCDEFGH"
+_POLL_S = 0.02
+_HOMING_RATE_RPS = math.radians(30.0)
+_LARGEST_COUNT = 2**31 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class GalilAxis:
+    """One axis: its letter, counts of its encoder per turn, limits; its travel is set as soft limits once it is home.
+
+    ``error_limit_rad`` is the following error at which the controller switches the motor off, left as it is there if
+    not given.
+    """
+
+    letter: str
+    counts_per_turn: int
+    limits: AxisLimits
+    error_limit_rad: float | None = None
+
+
+class _RefusedError(DeviceRefused):
+    """A refusal with its TC code as a number."""
+
+    def __init__(self, device: str, message: str, code: int) -> None:
+        super().__init__(device, message)
+        self.code = code
+
+
+class GalilTable(LineTable):
+    """Turntable driver over a byte link, serial or TCP."""
+
+    def __init__(
+        self,
+        device: str,
+        link: ByteLink,
+        axes: Mapping[str, GalilAxis],
+        timeout_s: float,
+        *,
+        homing: str = "HM",
+        velocity_window_s: float = VELOCITY_WINDOW_S,
+    ) -> None:
+        """Name the axes. ``homing`` is HM (home switch) or FI (index pulse, in positive direction).
+
+        ``velocity_window_s``: the time that TV is the mean of, which goes with the controller's sample time (TM).
+
+        A request is tried twice, each for ``timeout_s``. ValueError for letters that cannot be.
+        """
+        letters = [axis.letter for axis in axes.values()]
+        if not set(letters) <= set(_LETTERS) or len(set(letters)) != len(letters):
+            raise ValueError(f"axis letters must be different ones of {_LETTERS}, not {', '.join(letters)}")
+        if homing not in ("HM", "FI"):
+            raise ValueError(f"homing must be HM or FI, not {homing}")
+        super().__init__(
+            device, link, galil.GalilFraming(), timeout_s, {name: axis.limits for name, axis in axes.items()}
+        )
+        self._axes, self._homing = dict(axes), homing
+        self._velocity_delay_s = velocity_window_s / 2
+        self._powered: set[str] = set()
+        self._jogs: dict[str, int] = {}  # rate in counts/s of axes that were told to jog
+        self._known_stops: dict[str, int] = {}  # stop codes that an operator has seen and reset
+
+    async def open(self) -> None:
+        """Open the link, get in step and ask every axis; LinkLost if the controller does not answer."""
+        await self._exchange.open()
+        for axis in self._axes:
+            await self._switches(axis)
+
+    async def identify(self) -> Identity:
+        """Ask for model and firmware (^R^V) and for the serial number (_BN) where the controller has it."""
+        model, firmware = galil.revision((await self._ask("\x12\x16", galil.TEXT)).text)
+        number = await self._exchange.ask("MG _BN", galil.NUMBER)
+        serial = "" if number.refused else f"{float(number.text):.0f}"
+        return Identity(model, serial, firmware)
+
+    async def enable(self) -> None:
+        """Switch every motor on where it stands; DeviceFault if an axis is in fault or its motor stays off."""
+        for axis, own in self._axes.items():
+            status = await self.status(axis)
+            if status.fault:
+                raise DeviceFault(self._device, f"{status.fault}; clear its cause, then start with --reset-fault")
+            if status.enabled:
+                continue
+            await self._tell(f"OE{own.letter}=1")
+            if own.error_limit_rad is not None:
+                await self._tell(f"ER{own.letter}={max(self._counts(axis, own.error_limit_rad), 1)}")
+            await self._tell(f"SH{own.letter}")
+            if (await self._switches(axis)).motor_off:
+                raise DeviceFault(self._device, f"the motor of axis {axis} stays off when it is switched on (SH)")
+            self._powered.add(axis)
+
+    async def home(self) -> None:
+        """Run the controller's own homing on all axes at once, then define zero there."""
+        for axis, own in self._axes.items():
+            if (await self._switches(axis)).moving:
+                await self._halt(axis)
+            rate = max(self._counts(axis, min(_HOMING_RATE_RPS, own.limits.rate_rps)), 1)
+            await self._set_ramps(axis, own.limits.acceleration_rps2)
+            await self._tell(f"JG{own.letter}={rate}" if self._homing == "FI" else f"SP{own.letter}={rate}")
+            await self._tell(f"{self._homing}{own.letter}")
+        await self._begin(self._axes)
+        await self._wait_for_home(self._at_home, _POLL_S)
+        for axis, own in self._axes.items():
+            await self._tell(f"DP{own.letter}=0")
+            if own.limits.travel_rad is not None:
+                low, high = (self._counts(axis, angle) for angle in own.limits.travel_rad)
+                await self._tell(f"BL{own.letter}={low}")
+                await self._tell(f"FL{own.letter}={high}")
+
+    async def _give_up_homing(self) -> None:
+        await self.stop()
+
+    async def _at_home(self, axis: str) -> bool:
+        switches, stop, fault = await self._condition(axis)
+        if fault:
+            raise DeviceFault(self._device, fault)
+        if not switches.moving and stop != galil.HOMED:
+            raise DeviceRefused(
+                self._device, f"axis {axis} ended homing without home: SC {stop}, {galil.stop_text(stop)}"
+            )
+        return not switches.moving
+
+    async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
+        """Turn an axis at a rate, in whole counts a second; a rate changes while it turns without a halt."""
+        self._moved, letter = axis, self._axes[axis].letter
+        rate = self._rate(axis, rate_rps, acceleration_rps2)
+        if (await self._switches(axis)).moving:
+            if axis in self._jogs and await self._change_jog(axis, rate, acceleration_rps2):
+                return
+            await self._halt(axis)
+        await self._set_ramps(axis, acceleration_rps2)
+        await self._tell(f"JG{letter}={rate}")
+        self._jogs[axis] = rate
+        await self._begin([axis])
+
+    async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
+        """Start a move to an angle from home; an axis that turns is brought to rest first."""
+        self._moved, letter = axis, self._axes[axis].letter
+        target, rate = self._counts(axis, angle_rad), abs(self._rate(axis, rate_rps, acceleration_rps2))
+        if abs(target) > _LARGEST_COUNT:
+            raise DeviceRefused(self._device, f"axis {axis}: the controller cannot count to {target}: fewer turns")
+        if (await self._switches(axis)).moving:
+            await self._halt(axis)
+        self._jogs.pop(axis, None)
+        await self._set_ramps(axis, acceleration_rps2)
+        await self._tell(f"SP{letter}={max(rate // 2 * 2, 2)}")  # the controller has it in steps of two
+        await self._tell(f"PA{letter}={target}")
+        await self._begin([axis])
+
+    async def read(self, axis: str) -> AxisState:
+        """Measure angle (TP) and rate (TV). The rate is a mean, so its instant is the middle of that time."""
+        letter, counts = self._axes[axis].letter, self._axes[axis].counts_per_turn
+        position = await self._ask(f"TP{letter}", galil.NUMBER)
+        velocity = await self._ask(f"TV{letter}", galil.NUMBER)
+        angle, rate = ((one.sent_s, one.received_s, float(one.text) / counts * TURN) for one in (position, velocity))
+        return AxisState.told(angle, rate, 2 * self._velocity_delay_s)
+
+    async def status(self, axis: str) -> AxisStatus:
+        """Get condition: TS word, stop code, and the fault in words with both."""
+        switches, stop, fault = await self._condition(axis)
+        reached = not switches.moving and stop in (galil.AT_TARGET, galil.HOMED)
+        if switches.moving and axis in self._jogs:
+            velocity = float((await self._ask(f"TV{self._axes[axis].letter}", galil.NUMBER)).text)
+            reached = abs(velocity - self._jogs[axis]) <= 1.0 + 1e-3 * abs(self._jogs[axis])
+        return AxisStatus(
+            enabled=not switches.motor_off,
+            target_reached=reached and not switches.motor_off,
+            fault=fault,
+            text=f"{switches.text} (TS {switches.word}); SC {stop}, {galil.stop_text(stop)}",
+        )
+
+    async def stop(self) -> str:
+        """Stop every axis with the deceleration it is allowed, over a new connection if need be."""
+        return await self._rest(lambda axis: (self._hardest_deceleration(), f"ST{self._axes[axis].letter}"), self.read)
+
+    async def abort(self) -> None:
+        """Stop at once, without a ramp, and wait for rest; the motors go off, as off-on-error is set."""
+        self._powered.clear()
+        self._jogs.clear()
+        await self._rest(lambda axis: ("AB",), self.read)
+
+    async def reset_fault(self) -> None:
+        """Take the faults as seen; DeviceFault if the cause of one is still there.
+
+        A Galil has no command for it: a motor that went off is switched on again by ``enable``.
+        """
+        for axis in self._axes:
+            switches, stop, fault = await self._condition(axis)
+            if not fault:
+                continue
+            if not switches.motor_off and switches.error_exceeded:
+                raise DeviceFault(self._device, f"axis {axis} stays in fault, its cause is still there: {fault}")
+            self._known_stops[axis] = stop
+            if switches.motor_off:
+                self._powered.discard(axis)
+
+    async def disable(self) -> None:
+        """Switch every motor off; DeviceRefused while an axis moves."""
+        await self._tell(f"MO{self._all_letters()}")
+        self._powered.clear()
+
+    async def _condition(self, axis: str) -> tuple[galil.Switches, int, str]:
+        """Return TS word, stop code and fault, which is empty if there is none."""
+        switches = await self._switches(axis)
+        stop = round(float((await self._ask(f"SC{self._axes[axis].letter}", galil.NUMBER)).text))
+        known = self._known_stops.get(axis) == stop
+        what = ""
+        if switches.motor_off and axis in self._powered:
+            what = "its motor has gone off"
+        elif switches.motor_off and stop in galil.FATAL_STOPS and not known:
+            what = "its motor was switched off by a fault"
+        elif not switches.motor_off and switches.error_exceeded:
+            what = "its following error is too large"
+        elif not switches.motor_off and stop in galil.LIMIT_STOPS and not known:
+            what = "it ran into a limit"
+        fault = f"axis {axis}: {what} (SC {stop}, {galil.stop_text(stop)}; TS {switches.word})" if what else ""
+        return switches, stop, fault
+
+    async def _switches(self, axis: str) -> galil.Switches:
+        return galil.Switches(round(float((await self._ask(f"TS{self._axes[axis].letter}", galil.NUMBER)).text)) & 0xFF)
+
+    async def _begin(self, axes: Iterable[str]) -> None:
+        """Start what has been set up; begun already is as good, if the answer to the first BG was lost."""
+        names = list(axes)
+        for axis in names:
+            self._known_stops.pop(axis, None)
+        line = "BG" + "".join(sorted(self._axes[axis].letter for axis in names))
+        answer = await self._exchange.ask(line, galil.NOTHING)
+        if answer.refused:
+            error = await self._refusal(line)
+            if not (answer.repeated and error.code == galil.RUNNING):
+                for axis in names:
+                    self._jogs.pop(axis, None)
+                raise error
+
+    async def _change_jog(self, axis: str, rate: int, acceleration_rps2: float) -> bool:
+        """Give a jogging axis another rate; False if it does not jog any more."""
+        await self._set_ramps(axis, acceleration_rps2)
+        try:
+            await self._tell(f"JG{self._axes[axis].letter}={rate}")
+        except _RefusedError as error:
+            if error.code == galil.NOT_JOGGING:
+                return False
+            raise
+        self._jogs[axis] = rate
+        return bool((await self._switches(axis)).moving)
+
+    async def _halt(self, axis: str) -> None:
+        self._jogs.pop(axis, None)
+        line = f"ST{self._axes[axis].letter}"
+        await bring_to_rest(self._device, [axis], lambda _: self._tell(line), self.read, self._timeout_s)
+
+    def _all_letters(self) -> str:
+        return "".join(sorted(axis.letter for axis in self._axes.values()))
+
+    def _hardest_deceleration(self) -> str:
+        by_letter = {
+            own.letter: str(galil.floor_acceleration(own.limits.acceleration_rps2 / TURN * own.counts_per_turn))
+            for own in self._axes.values()
+        }
+        return "DC " + ",".join(by_letter.get(letter, "") for letter in _LETTERS[: ord(max(by_letter)) - 64])
+
+    async def _set_ramps(self, axis: str, acceleration_rps2: float) -> None:
+        own = self._axes[axis]
+        acceleration = galil.floor_acceleration(acceleration_rps2 / TURN * own.counts_per_turn)
+        allowed = own.limits.acceleration_rps2 / TURN * own.counts_per_turn
+        if acceleration > allowed:
+            least_dps2 = math.degrees(acceleration / own.counts_per_turn * TURN)
+            raise DeviceRefused(
+                self._device,
+                f"axis {axis}: the controller's gentlest ramp is {acceleration} counts/s2, {least_dps2:.4g} deg/s2: "
+                "more than the axis is allowed",
+            )
+        for what in ("AC", "DC"):
+            await self._tell(f"{what}{own.letter}={acceleration}")
+
+    def _rate(self, axis: str, rate_rps: float, acceleration_rps2: float) -> int:
+        """Return a rate in counts/s; DeviceRefused beyond the limits, which the controller does not know."""
+        limits = self._axes[axis].limits
+        if abs(rate_rps) > limits.rate_rps * 1.001 or abs(acceleration_rps2) > limits.acceleration_rps2 * 1.001:
+            raise DeviceRefused(
+                self._device,
+                f"axis {axis}: {math.degrees(rate_rps):g} deg/s at {math.degrees(acceleration_rps2):g} deg/s2 "
+                "is beyond its limits",
+            )
+        rate = self._counts(axis, rate_rps)
+        if rate == 0 and rate_rps != 0.0:
+            raise DeviceRefused(
+                self._device, f"axis {axis}: {math.degrees(rate_rps):g} deg/s is less than half a count a second"
+            )
+        return rate
+
+    def _counts(self, axis: str, turns_rad: float) -> int:
+        return round(turns_rad / TURN * self._axes[axis].counts_per_turn)
+
+    async def _tell(self, line: str) -> None:
+        """Send a command that answers nothing but that it is done."""
+        await self._ask(line, galil.NOTHING)
+
+    async def _ask(self, line: str, pattern: re.Pattern[str]) -> Answer:
+        answer = await self._exchange.ask(line, pattern)
+        if answer.refused:
+            raise await self._refusal(line)
+        return answer
+
+    async def _refusal(self, line: str) -> _RefusedError:
+        """Return why a line was refused. TC1 tells of the last refused line and forgets it."""
+        reason = await self._exchange.ask("TC1", galil.TEXT)
+        code, words = galil.error_of("" if reason.refused else reason.text)
+        return _RefusedError(self._device, f"refuses {line!r}: TC {code}, {words}", code)

@@ -1,0 +1,131 @@
+"""Bringing a table to rest whatever has become of its link, and keeping hands off one that somebody else turns."""
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+from drivers.errors import BadReply, DeviceError, DeviceRefused, LinkLost
+from drivers.protocols import Turntable
+from drivers.types import AxisState
+
+AT_REST_RPS = math.radians(0.02)
+_TURNS_RPS = math.radians(0.05)  # at first contact: a servo that holds may tremble
+_STILL_RAD = math.radians(0.02)  # between two looks
+_LOOK_S = 0.02
+_SLOWING = 0.95
+_TOLD_AGAIN_S = 0.5  # if an axis does not slow down meanwhile
+_WAIT = 50  # time-outs without anything new to be seen
+_TELLS, _HEEDS = 2, 0.98  # an axis that answers and is as fast after so many tells heeds none
+
+
+@contextmanager
+def kept(failures: list[DeviceError]) -> Iterator[None]:
+    """Keep what fails within, so that it keeps nothing else from being tried."""
+    try:
+        yield
+    except (LinkLost, BadReply, DeviceRefused) as error:
+        failures.append(error)
+
+
+class _Axis:
+    """What was seen of an axis since it was told to stop."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.stands = False
+        self.tells = 0
+        self._last: AxisState | None = None
+        self._first_rps = self._slowest_rps = math.inf
+
+    @property
+    def heedless(self) -> bool:
+        """Whether it was told often enough and is as fast as it was."""
+        return self.tells >= _TELLS and self._slowest_rps > _HEEDS * self._first_rps
+
+    def see(self, state: AxisState) -> bool:
+        """Take a reading in; return whether it tells that the axis slows down or stands."""
+        still = self._last is not None and abs(state.angle_rad - self._last.angle_rad) <= _STILL_RAD
+        self._last = state
+        rate_rps = abs(state.rate_rps)
+        self.stands = rate_rps <= AT_REST_RPS and still
+        slows = rate_rps < _SLOWING * self._slowest_rps
+        self._slowest_rps = min(self._slowest_rps, rate_rps)
+        self._first_rps = rate_rps if self._first_rps == math.inf else self._first_rps
+        return slows or self.stands
+
+    def text(self, now_s: float) -> str:
+        if self._last is None:
+            return f"axis {self.name} was not seen any more"
+        rate_dps, ago_s = math.degrees(self._last.rate_rps), now_s - self._last.rate_t_ns * 1e-9
+        return f"axis {self.name} turned at {rate_dps:.2f} deg/s when last seen, {ago_s:.1f} s ago"
+
+
+async def bring_to_rest(
+    device: str,
+    axes: Sequence[str],
+    tell: Callable[[str], Awaitable[None]],
+    read: Callable[[str], Awaitable[AxisState]],
+    timeout_s: float,
+) -> str:
+    """Tell all axes to stop, in this order, watch until they stand, and return in words what was seen.
+
+    ``tell`` sends the stop to one axis, over a link that it opens again if that is lost. What fails with one keeps
+    no other from being told: it is told again once the others have been, and so is what is not seen to slow down.
+    It ends when an axis that answers heeds neither, or after ten seconds (at a ``timeout_s`` of 0.2 s) in which
+    nothing new is seen. LinkLost, BadReply if something else
+    answered, or DeviceRefused if an axis turns on; each with what was seen last of each axis that may still turn.
+    """
+    loop = asyncio.get_running_loop()
+    began_s = seen_s = loop.time()
+    waiting = [_Axis(name) for name in axes]
+    while True:
+        failures: list[DeviceError] = []
+        told = []
+        for axis in tuple(waiting):
+            with kept(failures):
+                await tell(axis.name)
+                told.append(axis)
+        told_s = loop.time()
+        while told and loop.time() < told_s + _TOLD_AGAIN_S:
+            for axis in tuple(told):
+                try:
+                    if axis.see(await read(axis.name)):
+                        seen_s = told_s = loop.time()
+                except (LinkLost, BadReply, DeviceRefused) as error:
+                    failures.append(error)
+                    waiting.append(waiting.pop(waiting.index(axis)))  # the others first
+                    break
+                if axis.stands:
+                    told.remove(axis)
+                    waiting.remove(axis)
+            if failures:  # who has not been told must not wait until the others stand
+                break
+            await asyncio.sleep(_LOOK_S if told else 0.0)
+        if not waiting:
+            return f"{', '.join(axes)} seen at rest {loop.time() - began_s:.2f} s after the stop began"
+        for axis in told:
+            axis.tells += 1
+        if (not failures and any(axis.heedless for axis in told)) or loop.time() > seen_s + _WAIT * timeout_s:
+            said = "; ".join(axis.text(loop.time()) for axis in waiting)
+            if not failures:
+                raise DeviceRefused(device, f"told to stop, {said}: it keeps turning, cut its power")
+            kind = BadReply if isinstance(failures[0], BadReply) else LinkLost
+            raise kind(device, f"{failures[0].message}; {said}: look at the table")
+        await asyncio.sleep(_LOOK_S)
+
+
+async def first_look(table: Turntable, *, take_over: bool) -> None:
+    """See at first contact that nobody else drives the table; DeviceRefused, or ``stop`` it to ``take_over``."""
+    for axis in table.limits:
+        rate_rps = (await table.read(axis)).rate_rps
+        if abs(rate_rps) <= _TURNS_RPS or not (await table.status(axis)).enabled:
+            continue
+        if take_over:
+            await table.stop()
+            break
+        raise DeviceRefused(
+            "table",
+            f"axis {axis} is enabled and turns at {math.degrees(rate_rps):.2f} deg/s, and not by this station: stop it "
+            "where it was started; if that is gone, start with --reset-fault, which brings the table to rest first",
+        )

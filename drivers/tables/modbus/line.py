@@ -1,0 +1,337 @@
+"""One Modbus wire, TCP or RTU on a serial line, behind a stock pymodbus client."""
+
+import asyncio
+import logging
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+from pymodbus.exceptions import ModbusException
+from pymodbus.transport import NULLMODEM_HOST
+
+from drivers.errors import BadReply, DeviceError, DeviceRefused, LinkLost
+from drivers.packaged import packaged_codes
+from drivers.requests.turn import Turn
+from drivers.tables.modbus.order import READ, WRITE_ONE, LineCounts, Pending, Request, RtuGate, TcpGate
+
+# pymodbus dumps its recent frames at ERROR for every time-out; the station says it in one line of its own.
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+
+_HEARD_OUT = 0.25  # of a time-out, for the reply to a request that was cancelled
+_LISTEN = 0.0025
+_FORGOTTEN = 50  # time-outs, after which nothing on the way holds a reply back any more
+
+_EXCEPTIONS = packaged_codes("drivers", "modbus", "exception")
+_ASK_AGAIN = (5, 6, 11)  # acknowledge, busy, gateway target does not answer (Application Protocol V1.1b3, 7)
+_FIRST_PAUSE = 0.05  # of a time-out, before what was busy is asked again; doubled each time
+
+
+@dataclass(frozen=True, slots=True)
+class SerialPort:
+    """A serial line: its device, bits per second, parity (N, E or O), stop bits (1 or 2)."""
+
+    port: str
+    baud: int = 19200
+    parity: str = "N"
+    stop_bits: int = 1
+
+    @property
+    def silence_s(self) -> float:
+        """Silence between frames: 3.5 characters, not below 1.75 ms (Modbus over serial line V1.02, 2.5.1.1)."""
+        return max(3.5 * 11 / self.baud, 0.00175)
+
+
+Address = tuple[str, int] | SerialPort
+"""Host and TCP port, or a serial line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The words read (or echoed); the device answered between these two times of the loop."""
+
+    words: tuple[int, ...]
+    sent_s: float
+    received_s: float
+
+
+class _NoReply(Exception):
+    """Nothing came that could be the answer."""
+
+
+class _Busy(DeviceRefused):
+    """A refusal for now."""
+
+
+class ModbusLine:
+    """Asks one thing at a time, and believes only what must be its answer (``modbus_order``).
+
+    Every ``ask`` ends within two time-outs, bringing the line back into step and waiting for a busy drive included.
+    """
+
+    def __init__(
+        self, device: str, address: Address, timeout_s: float, probes: Mapping[int, Sequence[Request]]
+    ) -> None:
+        """Name the peer; ``probes`` are harmless reads by unit id, whose RTU replies differ in length."""
+        self._device, self._address, self._timeout_s = device, address, timeout_s
+        self._probes = probes
+        self.counts = LineCounts()
+        self._client: Any = None
+        self._lock = Turn()
+        self._rtu, self._tcp = RtuGate(self.counts), TcpGate(self.counts)
+        self._unheard_until_s = 0.0
+        self._pending: dict[int, Pending] = defaultdict(Pending)
+        self._quiet_until_s = 0.0
+        self._failed = self._asking = False
+        self._ended = ""
+
+    @property
+    def sound(self) -> bool:
+        """Whether it is connected, and on TCP, where a new connection begins in step, the last request was answered."""
+        failed = self._failed and not isinstance(self._address, SerialPort)
+        return self._client is not None and bool(self._client.connected) and not failed
+
+    async def open(self) -> None:
+        """Connect, anew if it was; LinkLost if nobody listens or the port cannot be opened."""
+        self.close()
+        self._failed, self._ended, self._unheard_until_s = False, "", 0.0
+        if isinstance(self._address, SerialPort):
+            line = self._address
+            self._doubt_all()
+            reason = f"cannot open serial port {line.port}; is it plugged in, free, and allowed to you?"
+            self._client = AsyncModbusSerialClient(
+                line.port,
+                baudrate=line.baud,
+                parity=line.parity,
+                stopbits=line.stop_bits,
+                timeout=2 * self._timeout_s,
+                retries=0,
+                trace_packet=self._rtu,
+                reconnect_delay=0,
+            )
+        else:
+            host, port = self._address
+            reason = f"nothing answers at {_text(self._address)}; is the table's controller on, and the address right?"
+            self._client = AsyncModbusTcpClient(
+                host, port=port, timeout=self._timeout_s, retries=1, trace_packet=self._tcp, reconnect_delay=0
+            )
+        self._client.set_max_no_responses(1 << 30)  # it is ours to close
+        self._client.ctx.callback_disconnected = self._disconnected
+        cancels = _cancels()
+        try:
+            connected = await self._client.connect()
+        except Exception as error:  # pyserial lets termios.error through, which not every system has
+            raise LinkLost(self._device, f"{reason} ({error})") from None
+        _heed(cancels)
+        if not connected:
+            raise LinkLost(self._device, reason)
+
+    def close(self) -> None:
+        """Close; twice is once."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+    async def ask(self, request: Request) -> Reply:
+        """Return the reply, asking twice at most; LinkLost without one, BadReply, DeviceRefused with its code."""
+        return await self._answered(request, 2 * self._timeout_s, prompt=False)
+
+    async def tell(self, request: Request) -> None:
+        """Send at once, whatever else may still come: for stopping, where others wait to be told. As ``ask``.
+
+        The echo is waited for half a time-out; on a serial line that was well so far, where both could collide, one.
+        """
+        patient = isinstance(self._address, SerialPort) and not self._failed
+        await self._answered(request, self._timeout_s if patient else self._timeout_s / 2, prompt=True)
+
+    async def _answered(self, request: Request, within_s: float, *, prompt: bool) -> Reply:
+        async with self._lock:
+            self._check_connected()
+            began_s, pause_s = self._now(), _FIRST_PAUSE * self._timeout_s
+            limit_s = began_s + within_s if prompt else None  # else the client asks twice
+            await self._hear_out()
+            while True:
+                try:
+                    if not isinstance(self._address, SerialPort):
+                        reply = await self._execute(request, limit_s)
+                    elif prompt:
+                        reply = await self._exchange(request, began_s + within_s, self._address)
+                    else:
+                        reply = await self._ask_in_step(request, self._address, began_s)
+                except _Busy:
+                    limit_s = began_s + within_s
+                    if self._now() + pause_s > limit_s:
+                        self._failed = True
+                        raise
+                except _NoReply:
+                    self.counts.timeouts += 1
+                    self._failed = True
+                    self._check_connected()
+                    raise self._unanswered(request, within_s, prompt) from None
+                else:
+                    self._failed = False
+                    return reply
+                await asyncio.sleep(pause_s)
+                pause_s *= 2
+
+    def _unanswered(self, request: Request, within_s: float, once: bool) -> DeviceError:
+        """Return what is to be said of a request to which no answer came."""
+        if self._tcp.wrong:
+            said = f"is answered for {request.register} not as Modbus has it: {self._tcp.wrong}"
+            return BadReply(self._device, f"{_who(request)} {said}")
+        said = f"does not answer within {within_s:g} s{'' if once else ', twice asked'}"
+        heard = "; what comes is late, damaged, or no answer to it" if self._rtu.heard else ""
+        return LinkLost(self._device, f"{_who(request)} {said}{heard}")
+
+    async def _hear_out(self) -> None:
+        """Wait a little for the reply to a request whose asker was cancelled, as a stop cancels all.
+
+        A device that has not answered yet may lose what comes next, and on a serial line both would collide.
+        """
+        if not self._unheard_until_s:
+            return
+        gate = self._rtu if isinstance(self._address, SerialPort) else self._tcp
+        while not gate.answered and self._now() < self._unheard_until_s:
+            await asyncio.sleep(_LISTEN * self._timeout_s)
+        self._unheard_until_s = 0.0
+        if isinstance(self._address, SerialPort):
+            self._quiet_until_s = self._now() + self._address.silence_s
+
+    def _doubt_all(self) -> None:
+        """Take it that each unit still has replies on their way, to whoever used the line before."""
+        for unit, probes in self._probes.items():
+            if len({probe.head for probe in probes}) < 2:
+                raise DeviceRefused(
+                    self._device,
+                    "this drive's values are all of one width, so that late replies cannot be told on a serial line; "
+                    "use Modbus TCP",
+                )
+            for probe in probes:
+                if probe.head not in self._pending[unit]:
+                    self._pending[unit].add(probe.head, self._now())
+
+    async def _ask_in_step(self, request: Request, line: SerialPort, began_s: float) -> Reply:
+        deadline_s = began_s + 2 * self._timeout_s
+        pending = self._pending[request.unit_id]
+        pending.forget(self._now() - _FORGOTTEN * self._timeout_s)
+        if request.head not in pending:
+            try:
+                return await self._exchange(request, began_s + self._timeout_s, line)
+            except _NoReply:
+                self.counts.timeouts += 1
+        while pending:
+            await self._probe(request.unit_id, deadline_s, line)
+        return await self._exchange(request, deadline_s, line)
+
+    async def _probe(self, unit: int, deadline_s: float, line: SerialPort) -> None:
+        """Read what nobody needs: its reply ends what was asked before.
+
+        If there is such, a read whose reply fits nothing that may still come; else the last that was asked, again
+        and again, until only replies like its own may come and the other is the one to ask.
+        """
+        pending = self._pending[unit]
+        left_s = deadline_s - self._now()
+        if left_s <= 0:
+            raise _NoReply
+        fresh = [probe for probe in self._probes[unit] if probe.head not in pending]
+        probe = fresh[0] if fresh else max(self._probes[unit], key=lambda probe: pending.last(probe.head))
+        wait_s = max(left_s / 2, self._timeout_s / 10)
+        try:
+            await self._exchange(probe, min(self._now() + wait_s, deadline_s), line)
+        except _NoReply:
+            if self._now() >= deadline_s:
+                raise
+
+    async def _exchange(self, request: Request, limit_s: float, line: SerialPort) -> Reply:
+        """Send once on RTU and take the first reply that fits; what it proves to be past is struck off."""
+        pending = self._pending[request.unit_id]
+        # A refusal does not tell of what; it can be taken for the answer only where nothing else may be refused.
+        self._rtu.expect(request.head, *(() if pending else request.refusals))
+        pending.add(request.head, self._now())
+        await asyncio.sleep(self._quiet_until_s - self._now())
+        try:
+            reply = await self._execute(request, limit_s)
+        except DeviceRefused:
+            pending.answered(request.head)
+            raise
+        finally:
+            self._quiet_until_s = self._now() + line.silence_s
+        pending.answered(request.head)
+        return reply
+
+    async def _execute(self, request: Request, limit_s: float | None) -> Reply:
+        cancels = _cancels()
+        sent_s = self._now()
+        try:
+            async with asyncio.timeout_at(limit_s):
+                self._asking = True
+                reply = await self._call(request)
+        except asyncio.CancelledError:
+            self._unheard_until_s = self._now() + _HEARD_OUT * self._timeout_s
+            raise
+        except (ModbusException, TimeoutError):
+            raise _NoReply from None
+        finally:
+            self._asking = False
+        received_s = self._now()
+        _heed(cancels)
+        return Reply(self._checked(request, reply), sent_s, received_s)
+
+    async def _call(self, request: Request) -> Any:
+        client, unit = self._client, request.unit_id
+        if request.function == READ:
+            return await client.read_holding_registers(request.address, count=request.count, device_id=unit)
+        if request.function == WRITE_ONE:
+            return await client.write_register(request.address, request.words[0], device_id=unit)
+        return await client.write_registers(request.address, list(request.words), device_id=unit)
+
+    def _checked(self, request: Request, reply: Any) -> tuple[int, ...]:
+        """Return the words of a reply, which the gates have seen to be the answer."""
+        if reply.isError():
+            code = int(getattr(reply, "exception_code", 0))
+            function = "write" if request.words else "read"
+            raise (_Busy if code in _ASK_AGAIN else DeviceRefused)(
+                self._device,
+                f"{_who(request)} refuses to {function} 0x{request.address:04X} ({request.register}): "
+                f"Modbus exception {code}, {_EXCEPTIONS.get(code, 'unknown exception')}",
+            )
+        return tuple(reply.registers)
+
+    def _disconnected(self, error: Exception | None) -> None:
+        """Keep why the connection ended, and let nobody wait for an answer any more."""
+        self._ended = "the controller closed it" if error is None else f"it broke ({error})"
+        if self._asking and not self._client.ctx.response_future.done():
+            self._client.ctx.response_future.set_exception(self._gone())
+
+    def _check_connected(self) -> None:
+        if self._client is None or not self._client.connected:
+            raise self._gone()
+
+    def _gone(self) -> LinkLost:
+        said = f"the connection to {_text(self._address)} is gone"
+        return LinkLost(self._device, f"{said}: {self._ended}" if self._ended else said)
+
+    def _now(self) -> float:
+        return asyncio.get_running_loop().time()
+
+
+def _cancels() -> int:
+    task = asyncio.current_task()
+    return task.cancelling() if task else 0
+
+
+def _heed(cancels_before: int) -> None:
+    """Raise a cancel that asyncio.wait_for of Python 3.11, within pymodbus, forgot as it came with the result."""
+    if _cancels() > cancels_before:
+        raise asyncio.CancelledError
+
+
+def _who(request: Request) -> str:
+    return f"axis {request.axis} (unit id {request.unit_id})"
+
+
+def _text(address: Address) -> str:
+    if isinstance(address, SerialPort):
+        return address.port
+    return "the wire in memory" if address[0] == NULLMODEM_HOST else f"{address[0]}:{address[1]}"

@@ -1,0 +1,305 @@
+"""A turntable of CiA 402 servo drives on Modbus, TCP or RTU: one drive an axis, told apart by unit id."""
+
+import asyncio
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import astuple, dataclass
+from functools import partial
+
+from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
+from drivers.tables.halting import bring_to_rest, kept
+from drivers.tables.modbus import cia402
+from drivers.tables.modbus.line import Address, ModbusLine, Reply
+from drivers.tables.modbus.order import LineCounts, Request
+from drivers.tables.modbus.registers import DriveProfile
+from drivers.types import AxisLimits, AxisState, AxisStatus, Identity
+
+TURN = 2 * math.pi
+_POLL_S = 0.02
+_STATE_LIMIT_S = 2.0
+_HOMING_RATE_RPS = math.radians(30.0)
+_HOMING_LIMIT_S = 60.0
+_FAULTS = (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION)
+
+
+@dataclass(frozen=True, slots=True)
+class DriveAxis:
+    """One drive: its unit id on the bus, counts of its encoder per turn of the axis, and its limits.
+
+    ``address`` is where it is if not where the table is: some drives have a TCP address each.
+    """
+
+    unit_id: int
+    counts_per_turn: int
+    limits: AxisLimits
+    address: Address | None = None
+
+
+class ModbusTable:
+    """Turntable driver over a stock pymodbus client."""
+
+    def __init__(
+        self, device: str, address: Address, profile: DriveProfile, axes: Mapping[str, DriveAxis], timeout_s: float
+    ) -> None:
+        """Name the peer; it is connected by ``open``. A request is tried twice within two ``timeout_s``."""
+        self._device, self._profile = device, profile
+        self._axes = dict(axes)
+        probes: dict[Address, dict[int, list[Request]]] = {}
+        for axis, drive in self._axes.items():
+            harmless = [self._reading(axis, name) for name in ("statusword", "position")]
+            probes.setdefault(drive.address or address, {})[drive.unit_id] = harmless
+        lines = {where: ModbusLine(device, where, timeout_s, reads) for where, reads in probes.items()}
+        self._lines = {axis: lines[drive.address or address] for axis, drive in self._axes.items()}
+        self._timeout_s = timeout_s
+        self._ready: set[str] = set()  # axes to which what the profile says was written since their line was opened
+        self._moved = ""  # the axis that was told last to move
+
+    @property
+    def limits(self) -> Mapping[str, AxisLimits]:
+        """Limits by axis."""
+        return {name: axis.limits for name, axis in self._axes.items()}
+
+    @property
+    def counts(self) -> LineCounts:
+        """Requests without an answer, and replies dropped, on all lines."""
+        each = [astuple(line.counts) for line in set(self._lines.values())]
+        return LineCounts(*map(sum, zip(*each, strict=True)))
+
+    async def open(self) -> None:
+        """Connect, read every drive's state and write what the profile says; LinkLost if one does not answer.
+
+        A drive that is enabled may be driven by somebody else: it is not written to before the first command.
+        """
+        self._ready.clear()
+        for line in dict.fromkeys(self._lines.values()):
+            await line.open()
+        idle = [axis for axis in self._axes if not (await self.status(axis)).enabled]
+        for axis in idle:
+            await self._make_ready(axis)
+
+    async def _make_ready(self, axis: str) -> None:
+        """Write what the profile says is to be written on a new connection, before the first command over it."""
+        if axis not in self._ready:
+            self._ready.add(axis)
+            for name, value in self._profile.on_open:
+                await self._write(axis, name, value)
+
+    async def identify(self) -> Identity:
+        """Return the make of the drives, and serial number and firmware of each where the profile knows them."""
+        return Identity(self._profile.name, await self._numbers("serial_number"), await self._numbers("firmware"))
+
+    async def enable(self) -> None:
+        """Walk every drive to Operation enabled; DeviceFault if it is in fault, DeviceRefused if it stays."""
+        for axis in self._axes:
+            status = await self.status(axis)
+            if status.fault:
+                raise DeviceFault(self._device, f"{status.fault}; clear its cause, then start with --reset-fault")
+            await self._leave_quick_stop(axis)
+            steps = (
+                ("shutdown", cia402.DriveState.READY_TO_SWITCH_ON),
+                ("switch_on", cia402.DriveState.SWITCHED_ON),
+                ("enable", cia402.DriveState.OPERATION_ENABLED),
+            )
+            for command, state in steps:
+                if await self._state(axis) is cia402.DriveState.OPERATION_ENABLED:
+                    break
+                await self._command(axis, command)
+                await self._wait_for_state(axis, state)
+                await self._hail(list(self._axes)[: list(self._axes).index(axis)])
+
+    async def home(self) -> None:
+        """Run the drives' own homing on all axes at once; DeviceRefused if one does not end."""
+        for axis in self._axes:
+            await self._write(axis, "mode", cia402.MODE_HOMING)
+            await self._write(axis, "homing_method", self._profile.homing_method)
+            await self._write_motion(axis, "homing_rate_1", _HOMING_RATE_RPS)
+            await self._write_motion(axis, "homing_rate_2", _HOMING_RATE_RPS / 4)
+            await self._command(axis, "enable")
+            await self._command(axis, "home")
+            await self._hail(self._axes)
+        deadline = asyncio.get_running_loop().time() + _HOMING_LIMIT_S
+        waiting = set(self._axes)
+        while waiting:
+            for axis in self._axes:  # also those at home: each drive watches for its master's silence by itself
+                word = int(await self._read(axis, "statusword"))
+                if cia402.state_of(word) in _FAULTS:
+                    raise DeviceFault(self._device, await self._fault_text(axis, word))
+                if axis not in waiting:
+                    continue
+                if word & cia402.BIT_13:
+                    raise DeviceRefused(self._device, f"axis {axis} reports a homing error")
+                if word & cia402.BIT_12 and word & cia402.TARGET_REACHED:
+                    waiting.discard(axis)
+                    await self._command(axis, "enable")  # takes the start bit back
+            if waiting and asyncio.get_running_loop().time() > deadline:
+                raise DeviceRefused(
+                    self._device, f"axis {', '.join(sorted(waiting))} found no home within {_HOMING_LIMIT_S:.0f} s"
+                )
+            await asyncio.sleep(_POLL_S)
+
+    async def _hail(self, axes: Iterable[str]) -> None:
+        """Ask drives for no more than a sign of life from us: each watches for its master's silence by itself."""
+        for axis in axes:
+            await self._read(axis, "statusword")
+
+    async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
+        """Turn an axis at a rate (profile-velocity mode) until told otherwise."""
+        self._moved = axis
+        await self._write(axis, "mode", cia402.MODE_PROFILE_VELOCITY)
+        await self._write_motion(axis, "acceleration", acceleration_rps2)
+        await self._write_motion(axis, "deceleration", acceleration_rps2)
+        await self._write_motion(axis, "target_rate", rate_rps)
+        await self._command(axis, "enable")
+
+    async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
+        """Start a move to an angle from home (profile-position mode)."""
+        self._moved = axis
+        await self._write(axis, "mode", cia402.MODE_PROFILE_POSITION)
+        await self._write_motion(axis, "profile_rate", abs(rate_rps))
+        await self._write_motion(axis, "acceleration", acceleration_rps2)
+        await self._write_motion(axis, "deceleration", acceleration_rps2)
+        await self._write_motion(axis, "target_position", angle_rad)
+        await self._command(axis, "move_arm")
+        await self._command(axis, "move_go")
+
+    async def read(self, axis: str) -> AxisState:
+        """Measure angle and rate; each is stamped with the middle of its own round trip."""
+        replies = {name: await self._lines[axis].ask(self._reading(axis, name)) for name in ("position", "rate")}
+        angle, rate = (
+            (one.sent_s, one.received_s, self._value(axis, name, one) * TURN) for name, one in replies.items()
+        )
+        return AxisState.told(angle, rate)
+
+    async def status(self, axis: str) -> AxisStatus:
+        """Get state, target reached, and the fault in words."""
+        word = int(await self._read(axis, "statusword"))
+        state = cia402.state_of(word)
+        if state is None:
+            raise BadReply(self._device, f"axis {axis} has statusword 0x{word:04X}, which is no CiA 402 state")
+        return AxisStatus(
+            enabled=state is cia402.DriveState.OPERATION_ENABLED,
+            target_reached=bool(word & cia402.TARGET_REACHED),
+            fault=await self._fault_text(axis, word) if state in _FAULTS else "",
+            caution=f"axis {axis} was left in quick stop active: it holds, energised; a run takes it out of that"
+            if state is cia402.DriveState.QUICK_STOP_ACTIVE
+            else "",
+            text=f"{state.text}, internal limit active" if word & cia402.INTERNAL_LIMIT else state.text,
+        )
+
+    async def stop(self) -> str:
+        """Quick-stop every drive along its ramp, over a new connection if need be, and return what was seen."""
+        return await self._rest("quick_stop")
+
+    async def abort(self) -> None:
+        """Stop every axis at once by the profile's abort command, as ``stop`` does."""
+        await self._rest("abort")
+
+    async def _rest(self, command: str) -> str:
+        """Tell all drives, asking nothing first; what one answers does not keep the others from being told."""
+        axes = sorted(self._axes, key=lambda axis: axis != self._moved)
+        return await bring_to_rest(self._device, axes, partial(self._tell, command), self.read, self._timeout_s)
+
+    async def _tell(self, command: str, axis: str) -> None:
+        """Send a command at once, also to a drive that does not take what the profile says of a new connection."""
+        line = self._lines[axis]
+        if not line.sound:
+            self._ready -= {other for other in self._axes if self._lines[other] is line}
+            await line.open()
+        with kept([]):
+            await self._make_ready(axis)
+        await line.tell(self._writing(axis, "controlword", self._profile.commands[command]))
+
+    async def reset_fault(self) -> None:
+        """Clear the fault of every drive that has one; DeviceFault if one stays."""
+        for axis in self._axes:
+            if not (await self.status(axis)).fault:
+                continue
+            await self._write(axis, "controlword", 0)  # the reset acts on a rising edge
+            await self._command(axis, "fault_reset")
+            try:
+                await self._wait_for_state(axis, cia402.DriveState.SWITCH_ON_DISABLED)
+            except DeviceRefused:
+                raise DeviceFault(self._device, f"axis {axis} stays in fault: its cause is still there") from None
+
+    async def disable(self) -> None:
+        """Take power off every drive, and see that it is off; DeviceRefused if one stays energised.
+
+        The first failure is raised once all have been tried.
+        """
+        failures: list[DeviceError] = []
+        for axis in self._axes:
+            with kept(failures):
+                await self._leave_quick_stop(axis)
+                await self._command(axis, "shutdown")
+                state = await self._state(axis)
+                if state in (cia402.DriveState.OPERATION_ENABLED, cia402.DriveState.QUICK_STOP_ACTIVE):
+                    raise DeviceRefused(self._device, f"axis {axis} stays in {state.text}: it is still energised")
+        if failures:
+            raise failures[0]
+
+    async def _leave_quick_stop(self, axis: str) -> None:
+        """Take power off a drive that holds after its quick stop, as 605Ah = 5 to 8 has it (CiA 402 transition 12)."""
+        if await self._state(axis) is cia402.DriveState.QUICK_STOP_ACTIVE:
+            await self._write(axis, "controlword", cia402.DISABLE_VOLTAGE)
+            await self._wait_for_state(axis, cia402.DriveState.SWITCH_ON_DISABLED)
+
+    def close(self) -> None:
+        """Drop the connection."""
+        for line in self._lines.values():
+            line.close()
+
+    async def _state(self, axis: str) -> cia402.DriveState | None:
+        return cia402.state_of(int(await self._read(axis, "statusword")))
+
+    async def _wait_for_state(self, axis: str, wanted: cia402.DriveState) -> None:
+        deadline = asyncio.get_running_loop().time() + _STATE_LIMIT_S
+        while (state := await self._state(axis)) is not wanted:
+            if asyncio.get_running_loop().time() > deadline:
+                now = state.text if state else "no known state"
+                raise DeviceRefused(self._device, f"axis {axis} stays in {now} and does not reach {wanted.text}")
+            await asyncio.sleep(_POLL_S)
+
+    async def _fault_text(self, axis: str, statusword: int) -> str:
+        state = cia402.state_of(statusword)
+        text = f"axis {axis} is in {state.text if state else 'no known state'} (statusword 0x{statusword:04X}"
+        text += ", internal limit active)" if statusword & cia402.INTERNAL_LIMIT else ")"
+        if "error_code" not in self._profile.registers:
+            return text
+        try:
+            code = int(await self._read(axis, "error_code"))
+        except DeviceRefused:
+            return text  # a firmware that lacks the register
+        return f"{text}: {self._profile.error_text(code)}"
+
+    async def _numbers(self, name: str) -> str:
+        if name not in self._profile.registers:
+            return ""
+        return ", ".join([f"{axis} {await self._read(axis, name):.0f}" for axis in self._axes])
+
+    async def _command(self, axis: str, command: str) -> None:
+        await self._write(axis, "controlword", self._profile.commands[command])
+
+    async def _write_motion(self, axis: str, register: str, value_rad: float) -> None:
+        await self._write(axis, register, value_rad / TURN)
+
+    async def _write(self, axis: str, name: str, value: float) -> None:
+        await self._make_ready(axis)
+        await self._lines[axis].ask(self._writing(axis, name, value))
+
+    async def _read(self, axis: str, name: str) -> float:
+        return self._value(axis, name, await self._lines[axis].ask(self._reading(axis, name)))
+
+    def _value(self, axis: str, name: str, reply: Reply) -> float:
+        return self._profile[name].decode(reply.words, self._axes[axis].counts_per_turn)
+
+    def _reading(self, axis: str, name: str) -> Request:
+        register = self._profile[name]
+        return Request(axis, self._axes[axis].unit_id, name, register.address, register.words)
+
+    def _writing(self, axis: str, name: str, value: float) -> Request:
+        drive, register = self._axes[axis], self._profile[name]
+        try:
+            words = register.encode(value, drive.counts_per_turn)
+        except ValueError as error:
+            raise DeviceRefused(self._device, f"axis {axis}: {error}") from None
+        return Request(axis, drive.unit_id, name, register.address, len(words), tuple(words))

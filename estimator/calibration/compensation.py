@@ -1,0 +1,212 @@
+"""From the outputs of gyros to the rate of their body: the error model undone, sample by sample.
+
+With the sensitivity G (n, 3) of the array, rows (1 - k)(p - sigma_k j + sigma_j k), and the effects e of the error
+model, gyros put out ``y = G w - b + e``, so ``w = H (y + b - e)`` with H the inverse of G, by least squares where
+there are more gyros than axes. What an effect needs of a sample (temperature, specific force, the samples before it)
+must be given; effects of the rate itself are undone by iteration. What remembers the rate, depends on its change, or
+jumps where the rate changes sign, is worked out from the rate without it, once (``Acts.MOTION``). No sample is waited
+for: rates of change are differences from the sample before, so they lag by half a period.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from itertools import groupby
+
+import numpy as np
+
+from estimator.calibration.error_model import ErrorModel, KnownEffect
+from estimator.calibration.values import GyroCalibration
+from estimator.effects.constructed import NAME as CONSTRUCTED
+from estimator.effects.constructed import VARIABLES, functions_of, variables_of
+from estimator.effects.thermal import REFERENCE_C
+from estimator.errors import EstimatorError
+from estimator.geometry.array import TOLERANCE, SensorArray
+from estimator.geometry.model import decode, predicted_output
+from estimator.types import Floats
+
+MOST_ITERATIONS = 30
+"""After which effects of the rate that are not undone to ``TOLERANCE_RPS`` are beyond what the model can be undone."""
+TOLERANCE_RPS = 1e-13
+
+ADDED = ("thermal_bias", "thermal_bias_quadratic", "warm_up", "g_sensitivity", "thermal_gradient")
+"""Effects that add to the output whatever the rate."""
+OF_THE_RATE = ("thermal_scale", "scale_asymmetry", "scale_quadratic", "scale_cubic")
+"""Effects that follow the rate itself."""
+OF_THE_PAST = ("bandwidth", "acceleration_sensitivity")
+"""Effects of changes of the rate, for which the samples before are needed."""
+OF_THE_STAMPS = ("latency", "sample_hold")
+"""Effects that are undone by taking the delay off the stamps of the samples."""
+_LEFT_OUT = {
+    "earth_rate": "it is Earth rate that the site of the table lacked: the gyros sense it rightly",
+    "table_axes": "it is an error of the table, not of the gyros",
+    "table_rate": "it is an error of the table, not of the gyros",
+    "table_harmonic": "it goes round with an axis of the table: away from that table it is not there",
+    "bias_drift": "it counts from the start of that run, and says nothing of another",
+    "tone": "its phase is another each time: a notch filter takes it away",
+    "dead_band": "what a gyro does not answer cannot be got back",
+}
+
+
+_OF_THAT_TABLE = "it goes with the axes of the table that it was found on: away from that table it is not there"
+_UNSTEADY = frozenset({"lag", "play", "last", "sign", "sqrt", "/"})
+"""Functions of the rate that no iteration undoes: with memory, or of a slope without limit."""
+
+
+class Acts(StrEnum):
+    """How an effect that is undone comes into the output."""
+
+    ADDED = "whatever the rate"
+    RATE = "by the rate, undone by iteration"
+    MOTION = "by the rate as it is without this effect, its past and its change"
+    LAG = "as a lag of the output"
+
+
+class CompensationError(EstimatorError):
+    """Gyros that do not tell a body rate, or samples without what the effects need."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldEffect:
+    """An effect that is undone: ``values`` (n, p) are its parameters on each gyro, in the SI units of the catalogue."""
+
+    known: KnownEffect
+    values: Floats
+
+    @property
+    def name(self) -> str:
+        """Name in the catalogue; that of laws is "constructed"."""
+        return self.known.name
+
+    @property
+    def acts(self) -> Acts:
+        """How it comes into the output."""
+        if self.name == CONSTRUCTED:
+            return _acts_of(self.known.law)
+        if self.name in ADDED:
+            return Acts.ADDED
+        return Acts.RATE if self.name in OF_THE_RATE else Acts.LAG if self.name == "bandwidth" else Acts.MOTION
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compensation:
+    """What turns outputs of n gyros into the rate of their body.
+
+    ``states`` (n, 4) are those of ``model.STATES``. ``delay_s``: stamps of samples are late by so much. ``left_out``
+    are effects of the error model that are not undone, with the reason.
+    """
+
+    array: SensorArray
+    states: Floats
+    effects: tuple[HeldEffect, ...] = ()
+    delay_s: float = 0.0
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray], model: str = "") -> Compensation:
+        """Return that of calibrated gyros; ``arrays`` are those of their sources, ``model`` is ``Calibration.model``.
+
+        Gyros of one name in two devices get the device's before it. Raises ModelError for a model of another version,
+        CompensationError for an effect that this version does not know how to undo.
+        """
+        known = {effect.called: effect for effect in ErrorModel.parse(model, "calibration").effects} if model else {}
+        effects: list[HeldEffect] = []
+        left_out: dict[str, str] = {}
+        delay_s = 0.0
+        listed = gyros[0].effects if gyros else ()
+        for called, group in groupby(range(len(listed)), key=lambda number: listed[number].effect):
+            columns = list(group)
+            values = np.array([[gyro.effects[column].value for column in columns] for gyro in gyros])
+            name = known[called].name
+            if name in OF_THE_STAMPS:
+                delay_s += float(values[0, 0])
+            elif name in _LEFT_OUT:
+                left_out[called] = _LEFT_OUT[name]
+            elif name == CONSTRUCTED and known[called].axes:
+                left_out[called] = _OF_THAT_TABLE
+            elif name in (*ADDED, *OF_THE_RATE, *OF_THE_PAST, CONSTRUCTED):
+                effects.append(HeldEffect(known[called], values))
+            else:
+                raise CompensationError(f"the calibration has the effect {called}, which this version cannot undo")
+        return cls(_joined(gyros, arrays), np.array([g.states for g in gyros]), tuple(effects), delay_s, left_out)
+
+    @property
+    def bias_rps(self) -> Floats:
+        """Biases b (n,): what is to be added to the outputs."""
+        return self.states[:, 1]
+
+    @property
+    def sensitivity(self) -> Floats:
+        """Sensitivity G (n, 3): outputs per body rate."""
+        return (predicted_output(self.array, self.states, np.eye(3)) + self.bias_rps).T
+
+    @property
+    def solution(self) -> Floats:
+        """Inverse H (3, n) of the sensitivity; CompensationError if the gyros do not span space."""
+        g = self.sensitivity
+        if len(g) < 3 or np.linalg.svd(g, compute_uv=False)[2] < TOLERANCE:
+            raise CompensationError(
+                f"the gyros {', '.join(self.array.names)} do not span three dimensions: they tell rates about their "
+                "own axes, no rate of the body"
+            )
+        return np.asarray(np.linalg.pinv(g))
+
+    def held(self, name: str) -> Floats | None:
+        """Return the parameters (n, p) of an effect that there is once at most, None if there is none."""
+        return next((effect.values for effect in self.effects if effect.name == name), None)
+
+    def simplified(self, keep: Collection[str], temperature_c: float) -> tuple[Compensation, dict[str, str]]:
+        """Return what is left for a form that holds only some effects, and why each other one is not in it.
+
+        Effects of the temperature are then those at ``temperature_c``, and a warm-up is over.
+        """
+        g, b = self.sensitivity, self.bias_rps.copy()
+        above = temperature_c - REFERENCE_C if np.isfinite(temperature_c) else 0.0
+        held, dropped = [], {}
+        for effect in self.effects:
+            theta = effect.values[:, 0]
+            if effect.name in keep:
+                held.append(effect)
+                continue
+            why = f"its part at {REFERENCE_C + above:.4g} degC is in the constants"
+            if effect.name == "thermal_bias":
+                b -= theta * above
+            elif effect.name == "thermal_bias_quadratic":
+                b -= theta * above**2
+            elif effect.name == "thermal_scale":
+                g = g + (theta * above)[:, None] * self.array.p
+            elif effect.name == "warm_up":
+                b -= theta
+                why = "the bias is that after it"
+            else:
+                why = "it is not corrected"
+            dropped[effect.known.called] = why
+        axes = self.array
+        x = np.stack([1 - _dot(g, axes.p), b, _dot(g, axes.k), -_dot(g, axes.j)], axis=1)
+        states = np.array([decode(row, np.zeros((4, 4)))[0] for row in x])
+        return replace(self, states=states, effects=tuple(held)), dropped
+
+
+def _acts_of(law: str) -> Acts:
+    """Return how a law acts; its time and temperature are remembered sample by sample, which no iteration may do."""
+    names, functions = variables_of(law), functions_of(law)
+    kinds = {VARIABLES[name][0] for name in names}
+    if not kinds & {"rate", "acceleration"}:
+        return Acts.ADDED
+    return Acts.MOTION if "acceleration" in kinds or "Tdot" in names or functions & _UNSTEADY else Acts.RATE
+
+
+def _joined(gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray]) -> SensorArray:
+    """Return the gyros, of whatever sources, as one array."""
+    names = [gyro.name for gyro in gyros]
+    if len(set(names)) < len(names):
+        names = [f"{gyro.device or gyro.source} {gyro.name}" for gyro in gyros]
+    parts = [arrays[gyro.source].select([arrays[gyro.source].names.index(gyro.name)]) for gyro in gyros]
+    p, j, k = (np.vstack([getattr(part, axis) for part in parts]) for axis in "pjk")
+    return SensorArray(tuple(names), p, j, k)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.einsum("ij,ij->i", a, b))

@@ -1,0 +1,430 @@
+"""The gyros of one device against its reference: states, effects of an error model, the offset in time of each source.
+
+All are estimated jointly (``estimator.estimation.noise_evidence``). What an effect could do that the
+motion does not show stays as wide as it typically is, and the sigmas of the states hold it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.calibration.budget import UNSEEN, Contribution
+from estimator.calibration.error_model import ErrorModel, KnownEffect, ModelError
+from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.effects.constructed import readable
+from estimator.effects.dynamics import latency
+from estimator.estimation.noise_evidence import Joint, Law, TooShort, expected_of, joint_estimate
+from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes, run_of
+from estimator.estimation.spectra import Z
+from estimator.estimation.undeclared import WITHIN_TURNS, undeclared_laws
+from estimator.geometry.noise import NoiseFound
+from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
+from estimator.observations.timing import TimeOffset, expected_sd_s
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import Poses, TableReadings, Turns
+
+Floats = NDArray[np.float64]
+Sources = Sequence[tuple[str, ImuData]]
+
+EFFECTS = "effects"
+"""Line of the budget that holds what the data do not show of the effects of an error model."""
+_STATES = ("k", "b", "sigma_j", "sigma_k")
+_DELAY = "delay of the reference"
+_TIMING = "timing"
+_SETTLED_S = 2e-4
+_LARGEST_STEP_S = 0.05  # beyond, a motion is no straight line any more
+_MOST_STEPS = 12
+_KNOWN = 0.2  # sigma of k below which the sign of an output is known
+_TOLD = 3.0  # sigmas from which on a delay is told
+_UNSEEN = 0.7  # of what is expected of a parameter: a larger sigma says that the run did not show it
+_BY_CHANCE = 1e-4  # probability that one of all states differs so between halves
+_MOST_NAMED, _NAMED = 3, 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Modelled:
+    """Estimate of the gyros (m) of one source.
+
+    ``x`` (m, 4) are the states [k, b, s_j, s_k]; ``lines`` is what their covariance is the sum of. ``noise`` and
+    ``effects`` are by gyro; ``white`` (m,) is the angle random walk in the upper half of the frequencies. ``said_rps``
+    (b, m) is what effects add to the output over the blocks of ``run``. ``expected_nis``: of block means taken as
+    white, mean and standard deviation.
+    """
+
+    x: Floats
+    lines: list[tuple[Contribution, ...]]
+    noise: list[NoiseFound]
+    effects: list[tuple[EffectValue, ...]]
+    white: Floats
+    said_rps: Floats
+    run: Run
+    expected_nis: tuple[float, float]
+
+    def said_at(self, t_s: Floats) -> Floats:
+        """Return what the effects add to the outputs (rows, m) at instants on the recording's clock."""
+        return np.column_stack([np.interp(t_s, self.run.t_s, column) for column in self.said_rps.T])
+
+    @property
+    def left_rps(self) -> Floats:
+        """Output errors (b, m) of the blocks that neither states nor effects explain; zero where there are no data."""
+        explained = np.einsum("mbi,mi->bm", self.run.state_columns(), self.x) + self.said_rps
+        return np.asarray((self.run.z_rps - explained) * self.run.weight[:, None])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Device:
+    """What a recording says of one device: by source, what a person should know, and what speaks against it.
+
+    ``aligned`` are its sources with the offsets to the reference, as far as they are known, taken off their stamps.
+    """
+
+    sources: tuple[Modelled, ...]
+    aligned: Sources
+    offsets: dict[str, TimeOffset]
+    notes: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+
+def check_model(model: ErrorModel, recording: Recording) -> None:
+    """See that a recording can show the effects of a model at all; ModelError if not."""
+    if isinstance(recording.reference, Poses):
+        raise ModelError(f"{recording.name}: against gravity between rests there are no effects yet: leave out --model")
+    if not isinstance(recording.reference, Turns):
+        return
+    within = [known.called for known in model.effects if known.called in WITHIN_TURNS]
+    if within:
+        raise ModelError(
+            f"{recording.name}: of turns only their angles are known, not what happens within them, so "
+            f"{', '.join(within)} cannot be estimated: take them out of the model, or leave out --model"
+        )
+    if len(recording.reference.sd_rad) < FEWEST_TURNS:
+        raise ModelError(
+            f"{recording.name}: {len(recording.reference.sd_rad)} turns are too few to estimate effects beside the "
+            f"states, at least {FEWEST_TURNS} are needed: leave out --model"
+        )
+
+
+def is_external(recording: Recording) -> bool:
+    """Return whether the reference is another instrument's, whose stamps and errors nobody knows beforehand."""
+    own = isinstance(recording.reference, TableReadings) and "bench" in recording.attributes
+    return not own and not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
+
+
+def estimate_device(
+    recording: Recording, sources: Sources, model: ErrorModel | None, excluded: frozenset[str] | None
+) -> Device:
+    """Return the estimate of the sources of one device.
+
+    ``model`` holds effects that are estimated beside the states. ``excluded`` are effects of the catalogue that the
+    device and its table do not have; None for all. The offset in time between the reference and each source is
+    estimated with the states, but for a body at rest, and for a model that holds a delay. Errors of another
+    instrument's reference may hang together over 5 s, which the covariances hold.
+
+    Raises ModelError for a model that needs what the recording lacks, TooShort for too little data.
+    """
+    external = is_external(recording)
+    moved, delays_s, laws, plain = _aligned(recording, sources, model)
+    runs, stated = plain.runs, sources[0][1].noise
+    joint = plain
+    covariances, notes = _clustered(plain) if external else (plain.covariances, [])
+    notes += growth_notes(plain.runs)
+    unseen: list[Floats] | None = None
+    if excluded is not None and model is None:
+        made = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
+        further, runs = undeclared_laws(made, excluded | {law.effect.name for law in laws})
+        joint = joint_estimate(runs, [*laws, *further], stated) if further else plain
+        notes += _undeclared_notes(joint)
+    offsets = _offsets(plain, covariances, delays_s)
+    notes += _offset_notes(recording, offsets, external)
+    if external:
+        # What is left may be the reference's as well: it does not decide on effects of the gyros.
+        chosen = [n for n, law in enumerate(joint.laws) if law.line == UNSEEN]
+        unseen = [_through(joint, c, chosen) for c in joint.covariances] if chosen else None
+        joint = plain
+    elif joint is not plain:
+        covariances = joint.covariances
+    found = [_modelled(joint, number, covariances, unseen) for number in range(len(joint.runs))]
+    return Device(tuple(found), moved, offsets, tuple(notes), tuple(_halves(plain, external)))
+
+
+def _aligned(
+    recording: Recording, sources: Sources, model: ErrorModel | None
+) -> tuple[Sources, dict[str, float], list[Law], Joint]:
+    """Return sources with their stamps moved to those of the reference, by how much, the laws, and the estimate.
+
+    Gauss-Newton: the offsets that are found are taken off the stamps, and estimated again until they settle.
+    """
+    moved, delays_s = list(sources), dict.fromkeys((name for name, _ in sources), 0.0)
+    for step in range(_MOST_STEPS):
+        runs = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
+        laws = _model_laws(model, recording, runs)
+        timed = not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
+        timed &= not {"latency", "sample_hold"} & {law.effect.name for law in laws}
+        laws += [_delay_law(recording, *pair) for pair in delays_s.items()] if timed else []
+        joint = joint_estimate(runs, laws, sources[0][1].noise)
+        steps_s = {}
+        for name, (step_s, sd_s) in _delays(joint, joint.covariances).items():
+            gyros = joint.gyros_of([run.source for run in joint.runs].index(name))
+            # An output that is opposite to the reference has its delay the other way round, too.
+            gains = [1 - joint.means[g][0] for g in gyros if joint.covariances[g][0, 0] < _KNOWN**2]
+            step_s *= float(np.sign(np.median(gains or [1.0])))
+            if abs(step_s) >= max(_SETTLED_S, 0.01 * sd_s):
+                steps_s[name] = float(np.clip(step_s, -_LARGEST_STEP_S, _LARGEST_STEP_S))
+        if not steps_s or step == _MOST_STEPS - 1:
+            break
+        delays_s = {name: delay_s + steps_s.get(name, 0.0) for name, delay_s in delays_s.items()}
+        moved = [(name, replace(data, t_ns=data.t_ns - round(delays_s[name] * 1e9))) for name, data in sources]
+    return moved, delays_s, laws, joint
+
+
+def effect_notes(gyros: Sequence[GyroCalibration]) -> list[str]:
+    """Return which effects of the model a recording did not show, in words."""
+    unseen: dict[str, list[str]] = {}
+    for gyro in gyros:
+        for name in dict.fromkeys(value.effect for value in gyro.effects if not value.shared):
+            if any(v.sd > _UNSEEN * v.expected_sd for v in gyro.effects if v.effect == name):
+                unseen.setdefault(name, []).append(gyro.name)
+    by_gyros: dict[tuple[str, ...], list[str]] = {}
+    for name, who in unseen.items():
+        by_gyros.setdefault(tuple(who), []).append(readable(name))
+    return [
+        f"not seen by this run on {', '.join(who)}, of the effects of the model: {', '.join(names)}; the sigmas of the "
+        "states hold what is typical of them"
+        for who, names in by_gyros.items()
+    ]
+
+
+def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
+    # Two sources may have gyros of the same names.
+    named = replace(data, array=replace(data.array, names=tuple(f"{number} {name}" for name in data.array.names)))
+    run = run_of(recording, source, named)
+    if run is None:
+        raise TooShort(
+            f"{recording.name}: source {source} holds too little data to estimate effects beside the states: 8 s of "
+            "samples that the reference covers are needed"
+        )
+    if at_rest(recording.reference):  # Earth rate is too slow to tell k from other effects
+        return replace(run, w_rps=np.zeros_like(run.w_rps), z_rps=_sample_means(run))
+    return run
+
+
+def _sample_means(run: Run) -> Floats:
+    """Return output errors (b, m) as means over the samples of each block: at rest there is nothing to integrate."""
+    first_s = run.t_s[0] - 0.5 * run.length_s
+    block = np.round((run.t_s - run.t_s[0]) / run.length_s).astype(np.intp)
+    number = np.floor((run.data.t_ns * 1e-9 - first_s) / run.length_s + 1e-9).astype(np.intp)
+    inside = (number >= 0) & (number <= block[-1])
+    number, rate = number[inside], run.data.rate_rps[inside]
+    counts = np.bincount(number, minlength=block[-1] + 1)[block, None]
+    sums = np.column_stack([np.bincount(number, own, block[-1] + 1)[block] for own in rate.T])
+    return np.where(counts > 0, sums / np.maximum(counts, 1) - run.w_rps @ run.array.p.T, run.z_rps)
+
+
+def _model_laws(model: ErrorModel | None, recording: Recording, runs: Sequence[Run]) -> list[Law]:
+    if model is None:
+        return []
+    try:
+        made = model.made(runs[0].grid.gimbals, frozenset.intersection(*(run.grid.offers for run in runs)))
+    except ModelError as error:
+        raise ModelError(f"{recording.name}: {error}") from None
+    return [
+        Law(known.called, effect, known.mean, known.sd, EFFECTS, _hz(known))
+        for known, effect in zip(model.effects, made, strict=True)
+    ]
+
+
+def _hz(known: KnownEffect) -> float | None:
+    return float(known.settings["frequency_hz"]) if "frequency_hz" in known.settings else None
+
+
+def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
+    """Return the offset of a source, of which so much is taken off already."""
+    reference, sd_s, line = recording.reference, expected_sd_s(), ""
+    if isinstance(reference, TableReadings):
+        stated = reference.uncertainty
+        sd_s = expected_sd_s(stated.timing_s if stated else 0.0, reference.half_width_ns)
+        line = _TIMING if stated else ""
+    return Law(_DELAY, latency(), np.array([-taken_off_s]), np.array([sd_s]), line, source=source)
+
+
+def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[float, float]]:
+    """Return by source the delay that is left, and its standard deviation; it is the same for every gyro."""
+    found = {}
+    for number, law in enumerate(joint.laws):
+        if law.called == _DELAY:
+            at = joint.slice_of(number).start
+            value = float(np.mean([mean[at] for mean in joint.means])) * law.sd[0] + law.mean[0]
+            sd = float(np.mean([np.sqrt(c[at, at]) for c in covariances]) * law.sd[0])
+            found[law.source] = (float(value), sd)
+    return found
+
+
+def _offsets(joint: Joint, covariances: Sequence[Floats], taken_off_s: dict[str, float]) -> dict[str, TimeOffset]:
+    left = _delays(joint, covariances)
+    return {name: TimeOffset(taken_off_s[name] + left_s, sd_s) for name, (left_s, sd_s) in left.items()}
+
+
+def _offset_notes(recording: Recording, offsets: dict[str, TimeOffset], external: bool) -> list[str]:
+    """Return offsets that are beyond chance and, of a table, beyond what is stated of its timing, in words."""
+    stated = recording.reference.uncertainty if isinstance(recording.reference, TableReadings) else None
+    notes = []
+    for source, found in offsets.items():
+        sure = np.hypot(found.sd_s, stated.timing_s if stated else 0.0)
+        if abs(found.offset_s) < _TOLD * sure or not (external or stated):
+            continue
+        later = "gyros" if found.offset_s > 0 else "reference" if external else "table's readings"
+        notes.append(
+            f"{'reference' if external else 'table'} and {'gyros' if external else source} are "
+            f"{1e3 * abs(found.offset_s):.1f} +- {max(1e3 * found.sd_s, 0.1):.1f} ms apart, the {later} late by "
+            "their stamps: the states are those without this delay"
+        )
+    return list(dict.fromkeys(notes))
+
+
+def _halves(joint: Joint, clustered: bool) -> list[str]:
+    """Return, in words, what of the states differs between the halves of a recording by more than chance."""
+    try:
+        early, late = joint.halves()
+    except TooShort:
+        return []
+    names = [name.partition(" ")[2] for run in joint.runs for name in run.array.names]
+    spread = [_clustered(half)[0] if clustered else half.covariances for half in (early, late)]
+    limit = NormalDist().inv_cdf(1 - _BY_CHANCE / (8 * len(names)))
+    found = []
+    for name, a, b, ca, cb in zip(names, early.means, late.means, *spread, strict=True):
+        sigmas = np.abs(a[:4] - b[:4]) / np.sqrt(np.diag(ca)[:4] + np.diag(cb)[:4])
+        found += [(float(s), f"{state} of {name}") for s, state in zip(sigmas, _STATES, strict=True) if s > limit]
+    if not found:
+        return []
+    size, worst = max(found)
+    others = f", and {len(found) - 1} other states of {4 * len(names)}" if len(found) > 1 else ""
+    return [f"the two halves of this recording disagree: {worst} by {size:.0f} sigma{others}"]
+
+
+def _modelled(joint: Joint, number: int, covariances: Sequence[Floats], unseen: Sequence[Floats] | None) -> Modelled:
+    run, gyros = joint.runs[number], joint.gyros_of(number)
+    further = [() if unseen is None else (Contribution(UNSEEN, unseen[g]),) for g in gyros]
+    lines = [(*_lines(joint, covariances[g]), *more) for g, more in zip(gyros, further, strict=True)]
+    columns, expected = joint.columns[number], expected_of(joint.laws)
+    values = [joint.means[g][4:] + expected for g in gyros]
+    said = np.column_stack([c @ v for c, v in zip(columns, values, strict=True)])
+    return Modelled(
+        np.array([joint.means[g][:4] for g in gyros]),
+        lines,
+        [joint.noise[g] for g in gyros],
+        [_values(joint, v, covariances[g]) for g, v in zip(gyros, values, strict=True)],
+        joint.white[gyros.start : gyros.stop],
+        said,
+        replace(run, z_rps=run.z_rps + np.einsum("mbp,p->bm", columns, expected)),
+        joint.expected_nis,
+    )
+
+
+def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:
+    """Return what makes up the covariance of the states: noise, and what would be gone if laws of a line were known."""
+    known: list[int] = []
+    known_before, lines = np.zeros((4, 4)), []
+    for name in dict.fromkeys(law.line for law in joint.laws if law.line):
+        # One line after the other: of what two laws can only tell together, each would claim all.
+        known += [n for n, law in enumerate(joint.laws) if law.line == name]
+        through = _through(joint, covariance, known)
+        lines.append(Contribution(name, through - known_before))
+        known_before = through
+    left = covariance[:4, :4] - known_before
+    return Contribution("noise", left), *lines
+
+
+def _through(joint: Joint, covariance: Floats, laws: Sequence[int]) -> Floats:
+    """Return the part (4, 4) of the covariance of the states that comes of some laws."""
+    at = np.concatenate([np.arange(len(covariance))[joint.slice_of(n)] for n in laws])
+    across = covariance[:4, at]
+    return np.asarray(across @ np.linalg.solve(covariance[np.ix_(at, at)], across.T))
+
+
+def _undeclared_notes(joint: Joint) -> list[str]:
+    """Return which undeclared effects make up most of the sigmas of the states, in words."""
+    laws = [n for n, law in enumerate(joint.laws) if law.line == UNSEEN]
+    if not laws:
+        return []
+    whole = np.array([np.diag(c)[:4] for c in joint.covariances])
+    shares: dict[str, float] = {}
+    for n in laws:
+        name = joint.laws[n].called
+        part = [np.diag(_through(joint, c, [n])) for c in joint.covariances]
+        shares[name] = max(shares.get(name, 0.0), float(np.max(np.mean(part / whole, axis=0))))
+    worst = sorted((name for name in shares if shares[name] > _NAMED), key=lambda name: -shares[name])[:_MOST_NAMED]
+    if not worst:
+        return []
+    return [
+        f"the sigmas hold effects that this script cannot show, mostly {', '.join(worst)}: the section undeclared "
+        "of the bench file says which are ruled out, --model which there are"
+    ]
+
+
+def _values(joint: Joint, shares: Floats, covariance: Floats) -> tuple[EffectValue, ...]:
+    """Return the effects of an error model as found on a gyro."""
+    doubts = np.sqrt(np.diag(covariance)[4:])
+    edges = np.cumsum([0, *(len(law.sd) for law in joint.laws)]).tolist()
+    return tuple(
+        EffectValue(law.called, p.name, float(v * sd), float(d * sd), p.unit, float(sd), law.shared)
+        for law, (a, b) in zip(joint.laws, pairwise(edges), strict=True)
+        if law.line == EFFECTS
+        for p, v, d, sd in zip(law.effect.parameters, shares[a:b], doubts[a:b], law.sd, strict=True)
+    )
+
+
+def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
+    """Return covariances by gyro that hold for residuals correlated within clusters (Liang, Zeger 1986), and notes.
+
+    No direction gets less than the covariance under coloured noise.
+    """
+    runs, n, whole = joint.runs, len(joint.means), len(joint.means[0])
+    own = 4 + sum(len(law.sd) for law in joint.laws if not law.shared)
+    begin = min(float(run.t_s[0]) for run in runs)
+    clusters = [((run.t_s - begin) / CLUSTER_S).astype(np.intp) for run in runs]
+    used = np.unique(np.concatenate([c[run.weight > 0] for run, c in zip(runs, clusters, strict=True)]))
+    who = ", ".join(dict.fromkeys(run.source for run in runs))
+    if len(used) < FEWEST_CLUSTERS:
+        return joint.covariances, [f"{who}: too short to tell how the residual hangs together; sigmas assume noise"]
+    places = [np.r_[g * own : (g + 1) * own, n * own : n * own + whole - own] for g in range(n)]
+    precision = np.ones(n * own + whole - own)
+    information, scores = (
+        np.zeros((len(precision),) * 2),
+        np.zeros((np.concatenate(clusters).max() + 1, len(precision))),
+    )
+    for g, place in enumerate(places):
+        t_s, rows = joint.whitened(g)
+        both = np.delete(rows, Z, axis=1)
+        information[np.ix_(place, place)] += both.T @ both
+        cluster = ((t_s - begin) / CLUSTER_S).astype(np.intp)
+        first = np.flatnonzero(np.diff(cluster, prepend=-1))
+        rest = both * (rows[:, Z] - both @ joint.means[g])[:, None]
+        scores[cluster[first][:, None], place] += np.add.reduceat(rest, first, axis=0)
+        precision[place[:4]] = 1 / joint.evidence.gyros[g].prior
+    white = np.linalg.inv(information + np.diag(precision))
+    # So few clusters fit so many parameters: their scores are too small by these.
+    meat = scores.T @ scores * (len(used) / max(len(used) - whole, len(used) / 4)) + np.diag(precision)
+    sandwich, out, notes, grown = white @ meat @ white, list[Floats](), list[str](), list[Floats]()
+    for number, run in enumerate(runs):
+        for g, states in zip(joint.gyros_of(number), run.state_columns(), strict=True):
+            out.append(_larger(joint.covariances[g], sandwich[np.ix_(places[g], places[g])]))
+            seen = states * (run.weight * np.sqrt(run.length_s) / joint.arw[g])[:, None]
+            of_white = np.linalg.inv(seen.T @ seen + np.diag(1 / run.prior.variances()))
+            grown.append((np.diag(out[-1])[:4] / np.diag(of_white))[[0, 2, 3]])  # a bias always wanders
+    if np.mean(grown) > COLOURED**2:
+        worst = float(np.sqrt(np.max(grown)))
+        notes.append(f"{who}: the residual is no white noise; sigmas are up to {worst:.1f} times as large")
+    return out, notes
+
+
+def _larger(covariance: Floats, other: Floats) -> Floats:
+    """Return the covariance (c, c) that has in each direction the larger of two variances."""
+    root = np.linalg.cholesky(covariance)
+    half = np.linalg.solve(root, other)
+    ratio, directions = np.linalg.eigh(np.linalg.solve(root, half.T))
+    basis = root @ directions
+    return np.asarray(basis @ np.diag(np.maximum(ratio, 1.0)) @ basis.T)

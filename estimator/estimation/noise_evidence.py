@@ -1,0 +1,294 @@
+"""States, and laws that stand beside them, estimated together under noise that is found from the data.
+
+Block means go through the cosine transform (``tracing.spectra``), in which coloured noise is a weight for each
+frequency. Every noise model is gone through: how much of it is bias instability and how much rate random walk is not
+known beforehand. The estimate is the mean over them, so its covariance holds the doubt about the noise too. Gyros of
+one device are of one make: what the others say of the noise is the better part of what is expected of each. Where the
+residual is beyond all models, up or down, its own spectrum is the noise. Without laws this is the estimate of four
+states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.conditions import Conditions
+from estimator.effects.effect import Effect
+from estimator.errors import RecordingError
+from estimator.estimation.evidence import Evidence, Term
+from estimator.estimation.runs.growth import weighed
+from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.tone_columns import samples_of, tone_columns
+from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Z, gyro_spectra
+from estimator.geometry.noise import NoiseFound, NoiseModel
+from estimator.observations.blocks import Blocks
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import TableReadings
+
+Floats = NDArray[np.float64]
+
+_LEAST_ARW = 1e-9  # rad/s/rtHz, below any gyro
+_ACCELERATING = 0.02  # change of rate from block to block, as a share of the largest rate, that counts as a ramp
+_FEWEST_STEADY = 40
+_ASIDE = 0.1  # weight of ramps while steady rates are fitted
+_ROWS_A_COLUMN = 4  # fewer and what is left of the blocks tells nothing of ramps
+
+
+class TooShort(RecordingError):
+    """Too few blocks to tell noise by its frequencies."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Law:
+    """An effect beside the states: mean and standard deviation that are expected of its parameters (p,).
+
+    ``line`` names the line of the budget that holds what the data do not show of it; empty: it counts as noise.
+    ``hz`` is the frequency of a tone, ``source`` the only source that it is of, empty for all.
+    """
+
+    called: str
+    effect: Effect
+    mean: Floats
+    sd: Floats
+    line: str = ""
+    hz: float | None = None
+    source: str = ""
+
+    @property
+    def shared(self) -> bool:
+        """Whether all gyros have one set of its parameters."""
+        return self.effect.shared
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joint:
+    """Estimate of all gyros of some runs.
+
+    By gyro ``means`` (c,) and ``covariances`` (c, c) of [states, laws]: laws in the order of ``laws``, those of a gyro
+    its own before those that all share, each parameter in units of its expected sigma, from its expected value.
+    ``noise`` is that which was found; ``arw`` and ``white`` (gyros,) are the white noise in all of the residual and in
+    the upper half of its frequencies. ``runs`` are rid of what was expected of the laws, ``columns`` are theirs.
+    """
+
+    runs: list[Run]
+    laws: list[Law]
+    columns: list[Floats]
+    means: list[Floats]
+    covariances: list[Floats]
+    noise: list[NoiseFound]
+    arw: Floats
+    white: Floats
+    expected_nis: tuple[float, float]
+    weight: Floats
+    evidence: Evidence
+
+    def gyros_of(self, run: int) -> range:
+        """Return which of the gyros are those of a run."""
+        first = sum(len(r.array) for r in self.runs[:run])
+        return range(first, first + len(self.runs[run].array))
+
+    def slice_of(self, law: int) -> slice:
+        """Return where the parameters of a law are."""
+        first = 4 + sum(len(one.sd) for one in self.laws[:law])
+        return slice(first, first + len(self.laws[law].sd))
+
+    def whitened(self, gyro: int) -> tuple[Floats, Floats]:
+        """Return instants (b,) and the rows (b, c + 1) of [states, z, laws] as they count: of white noise of one."""
+        from scipy.fft import idct
+
+        spectra = self.evidence.gyros[gyro]
+        parts = []
+        for stretch, columns in zip(spectra.stretches, spectra.columns, strict=True):
+            weight = (self.weight[:, gyro] @ (1 / self.evidence.density(spectra, stretch)))[stretch.band]
+            parts.append(idct(columns * np.sqrt(weight)[:, None], axis=0, norm="ortho"))
+        t_s = [self.runs[stretch.run].t_s[stretch.blocks] for stretch in spectra.stretches]
+        return np.concatenate(t_s), np.vstack(parts)
+
+    def halves(self) -> list[Joint]:
+        """Return the estimates from the first and from the second half, under the noise of the whole.
+
+        TooShort if a half has too few blocks.
+        """
+        begin = min(float(run.t_s[0]) for run in self.runs)
+        middle_s = 0.5 * (begin + max(float(run.t_s[-1]) for run in self.runs))
+        found = []
+        for early in (True, False):
+            keeps = [(run.t_s < middle_s) == early for run in self.runs]
+            runs = [_some(run, keep) for run, keep in zip(self.runs, keeps, strict=True)]
+            columns = [c[:, keep] for c, keep in zip(self.columns, keeps, strict=True)]
+            arw = {gyro.name: gyro.arw for gyro in self.evidence.gyros}
+            evidence = Evidence(_spectra(runs, columns, arw), self.evidence.shapes, self.evidence.excess)
+            own = evidence.posterior(_terms(self.laws), self.weight)
+            parts: dict[str, Any] = {"means": own.means, "covariances": own.covariances, "evidence": evidence}
+            found.append(replace(self, runs=runs, columns=columns, **parts))
+        return found
+
+
+def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseModel | None = None) -> Joint:
+    """Return the estimate of the gyros of one device, each name once; ``stated`` is its data sheet's noise.
+
+    Raises TooShort for a gyro with fewer blocks than tell noise by its frequencies.
+    """
+    ordered = sorted(laws, key=lambda law: law.shared)
+    columns = [columns_of(run, ordered) for run in runs]
+    expected = expected_of(ordered)
+    moved = [
+        _steadied(replace(r, z_rps=r.z_rps - np.einsum("mbp,p->bm", c, expected)), c)
+        for r, c in zip(runs, columns, strict=True)
+    ]
+    if not all(len(run.t_s) for run in moved):
+        raise TooShort("no block holds samples")
+    span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in moved)
+    evidence = Evidence(_spectra(moved, columns), NoiseShapes.over(span_s, stated))
+    terms = _terms(ordered)
+    least = np.concatenate([np.full(len(run.array), run.stated_rps * np.sqrt(run.length_s)) for run in moved])
+    evidence.settle(terms, least)
+    white = np.array([gyro.arw for gyro in evidence.gyros])
+    arw = np.maximum(white * np.sqrt(evidence.level), _LEAST_ARW)
+    weight = evidence.noise_weights(terms)
+    posterior = evidence.posterior(terms, weight)
+    noise = [_noise(own, evidence.shapes, share) for own, share in zip(arw.tolist(), weight.T, strict=True)]
+    white, chance = np.maximum(white, 1e-3 * arw), _expected_nis(evidence, weight)
+    found = posterior.means, posterior.covariances
+    return Joint(list(moved), ordered, columns, *found, noise, arw, white, chance, weight, evidence)
+
+
+def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableReadings) -> Run:
+    """Return blocks as a run without conditions, of which only the states can be estimated; ``data`` may be empty."""
+    b, m = (int(blocks.index[-1]) + 1 if len(blocks.index) else 0), len(data.array)
+    w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)
+    w[blocks.index], z[blocks.index] = blocks.w_rps, blocks.z_rps
+    weight[blocks.index] = 2 * blocks.held_s >= blocks.length_s
+    stretch = np.zeros(b, dtype=np.intp)
+    weight, growth_s = weighed(w, z, weight, stretch)
+    none = np.empty((0, 0))
+    nowhere = Conditions(np.empty(0), *(np.empty((0, 3)),) * 2, none, none, none, (), np.empty((0, 3)))
+    return Run(
+        name=source,
+        source=source,
+        data=data,
+        length_s=blocks.length_s,
+        t_s=np.asarray((np.arange(b) + 0.5) * blocks.length_s),
+        w_rps=w,
+        z_rps=z,
+        weight=weight,
+        stretch=stretch,
+        grid=nowhere,
+        fold=lambda columns: columns,
+        recording=Recording({source: data}, reference),
+        period_s=blocks.period_s,
+        order=0,
+        held=1,
+        growth_s=growth_s,
+    )
+
+
+def columns_of(run: Run, laws: Sequence[Law]) -> Floats:
+    """Return the block means (m, b, p) of all laws, scaled by what is expected of each parameter."""
+    waves: dict[str, Floats] = {}
+    if any(law.hz is not None for law in laws):
+        samples = samples_of(run)
+        waves = {law.called: tone_columns(law.hz, run, samples) for law in laws if law.hz is not None}
+    found = np.empty((len(run.array), len(run.t_s), sum(len(law.sd) for law in laws)))
+    for gyro, own in enumerate(found):
+        first = 0
+        for law in laws:
+            columns = waves[law.called] if law.called in waves else run.columns(law.effect, gyro)
+            own[:, first : first + len(law.sd)] = columns * law.sd * (law.source in ("", run.source))
+            first += len(law.sd)
+    return found
+
+
+def expected_of(laws: Sequence[Law]) -> Floats:
+    """Return what is expected of each parameter of some laws (p,), in its sigmas."""
+    return np.concatenate([np.zeros(0), *(law.mean / law.sd for law in laws)])
+
+
+def _some(run: Run, keep: NDArray[np.bool_]) -> Run:
+    """Return a run with some of its blocks only; its conditions stay those of all."""
+    values: dict[str, Any] = {f.name: getattr(run, f.name) for f in fields(run)}
+    parts: dict[str, Any] = {k: v[keep] for k, v in values.items() if isinstance(v, np.ndarray) and len(v) == len(keep)}
+    return replace(run, **parts)
+
+
+def _steadied(run: Run, columns: Floats) -> Run:
+    """Return a run whose ramps count less where their residual says so.
+
+    While an axis accelerates, what the table reports is off by its timing and by what lies between two readings.
+    """
+    good = np.flatnonzero(run.weight > 0)
+    if run.stated_rps or len(good) < _ROWS_A_COLUMN * (4 + columns.shape[2]):
+        return run
+    size = float(np.abs(run.w_rps[good]).max(initial=0.0))
+    change = np.abs(np.diff(run.w_rps, axis=0, prepend=run.w_rps[:1])).max(axis=1)
+    ramp = (np.maximum(change, np.append(change[1:], 0.0)) > _ACCELERATING * size)[good]
+    if not ramp.any() or (~ramp).sum() < _FEWEST_STEADY:
+        return run
+    # What ramps alone show is fitted to them, everything else to steady rates.
+    states, row, shares = run.state_columns()[:, good], np.where(ramp, _ASIDE, 1.0), []
+    for i, own in enumerate(columns[:, good]):
+        both, z = np.hstack([states[i], own]) * run.weight[good, None], run.z_rps[good, i] * run.weight[good]
+        scale = np.maximum(np.linalg.norm(both, axis=0), 1e-300)
+        rest = z - both @ (np.linalg.lstsq(both / scale * row[:, None], z * row, rcond=1e-8)[0] / scale)
+        steady = float(np.mean(rest[~ramp] ** 2))
+        # Only what is beyond chance: the mean square of so few has this much scatter of its own.
+        excess = float(np.mean(rest[ramp] ** 2)) - steady * (1 + 2 * np.sqrt(2 / ramp.sum()))
+        shares.append(max(excess, 0.0) / max(steady, 1e-30))
+    weight = run.weight.copy()
+    weight[good[ramp]] /= np.sqrt(1 + np.mean(shares))
+    return replace(run, weight=weight)
+
+
+def _spectra(
+    runs: Sequence[Run], columns: Sequence[Floats], arw: Mapping[str, float] | None = None
+) -> list[GyroSpectra]:
+    spectra = gyro_spectra(runs, arw)
+    if [gyro.name for gyro in spectra] != [name for run in runs for name in run.array.names]:
+        raise TooShort("too few blocks of a gyro follow on each other")
+    for gyro in spectra if columns[0].shape[2] else ():
+        parts = []
+        for stretch in gyro.stretches:
+            run = runs[stretch.run]
+            i = run.array.names.index(gyro.name)
+            parts.append(run.weighed(columns[stretch.run][i], i)[stretch.blocks])
+        gyro.add(parts)
+    return spectra
+
+
+def _terms(laws: Sequence[Law]) -> list[Term]:
+    """Return ordered laws as terms; their columns are scaled by what is expected of them."""
+    count = [sum(len(law.sd) for law in laws if law.shared == shared) for shared in (False, True)]
+    own, shared = range(Z + 1, Z + 1 + count[0]), range(Z + 1 + count[0], Z + 1 + sum(count))
+    both = Term("own", tuple(own), shared=False), Term("shared", tuple(shared), shared=True)
+    return [term for term in both if term.columns]
+
+
+def _expected_nis(evidence: Evidence, weight: Floats) -> tuple[float, float]:
+    """Return mean and standard deviation that the mean NIS of blocks has, taken as white, under the noise found."""
+    total = squares = count = 0.0
+    for gyro, own in zip(evidence.gyros, weight.T, strict=True):
+        for stretch in gyro.stretches:
+            density = (own @ evidence.shapes.density(stretch))[1:]  # the mean of a stretch is the bias
+            counts = stretch.counts[1:]
+            total += float(counts @ density)
+            squares += float(2 * counts @ density**2)
+            count += float(counts.sum())
+    return total / count, float(np.sqrt(squares)) / count
+
+
+def _noise(arw: float, shapes: NoiseShapes, weight: Floats) -> NoiseFound:
+    instability, walk = shapes.instability * arw, shapes.walk * arw
+    mean = NoiseModel(arw, float(weight @ instability), float(weight @ walk))
+    return NoiseFound(mean, _quantile(instability, weight), _quantile(walk, weight))
+
+
+def _quantile(values: Floats, weight: Floats, share: float = 0.95) -> float:
+    """Return the value below which a share of the weight lies."""
+    order = np.argsort(values)
+    reached = np.searchsorted(np.cumsum(weight[order]), share - 1e-12)
+    return float(values[order][min(int(reached), len(order) - 1)])

@@ -1,0 +1,86 @@
+"""Parity of a redundant array: what its calibrated gyros say of each other, whatever the table says.
+
+With n > 3 gyros there are n - 3 combinations of outputs in which the body rate cancels (the left null space of the
+calibrated sense axes). A gyro that fails shows there at once. With four gyros there is one such combination: it
+tells that one of the four is wrong, not which; from five on it tells which (Potter and Suman 1977).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimator.calibration.values import GyroParity
+from estimator.geometry.array import SensorArray
+from estimator.geometry.noise import NoiseModel
+from estimator.observations.blocks import Blocks
+from estimator.types import Floats
+
+_MOST_BLOCKS, _FINEST_S = 200, 1.0
+_SUSPECT = 5.0  # sigmas of a mean over one block: chance gives it in one of a million
+
+
+def parity(
+    arrays: Sequence[SensorArray],
+    blocks: Sequence[Blocks],
+    states: Floats,
+    noise: Sequence[NoiseModel],
+    growth_s: float = 0.0,
+) -> list[GyroParity]:
+    """Return the parity check of the gyros of one device, none for fewer than four.
+
+    ``arrays`` and ``blocks`` are those of its sources, ``states`` (n, 4) and ``noise`` (n) those of all its gyros;
+    ``growth_s`` says how the noise grows with the rate (``tracing.growth``).
+    """
+    names = [name for array in arrays for name in array.names]
+    if len(names) < 4 or not all(len(b.index) for b in blocks):
+        return []
+    p, j, k = (np.vstack([getattr(array, axis) for array in arrays]) for axis in "pjk")
+    sense = (1 - states[:, :1]) * (p - states[:, 3:4] * j + states[:, 2:3] * k)
+    blocks = [_coarse(own) for own in blocks]
+    common = blocks[0].index
+    for other in blocks[1:]:
+        common = np.intersect1d(common, other.index)
+    if not len(common):
+        return []
+    chosen = [b.select(np.isin(b.index, common)) for b in blocks]
+    output = np.hstack([b.z_rps + b.w_rps @ a.p.T for a, b in zip(arrays, chosen, strict=True)]) + states[:, 1]
+    length_s = chosen[0].length_s
+    span_s = length_s * float(common[-1] - common[0] + 1)
+    variances = [n.arw**2 / length_s + 2 * n.instability**2 + n.walk**2 * span_s / 3 for n in noise]
+    # A fault passes for noise of the gyro that has it: none is taken for much noisier than its neighbours.
+    sigma = np.sqrt(np.minimum(variances, 2 * np.median(variances)))
+    held_s = np.min([b.held_s for b in chosen], axis=0)
+    # Outputs in units of their noise: then the null space weighs gyros as they deserve.
+    left, singular, _ = np.linalg.svd(sense / sigma[:, None], full_matrices=True)
+    null = left[:, len(singular) :].T
+    grown = np.hypot(1, growth_s * np.linalg.norm(chosen[0].w_rps, axis=1))
+    residual = (output / sigma) @ null.T * (np.sqrt(held_s / length_s) / grown)[:, None]
+    checks = []
+    for i, name in enumerate(names):
+        column = null[:, i]
+        seen = float(np.linalg.norm(column))
+        if seen < 1e-6:
+            continue
+        fault = residual @ column / seen
+        worst = int(np.argmax(np.abs(fault)))
+        apart = all(
+            abs(column @ null[:, o]) < 0.999 * seen * np.linalg.norm(null[:, o]) for o in range(len(names)) if o != i
+        )
+        checks.append(
+            GyroParity(
+                name,
+                float(np.sqrt(np.mean(fault**2))),
+                float(np.abs(fault[worst])),
+                float((common[worst] + 0.5) * length_s),
+                bool(np.abs(fault[worst]) > _SUSPECT),
+                apart,
+            )
+        )
+    return checks
+
+
+def _coarse(blocks: Blocks) -> Blocks:
+    """Return blocks of a second or more, at most 200 and half full: a fault that lasts shows better in these."""
+    span = int(blocks.index[-1] - blocks.index[0]) + 1
+    merged = blocks.merged(max(round(_FINEST_S / blocks.length_s), -(-span // _MOST_BLOCKS), 1))
+    return merged.select(2 * merged.held_s >= merged.length_s)

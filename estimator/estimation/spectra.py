@@ -1,0 +1,249 @@
+"""Products of columns by frequency: what estimates, noise and evidence need of a run, under any noise at once.
+
+The blocks of a stretch are taken through the discrete cosine transform. In it white noise is white, and a random walk
+has independent coefficients, exactly (its increments mirror at both ends); flicker noise nearly so. Noise is thus a
+weight for each frequency, and the products of all columns, summed within narrow bands, serve every noise model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.estimation.runs.run import Run
+from estimator.geometry.noise import NoiseModel
+
+Floats = NDArray[np.float64]
+
+_BANDS_A_DECADE = 8
+_UNLIKE = 5.0  # over the root of how many frequencies tell it: by so much levels of noise differ that are not the same
+_FEWEST, _FEWEST_TURNS = 10, 2  # blocks of a stretch; of turns each is a row of its own
+_SINGLE = 12  # so many of the lowest frequencies of a stretch have a band of their own
+_WHITE = 0.6  # expected before the data: that a kind of coloured noise is too small to matter
+_STATED_SPREAD = np.log(3.0)  # how far a device's instability may be from its data sheet
+_LEAST = 0.05  # expectation of no coloured noise at most, where the data sheet states some
+_TURN_ON, _TURN_ON_EXPECTED = np.array([0.0, 0.2, 2.0, 50.0]), np.array([0.45, 0.2, 0.2, 0.15])
+
+
+def cosines(columns: Floats) -> Floats:
+    """Return the orthonormal cosine transform of columns (b, c) over rows."""
+    from scipy.fft import dct
+
+    return np.asarray(dct(columns, axis=0, norm="ortho"))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """A stretch of a run: its blocks, and the band (b,) that each of its frequencies (b,) in Hz falls into.
+
+    ``level`` is the variance of its white noise over that of all runs, ``used`` the share of blocks that hold data.
+    """
+
+    run: int
+    blocks: slice
+    frequency_hz: Floats
+    band: NDArray[np.intp]
+    band_hz: Floats
+    counts: Floats
+    length_s: float
+    alone: bool
+    level: float = 1.0
+    used: float = 1.0
+
+    @classmethod
+    def of(cls, run: int, blocks: slice, length_s: float, alone: bool) -> Stretch:
+        """Return that of some blocks; ``alone`` if there is no other recording: power was not off in between."""
+        n = blocks.stop - blocks.start
+        frequency = np.arange(n) / (2 * n * length_s)
+        k = np.arange(n)
+        log_band = _SINGLE + np.floor(_BANDS_A_DECADE * np.log10(np.maximum(k, _SINGLE) / _SINGLE)).astype(np.intp)
+        band = np.where(k < _SINGLE, k, log_band)
+        _, band = np.unique(band, return_inverse=True)
+        counts = np.bincount(band).astype(np.float64)
+        hz = np.bincount(band, frequency) / counts
+        return cls(run, blocks, frequency, band.astype(np.intp), hz, counts, length_s, alone)
+
+    @property
+    def starts(self) -> NDArray[np.intp]:
+        """First frequency of each band."""
+        return np.flatnonzero(np.diff(self.band, prepend=-1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseShapes:
+    """Noise models to choose among: ratios to the angle random walk of bias instability (rtHz), walk (Hz), and the
+    standard deviation of a bias from recording to recording (rtHz); (G,) each, with their log expectations.
+
+    ``span_s`` is the length of the longest recording. A bias is that of a recording: of flicker noise, which goes on to
+    ten times the span as in ``noise.MeansCovariance``, the mean of a stretch has (ln 10 + 3/2) / pi of its square in
+    variance; of a random walk the bias is its value in the middle, or at power-on if there are several recordings.
+    """
+
+    instability: Floats
+    walk: Floats
+    turn_on: Floats
+    log_prior: Floats
+    span_s: float
+
+    @classmethod
+    def over(cls, span_s: float, stated: NoiseModel | None = None, *, several: bool = False) -> NoiseShapes:
+        """Return those that one or ``several`` recordings of this length can tell; ``stated`` by a data sheet."""
+        arw = stated.arw if stated is not None else 0.0
+        ratios = (stated.instability / arw, stated.walk / arw) if stated is not None and arw > 0 else (0.0, 0.0)
+        instability, chance_b = _expected(np.geomspace(1.0, 60, 6) / np.sqrt(span_s), ratios[0])
+        walk, chance_k = _expected(np.geomspace(0.5, 40, 4) / span_s, ratios[1])
+        turn_on, chance_t = (_TURN_ON, _TURN_ON_EXPECTED) if several else (np.zeros(1), np.ones(1))
+        b, k, t = (part.ravel() for part in np.meshgrid(instability, walk, turn_on, indexing="ij"))
+        return cls(b, k, t, np.log(np.einsum("b,k,t->bkt", chance_b, chance_k, chance_t).ravel()), span_s)
+
+    def select(self, keep: NDArray[np.bool_]) -> NoiseShapes:
+        """Return only these."""
+        parts = (self.instability[keep], self.walk[keep], self.turn_on[keep], self.log_prior[keep])
+        return NoiseShapes(*parts, self.span_s)
+
+    def density(self, stretch: Stretch) -> Floats:
+        """Return the variance (G, bands) of a coefficient in each band over that of white noise."""
+        circle = 2 * np.pi * np.maximum(stretch.band_hz, 1e-12)
+        out = stretch.level + self.instability[:, None] ** 2 / circle + (self.walk[:, None] / circle) ** 2
+        own_s = len(stretch.band) * stretch.length_s
+        flicker = (np.log(10 * max(self.span_s / own_s, 1.0)) + 1.5) / np.pi
+        walk_s = own_s / 12 + max(self.span_s - own_s, 0.0) / 3 + (0.0 if stretch.alone else self.span_s)
+        bias = self.instability**2 * flicker + self.walk**2 * walk_s + (0.0 if stretch.alone else self.turn_on**2)
+        out[:, 0] = stretch.level + own_s * bias
+        return np.asarray(out)
+
+    def __len__(self) -> int:
+        return len(self.instability)
+
+
+def _expected(sizes: Floats, stated: float) -> tuple[Floats, Floats]:
+    """Return none and these ratios to the angle random walk, and what is expected of each; ``stated``: 0 for none."""
+    values = np.concatenate([[0.0], sizes])
+    if stated <= 0:
+        return values, np.concatenate([[_WHITE], np.full(len(sizes), (1 - _WHITE) / len(sizes))])
+    least = sizes[0] / 2  # a size that cannot matter counts as none
+    chance = np.exp(-0.5 * (np.log(np.maximum(values, least) / max(stated, least)) / _STATED_SPREAD) ** 2)
+    chance[0] = chance[0] if stated < sizes[0] else min(chance[0], _LEAST)
+    return values, chance / chance.sum()
+
+
+@dataclass(slots=True, eq=False)
+class GyroSpectra:
+    """One gyro over all runs: its columns in the cosine domain, and their products by stretch and band.
+
+    ``columns`` holds for each stretch (b, c): the four states first, then z, then those of effects as they are added;
+    ``products`` (bands, c, c) likewise. All are over the white noise of one block, of which ``arw`` is the density.
+    """
+
+    name: str
+    prior: Floats
+    arw: float
+    stretches: list[Stretch]
+    columns: list[Floats]
+    products: list[Floats] = field(default_factory=list)
+
+    def add(self, new: Sequence[Floats]) -> None:
+        """Add columns (b, c), one array for each stretch, in the time domain and in rad/s."""
+        for i, (stretch, part) in enumerate(zip(self.stretches, new, strict=True)):
+            turned = cosines(part) * (np.sqrt(stretch.length_s) / self.arw)
+            old = self.columns[i]
+            both = np.hstack([old, turned])
+            c0, c1 = old.shape[1], both.shape[1]
+            products = np.empty((len(stretch.counts), c1, c1))
+            for band, start in enumerate(stretch.starts):
+                stop = stretch.starts[band + 1] if band + 1 < len(stretch.starts) else len(both)
+                border = both[start:stop].T @ turned[start:stop]
+                products[band, :, c0:] = border
+                products[band, c0:, :] = border.T
+            if c0:
+                products[:, :c0, :c0] = self.products[i]
+            self.columns[i] = both
+            if i < len(self.products):
+                self.products[i] = products
+            else:
+                self.products.append(products)
+
+    def subtract(self, parts: Sequence[Floats]) -> None:
+        """Take something (b,) of each stretch, in rad/s, off the output error."""
+        for i, (stretch, part) in enumerate(zip(self.stretches, parts, strict=True)):
+            self.columns[i] = self.columns[i].copy()
+            self.columns[i][:, Z] -= cosines(part[:, None])[:, 0] * (np.sqrt(stretch.length_s) / self.arw)
+            whole = self.columns[i]
+            for band, start in enumerate(stretch.starts):
+                stop = stretch.starts[band + 1] if band + 1 < len(stretch.starts) else len(whole)
+                border = whole[start:stop].T @ whole[start:stop, Z]
+                self.products[i][band, :, Z] = border
+                self.products[i][band, Z, :] = border
+
+    def gram(self, densities: Sequence[Floats]) -> Floats:
+        """Return the weighed products (G, c, c), summed over stretches of which the density (G, bands) is given."""
+        total: Floats = np.zeros(())
+        for products, density in zip(self.products, densities, strict=True):
+            bands, c = products.shape[0], products.shape[1]
+            total = total + (1 / density) @ products.reshape(bands, c * c)
+        c = self.products[0].shape[1]
+        return np.asarray(total).reshape(-1, c, c)
+
+
+Z = 4
+"""Column of the output error; the states come before it, effects after it."""
+
+
+def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) -> list[GyroSpectra]:
+    """Return every gyro of the runs, with the columns of its states and its output error.
+
+    The white noise of a block is taken from the upper half of its spectrum, by the median: ramps and tones are few.
+    ``arw`` states it by gyro (rad/s/rtHz) where much of the runs is left out.
+    """
+    names = list(dict.fromkeys(name for run in runs for name in run.array.names))
+    alone = len({run.order for run in runs}) == 1
+    found = []
+    for name in names:
+        stretches: list[Stretch] = []
+        parts: list[Floats] = []
+        prior = None
+        for number, run in enumerate(runs):
+            if name not in run.array.names:
+                continue
+            i = run.array.names.index(name)
+            prior = run.prior.variances()
+            both = run.weighed(np.column_stack([run.state_columns()[i], run.z_rps[:, i]]), i)
+            for blocks in run.stretches():
+                if blocks.stop - blocks.start >= (_FEWEST_TURNS if run.stated_rps else _FEWEST):
+                    used = float(np.mean(run.weight[blocks] > 0))
+                    stretches.append(replace(Stretch.of(number, blocks, run.length_s, alone), used=used))
+                    parts.append(both[blocks])
+        if prior is None or not stretches:
+            continue
+        stated = [runs[s.run].stated_rps * np.sqrt(s.length_s) for s in stretches]
+        white = arw[name] if arw is not None else max(_white(parts, stretches), min(stated))
+        stretches = _levelled(parts, stretches, white)
+        stretches = [replace(s, level=max(s.level, (d / white) ** 2)) for s, d in zip(stretches, stated, strict=True)]
+        gyro = GyroSpectra(name, prior, white, stretches, [np.empty((len(p), 0)) for p in parts])
+        gyro.add(parts)
+        found.append(gyro)
+    return found
+
+
+def _levelled(parts: Sequence[Floats], stretches: Sequence[Stretch], white: float) -> list[Stretch]:
+    """Return stretches with the level of the white noise of their run, where that is not the level of all by chance."""
+    levels = {}
+    for run in {stretch.run for stretch in stretches}:
+        own = [n for n, stretch in enumerate(stretches) if stretch.run == run]
+        ratio = _white([parts[n] for n in own], [stretches[n] for n in own]) / white
+        known = sum(len(parts[n]) for n in own) / 2
+        levels[run] = ratio**2 if abs(np.log(ratio)) > _UNLIKE / np.sqrt(known) else 1.0
+    return [replace(stretch, level=levels[stretch.run]) for stretch in stretches]
+
+
+def _white(parts: Sequence[Floats], stretches: Sequence[Stretch]) -> float:
+    """Return the angle random walk (rad/s/rtHz) from the upper half of the frequencies."""
+    rows = np.vstack(
+        [np.sqrt(s.length_s) * cosines(part)[len(part) // 2 :] for part, s in zip(parts, stretches, strict=True)]
+    )
+    rest = rows[:, Z] - rows[:, :Z] @ np.linalg.lstsq(rows[:, :Z], rows[:, Z], rcond=1e-10)[0]
+    free = 1 - rows.shape[1] / max(len(rows), 2 * rows.shape[1])  # what the states take of a few rows
+    return float(max(np.median(np.abs(rest)) / 0.6745 / np.sqrt(free), 1e-9))

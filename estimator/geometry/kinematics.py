@@ -1,0 +1,88 @@
+"""Body rate, Earth rate and gravity in body axes for a chain of gimbals (frames: see the package docstring)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.errors import RecordingError
+from estimator.types import Floats
+
+EARTH_RATE_RPS = 7.292115e-5
+"""Rotation rate of the Earth, 15.041 deg/h (WGS 84)."""
+GRAVITY_MPS2 = 9.80665
+"""Standard gravity."""
+AXES = "xyz"
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """Where the table stands: geographic latitude and the azimuth of the base x axis, clockwise from north."""
+
+    latitude_rad: float
+    heading_rad: float
+
+    def earth_rate_rps(self) -> Floats:
+        """Return Earth rate in the base frame, shape (3,)."""
+        cos_lat, sin_lat = np.cos(self.latitude_rad), np.sin(self.latitude_rad)
+        return EARTH_RATE_RPS * np.array(
+            [cos_lat * np.cos(self.heading_rad), cos_lat * np.sin(self.heading_rad), sin_lat]
+        )
+
+
+def into_body(base_vector: Floats, angles_rad: Floats, gimbals: Sequence[str]) -> Floats:
+    """Return a base-frame vector (3,) in body axes at each row of ``angles_rad`` (k, gimbals): (k, 3)."""
+    v = np.broadcast_to(np.asarray(base_vector, dtype=np.float64), (len(angles_rad), 3))
+    for column, axis in enumerate(gimbals):
+        v = _turn_frame(v, axis, angles_rad[:, column])
+    return v
+
+
+def body_rate(angles_rad: Floats, rates_rps: Floats, gimbals: Sequence[str], site: Site | None = None) -> Floats:
+    """Return the inertial rate of the body in body axes, shape (k, 3).
+
+    ``angles_rad`` and ``rates_rps`` are (k, gimbals), columns ordered as ``gimbals``, outermost first. Each
+    gimbal adds its rate about its own axis after the frame has turned by its angle. With a site,
+    Earth rate is what the outermost gimbal starts from; without one it is not in the result.
+    """
+    start = np.zeros(3) if site is None else site.earth_rate_rps()
+    w = np.array(np.broadcast_to(start, (len(angles_rad), 3)))
+    for column, axis in enumerate(gimbals):
+        w = _turn_frame(w, axis, angles_rad[:, column])
+        w[:, AXES.index(axis)] += rates_rps[:, column]
+    return w
+
+
+def specific_force(angles_rad: Floats, gimbals: Sequence[str]) -> Floats:
+    """Return the specific force of a table at rest, in body axes and m/s2, shape (k, 3)."""
+    return into_body(np.array([0.0, 0.0, GRAVITY_MPS2]), angles_rad, gimbals)
+
+
+def check_gimbals(gimbals: Sequence[str]) -> tuple[str, ...]:
+    """Return the gimbal names as a tuple; RecordingError unless each is x, y or z and none comes twice."""
+    names = tuple(str(g) for g in gimbals)
+    if not names or len(set(names)) != len(names) or any(g not in AXES or len(g) != 1 for g in names):
+        raise RecordingError(f"gimbals must be different ones of x, y, z (outermost first), got {list(names)}")
+    return names
+
+
+def _turn_frame(v: Floats, axis: str, angle_rad: Floats) -> Floats:
+    """Return the components of v (k, 3) in a frame turned by ``angle_rad`` (k,) about ``axis``: R'(angle) v."""
+    a = AXES.index(axis)
+    b, c = (a + 1) % 3, (a + 2) % 3
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    out = np.empty_like(v)
+    out[:, a] = v[:, a]
+    out[:, b] = cos * v[:, b] + sin * v[:, c]
+    out[:, c] = cos * v[:, c] - sin * v[:, b]
+    return out
+
+
+def axis_text(direction: Floats | Sequence[float], near: float = 1 - 1e-6) -> str:
+    """Return a direction (3,) as a mapping file states it: "-z" if it is so ``near`` (cosine), or three numbers."""
+    v = np.asarray(direction, dtype=np.float64)
+    v = v / np.linalg.norm(v)
+    largest = int(np.argmax(np.abs(v)))
+    if abs(v[largest]) > near:
+        return f'"{"-" if v[largest] < 0 else ""}{"xyz"[largest]}"'
+    return "[" + ", ".join(f"{x:{'.2g' if near < 0.999 else '.6g'}}" for x in v) + "]"

@@ -1,0 +1,203 @@
+"""Spans of foreign samples with a stated turn: whole files or sections of them, each checked before it counts."""
+
+import json
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator.errors import RecordingError
+from estimator.importing.clocks.timefit import TimeFit
+from estimator.importing.columns import Table
+from estimator.importing.mapping.mapping import Mapping
+from estimator.importing.mapping.reference import Cuts, FileTurns, SectionTurns, Turn, TurnChecks, turn_about
+from estimator.types import Floats
+
+_EDGE_ROWS = 3  # least number of samples that show rest at an end
+_WRONG_BY = 0.5  # a gyro whose output turns by this share more or less than stated: wrong axis, unit or angle
+_SENSED = 0.5  # share of an axis that the gyros must span to say how far it turned
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A file, or a section of one, that was left out, and why."""
+
+    name: str
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.reason}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Span:
+    """One turn with the instants it lasts from and to, in seconds from the first sample of its file."""
+
+    start_s: float
+    end_s: float
+    turn_rad: Floats
+    sd_rad: float
+
+
+def turn_spans(
+    mapping: Mapping, path: Path, table: Table, time: TimeFit, rate: Floats
+) -> tuple[list[Span] | None, list[Refused]]:
+    reference = mapping.reference
+    rows: list[tuple[str, int, int, Turn]]
+    if isinstance(reference, FileTurns):
+        rows = [(path.name, 0, len(time.rows), _turn_of_file(mapping, reference, path))]
+    elif isinstance(reference, SectionTurns):
+        limits = section_rows(mapping, reference.cuts, tuple(reference.sections), path, table, time)
+        rows = [(f"{path.name}, section {name}", first, stop, reference.sections[name]) for name, first, stop in limits]
+    else:
+        return None, []
+    spans: list[Span] = []
+    refused: list[Refused] = []
+    for name, first, stop, turn in rows:
+        try:
+            spans.append(_span(mapping, reference.checks, time.t_s[first:stop], rate[time.rows[first:stop]], turn))
+        except RecordingError as reason:
+            refused.append(Refused(name, str(reason)))
+    return spans, refused
+
+
+def _turn_of_file(mapping: Mapping, reference: FileTurns, path: Path) -> Turn:
+    if reference.turn is not None:
+        return reference.turn
+    assert reference.pattern is not None
+    found = reference.pattern.search(path.name)
+    if not found:
+        raise RecordingError(f"{path.name}: its name does not match file_name in [reference] of {mapping.name}")
+    try:
+        return turn_about(found["axis"] or "", float(found["angle_deg"]))
+    except (ValueError, TypeError) as error:
+        raise RecordingError(f"{path.name}: its name states no turn: {error}") from None
+
+
+def section_rows(
+    mapping: Mapping,
+    cuts: Cuts,
+    names: tuple[str, ...],
+    path: Path,
+    table: Table,
+    time: TimeFit,
+    *,
+    all_named: bool = True,
+) -> list[tuple[str, int, int]]:
+    """Return name, first and one past the last of the kept rows of every section of a file.
+
+    With ``all_named`` a label comes once and each is one of ``names``; without, others are passed over. Raises
+    RecordingError if sections are missing, or not as the file.
+    """
+    limits: list[tuple[str, int, int]]
+    if cuts.limits_s:
+        return _timed(cuts, path, time)
+    if cuts.column is not None:
+        limits = _labelled(table.labels[cuts.column], once=all_named)
+    else:
+        assert cuts.list_name is not None
+        limits = _listed(path.parent / cuts.list_name.replace("{stem}", path.stem), table)
+    present = dict.fromkeys(name for name, _, _ in limits)
+    unknown = [name for name in present if name not in names]
+    if unknown and all_named:
+        raise RecordingError(
+            f"{path.name}: nothing says how section {', '.join(unknown)} turned: add it to [reference.sections] of "
+            f"{mapping.name}"
+        )
+    missing = [name for name in names if name not in present]
+    if missing:
+        has = f"; it has {', '.join(unknown)}" if unknown else ""
+        raise RecordingError(f"{path.name} has no section {', '.join(missing)}, which {mapping.name} names{has}")
+    return [(name, *np.searchsorted(time.rows, [start, end]).tolist()) for name, start, end in limits if name in names]
+
+
+def _timed(cuts: Cuts, path: Path, time: TimeFit) -> list[tuple[str, int, int]]:
+    found = []
+    for name, (start_s, end_s) in cuts.limits_s.items():
+        if start_s > time.t_s[-1]:
+            raise RecordingError(
+                f"{path.name}: section {name} begins at {start_s:g} s, but the file lasts {time.t_s[-1]:.6g} s"
+            )
+        found.append((name, *np.searchsorted(time.t_s, [start_s, end_s]).tolist()))
+    return found
+
+
+def _labelled(labels: tuple[str, ...], *, once: bool) -> list[tuple[str, int, int]]:
+    limits: list[tuple[str, int, int]] = []
+    at = 0
+    for label, group in groupby(labels):
+        stop = at + len(list(group))
+        if once and any(label == name for name, _, _ in limits):
+            raise RecordingError(f"section {label} comes twice: give each section a label of its own")
+        if label:
+            limits.append((label, at, stop))
+        at = stop
+    return limits
+
+
+def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
+    if table.skipped_lines:
+        raise RecordingError(
+            f"{table.name}: {table.skipped_lines} lines are broken, and the section list counts rows: repair the file"
+        )
+    try:
+        values: Any = json.loads(path.read_text(encoding="utf-8"))
+        limits = {str(name): (int(value["start"]), int(value["end"])) for name, value in values.items()}
+    except OSError:
+        raise RecordingError(f"{table.name}: its section list {path.name} is not beside it") from None
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise RecordingError(f'{path.name} is no section list: write {{"name": {{"start": 0, "end": 100}}}}') from None
+    rows = len(next(iter(table.columns.values())))
+    for name, (start, end) in limits.items():
+        if not 0 <= start < end <= rows:
+            raise RecordingError(f"{path.name}: section {name} is {start} to {end}, the file has rows 0 to {rows}")
+    return [(name, start, end) for name, (start, end) in limits.items()]
+
+
+def _span(mapping: Mapping, checks: TurnChecks, t_s: Floats, rate: Floats, turn: Turn) -> Span:
+    """Return the checked turn of these samples; RecordingError if they do not begin and end at rest."""
+    whole = np.isfinite(rate).all(axis=1)
+    t_s, rate = t_s[whole], rate[whole]
+    if len(t_s) < 2 * _EDGE_ROWS:
+        raise RecordingError(f"it has {len(t_s)} usable rows, too few for a turn")
+    period_s = float(np.median(np.diff(t_s)))
+    edge = min(max(round(checks.rest_s / period_s), _EDGE_ROWS), len(t_s) // 2)
+    limit = checks.rest_limit_rps
+    for end, rows in (("start", rate[:edge]), ("end", rate[-edge:])):
+        worst = float(np.abs(rows.mean(axis=0)).max())
+        if worst > limit:
+            raise RecordingError(
+                f"it is not at rest at the {end} ({np.degrees(worst):.1f} deg/s over {edge * period_s:.2g} s, "
+                f"{np.degrees(limit):.3g} allowed), so its turned angle is not known"
+            )
+    length_s = float(t_s[-1] - t_s[0])
+    turned = np.asarray(np.trapezoid(rate, t_s, axis=0))
+    if not turn.angle_rad:
+        worst = float(np.abs(turned).max()) / length_s
+        if worst > limit:
+            raise RecordingError(f"it is said to be at rest but turns at {np.degrees(worst):.1f} deg/s on average")
+        return Span(float(t_s[0]), float(t_s[-1]), np.zeros(3), checks.rest_sd_rad)
+    angle = _checked_angle(mapping, checks, turned, turn)
+    sd = float(np.hypot(checks.sd_rad, checks.sd_share * angle))
+    return Span(float(t_s[0]), float(t_s[-1]), angle * np.array(turn.axis), sd)
+
+
+def _checked_angle(mapping: Mapping, checks: TurnChecks, turned_rad: Floats, turn: Turn) -> float:
+    """Return the stated angle with the sign that holds; RecordingError if the gyros (m,) turned otherwise."""
+    p, axis, angle = mapping.gyro.array.p, np.array(turn.axis), turn.angle_rad
+    if np.linalg.lstsq(p, p @ axis, rcond=None)[0] @ axis < _SENSED:
+        if checks.sign_from_data:
+            raise RecordingError("no gyro senses the axis of its turn, so the data cannot tell the sign: state it")
+        return angle
+    # What the body turned by, as far as the gyros tell: least squares over their nominal axes.
+    measured = float(np.linalg.lstsq(p, turned_rad, rcond=None)[0] @ axis)
+    if checks.sign_from_data and measured * angle < 0:
+        angle = -angle
+    if not abs(measured / angle - 1) < _WRONG_BY:
+        raise RecordingError(
+            f"its gyros turn by {np.degrees(measured):.1f} deg where {np.degrees(angle):.1f} are stated: check axis, "
+            "sign, angle and [gyro] unit"
+        )
+    return angle

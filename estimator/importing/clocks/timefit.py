@@ -1,0 +1,201 @@
+"""Instants of foreign samples from the stamps they came with, which may jump, repeat or be out of order."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import RecordingError
+from estimator.types import Floats
+
+REGULAR_WITHIN = 0.3
+"""Median distance, in sample periods, of stamps from an even grid below which the sampling is called regular."""
+_COARSE_SHARE = 0.2
+"""Share of stamps equal to the one before from which on they are called coarse, as of a clock or of packets."""
+_WITHIN_STAMP = 0.35  # median distance from an even grid of coarse stamps, in their own steps; 0.25 if nothing is off
+_JUMP_PERIODS = 10.0  # a stamp this far behind the one before is no jitter
+_LONGEST_REPLAY_S = 2.0
+_EVEN_ROWS, _NEARLY_ALL = 101, 0.99  # rows over which a wandering clock is even, and how many must be near
+_BEHIND_SHARE = 0.2  # of uneven stamps, those before an earlier one; a column with more is no time
+_CHECK = "check column in [time], or state rate_hz in its place; in a binary file check record"
+_SAME_SHARE = 0.5  # of the rows of a replay, how many must be there already, to the last digit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimeFit:
+    """Instants (kept rows,) in seconds from the first, the rows that are kept, and in words what was done.
+
+    ``replayed`` counts rows that were delivered a second time, ``doubled`` those written twice in a row. ``zero_s`` is
+    the stamp of the instant 0; None without stamps.
+    """
+
+    t_s: Floats
+    rows: NDArray[np.intp]
+    replayed: int
+    text: str
+    doubled: int = 0
+    zero_s: float | None = None
+
+
+def regular_times(position: NDArray[np.int64], rate_hz: float) -> TimeFit:
+    """Return the instants of samples without stamps, at a stated rate; a broken line keeps its place in time."""
+    t_s = np.asarray((position - position[0]) / rate_hz, dtype=np.float64)
+    return TimeFit(t_s, np.arange(len(position)), 0, f"{rate_hz:.6g} Hz as stated")
+
+
+def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | None = None) -> TimeFit:
+    """Return instants from stamps (rows,); ``values`` (rows, m) tell a replay from a clock that was set back.
+
+    ``position`` (rows,) numbers the rows with those that were lost on the way. Rows that are delivered a second
+    time (their stamps lie in the past, their values are there already) and rows written twice (equal stamps, equal
+    values) are left out. If the rest lies near an even grid, the order of the rows is right and the grid replaces
+    the stamps, whose scatter is that of their delivery; many samples to a stamp are spread over it. So it is where
+    stamps are even over stretches of 101 rows. If not, the sampling was uneven and the stamps stand.
+
+    Raises RecordingError for stamps that are not finite, do not advance, or go back as two runs in a file do.
+    """
+    if len(stamps_s) < 8:
+        raise RecordingError(
+            f"has {len(stamps_s)} rows, too few for a fit of their times: record more, or state rate_hz in [time]"
+        )
+    if not np.isfinite(stamps_s).all():
+        raise RecordingError("has time stamps that are no numbers: repair the time column")
+    forward = np.diff(stamps_s)
+    if not (forward > 0).any():
+        how = "run backwards: turn the order of its rows round, or" if (forward < 0).all() else "do not advance:"
+        raise RecordingError(f"has time stamps that {how} {_CHECK}")
+    values = np.nan_to_num(values, nan=-1e300)  # blank is equal to blank
+    rows = _without_replays(stamps_s, values, float(np.median(forward[forward > 0])))
+    replayed = len(stamps_s) - len(rows)
+    tried = [
+        (rows[~twice], int(twice.sum()))
+        for twice in (_written_twice(stamps_s[rows], values[rows], usual) for usual in _usual_rows(stamps_s[rows]))
+    ]
+    fits = [(fit, kept, doubled) for kept, doubled in tried for fit in _grids(stamps_s[kept], kept, position)]
+    if not fits:
+        raise RecordingError(f"has time stamps that do not advance: {_CHECK}")
+    best, rows, doubled = min(fits, key=lambda tried: (not tried[0].even, tried[0].away))
+    t = stamps_s[rows]
+    done = f", {replayed} replayed rows left out" if replayed else ""
+    done += f", {doubled} rows left out that were written twice" if doubled else ""
+    if best.even:
+        text = (
+            f"even grid of {1 / best.period_s:.6g} Hz fitted to the stamps (they scatter by {best.scatter:.2f} periods)"
+        )
+        t_s = best.number * np.float64(best.period_s)
+        return TimeFit(t_s, rows, replayed, text + done, doubled, float(np.median(t - t_s)))
+    wandering = _wandering(t)
+    if wandering is not None:
+        text = f"even over seconds at {1 / np.median(np.diff(wandering)):.6g} Hz; the clock of the stamps wanders"
+        return TimeFit(wandering - wandering[0], rows, replayed, text + done, doubled, float(wandering[0]))
+    newest = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
+    late, behind = t <= newest, float(np.mean(t < newest))
+    if behind > _BEHIND_SHARE:
+        raise RecordingError(f"has stamps that lie behind earlier ones in {behind:.0%} of its rows: {_CHECK}")
+    t, rows = t[~late], rows[~late]
+    text = f"as stamped (uneven: off an even grid of {1 / best.period_s:.4g} Hz by {best.away:.1f} periods)"
+    if late.any():
+        text += f", {int(late.sum())} rows left out whose stamp is no later than the one before"
+    return TimeFit(t - t[0], rows, replayed, text + done, doubled, float(t[0]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grid:
+    """An even grid through stamps: how far they are from it, in periods, and whether that is near enough."""
+
+    number: NDArray[np.int64]
+    period_s: float
+    scatter: float
+    away: float
+    even: bool
+
+
+def _grids(t: Floats, rows: NDArray[np.intp], position: NDArray[np.int64] | None) -> list[_Grid]:
+    """Return grids by the order of the rows, and by their numbers among those that were lost or left out."""
+    numbered = rows if position is None else position[rows]
+    fits = [_grid(t, number) for number in (np.arange(len(rows)), numbered - numbered[0])]
+    return [fit for fit in fits if fit is not None]
+
+
+def _grid(t: Floats, number: NDArray[np.int64]) -> _Grid | None:
+    if len(t) < 2:
+        return None
+    half = len(t) // 2
+    steps = np.diff(t)
+    coarse_s = float(np.median(steps[steps > 0])) if (steps == 0).mean() >= _COARSE_SHARE else 0.0
+    if coarse_s:  # their rounding is averaged
+        centred = number - number.mean()
+        period = float(centred @ t / (centred @ centred))
+    else:  # no single stamp weighs
+        period = float(np.median((t[half:] - t[: len(t) - half]) / (number[half:] - number[: len(t) - half])))
+    if period <= 0:
+        return None
+    away = t - period * number
+    away -= np.median(away)
+    tenth = max(len(t) // 10, 1)
+    drift = abs(float(np.median(away[-tenth:]) - np.median(away[:tenth]))) / period  # samples lost or doubled
+    scatter = float(np.median(np.abs(away))) / period
+    coarse = coarse_s / period
+    even = scatter <= max(REGULAR_WITHIN, _WITHIN_STAMP * coarse) and drift <= max(1.0, coarse)
+    return _Grid(number, period, scatter, max(scatter, drift), even)
+
+
+def _wandering(t: Floats) -> Floats | None:
+    """Return the instants of samples that are even for seconds, if not for ever; None if they are not, or overlap."""
+    if len(t) < 2 * _EVEN_ROWS:
+        return None
+    steps = np.round(np.diff(t) / max(float(np.median(np.diff(t))), 1e-12))
+    if steps.min() < 1 or np.quantile(steps, 0.9) > 1:
+        return None
+    grid = np.concatenate([[0.0], np.cumsum(steps)])
+    period_s = float(np.median((t[_EVEN_ROWS:] - t[:-_EVEN_ROWS]) / (grid[_EVEN_ROWS:] - grid[:-_EVEN_ROWS])))
+    grid *= period_s
+    around = np.pad(t - grid, _EVEN_ROWS // 2, "reflect", reflect_type="odd")  # which keeps a slope at the ends
+    fit = grid + np.convolve(around, np.full(_EVEN_ROWS, 1 / _EVEN_ROWS), "valid")
+    return fit if np.quantile(np.abs(t - fit), _NEARLY_ALL) <= REGULAR_WITHIN * period_s else None
+
+
+def _usual_rows(t: Floats) -> list[int]:
+    """Return how many rows a stamp may have: one, or for coarse stamps more and then fewer."""
+    counts = np.diff(np.append(np.flatnonzero(np.diff(t, prepend=t[0] - 1)), len(t)))
+    if np.quantile(counts, 0.9) <= 1:
+        return [1]
+    many = int(np.quantile(counts, 0.99))
+    return [len(t), many + 1, many]
+
+
+def _written_twice(t: Floats, values: Floats, usual: int) -> NDArray[np.bool_]:
+    """Return which rows repeat the row before, stamp and values, where a stamp has more rows than is usual."""
+    twice = np.zeros(len(t), dtype=bool)
+    first = np.flatnonzero(np.diff(t, prepend=t[0] - 1))
+    counts = np.diff(np.append(first, len(t)))
+    for start, count in zip(first[counts > usual].tolist(), counts[counts > usual].tolist(), strict=True):
+        same = (values[start + 1 : start + count] == values[start : start + count - 1]).all(axis=1)
+        again = start + 1 + np.flatnonzero(same)
+        twice[again[: count - usual]] = True
+    return twice
+
+
+def _without_replays(stamps_s: Floats, values: Floats, period_s: float) -> NDArray[np.intp]:
+    """Return the rows that are not a second delivery of rows before them."""
+    keep = np.ones(len(stamps_s), dtype=bool)
+    start = 0
+    for jump in np.flatnonzero(np.diff(stamps_s) < -_JUMP_PERIODS * period_s):
+        first = int(jump) + 1
+        if first < start:
+            continue
+        newest = stamps_s[:first].max()
+        ahead = np.flatnonzero(stamps_s[first:] > newest)
+        stop = first + int(ahead[0]) if len(ahead) else len(stamps_s)
+        back_s = newest - stamps_s[first]
+        before = values[:first][stamps_s[:first] >= stamps_s[first] - 0.1]
+        same = np.mean([bool((before == row).all(axis=1).any()) for row in values[first:stop]])
+        if back_s > _LONGEST_REPLAY_S or same < _SAME_SHARE:
+            raise RecordingError(
+                f"has a time column that goes back by {back_s:.3g} s at data row {first + 1}, where it does not "
+                "repeat what was there: split the file if it holds two runs, or read one by from_row or until_row in "
+                "[file]; for a counter that goes round state wraps_at in [time]; in a binary file check record"
+            )
+        keep[first:stop] = False
+        start = stop
+    return np.flatnonzero(keep)

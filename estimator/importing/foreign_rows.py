@@ -1,0 +1,79 @@
+"""Rows of a foreign reference: attitudes, rates or angles in SI and body axes, and the reference they become."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import RecordingError
+from estimator.importing.columns import Table
+from estimator.importing.mapping.mapping import Mapping
+from estimator.importing.mapping.reference import AngleColumn, AttitudeColumns, ForeignReference, RateColumns
+from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings
+from estimator.types import Floats, Stamps
+
+_NORM_OFF = 0.05  # an attitude whose length is this far from 1 is a lost one
+_LOST_STEPS = 3  # blanks over more than this many usual steps: what happened there is not known
+_LOST_NS = 150_000_000
+_SLOPE_S = 0.05  # to each side, over which an encoder's angle gives its rate
+
+
+ForeignRows = tuple[Floats, Floats]
+"""Rows of the reference of one file: instants (rows,) from its first sample, and values (rows, c)."""
+
+
+def reference_rows(mapping: Mapping, table: Table) -> Floats | None:
+    """Return attitudes (rows, 4) as w x y z, body to reference, rates (rows, 3) or angles (rows, 1); or None."""
+    reference = mapping.reference
+    if isinstance(reference, RateColumns):
+        if reference.axis is None:
+            return _some(table, table.values(reference.columns, 3, "[reference] columns"))
+        return _some(table, table.values(reference.columns, 1, "[reference] columns") * np.array([reference.axis]))
+    if isinstance(reference, AngleColumn):
+        return _some(table, reference.sign * table.values(reference.columns, 1, "[reference] column"))
+    if not isinstance(reference, AttitudeColumns):
+        return None
+    q = table.values(reference.columns, 4, "[reference] columns")
+    if reference.order == "xyzw":
+        q = q[:, [3, 0, 1, 2]]
+    length = np.linalg.norm(q, axis=1, keepdims=True)
+    q = np.where(np.abs(length - 1) < _NORM_OFF, q / np.where(length > 0, length, 1.0), np.nan)
+    return _some(table, q * [1.0, -1.0, -1.0, -1.0] if reference.inverted else q)
+
+
+def foreign_reference(reference: ForeignReference, t_ns: Stamps, rows: Floats) -> Reference:
+    """Return the reference of rows (k, c) at ``t_ns`` (k,), NaN where nothing is known."""
+    if isinstance(reference, AttitudeColumns):
+        return AttitudeReadings(t_ns, rows)
+    if isinstance(reference, AngleColumn):
+        return _encoder(reference.gimbal, t_ns, rows[:, 0])
+    if not isinstance(reference, RateColumns):
+        return RateReadings(t_ns, rows)
+    whole = np.asarray(np.isfinite(rows).all(axis=1))
+    keep = whole | _lost(t_ns, whole)
+    return RateReadings(t_ns[keep], rows[keep])
+
+
+def _encoder(gimbal: str, t_ns: Stamps, angle_rad: Floats) -> TableReadings:
+    """Return an encoder's angle (k,) as a table of one axis: its slope is the rate, its turns are counted."""
+    known = np.isfinite(angle_rad)
+    t_ns, angle = t_ns[known], np.unwrap(angle_rad[known])
+    t_s = (t_ns - t_ns[0]) * 1e-9
+    half_s = max(_SLOPE_S, 1.5 * float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0)
+    before, after = np.maximum(t_s - half_s, t_s[0]), np.minimum(t_s + half_s, t_s[-1])
+    rate = (np.interp(after, t_s, angle) - np.interp(before, t_s, angle)) / np.maximum(after - before, 1e-9)
+    return TableReadings(t_ns, angle[:, None], rate[:, None], (gimbal,))
+
+
+def _lost(t_ns: Stamps, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which rows (k,) lie in gaps between whole ones that are too long to be filled."""
+    known = t_ns[whole]
+    if len(known) < 2:
+        return np.zeros(len(t_ns), dtype=bool)
+    after = np.clip(np.searchsorted(known, t_ns), 1, len(known) - 1)
+    gap = known[after] - known[after - 1]
+    return np.asarray(~whole & (gap > max(_LOST_STEPS * float(np.median(np.diff(known))), _LOST_NS)))
+
+
+def _some(table: Table, rows: Floats) -> Floats:
+    if not np.isfinite(rows).all(axis=1).any():
+        raise RecordingError(f"{table.name} has not one usable row of the reference: check [reference] columns")
+    return rows

@@ -1,0 +1,73 @@
+"""Columns of a foreign file, their units and their axes, as a mapping file states them."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from estimator.strict_toml import StrictTable
+
+_DEG, _TURN = math.pi / 180, 2 * math.pi
+_ANGLES = {"rad": 1.0, "deg": _DEG, "mrad": 1e-3, "rev": _TURN, "arcmin": _DEG / 60, "arcsec": _DEG / 3600}
+UNITS = {
+    "angle": _ANGLES,
+    "rate": {f"{unit}/s": size for unit, size in _ANGLES.items()}
+    | {"deg/h": _DEG / 3600, "mdps": 1e-3 * _DEG, "rpm": _TURN / 60},
+    "acceleration": {"m/s2": 1.0, "g": 9.80665, "mg": 9.80665e-3},
+    "temperature": {"degC": 1.0, "K": 1.0},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0},
+}
+"""What a column can be, and the size in SI of the units it may have."""
+_SHIFT = {"K": -273.15}
+UNIT_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Columns of a text file, or variables of a .mat file; SI is (value - ``offset``) * ``scale`` + ``shift``."""
+
+    names: tuple[str, ...]
+    scale: float = 1.0
+    shift: float = 0.0
+    raw: bool = False
+    offset: float = 0.0
+
+
+def stated_columns(section: StrictTable, quantity: str, key: str = "columns", *, count_needed: bool = True) -> Columns:
+    """Return the columns of a table with what makes SI of them: a unit of the quantity, or the size of a count.
+
+    Where the size is not needed and not stated, a count is one degree (a second). ``offset`` is the value that stands
+    for zero, in the unit of the column.
+    """
+    units, names, offset = UNITS[quantity], section.strings(key), section.number("offset", 0.0)
+    unit = section.string("unit", one_of=(*units, "raw"))
+    raw, size = unit == "raw", 1.0
+    if raw and not count_needed and not section.has("count"):
+        unit = section.string("count_unit", "deg/s", one_of=tuple(units))
+    elif raw:
+        unit, size = section.string("count_unit", one_of=tuple(units)), section.number("count", positive=True)
+    return Columns(names, size * units[unit], _SHIFT.get(unit, 0.0), raw, offset)
+
+
+def signed_axis(text: str) -> Vector:
+    """Return the unit vector of +-x, y or z; ValueError for anything else."""
+    letter = text.strip().lower()
+    sign = -1.0 if letter.startswith("-") else 1.0
+    letter = letter.lstrip("+-")
+    if letter not in UNIT_AXES:
+        raise ValueError(f"{text!r} is no axis: write x, y or z, with a sign if need be")
+    x, y, z = (sign * v if v else 0.0 for v in UNIT_AXES[letter])
+    return x, y, z
+
+
+def body_axis(section: StrictTable, key: str, value: Any) -> Vector:
+    """Return a direction in body axes: x, y or z with a sign, or three numbers; else the section's error."""
+    if isinstance(value, str):
+        try:
+            return signed_axis(value)
+        except ValueError as error:
+            raise section.fail(key, str(error)) from None
+    if not (isinstance(value, list) and len(value) == 3 and all(isinstance(v, (int, float)) for v in value)):
+        raise section.fail(key, f"holds {value!r}: write x, y or z with a sign, or three numbers")
+    return float(value[0]), float(value[1]), float(value[2])

@@ -1,0 +1,335 @@
+"""The mapping file: what the columns of a foreign recording mean. TOML, read strictly; see the package README.
+
+Units are those of the foreign file here and only here; what leaves this module is SI.
+"""
+
+import math
+import re
+import tomllib
+from collections.abc import Callable, Sequence
+from collections.abc import Mapping as Dict
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import GeometryError, RecordingError
+from estimator.geometry.array import SensorArray, sensor_array
+from estimator.geometry.kinematics import Site
+from estimator.importing.mapping.columns import Columns, Vector, body_axis, stated_columns
+from estimator.importing.mapping.reference import (
+    AngleColumn,
+    ForeignReference,
+    MeasuredReference,
+    Rests,
+    read_reference,
+)
+from estimator.strict_toml import StrictTable
+
+_COLUMN = re.compile(r"(?P<name>\S+) (?P<many>\d*)(?P<kind>[iu][1248]|f[48]|V)")
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """The part of a file that is read: data rows (the first is 0), and of these seconds from the first."""
+
+    from_row: float = 0
+    until_row: float = math.inf
+    from_s: float = 0.0
+    until_s: float = math.inf
+
+
+Capture = Callable[[bytes, Sequence[str]], tuple[Dict[str, NDArray[np.float64]], tuple[str, ...]]]
+"""Decodes a capture to columns (rows,) or (rows, width), a row for each value of the first that is named, and notes."""
+Protocols = Dict[str, Callable[[StrictTable, Path], Capture]]
+"""For each protocol what takes its keys from the table [file] of a mapping, whose folder is given."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileFormat:
+    """``kind`` is csv, mat, binary or a protocol, ``extent`` the part that is read.
+
+    Text is split at ``delimiter`` (empty: at blanks), has a ``decimal`` mark, and without a heading its ``columns`` are
+    named. Binary files are a header and then a ``record`` a row.
+    """
+
+    kind: str
+    delimiter: str = ","
+    decimal: str = "."
+    columns: tuple[str, ...] = ()
+    extent: Extent = field(default_factory=Extent)
+    record: np.dtype[Any] | None = None
+    header_bytes: int = 0
+    capture: Capture | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Either a fixed ``rate`` in Hz, or a variable that holds it, or a column of stamps (``scale`` makes seconds).
+
+    The column may be one of a ``calendar``, or a counter that goes round at ``wraps_at``.
+    """
+
+    rate: float | str = 0.0
+    stamps: Columns | None = None
+    calendar: bool = False
+    wraps_at: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceFile:
+    """A reference in a file of its own; in its ``name`` "{stem}" is that of the data file.
+
+    ``offset_s`` is added to its stamps; None if the motion is to tell it.
+    """
+
+    name: str
+    format: FileFormat
+    timing: Timing
+    offset_s: float | None
+
+    def beside(self, path: Path) -> Path:
+        """Return where it is for a data file."""
+        return path.with_name(self.name.replace("{stem}", path.stem))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroColumns:
+    """Gyros with their nominal axes, and whether sign and scale of each are to be taken from the data."""
+
+    columns: Columns
+    array: SensorArray
+    sign_from_data: bool
+    scale_from_data: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Accelerometer:
+    """Specific force; column i is along body axis ``axes[i]``."""
+
+    columns: Columns
+    axes: tuple[Vector, Vector, Vector]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mapping:
+    """What is in foreign files; ``text`` is the mapping file itself, kept in the recording."""
+
+    name: str
+    text: str
+    device: str
+    licence: str
+    source: str
+    format: FileFormat
+    timing: Timing
+    gyro: GyroColumns
+    accelerometer: Accelerometer | None
+    temperature: Columns | None
+    reference: ForeignReference
+    reference_file: ReferenceFile | None
+    site: Site | None
+
+
+def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
+    """Read a mapping file; captures of the ``protocols`` are formats beside csv, tsv, mat and binary.
+
+    Raises RecordingError with file, line and what to write for anything unknown or wrong.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        values = tomllib.loads(text)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror}; give the path of a mapping (.toml)") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path} is not TOML: {error}") from None
+    top = StrictTable(values, (), text, path.name, RecordingError)
+    for name in ("device", "file", "time", "gyro", "reference"):
+        if not top.has(name):
+            how = ", with column and unit of the stamps, or rate_hz if there are none" if name == "time" else ""
+            raise RecordingError(f"{path.name} has no table [{name}]: add it{how}")
+    protocols, folder = protocols or {}, path.parent
+    device = top.table("device")
+    named = (device.string("name"), device.string("licence", ""), device.string("source", ""))
+    device.done()
+    file_format = _format(top.table("file"), protocols, folder)
+    timing = _timing(top.table("time"), file_format)
+    gyro = _gyro(top.table("gyro"), file_format)
+    accelerometer = _accelerometer(top.table("accelerometer")) if top.has("accelerometer") else None
+    temperature = _temperature(top.table("temperature")) if top.has("temperature") else None
+    site = _site(top.table("site")) if top.has("site") else None
+    section = top.table("reference")
+    other = _reference_file(section, file_format, timing, protocols, folder) if section.has("file") else None
+    reference = read_reference(section, wide=(other.format if other else file_format).kind != "csv")
+    top.done(also=("accelerometer", "temperature", "site"))
+    mapping = Mapping(
+        path.name, text, *named, file_format, timing, gyro, accelerometer, temperature, reference, other, site
+    )
+    _check(mapping, section)
+    return mapping
+
+
+def _check(mapping: Mapping, section: StrictTable) -> None:
+    """Refuse tables that do not go together."""
+    reference = mapping.reference
+    if not isinstance(reference, MeasuredReference):
+        if mapping.reference_file:
+            raise section.fail("file", "is for kind = rate, angle or attitude")
+        if mapping.gyro.sign_from_data or mapping.gyro.scale_from_data:
+            key = "sign" if mapping.gyro.sign_from_data else "scale"
+            raise RecordingError(
+                f'{mapping.name}: {key} = "from data" in [gyro] needs a rate, an angle or an attitude beside the '
+                "samples; against turns or rests state axes, unit and count"
+            )
+    if isinstance(reference, Rests) and reference.gravity and mapping.accelerometer is None:
+        raise section.fail("kind", "gravity needs what feels it: add the table [accelerometer]")
+    if not isinstance(reference, (AngleColumn, Rests)) or not reference.earth_rate:
+        return
+    if mapping.site is None:
+        raise section.fail("earth_rate", "needs the latitude: add a table [site] with latitude_deg")
+    if isinstance(reference, Rests) and mapping.accelerometer is None:
+        poses = [reference.pose, *reference.files.values()] if not reference.sections else reference.sections.values()
+        if any(pose.up is None for pose in poses) and not (reference.files and reference.pose.up is None):
+            raise section.fail(
+                "earth_rate", 'needs to know what points up: add up = "z" (the body axis) or an [accelerometer]'
+            )
+
+
+def _extent(section: StrictTable) -> Extent:
+    """Take the limits of what is read."""
+    limits: list[float] = []
+    for what in ("row", "s"):
+        start, end = section.number(f"from_{what}", 0.0, least=0.0), section.number(f"until_{what}", math.inf)
+        if end <= start:
+            raise section.fail(f"until_{what}", f"{end:g} is not after from_{what} {start:g}")
+        limits += [start, end]
+    return Extent(*limits)
+
+
+def _reference_file(
+    section: StrictTable, file_format: FileFormat, timing: Timing, protocols: Protocols, folder: Path
+) -> ReferenceFile:
+    offset_s: float | None = 0.0
+    if isinstance(section.again().value("file"), str):
+        name, own = section.string("file"), replace(file_format, columns=(), extent=Extent())
+    else:
+        stated = section.table("file")
+        name, own = stated.string("name"), _format(stated, protocols, folder)
+    if section.has("time"):
+        stated = section.table("time")
+        told = isinstance(stated.again().value("offset_s"), str) and stated.string("offset_s", one_of=("from data",))
+        offset_s = None if told else stated.number("offset_s", 0.0)
+        timing = _timing(stated, own) if stated.remaining() else timing
+    return ReferenceFile(name, own, timing, offset_s)
+
+
+def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFormat:
+    extent = _extent(section)
+    kind = section.string("format", one_of=("csv", "tsv", "mat", "binary", *protocols))
+    if kind not in ("csv", "tsv"):
+        record = _record(section) if kind == "binary" else None
+        header_bytes = int(section.number("header_bytes", 0.0, least=0.0)) if kind == "binary" else 0
+        capture = protocols[kind](section, folder) if kind in protocols else None
+        section.done()
+        return FileFormat(kind, extent=extent, record=record, header_bytes=header_bytes, capture=capture)
+    delimiter = section.string("delimiter", "\t" if kind == "tsv" else ",")
+    delimiter = {"tab": "\t", "space": " "}.get(delimiter, delimiter)
+    decimal = section.string("decimal", ".", one_of=(".", ","))
+    if len(delimiter) != 1 or delimiter == decimal:
+        raise section.fail("delimiter", f"{delimiter!r}: write one character that is not the decimal mark")
+    columns = section.strings("columns") if section.has("columns") else ()
+    section.done(also=("columns",))
+    return FileFormat("csv", delimiter.strip(" "), decimal, columns, extent)
+
+
+def _record(section: StrictTable) -> np.dtype[Any]:
+    """Return what a row of a binary file is made of."""
+    order = section.string("byte_order", "little", one_of=("little", "big"))
+    fields: dict[str, str] = {}
+    for entry in section.strings("record"):
+        found = _COLUMN.fullmatch(entry)
+        if not found or found["name"] in fields:
+            raise section.fail("record", f'holds {entry!r}: write a name and a type, "t f8", "gyro 3i2" or "pad 4V"')
+        fields[found["name"]] = f"{found['many'] or ''}{found['kind']}" if found["kind"] != "V" else f"V{found['many']}"
+    return np.dtype(list(fields.items())).newbyteorder("<" if order == "little" else ">")
+
+
+def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
+    given = [key for key in ("rate_hz", "rate_variable", "column") if section.has(key)]
+    if len(given) != 1:
+        raise section.fail(
+            given[0] if given else None,
+            "give one of rate_hz, rate_variable, column: a rate, one in a .mat file, or stamps with their unit",
+        )
+    if given[0] == "column":
+        calendar = section.again().value("unit") == "iso"
+        if calendar and file_format.kind != "csv":
+            raise section.fail("unit", "iso is for text files: write s, ms, us or ns")
+        wraps_at = section.number("wraps_at", math.inf, positive=True)
+        timing = Timing(0.0, stated_columns(section, "time", "column"), calendar, wraps_at)
+    elif given[0] == "rate_variable":
+        if file_format.kind != "mat":
+            raise section.fail("rate_variable", "is for .mat files: write rate_hz or column")
+        timing = Timing(section.string("rate_variable"))
+    else:
+        timing = Timing(section.number("rate_hz", positive=True))
+    section.done(also=("rate_hz", "rate_variable", "column", "unit"))
+    return timing
+
+
+def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
+    sign = section.string("sign", "stated", one_of=("stated", "from data")) == "from data"
+    scale = section.string("scale", "stated", one_of=("stated", "from data")) == "from data"
+    columns = stated_columns(section, "rate", count_needed=not scale)
+    where = "axes" if section.has("axes") else "columns"
+    axes = section.value("axes", ("x", "y", "z"))
+    if isinstance(axes, str):
+        axes = [axes]
+    if not isinstance(axes, (list, tuple)):
+        raise section.fail("axes", 'must be a list: ["x", "-y", "z"] or one row of three numbers for each gyro')
+    p = [body_axis(section, "axes", axis) for axis in axes]
+    if file_format.kind == "csv" and len(columns.names) != len(axes):
+        raise section.fail(
+            where,
+            f"does not fit: there are {len(columns.names)} columns and {len(axes)} axes (x, y, z if none are stated); "
+            'state the sense axis of each column, for instance axes = ["z"] for one gyro',
+        )
+    fallback = [a.lstrip("+-") if isinstance(a, str) else f"gyro{i + 1}" for i, a in enumerate(axes)]
+    if len(set(fallback)) < len(fallback):
+        fallback = [f"gyro{i + 1}" for i in range(len(axes))]
+    names = section.strings("names", tuple(fallback))
+    try:
+        array = sensor_array(p, names=names, part_of_array=True)
+    except GeometryError as error:
+        raise section.fail("axes", f"cannot be used: {error}") from None
+    section.done()
+    return GyroColumns(columns, array, sign, scale)
+
+
+def _accelerometer(section: StrictTable) -> Accelerometer:
+    columns = stated_columns(section, "acceleration")
+    stated = section.value("axes", ["x", "y", "z"])
+    if not isinstance(stated, list) or len(stated) != 3:
+        raise section.fail("axes", 'must be the body axes of the three columns: ["x", "-y", "-z"]')
+    x, y, z = (body_axis(section, "axes", axis) for axis in stated)
+    square = np.array([x, y, z])
+    if np.abs(square @ square.T - np.eye(3)).max() > 0.01:
+        raise section.fail("axes", "must be three directions of length 1 at right angles")
+    section.done()
+    return Accelerometer(columns, (x, y, z))
+
+
+def _temperature(section: StrictTable) -> Columns:
+    columns = stated_columns(section, "temperature", "column")
+    section.done()
+    return columns
+
+
+def _site(section: StrictTable) -> Site:
+    latitude = section.number("latitude_deg", least=-90.0)
+    if latitude > 90:
+        raise section.fail("latitude_deg", f"{latitude:g}: write -90 to 90")
+    site = Site(math.radians(latitude), math.radians(section.number("heading_deg", 0.0)))
+    section.done()
+    return site

@@ -1,0 +1,112 @@
+"""Sums of rows over short blocks of time: all that estimates, noise and residuals need of a long recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.types import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blocks:
+    """Means over blocks of ``length_s``, and what happened within them.
+
+    ``index`` (B,) numbers the blocks from an origin common to all sources, ``rows`` (B,) counts the samples in
+    each; ``w_rps`` (B, 3) and ``z_rps`` (B, m) are the means of body rate and output error. ``within`` (3 + m,
+    3 + m) sums the products of [w, z] less their block means over all rows; ``period_s`` is the sampling period.
+    """
+
+    index: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    w_rps: Floats
+    z_rps: Floats
+    within: Floats
+    length_s: float
+    period_s: float
+
+    @property
+    def t_s(self) -> Floats:
+        """Middle of each block in seconds from the common origin (B,)."""
+        return np.asarray((self.index + 0.5) * self.length_s, dtype=np.float64)
+
+    @property
+    def held_s(self) -> Floats:
+        """Time that the samples of each block cover (B,), in whole twentieths of the block, never none."""
+        share = np.round(20 * self.rows * self.period_s / self.length_s)
+        return np.asarray(np.clip(share, 1, 20) / 20 * self.length_s)
+
+    def merged(self, factor: int) -> Blocks:
+        """Return blocks ``factor`` times as long; what differed between the short ones is now within the long."""
+        if factor == 1:
+            return self
+        long = self.index // factor
+        first = np.flatnonzero(np.diff(long, prepend=long[:1] - 1))
+        rows = np.add.reduceat(self.rows, first)
+        columns = np.hstack([self.w_rps, self.z_rps])
+        means = np.add.reduceat(columns * self.rows[:, None], first) / rows[:, None]
+        spread = columns - np.repeat(means, np.diff(np.append(first, len(long))), axis=0)
+        within = self.within + (spread * self.rows[:, None]).T @ spread
+        return Blocks(long[first], rows, means[:, :3], means[:, 3:], within, self.length_s * factor, self.period_s)
+
+    def select(self, keep: NDArray[np.bool_]) -> Blocks:
+        """Return the means of these blocks only; what is within stays that of all."""
+        return Blocks(
+            self.index[keep],
+            self.rows[keep],
+            self.w_rps[keep],
+            self.z_rps[keep],
+            self.within,
+            self.length_s,
+            self.period_s,
+        )
+
+
+class BlockSums:
+    """Takes in rows in order of time and sums them by block."""
+
+    def __init__(self, channels: int, origin_ns: int, length_s: float, period_s: float) -> None:
+        """Start empty; blocks are counted from ``origin_ns``."""
+        self._origin_ns, self._length_s, self._period_s = origin_ns, length_s, period_s
+        width = 3 + channels
+        self._index: list[NDArray[np.int64]] = []
+        self._rows: list[NDArray[np.int64]] = []
+        self._sums: list[Floats] = []
+        self._products = np.zeros((width, width))
+        self._shift: Floats | None = None
+
+    def add(self, t_ns: NDArray[np.int64], w_rps: Floats, z_rps: Floats) -> None:
+        """Take in instants (rows,), body rates (rows, 3) and output errors (rows, m), later than all before."""
+        if not len(t_ns):
+            return
+        columns = np.empty((len(t_ns), self._products.shape[0]))
+        columns[:, :3], columns[:, 3:] = w_rps, z_rps
+        if self._shift is None:
+            self._shift = columns[0].copy()
+            self._shift[:3] = 0.0
+        columns -= self._shift  # constant errors dwarf the noise: without them the products keep its digits
+        number = (t_ns - self._origin_ns) // round(self._length_s * 1e9)
+        first = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
+        self._index.append(number[first])
+        self._rows.append(np.diff(np.append(first, len(number))))
+        self._sums.append(np.add.reduceat(columns, first, axis=0))
+        self._products += columns.T @ columns
+
+    def blocks(self) -> Blocks:
+        """Return the blocks so far."""
+        width = self._products.shape[0]
+        if self._shift is None:
+            empty = np.empty(0, dtype=np.int64)
+            none = np.zeros((width, width))
+            return Blocks(
+                empty, empty, np.empty((0, 3)), np.empty((0, width - 3)), none, self._length_s, self._period_s
+            )
+        index, rows, sums = np.concatenate(self._index), np.concatenate(self._rows), np.vstack(self._sums)
+        first = np.flatnonzero(np.diff(index, prepend=index[:1] - 1))  # a block may come in two parts
+        index, rows, sums = index[first], np.add.reduceat(rows, first), np.add.reduceat(sums, first, axis=0)
+        means = sums / rows[:, None]
+        within = self._products - sums.T @ means
+        means = means + self._shift
+        return Blocks(index, rows, means[:, :3], means[:, 3:], within, self._length_s, self._period_s)

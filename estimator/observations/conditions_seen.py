@@ -1,0 +1,48 @@
+"""Under which conditions a recording was made, in words: states hold for these."""
+
+import numpy as np
+
+from estimator.recordings.recording import Recording
+from estimator.recordings.reference import AttitudeReadings, Poses, TableReadings, Turns, rates_from_attitude
+from estimator.types import Floats
+
+_STILL_DPS = 0.5
+
+
+def holds_for(recording: Recording) -> str:
+    """Return rates and directions that were gone through, temperatures, and times since the start."""
+    ranges = [_limits(np.degrees(rate)) for rate in _rates_rps(recording)]
+    if max(max(-low, high) for low, high in ranges) < _STILL_DPS:
+        said = ["rest"]
+    else:
+        about = [f"{low:.3g} to {high:.3g} about {axis}" for (low, high), axis in zip(ranges, "xyz", strict=True)]
+        ways = [a for (low, high), a in zip(ranges, "xyz", strict=True) if (low < -_STILL_DPS) != (high > _STILL_DPS)]
+        said = [f"rates of {', '.join(about)} deg/s" + (f" ({', '.join(ways)} in one direction)" if ways else "")]
+    sources = recording.sources.values()
+    known = np.concatenate([np.empty(0), *(d.temperature_c for d in sources if d.temperature_c is not None)])
+    known = known[np.isfinite(known)]
+    said.append(f"{known.min():.1f} to {known.max():.1f} degC" if len(known) else "the temperature that it had")
+    span_s = max(float(data.t_ns.max() - data.t_ns.min()) for data in sources if len(data.t_ns)) * 1e-9
+    return "; ".join([*said, f"0 to {span_s:.0f} s after its start"])
+
+
+def _rates_rps(recording: Recording) -> list[Floats]:
+    """Return the rates (k,) about x, y, z: of a table about its own axes."""
+    reference = recording.reference
+    if isinstance(reference, TableReadings):
+        of_axis = dict(zip(reference.gimbals, reference.rate_rps.T, strict=True))
+        return [of_axis.get(axis, np.zeros(1)) for axis in "xyz"]
+    if isinstance(reference, Turns):
+        seconds = (reference.t_end_ns - reference.t_start_ns)[:, None] * 1e-9
+        return list((reference.turn_rad / np.maximum(seconds, 1e-9)).T)
+    if isinstance(reference, Poses):
+        data = next(iter(recording.sources.values()))
+        return list((data.rate_rps @ np.linalg.pinv(data.array.p).T).T)
+    return list((rates_from_attitude(reference) if isinstance(reference, AttitudeReadings) else reference).rate_rps.T)
+
+
+def _limits(rate: Floats) -> tuple[float, float]:
+    """Return the range that holds all but a thousandth of rates (k,) at each end, and rest; to a tenth."""
+    known = rate[np.isfinite(rate)]
+    low, high = np.quantile(known, [0.001, 0.999]) if len(known) else (0.0, 0.0)
+    return min(round(float(low), 1), 0.0) + 0.0, max(round(float(high), 1), 0.0) + 0.0

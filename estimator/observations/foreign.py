@@ -1,0 +1,94 @@
+"""What is told of a calibration against another instrument: an attitude, a rate, an encoder."""
+
+from typing import TypeGuard
+
+import numpy as np
+
+from estimator.geometry.kinematics import axis_text
+from estimator.observations.rests import REST_RPS
+from estimator.observations.rows import MEAN_S
+from estimator.observations.turned import Turned
+from estimator.recordings.recording import Recording
+from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, rates_from_attitude
+
+CLUSTER_S = 5.0
+"""Length over which residuals against a foreign reference may hang together without the sigma being wrong."""
+FAR_OFF = 0.2
+"""A factor this far from 1 is no scale factor error of a gyro but a wrong unit, count or sign."""
+FEWEST_CLUSTERS = 8
+COLOURED = 2.0  # sigmas that grow by more than this are told
+_TURNED = 1e-3  # share of the largest mean square rate from which on a direction counts as turned about
+_SELDOM = 1e-3  # that k may be off by
+
+
+def at_rest(reference: Reference) -> TypeGuard[RateReadings]:
+    """Return whether a reference says of no instant that the body turned (faster than the Earth)."""
+    if not isinstance(reference, RateReadings):
+        return False
+    rate = reference.rate_rps[np.isfinite(reference.rate_rps).all(axis=1)]
+    return bool(len(rate) and (np.abs(rate) < REST_RPS).all())
+
+
+def foreign_motion_notes(recording: Recording) -> list[str]:
+    """Return what the motion that a rate or an attitude shows leaves unseen, in words."""
+    reference = recording.reference
+    if at_rest(reference):
+        return [
+            "the body rests wherever the reference knows of it: only the bias can be estimated; scale factor error and "
+            "misalignments need turns about three axes"
+        ]
+    if not isinstance(reference, (RateReadings, AttitudeReadings)):
+        return []
+    rates = rates_from_attitude(reference) if isinstance(reference, AttitudeReadings) else reference
+    rate = rates.rate_rps[np.isfinite(rates.rate_rps).all(axis=1)]
+    if not len(rate):
+        return []
+    square, directions = np.linalg.eigh(rate.T @ rate)
+    turned = directions[:, square > _TURNED * square[-1]].T
+    if len(turned) > 2:
+        return []
+    what = " and ".join(axis_text(v / v[np.argmax(np.abs(v))], 0.99).strip('"') for v in turned)
+    return [
+        f"the body turns about {what} only: of each gyro the bias and its sensitivity to such turns can be estimated "
+        "(k of a gyro along that axis), not k, sigma_j and sigma_k each by itself; turn about all three axes"
+    ]
+
+
+def sparse_doubts(recording: Recording) -> list[str]:
+    """Return, in words, that a rate is read too seldom to say how the body turned between its readings.
+
+    The gyros themselves, read at its instants only, are compared with all that they put out.
+    """
+    reference = recording.reference
+    if not isinstance(reference, RateReadings) or at_rest(reference):
+        return []
+    read_s = reference.t_ns * 1e-9
+    step_s = float(np.median(np.diff(read_s, prepend=0.0)))
+    for data in recording.sources.values() if step_s > MEAN_S else ():
+        t_s = data.t_ns * 1e-9
+        thin = np.column_stack([np.interp(read_s, t_s, column) for column in data.rate_rps.T])
+        edges = np.arange(max(t_s[0], read_s[0]), min(t_s[-1], read_s[-1]), 2 * step_s)
+        both = Turned.of_rates(data.t_ns, data.rate_rps), Turned.of_rates(reference.t_ns, thin, np.inf)
+        means = np.stack([one.means(edges[:-1], edges[1:]) for one in both])
+        whole, seen = means[:, np.isfinite(means).all(axis=(0, 2))]
+        if len(whole) < FEWEST_CLUSTERS:
+            continue
+        slope = np.sum((whole - whole.mean(axis=0)) * seen) / np.sum((whole - whole.mean(axis=0)) ** 2)
+        if abs(slope - 1) > _SELDOM:
+            return [
+                f"the reference is read every {step_s:.3g} s, too seldom for this motion: neither k nor a delay can be "
+                "relied on; read it more often, or turn more slowly"
+            ]
+    return []
+
+
+def factor_notes(name: str, k: float, sd: float) -> list[str]:
+    """Return, in words, that k is no scale factor error but a wrong sign or unit, if it is."""
+    if abs(k) < FAR_OFF + 3 * sd:
+        return []
+    if abs(k - 2) < FAR_OFF:
+        return [f"{name}: its output is opposite to the reference, so k is near 2: turn the sign of its axis"]
+    return [
+        f"{name}: its output is {1 - k:.3g} times what the reference says, which is no scale factor error of a gyro: "
+        "check its unit, its count and its axis"
+    ]

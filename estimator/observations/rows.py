@@ -1,0 +1,219 @@
+"""Rows of body rate and output, which everything is estimated from: of a table, a rate, an attitude or turns."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.observations.blocks import Blocks, BlockSums
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import (
+    AttitudeReadings,
+    BodyRates,
+    RateReadings,
+    TableReadings,
+    Turns,
+    rates_from_attitude,
+)
+from estimator.types import Floats, Stamps
+
+BLOCK_S = 0.2
+"""Length of a block of the live filter."""
+MEAN_S = 0.1
+"""Length of the means over which an attitude reference is compared: a low pass of 10 Hz on both sides."""
+_CHUNK_ROWS = 65536
+_COARSE = 1e-4  # variance of the errors of a rate reference, in that of the rate, that would lessen the slope
+_COARSE_MEAN = 1e-5  # what is left of it in means
+_MEANS_S = (0.1, 0.2, 0.5, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """Rows of body rate (rows, 3) and output (rows, m), with their instants where they are samples.
+
+    ``weight`` is 1 / noise relative to other rows.
+    """
+
+    w_rps: Floats
+    y_rps: Floats
+    weight: Floats | None = None
+    t_ns: Stamps | None = None
+
+
+def block_rows(data: ImuData, length_s: float = BLOCK_S) -> int:
+    """Return how many samples of this source make a block, by default of the live filter."""
+    if len(data.t_ns) < 2:
+        return 1
+    return max(round(length_s / (float(np.median(np.diff(data.t_ns))) * 1e-9)), 1)
+
+
+def observations(recording: Recording, source: str) -> Iterator[Observations]:
+    """Yield rows of body rate and output of one source, in parts of bounded size, in order of time."""
+    yield from rows_of(recording, recording.sources[source])
+
+
+def rows_of(recording: Recording, data: ImuData) -> Iterator[Observations]:
+    """Yield the same; none between poses, where no rate is known (``poses``)."""
+    reference = recording.reference
+    if isinstance(reference, TableReadings):
+        yield from table_rows(recording, data)
+    elif isinstance(reference, RateReadings):
+        yield from _rate_rows(reference, data)
+    elif isinstance(reference, AttitudeReadings):
+        yield from _means(data, rates_from_attitude(reference), MEAN_S)
+    elif isinstance(reference, Turns):
+        yield turn_rows(data, reference)[0]
+
+
+def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
+    reference = recording.reference
+    if not isinstance(reference, TableReadings):
+        raise TypeError("rows against a table need one")
+    rates = BodyRates.of(reference, recording.site)
+    yield from _sampled(data, rates.starts_ns, rates.final_until_ns, rates.at)
+
+
+def _sampled(data: ImuData, first_ns: int, last_ns: int, at: Callable[[Stamps], Floats]) -> Iterator[Observations]:
+    """Yield rows of the samples between two instants at which the body rate is a number."""
+    t_ns, rate = in_order(data)
+    start, stop = np.searchsorted(t_ns, first_ns, side="left"), np.searchsorted(t_ns, last_ns, side="right")
+    t_ns, rate = t_ns[start:stop], rate[start:stop]
+    # Parts of whole blocks, so that a replay is cut as the live run was.
+    block = block_rows(data)
+    chunk = max(_CHUNK_ROWS // block, 1) * block
+    for first in range(0, len(t_ns), chunk):
+        t, y = t_ns[first : first + chunk], rate[first : first + chunk]
+        w = at(t)
+        known = np.isfinite(w).all(axis=1)
+        yield Observations(w, y, None, t) if known.all() else Observations(w[known], y[known], None, t[known])
+
+
+def source_blocks(recording: Recording, data: ImuData, length_s: float = BLOCK_S) -> Blocks:
+    """Return the rows of one source against a table or a rate, summed by block from the first reading of these."""
+    reference = recording.reference
+    if not isinstance(reference, (TableReadings, RateReadings)):
+        raise TypeError("blocks are of recordings against a table or a rate")
+    t_ns = data.t_ns
+    period_s = float(np.median(np.diff(t_ns))) * 1e-9 if len(t_ns) > 1 else length_s
+    sums = BlockSums(len(data.array), int(reference.t_ns[0]), length_s, period_s)
+    for part in rows_of(recording, data):
+        sums.add(part.t_ns, part.w_rps, part.y_rps - part.w_rps @ data.array.p.T)  # type: ignore[arg-type]
+    return sums.blocks()
+
+
+def _rate_rows(reference: RateReadings, data: ImuData) -> Iterator[Observations]:
+    known = np.isfinite(reference.rate_rps).all(axis=1)
+    if not known.any():
+        return
+    length_s = mean_length_s(reference)
+    if length_s:
+        yield from _means(data, reference, length_s)
+        return
+    at = reference.t_ns[known]  # rates beside a lack of knowledge are not known either
+    yield from _sampled(data, int(at[0]), int(at[-1]), lambda t_ns: _between(reference, t_ns))
+
+
+def _between(reference: RateReadings, t_ns: Stamps) -> Floats:
+    return np.column_stack([np.interp(t_ns, reference.t_ns, reference.rate_rps[:, c]) for c in range(3)])
+
+
+def mean_length_s(reference: RateReadings) -> float:
+    """Return over what length a rate is to be compared: 0 by sample, more where it comes in coarse steps.
+
+    Errors of single readings, as of an encoder that counts per sample, would make every gyro look less sensitive.
+    """
+    rate = reference.rate_rps
+    differences = np.diff(rate, 4, axis=0)  # of a motion next to nothing is left; of white noise 70 times its variance
+    differences = differences[np.isfinite(differences).all(axis=1)]
+    if not len(differences):
+        return 0.0
+    noise = float(np.sum(np.mean(differences**2, axis=0))) / 70
+    spread = float(np.sum(np.var(rate[np.isfinite(rate).all(axis=1)], axis=0)))
+    if noise <= _COARSE * spread:
+        return 0.0
+    step_s = float(np.median(np.diff(reference.t_ns))) * 1e-9
+    good = [length for length in _MEANS_S if noise * min(step_s / length, 1.0) <= _COARSE_MEAN * spread]
+    return good[0] if good else _MEANS_S[-1]
+
+
+def row_length_s(recording: Recording, data: ImuData) -> float:
+    """Return the length of time that a row against a foreign reference stands for."""
+    if isinstance(recording.reference, AttitudeReadings):
+        return MEAN_S
+    length_s = mean_length_s(recording.reference) if isinstance(recording.reference, RateReadings) else 0.0
+    if length_s or len(data.t_ns) < 2:
+        return length_s or BLOCK_S
+    return float(np.median(np.diff(data.t_ns))) * 1e-9
+
+
+def sample_noise(data: ImuData) -> Floats:
+    """Return the white noise of one sample of each channel (m,), from differences of neighbours."""
+    # Median of |N(0, 2 s^2)| is 0.954 s; the quantum is the floor for data rounded so that most do not differ.
+    rate = in_order(data)[1]
+    quantum = _quantum(rate)
+    floor = np.where(np.isfinite(quantum), quantum, 1e-9) / np.sqrt(12)
+    return np.asarray(np.maximum(np.median(np.abs(np.diff(rate, axis=0)), axis=0) / 0.954, floor))
+
+
+def _quantum(rate_rps: Floats) -> Floats:
+    """Return the smallest step between neighbouring samples of each channel (m,); infinite if all are equal."""
+    steps = np.abs(np.diff(rate_rps, axis=0))
+    # Differences of the same two decimals differ in their last binary digits: 1e-9 rad/s is no step.
+    return np.array([float(column[column > 1e-9].min(initial=np.inf)) for column in steps.T])
+
+
+def in_order(data: ImuData) -> tuple[Stamps, Floats]:
+    t_ns, rate = data.t_ns, data.rate_rps
+    finite = np.isfinite(rate).all(axis=1)
+    if not finite.all():
+        t_ns, rate = t_ns[finite], rate[finite]
+    if np.any(np.diff(t_ns) <= 0):
+        order = np.argsort(t_ns, kind="stable")
+        t_ns, rate = t_ns[order], rate[order]
+    return t_ns, rate
+
+
+def _means(data: ImuData, reference: RateReadings, length_s: float) -> Iterator[Observations]:
+    """Yield means of both sides over blocks: a reference that is too noisy to compare by sample."""
+    t_ns, rate = in_order(data)
+    w = _between(reference, t_ns)
+    rows = block_rows(data, length_s)
+    inside = (t_ns >= reference.t_ns[0]) & (t_ns <= reference.t_ns[-1])
+    first = int(np.argmax(inside)) if inside.any() else 0
+    count = int(inside.sum()) // rows
+    if not count:
+        return
+    w_mean = w[first : first + count * rows].reshape(count, rows, 3).mean(axis=1)
+    y_mean = rate[first : first + count * rows].reshape(count, rows, -1).mean(axis=1)
+    t_mean = t_ns[first : first + count * rows].reshape(count, rows)[:, rows // 2]
+    whole = np.isfinite(w_mean).all(axis=1)
+    yield Observations(w_mean[whole], y_mean[whole], None, t_mean[whole])
+
+
+def turn_rows(data: ImuData, turns: Turns) -> tuple[Observations, list[int]]:
+    """Return one row a turn: mean rate from its angle, mean output, weight from the doubt of both; and which have one.
+
+    The mean is over time, not over samples: foreign samples may be unevenly spaced. A weight of 1 is the noise of a
+    sample (``sample_noise``, that of the worst channel).
+    """
+    t_ns, rate = in_order(data)
+    white, quantum = float(sample_noise(data).max()), _quantum(rate)
+    w, y, weight, which = [], [], [], list[int]()
+    limits = zip(turns.t_start_ns, turns.t_end_ns, turns.turn_rad, turns.sd_rad, strict=True)
+    for number, (start, end, turn, sd) in enumerate(limits):
+        inside = (t_ns >= start) & (t_ns <= end)
+        n = int(inside.sum())
+        if n < 2:
+            continue
+        which.append(number)
+        t_s, part = (t_ns[inside] - start) * 1e-9, rate[inside]
+        length_s = float(t_s[-1] - t_s[0])
+        w.append(turn / length_s)
+        y.append(np.trapezoid(part, t_s, axis=0) / length_s)
+        # Samples that hardly leave one count do not average: their mean is good to the count, however many.
+        stuck = np.where(np.isfinite(quantum) & (part.std(axis=0) < quantum / 2), quantum / np.sqrt(12), 0.0)
+        # Noise of one sample relative to the noise of this mean.
+        weight.append(white / np.sqrt(white**2 / n + (sd / length_s) ** 2 + float(stuck.max()) ** 2))
+    if not w:
+        return Observations(np.empty((0, 3)), np.empty((0, len(data.array))), np.empty(0)), which
+    return Observations(np.array(w), np.array(y), np.array(weight)), which

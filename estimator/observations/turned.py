@@ -1,0 +1,135 @@
+"""By how much a body has turned, and what its gyros have summed up to meanwhile: both over the same intervals.
+
+Another instrument's readings come at other instants than samples. Compared are the integral of the output over an
+interval and the turn in the same interval; for an encoder that is a difference of angles, whose noise does not grow
+with the rate of sampling. A delay between the two is a look at the same turn earlier.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.geometry.kinematics import AXES, Site, into_body
+from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings, rates_from_attitude
+from estimator.types import Floats
+
+REST_RPS = 2e-3
+"""Several times Earth rate: what turns no faster rests."""
+_GAP_STEPS, _GAP_S = 3.5, 0.15  # between readings further apart than both nobody knows what happened
+_BOX, _BOXES = 9, 3  # steps of the finer grid in a mean over two periods, and how often one is taken
+_SLOPE_S = 0.02  # to each side of an instant, over which a turn gives its rate; never less than one reading
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turned:
+    """Integrals (k, c) of some rates at increasing instants ``t_s`` (k,); ``gaps`` (k,) counts unknown intervals.
+
+    Between instants they are linear, or on a finer even grid ``smooth``: its start, its step, and integrals (f, c)
+    there, each of which is a mean over what lies within ``reach_s`` to each side.
+    """
+
+    t_s: Floats
+    integral: Floats
+    gaps: Floats
+    smooth: tuple[float, float, Floats] | None = None
+    reach_s: float = 0.0
+
+    @classmethod
+    def of_increments(cls, t_s: Floats, increments: Floats, longest_s: float | None = None) -> Turned:
+        """Return the sum of ``increments`` (k - 1, c) from each instant to the next, NaN where they are not known.
+
+        Over ``longest_s`` (some usual steps) they are not known either.
+        """
+        unknown = np.asarray(~np.isfinite(increments).all(axis=1), dtype=np.bool_)
+        steps = np.diff(t_s)
+        if len(steps):
+            unknown |= steps > (longest_s or max(_GAP_STEPS * float(np.median(steps)), _GAP_S))
+        summed = np.cumsum(np.where(unknown[:, None], 0.0, increments), axis=0)
+        zero = np.zeros((1, increments.shape[1]))
+        return cls(t_s, np.vstack([zero, summed]), np.concatenate([[0.0], np.cumsum(unknown)]))
+
+    @classmethod
+    def of_rates(cls, t_ns: NDArray[np.int64], rate_rps: Floats, longest_s: float | None = None) -> Turned:
+        """Return the integral of rates (k, c) that are samples, by cubics; NaN where they are not known."""
+        order = np.argsort(t_ns, kind="stable")
+        order = order[np.concatenate([[True], np.diff(t_ns[order]) > 0])]
+        t_s, rate = np.asarray(t_ns[order] * 1e-9, dtype=np.float64), rate_rps[order]
+        step_s = np.diff(t_s)[:, None]
+        bend = np.diff(np.gradient(rate, t_s, axis=0), axis=0) if len(t_s) > 2 else 0.0  # what trapezoids cut off
+        bend = np.where(np.isfinite(bend), bend, 0.0)
+        return cls.of_increments(t_s, 0.5 * (rate[1:] + rate[:-1]) * step_s - bend * step_s**2 / 12, longest_s)
+
+    @classmethod
+    def of_reference(cls, reference: Reference, site: Site | None) -> Turned:
+        """Return the turn (k, 3) in body axes of an attitude, a rate, or the angle of a table with one axis."""
+        if isinstance(reference, AttitudeReadings):
+            rates = rates_from_attitude(reference)
+            t_s = np.asarray(reference.t_ns * 1e-9, dtype=np.float64)
+            return cls.of_increments(t_s, rates.rate_rps * np.diff(t_s)[:, None])
+        if isinstance(reference, RateReadings):
+            still = np.nan_to_num(np.abs(reference.rate_rps)).max(initial=0.0) < REST_RPS
+            return cls.of_rates(reference.t_ns, reference.rate_rps, np.inf if still else None)  # rests are stated whole
+        assert isinstance(reference, TableReadings)
+        t_s = np.asarray(reference.t_ns * 1e-9, dtype=np.float64)
+        angle = np.unwrap(reference.angle_rad[:, 0])
+        turn = np.zeros((len(t_s) - 1, 3))
+        turn[:, AXES.index(reference.gimbals[0])] = np.diff(angle)
+        if site is not None:
+            middle = 0.5 * (angle[1:] + angle[:-1])
+            turn += into_body(site.earth_rate_rps(), middle[:, None], reference.gimbals) * np.diff(t_s)[:, None]
+        return cls.of_increments(t_s, turn)
+
+    def smoothed(self, period_s: float) -> Turned:
+        """Return the same through three means over two periods each.
+
+        Between two noisy readings linear interpolation has half their noise, so that any delay of half a period would
+        seem to fit. Means over whole periods have the same noise wherever they lie.
+        """
+        from scipy.interpolate import CubicHermiteSpline
+        from scipy.ndimage import uniform_filter1d
+
+        step_s = 2 * period_s / _BOX
+        at_s = np.arange(self.t_s[0], self.t_s[-1], step_s)
+        slopes = np.gradient(self.integral, self.t_s, axis=0)
+        columns = list(CubicHermiteSpline(self.t_s, self.integral, slopes)(at_s).T)
+        for _ in range(_BOXES):
+            columns = [uniform_filter1d(column, _BOX, mode="nearest") for column in columns]
+        grid = float(at_s[0]), step_s, np.column_stack(columns)
+        return replace(self, smooth=grid, reach_s=_BOXES * period_s)
+
+    def means(self, first_s: Floats, last_s: Floats) -> Floats:
+        """Return the mean rates (n, c) from each of some instants (n,) to another, NaN where they are not known."""
+        begin, end = first_s - self.reach_s, last_s + self.reach_s
+        gaps = self._gaps(end, 1) - self._gaps(begin, -1)
+        known = (gaps == 0) & (begin >= self.t_s[0]) & (end <= self.t_s[-1])
+        mean = (self._at(last_s) - self._at(first_s)) / (last_s - first_s)[:, None]
+        return np.where(known[:, None], mean, np.nan)
+
+    def rates(self, at_s: Floats) -> Floats:
+        """Return the rates (n, c) at instants: slopes over a reading to each side, but no less than 20 ms."""
+        half_s = max(float(np.median(np.diff(self.t_s))), _SLOPE_S)
+        return self.means(np.maximum(at_s - half_s, self.t_s[0]), np.minimum(at_s + half_s, self.t_s[-1]))
+
+    def _at(self, at_s: Floats) -> Floats:
+        if self.smooth is not None:
+            start_s, step_s, values = self.smooth
+            place = np.clip((at_s - start_s) / step_s, 0, len(values) - 1.000001)
+            before = place.astype(np.intp)
+            share = (place - before)[:, None]
+            return np.asarray(values[before] * (1 - share) + values[before + 1] * share)
+        return np.column_stack([np.interp(at_s, self.t_s, column) for column in self.integral.T])
+
+    def _gaps(self, at_s: Floats, side: int) -> Floats:
+        """Return how many unknown intervals are over (or, ``side`` 1, have begun) at instants."""
+        after = np.searchsorted(self.t_s, at_s, side="left" if side > 0 else "right")
+        return np.asarray(self.gaps[np.clip(after if side > 0 else after - 1, 0, len(self.gaps) - 1)])
+
+
+def by_turns(reference: Reference) -> bool:
+    """Return whether readings are to be compared by turns: those of an instrument that gives no table's rates."""
+    return isinstance(reference, (AttitudeReadings, RateReadings)) or (
+        isinstance(reference, TableReadings) and len(reference.gimbals) == 1
+    )

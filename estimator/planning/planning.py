@@ -1,0 +1,299 @@
+"""What a motion will show, before it is made: sigmas of the states, smallest effects, what looks alike.
+
+All of it is linear algebra on one information matrix a gyro, over the columns [four states | all effects], as the
+estimate against a table weighs them but for rounding: means over a second and more under the covariance of coloured
+noise, and what happens within these blocks at the weight of their noise there. Each column is scaled by the prior sigma
+of its state or the largest plausible size of its effect, so that the prior information is one everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.conditions import Conditions
+from estimator.effects.effect import Effect
+from estimator.geometry.array import SensorArray
+from estimator.geometry.kinematics import body_rate
+from estimator.geometry.model import Prior, regressor_maps
+from estimator.geometry.noise import MeansCovariance, NoiseModel
+from estimator.observations.rows import BLOCK_S
+from estimator.types import Floats
+
+POWER_SIGMAS = 2.576 + 1.645
+"""An effect of so many sigmas is found in 95 % of runs by a test with 1 % of false alarms, two-sided."""
+UNSEEN = 0.5
+"""A posterior sigma above this share of the prior's: the motion does not show it, as ``calibrate`` says."""
+ALIKE = 0.9
+"""Correlation above which two effects are listed as not told apart."""
+_FINEST_S, _MOST_BLOCKS = 1.0, 200  # of the blocks: the work grows with their third power
+_LEAST_SHARE = 1e-12  # of an effect's information: below it what is left of it is rounding
+_LEADS = 0.1  # a state leads a direction from this share of the largest on; k before b before s_j before s_k
+_ROUNDING = 1e-3
+_SAME_RATE = 1e-6  # of the largest rate: steady rates closer than this are one condition
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedDevice:
+    """A device under test: its array, its noise and its data sheet."""
+
+    source: str
+    array: SensorArray
+    noise: NoiseModel
+    prior: Prior
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroForecast:
+    """Sigmas of the states of one gyro (4,), and errors that no sample would show.
+
+    ``unseen`` (c, 4): directions of [k, b, s_j, s_k] that change nothing the run can show, each with one coefficient 1.
+    """
+
+    source: str
+    name: str
+    sd: Floats
+    prior_sd: Floats
+    unseen: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EffectForecast:
+    """What the run shows of one effect.
+
+    ``smallest`` (P, g): size of each parameter, alone beside the states, that is found in 95 % of runs, in its own
+    unit; g is the number of gyros, 1 for a shared effect; infinite if nothing of it is left beside the states.
+    ``shift`` (P, gyros, 4): what the largest plausible size of each parameter moves the states by if the model lacks
+    it, and ``shift_sigmas`` the same in predicted sigmas.
+    """
+
+    effect: Effect
+    smallest: Floats
+    shift: Floats
+    shift_sigmas: Floats
+
+    @property
+    def largest(self) -> Floats:
+        """Largest plausible size of each parameter (P,)."""
+        return np.array([parameter.largest for parameter in self.effect.parameters])
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Whether each parameter (P, g) is found at a plausible size."""
+        return np.asarray(self.smallest <= self.largest[:, None])
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two effects that look alike: the correlation of ``parameter`` of the first with the best copy by the second.
+
+    ``gyro`` numbers the gyro for which that is so, over all devices; None if the first is shared by all.
+    """
+
+    first: str
+    second: str
+    correlation: float
+    parameter: str
+    gyro: int | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forecast:
+    """Everything that a planned motion says beforehand. ``steady_conditions`` counts rests and rates that differ."""
+
+    gyros: tuple[GyroForecast, ...]
+    effects: tuple[EffectForecast, ...]
+    pairs: tuple[Pair, ...]
+    steady_conditions: int
+    saturated: bool
+
+
+def forecast(conditions: Conditions, devices: Sequence[PlannedDevice], effects: Sequence[Effect] = ()) -> Forecast:
+    """Return what a motion will show of these devices and effects."""
+    scales: list[Floats] = []
+    names: list[tuple[str, str]] = []
+    matrices: list[Floats] = []
+    for device in devices:
+        matrices += _information(conditions, device, effects)
+        scales += [np.sqrt(device.prior.variances())] * len(device.array)
+        names += [(device.source, name) for name in device.array.names]
+    information, scale = np.stack(matrices), np.stack(scales)
+    covariance = np.linalg.inv(information[:, :4, :4] + np.eye(4))
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    gyros = tuple(
+        GyroForecast(source, name, sd[i] * scale[i], scale[i], _unseen(covariance[i], scale[i]))
+        for i, (source, name) in enumerate(names)
+    )
+    cross = information[:, :4, 4:]
+    response = covariance @ cross
+    left = information[:, 4:, 4:] - cross.transpose(0, 2, 1) @ response
+    edges = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
+    slices = [slice(start, stop) for start, stop in pairwise(edges.tolist())]
+    total = np.diagonal(information[:, 4:, 4:], axis1=1, axis2=2)
+    forecasts = tuple(
+        _effect_forecast(effect, left[:, own, own], total[:, own], response[:, :, own], scale, sd)
+        for effect, own in zip(effects, slices, strict=True)
+    )
+    count, saturated = _steady(conditions)
+    return Forecast(gyros, forecasts, _pairs(forecasts, slices, left), count, saturated)
+
+
+def _information(conditions: Conditions, device: PlannedDevice, effects: Sequence[Effect]) -> list[Floats]:
+    """Return the information (4 + E, 4 + E) of each gyro on its scaled states and effects."""
+    weighting = _Weighting.of(conditions.t_s, conditions.period_s, device.noise)
+    regressors = np.column_stack([np.ones(len(conditions.t_s)), conditions.w_rps])
+    found = []
+    for gyro, gyro_map in enumerate(regressor_maps(device.array)):
+        columns = [regressors @ (gyro_map.T * np.sqrt(device.prior.variances()))]
+        for effect in effects:
+            largest = np.array([parameter.largest for parameter in effect.parameters])
+            columns.append(effect.columns(conditions, device.array, gyro) * largest)
+        found.append(weighting.products(np.hstack(columns)))
+    return found
+
+
+def weighed(columns: Floats, t_s: Floats, period_s: float, noise: NoiseModel) -> Floats:
+    """Return the products (c, c) of columns (N, c) at even instants, as the estimate weighs them."""
+    return _Weighting.of(t_s, period_s, noise).products(columns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weighting:
+    """How rows are weighed: in blocks that begin at ``first`` (B,) and have so many ``rows`` (B,).
+
+    ``inverse`` (B, B) is that of the covariance of their means, ``within`` the weight of what is about the means.
+    """
+
+    first: NDArray[np.intp]
+    rows: NDArray[np.intp]
+    inverse: Floats
+    within: float
+
+    @classmethod
+    def of(cls, t_s: Floats, period_s: float, noise: NoiseModel) -> _Weighting:
+        since_s = t_s - t_s[0] + 0.5 * period_s
+        length_s = _block_length(float(since_s[-1]))
+        number = np.floor(since_s / length_s).astype(np.intp)
+        first = np.flatnonzero(np.diff(number, prepend=-1))
+        rows = np.diff(np.append(first, len(number)))
+        means = MeansCovariance.of((number[first] + 0.5) * length_s, length_s, np.minimum(rows * period_s, length_s))
+        circle = 2 * np.pi * (0.5 / length_s)  # as in the estimate: the lowest frequency that fits into a block
+        density = noise.arw**2 + noise.instability**2 / circle + (noise.walk / circle) ** 2
+        inverse = np.asarray(np.linalg.inv(means.under(noise)), dtype=np.float64)
+        return cls(first, rows, inverse, period_s / density)
+
+    def products(self, columns: Floats) -> Floats:
+        """Return the weighed products (c, c) of columns (N, c)."""
+        means = np.add.reduceat(columns, self.first, axis=0) / self.rows[:, None]
+        about = columns - np.repeat(means, self.rows, axis=0)
+        return np.asarray(means.T @ self.inverse @ means + self.within * (about.T @ about))
+
+
+def _block_length(duration_s: float) -> float:
+    factor = round(_FINEST_S / BLOCK_S)
+    while duration_s / (factor * BLOCK_S) > _MOST_BLOCKS:
+        factor = int(np.ceil(factor * 1.25))
+    return factor * BLOCK_S
+
+
+def _unseen(covariance: Floats, scale: Floats) -> Floats:
+    """Return directions (c, 4) of the states along which the posterior sigma stays above half the prior's."""
+    values, vectors = np.linalg.eigh(covariance)
+    # Where the scaled covariance has an eigenvalue of 1 the information is 0: an error along it changes nothing.
+    rows, leads = _reduced(vectors.T[values > UNSEEN**2])
+    return np.asarray(rows * scale / scale[leads][:, None])
+
+
+def _reduced(rows: Floats) -> tuple[Floats, list[int]]:
+    """Return the same span (c, n) in echelon form, and the column that leads each row: it is 1 there, others are 0."""
+    rows = np.array(rows)
+    leads: list[int] = []
+    for i in range(len(rows)):
+        free = [c for c in range(rows.shape[1]) if c not in leads]
+        sizes = np.abs(rows[i:][:, free])
+        column = free[int(np.argmax(sizes.max(axis=0) > _LEADS * sizes.max()))]
+        pivot = i + int(np.argmax(np.abs(rows[i:, column])))
+        rows[[i, pivot]] = rows[[pivot, i]]
+        rows[i] /= rows[i, column]
+        others = np.arange(len(rows)) != i
+        rows[others] -= np.outer(rows[others, column], rows[i])
+        leads.append(column)
+    return np.where(np.abs(rows) > _ROUNDING, rows, 0.0), leads
+
+
+def _effect_forecast(
+    effect: Effect, left: Floats, total: Floats, response: Floats, scale: Floats, sd: Floats
+) -> EffectForecast:
+    """Return the forecast of one effect.
+
+    ``left`` (g, P, P) is its scaled information beside the states, ``total`` (g, P) the diagonal of what it has alone,
+    ``response`` (g, 4, P) what the scaled states take of it, ``scale`` and ``sd`` (g, 4) their units and scaled sigmas.
+    """
+    kept = np.diagonal(left, axis1=1, axis2=2).T
+    alone = total.T
+    if effect.shared:
+        kept, alone = kept.sum(axis=1, keepdims=True), alone.sum(axis=1, keepdims=True)
+    largest = np.array([parameter.largest for parameter in effect.parameters])[:, None]
+    shows = kept > _LEAST_SHARE * alone
+    smallest = np.where(shows, POWER_SIGMAS / np.sqrt(np.where(shows, kept, 1.0)), np.inf) * largest
+    shift = response.transpose(2, 0, 1)
+    return EffectForecast(effect, smallest, shift * scale, shift / sd)
+
+
+def _steady(conditions: Conditions) -> tuple[int, bool]:
+    """Return how many rests and steady rates differ, and whether each costs one of the four states.
+
+    With as many conditions as states that they determine, whatever is constant within each of them is taken up by
+    the states, and leaves no residual.
+    """
+    w = body_rate(conditions.angle_rad, conditions.rate_rps, conditions.gimbals)
+    still = ~np.any(conditions.acceleration_rps2, axis=1)
+    if not still.any():
+        return 0, False
+    steps = np.round(w[still] / max(_SAME_RATE * float(np.abs(w).max()), np.finfo(float).tiny))
+    levels = np.unique(steps, axis=0)
+    rank = int(np.linalg.matrix_rank(np.column_stack([np.ones(len(levels)), levels * _SAME_RATE])))
+    return len(levels), len(levels) <= rank
+
+
+def _pairs(forecasts: Sequence[EffectForecast], slices: Sequence[slice], left: Floats) -> tuple[Pair, ...]:
+    """Return the pairs of effects that are both seen, of which one copies a parameter of the other, worst first."""
+    seen = [(f, own) for f, own in zip(forecasts, slices, strict=True) if f.seen.any()]
+    pairs = []
+    for number, (a, own_a) in enumerate(seen):
+        for b, own_b in seen[number + 1 :]:
+            ways = (_copied(a, own_a, b, own_b, left), _copied(b, own_b, a, own_a, left))
+            worst = max(ways, key=lambda pair: pair.correlation)
+            if worst.correlation > ALIKE:
+                pairs.append(worst)
+    return tuple(sorted(pairs, key=lambda pair: -pair.correlation))
+
+
+def _copied(a: EffectForecast, own_a: slice, b: EffectForecast, own_b: slice, left: Floats) -> Pair:
+    """Return how well b, at plausible sizes, copies the parameter of a that it copies best.
+
+    The correlation r is that of the information: with b in the model, the sigma of the parameter grows by
+    1 / sqrt(1 - r^2).
+    """
+    cross, own = left[:, own_a, own_b], left[:, own_b, own_b]
+    kept = np.diagonal(left[:, own_a, own_a], axis1=1, axis2=2)
+    if b.effect.shared:
+        own = np.broadcast_to(own.sum(axis=0), own.shape)
+        if a.effect.shared:
+            cross, kept, own = cross.sum(axis=0)[None], kept.sum(axis=0)[None], own[:1]
+    copied = np.einsum("gab,gba->ga", cross, np.linalg.solve(own + np.eye(own.shape[1]), cross.transpose(0, 2, 1)))
+    if a.effect.shared and not b.effect.shared:
+        copied, kept = copied.sum(axis=0)[None], kept.sum(axis=0)[None]
+    share = np.where(a.seen.T, copied / np.maximum(kept, np.finfo(float).tiny), 0.0)
+    gyro, parameter = np.unravel_index(int(np.argmax(share)), share.shape)
+    return Pair(
+        a.effect.name,
+        b.effect.name,
+        float(np.sqrt(min(share[gyro, parameter], 1.0))),
+        a.effect.parameters[parameter].name,
+        None if a.effect.shared else int(gyro),
+    )

@@ -1,0 +1,189 @@
+"""Corners of ramps, found in readings of angle and rate: knots at which the rate is exact.
+
+An axis that is told to move follows a trapezoid of rate. Between two readings a straight line is right everywhere but
+where a corner lies. So each ramp is fitted as what it is: a rate that is constant, linear between corners, constant
+again, and the angle that this sums up to, which knows the corners much better than the rate readings do. Nobody has
+to know what was commanded: a drive rounds accelerations, and recordings of others hold no commands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.types import Flags, Floats
+
+WINDOW_S = 3.0
+"""How much of the steady rate before and after a ramp tells of it."""
+LONGEST_S = 10.0
+"""A change of rate that lasts longer is no ramp; its corners matter little."""
+
+HOLD_S = 0.4
+"""So long before a change of rate is seen a ramp may have begun."""
+LEAST_RPS2 = 0.02
+"""Slower changes of rate are no ramps."""
+
+_ANGLE_SD_RAD, _RATE_SD_RPS = 1e-4, 3e-4  # of readings whose instants are known
+_SCALE_SD = 0.05  # of a drive's rate readback
+_LEAST_RPS = 0.0175  # nor are smaller ones
+_QUIET = 2  # intervals without change that end a ramp
+_FEWEST = 3  # readings of steady rate on either side
+_STEPS = 12
+_FITS = 3.0  # sigmas rms; what fits worse is no ramp
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ramp:
+    """Corners at ``t_s`` (k,) with angles and rates there, and what the rates of the readings (n,) are by them.
+
+    Rates are in the scale of the rate readings. ``sd_s`` is the largest standard deviation of a corner's instant.
+    """
+
+    t_s: Floats
+    angle_rad: Floats
+    rate_rps: Floats
+    reading_rps: Floats
+    sd_s: float
+
+
+def changing(t_s: Floats, rate_rps: Floats) -> Flags:
+    """Return for each interval (n - 1,) between readings (n,), (n, axes) whether a rate may change by a ramp in it."""
+    change = np.abs(np.diff(rate_rps, axis=0))
+    return np.asarray((change > _RATE_SD_RPS + LEAST_RPS2 * np.diff(t_s)[:, None]).any(axis=1))
+
+
+def ends(changes: Flags) -> tuple[int, bool]:
+    """Return how many intervals a ramp takes that begins with the first of these, and whether its end is seen."""
+    steady = np.flatnonzero(~changes)
+    for first in steady.tolist():
+        if not changes[first : first + _QUIET].any():
+            return first, first + _QUIET <= len(changes)
+    return len(changes), False
+
+
+def is_ramp(rate_rps: Floats) -> bool:
+    """Return whether rates (n, axes) differ enough for a ramp."""
+    return bool((np.ptp(rate_rps, axis=0) > _LEAST_RPS).any())
+
+
+def fitted(
+    t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats, first: int, last: int
+) -> Ramp | None:
+    """Return the ramp between the readings ``first`` and ``last`` of these (n,), None if that is not what it is.
+
+    Beyond them the rate is steady. Readings count by their half widths, and by how far they lie off.
+    """
+    if first + 1 < _FEWEST or len(t_s) - last < _FEWEST:
+        return None
+    start = _start(t_s, angle_rad, rate_rps, first, last)
+    if start is None:
+        return None
+    k = len(start) // 2 - 1
+    # A corner is somewhere here, even if no reading lies within the ramp; the rest is only kept from being singular.
+    prior = np.full(len(start), 1e-6)
+    prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
+    p = start
+    for _ in range(_STEPS):
+        residual, jacobian, _, _ = _weighed(p, t_s, angle_rad, rate_rps, half_width_s)
+        information = jacobian.T @ jacobian + np.diag(prior**2)
+        pull = prior**2 * (start - p)
+        moved = np.linalg.solve(information, jacobian.T @ residual + pull)
+        shortest = float(np.diff(p[:k]).min())
+        p = p + moved * min(1.0, 0.5 * shortest / max(np.abs(moved[:k]).max(), 1e-12))
+        if not np.all(np.diff(p[:k]) > 0):
+            return None
+    residual, _, told, doubt = _weighed(p, t_s, angle_rad, rate_rps, half_width_s)
+    near = np.tile((t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9), 2)
+    worst = max(float(np.mean(residual**2)), float(np.mean(residual[near] ** 2)))
+    if not worst < _FITS**2:
+        return None
+    variance = np.diag(np.linalg.inv(information))[:k] * max(float(np.mean(residual**2)), 1.0)
+    if not np.all(variance > 0):  # readings too coarse to keep its corners apart
+        return None
+    # A reading outside the ramp tells of the rate as far as its instant does not lie within.
+    share = np.where((t_s > p[0]) & (t_s < p[k - 1]), 0.0, _RATE_SD_RPS**2 / doubt**2)
+    at = _model(p, p[:k])
+    return Ramp(p[:k], at[0], p[-1] * at[1], told + share * (rate_rps - told), float(np.sqrt(variance.max())))
+
+
+def _weighed(
+    p: Floats, t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the rates by it (n,), and their sigmas.
+
+    A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that.
+    """
+    angle, rate, slopes = _model(p, t_s)
+    off = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate])
+    # Angle and rate are asked for one after the other: the first may be off by half widths of both.
+    beside = [_model(p, t_s + way * half_width_s) for way in (-2, 2)]
+    may = np.max([np.abs(np.concatenate([a - angle, p[-1] * (r - rate)])) for a, r, _ in beside], axis=0)
+    known = np.repeat([_ANGLE_SD_RAD, _RATE_SD_RPS], len(t_s))
+    excess = np.minimum(np.abs(off), may)
+    share = min(float(np.sum(excess**2) / max(np.sum(may**2), 1e-30)), 1 / 3)
+    sd = np.hypot(known, np.maximum(excess, may * np.sqrt(share)))
+    return off / sd, slopes / sd[:, None], p[-1] * rate, sd[len(t_s) :]
+
+
+def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:
+    """Return corners, rates there, angle before, and the scale of the rates, as readings suggest them."""
+    before, after = float(np.median(rate_rps[: first + 1])), float(np.median(rate_rps[last:]))
+    inner = rate_rps[first : last + 1]
+    slope = np.diff(inner) / np.diff(t_s[first : last + 1])
+    peak = int(np.argmax(np.abs(inner - 0.5 * (before + after))))
+    beyond = abs(inner[peak] - 0.5 * (before + after)) - 0.5 * abs(after - before)
+    if beyond > 0.1 * np.ptp(inner):  # up and down again, or the other way round
+        middle = t_s[first] + np.array([0.0, t_s[first + peak] - t_s[first], t_s[last] - t_s[first]])
+        return (
+            np.concatenate([middle, [before, inner[peak], after], [angle_rad[first]], [1.0]])
+            if 0 < peak < len(inner) - 1
+            else None
+        )
+    if abs(after - before) < 1e-9:
+        return None
+    steep = float(np.median(slope[np.abs(slope) >= 0.5 * np.abs(slope).max()]))
+    length = min(abs((after - before) / steep), t_s[last] - t_s[first])
+    # The two lines of the angles, before and after, meet in the middle of the ramp.
+    turned = angle_rad[last] - angle_rad[first]
+    middle_s = (after * t_s[last] - before * t_s[first] - turned) / (after - before)
+    middle_s = float(np.clip(middle_s, t_s[first] + 0.25 * length, t_s[last] - 0.25 * length))
+    corners = [middle_s - 0.5 * length, middle_s + 0.5 * length]
+    return np.concatenate([corners, [before, after], [angle_rad[first] - before * (t_s[first] - corners[0])], [1.0]])
+
+
+def _model(p: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return angles and rates (n,) of a ramp at instants, and the slopes (2 n, parameters) of both.
+
+    ``p``: corners, rates at them, angle at the first corner, scale of the rate readings.
+    """
+    k = len(p) // 2 - 1
+    corners, rates, angle0, scale = p[:k], p[k : 2 * k], p[2 * k], p[-1]
+    n = len(t_s)
+    rate = np.interp(t_s, corners, rates)
+    slope_of = np.diff(rates) / np.diff(corners)
+    angle = angle0 + rates[0] * np.minimum(t_s - corners[0], 0.0) + rates[-1] * np.maximum(t_s - corners[-1], 0.0)
+    d_angle, d_rate = np.zeros((n, len(p))), np.zeros((n, len(p)))
+    d_angle[:, 2 * k] = 1.0
+    d_angle[:, k] += np.minimum(t_s - corners[0], 0.0)
+    d_angle[:, 0] -= rates[0] * (t_s < corners[0])
+    d_angle[:, 2 * k - 1] += np.maximum(t_s - corners[-1], 0.0)
+    d_angle[:, k - 1] -= rates[-1] * (t_s > corners[-1])
+    d_rate[:, k] += t_s < corners[0]
+    d_rate[:, 2 * k - 1] += t_s >= corners[-1]
+    for i, slope in enumerate(slope_of.tolist()):
+        a, length = corners[i], corners[i + 1] - corners[i]
+        since = np.clip(t_s - a, 0.0, length)
+        x = since / length
+        inside = (t_s >= a) & (t_s < corners[i + 1])
+        angle = angle + rates[i] * since + 0.5 * slope * since**2
+        # Rate within: rates[i] (1 - x) + rates[i + 1] x, with x = (t - a) / length.
+        d_rate[inside, k + i] += (1 - x)[inside]
+        d_rate[inside, k + i + 1] += x[inside]
+        d_rate[inside, i] += (-slope * (1 - x))[inside]
+        d_rate[inside, i + 1] += (-slope * x)[inside]
+        d_angle[:, k + i] += since - 0.5 * since * x
+        d_angle[:, k + i + 1] += 0.5 * since * x
+        d_angle[:, i] += -rates[i] * (t_s >= a) - slope * (since - 0.5 * since * x) + 0.0
+        d_angle[:, i + 1] += np.where(t_s >= corners[i + 1], rates[i + 1], 0.0) - slope * 0.5 * since * x
+    return angle, rate, np.vstack([d_angle, np.column_stack([scale * d_rate[:, :-1], rate])])

@@ -1,0 +1,437 @@
+"""What the body really did: body rate at any instant, from what the table or another reference measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import RecordingError
+from estimator.geometry.kinematics import Site, body_rate, check_gimbals
+from estimator.recordings.ramps import HOLD_S, LEAST_RPS2, LONGEST_S, WINDOW_S, Ramp, changing, ends, fitted, is_ramp
+from estimator.types import Flags, Floats, Stamps
+
+GAP_NS = 150_000_000
+GAP_ANGLE_RAD = float(np.radians(0.02))
+"""Readings further apart than the one hide what happened between them, unless the turn was steady and their angles
+agree with that to the other, and to what the doubt of their instants is in angle."""
+
+ANCHOR_HALF_WINDOW_NS = 3_000_000_000
+"""Half of the window over which the angles correct the rates."""
+
+_STEADY_SHARE, _STEADY_RPS = 0.005, 2e-4  # rates that differ by no more than these together are those of a steady turn
+_ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
+_RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
+_SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must leave a rate within a ramp known
+_NEAR_NS = 1_000_000  # so near on both sides a change of rate is looked for
+_TERMS = 8  # of the sums a gimbal
+
+
+@dataclass(frozen=True, slots=True)
+class TableUncertainty:
+    """Standard uncertainties of a table: rate (relative), wobble and orthogonality of its axes, time of readings."""
+
+    rate: float = 0.0
+    wobble_rad: float = 0.0
+    orthogonality_rad: float = 0.0
+    timing_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TableReadings:
+    """Angles and rates (k, gimbals) that the table reported; columns as ``gimbals``, outermost first.
+
+    ``half_width_ns`` (k,) is how far the instant of a reading can be off, half of its round trip; None for not at all.
+    """
+
+    t_ns: Stamps
+    angle_rad: Floats
+    rate_rps: Floats
+    gimbals: tuple[str, ...]
+    uncertainty: TableUncertainty | None = None
+    half_width_ns: Stamps | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RateReadings:
+    """Body rates (k, 3) measured by another instrument."""
+
+    t_ns: Stamps
+    rate_rps: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudeReadings:
+    """Attitudes (k, 4), unit quaternions w x y z that turn body vectors into a frame at rest; NaN where lost."""
+
+    t_ns: Stamps
+    attitude_wxyz: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turns:
+    """Spans of time with the angle turned in each, body axes (k, 3), and the doubt of that angle (k,)."""
+
+    t_start_ns: Stamps
+    t_end_ns: Stamps
+    turn_rad: Floats
+    sd_rad: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """Spans of rest with the direction up in each, body axes (k, 3), and its doubt (k,); between them hands turn.
+
+    ``shifts`` (q, k, 3): by how much what all directions have in common, an accelerometer, moves them, one sigma each.
+    """
+
+    t_start_ns: Stamps
+    t_end_ns: Stamps
+    up: Floats
+    sd_rad: Floats
+    shifts: Floats
+
+
+Reference = TableReadings | RateReadings | AttitudeReadings | Turns | Poses
+
+
+class _Rows:
+    """Rows that grow at the end without being copied each time."""
+
+    def __init__(self, shape: tuple[int, ...], dtype: type = np.float64) -> None:
+        self._store: NDArray[Any] = np.empty((256, *shape), dtype=dtype)
+        self._length = 0
+
+    def __len__(self) -> int:
+        return self._length
+
+    @property
+    def all(self) -> NDArray[Any]:
+        return self._store[: self._length]
+
+    def append(self, rows: NDArray[Any]) -> None:
+        total = self._length + len(rows)
+        if total > len(self._store):
+            grown = np.empty((max(total, 2 * len(self._store)), *self._store.shape[1:]), dtype=self._store.dtype)
+            grown[: self._length] = self.all
+            self._store = grown
+        self._store[self._length : total] = rows
+        self._length = total
+
+
+class BodyRates:
+    """Body rate at any instant from table readings that keep coming.
+
+    Rate readings give the shape between two readings, angle readings the truth over seconds: a servo drive's
+    rate is rounded and may be off in scale, its encoder counts are not. Each rate is corrected by the slope,
+    within three seconds to each side, of what the angle says beyond the summed rate. A row is final once a
+    reading three seconds later is there, that of a ramp three seconds after its end at the soonest; ``finish`` makes
+    the rest final. Feeding row by row or all at once gives the same numbers, so the live filter and the batch estimate
+    see the same regressors.
+
+    The corners of ramps are found (``ramps``) and stand between the readings as rows of their own. On a slow link the
+    instant of a reading is not known well. Its angle then counts less; how much the instants really
+    scatter within their half widths is seen in what the angles scatter about the summed rates. Where the
+    rate changes so fast that it is not known for that, it is not given.
+    """
+
+    def __init__(self, gimbals: Sequence[str], site: Site | None) -> None:
+        """Start empty, for gimbals named outermost first."""
+        self._gimbals = check_gimbals(gimbals)
+        n = len(self._gimbals)
+        # Readings as they came, and how many of them are among the rows: those after it wait for the end of a ramp.
+        self._read_ns, self._read_half_s, self._changes = _Rows((), np.int64), _Rows(()), _Rows((), np.bool_)
+        self._read_angle, self._read_rate, self._read_area = (_Rows((n,)) for _ in range(3))
+        self._taken = 0
+        self._site = site
+        self._times = _Rows((), np.int64)
+        self._angle, self._rate, self._summed, self._refined = (_Rows((n,)) for _ in range(4))
+        self._half_width_s, self._corner_s = (
+            _Rows(()),
+            _Rows((n,)),
+        )  # the latter: doubt of a ramp's corners, NaN for none
+        self._known = _Rows((), np.bool_)  # whether what happened since the reading before is known
+        self._sure = _Rows((), np.bool_)  # the same once the row is final
+        # Running sums of w [1, s, s^2, d, s d, d^2, u] and [1] before each reading: s time, d angle less summed rate,
+        # u the variance that the doubt of the instant may give it, w its weight.
+        self._sums = _Rows((_TERMS, n))
+        self._sums.append(np.zeros((1, _TERMS, n)))
+
+    @classmethod
+    def of(cls, readings: TableReadings, site: Site | None) -> BodyRates:
+        """Return those of readings that are all there, final to the last."""
+        rates = cls(readings.gimbals, site)
+        rates.add(readings.t_ns, readings.angle_rad, readings.rate_rps, readings.half_width_ns)
+        rates.finish()
+        return rates
+
+    def add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats, half_width_ns: Stamps | None = None) -> None:
+        """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,)."""
+        if not len(t_ns):
+            return
+        first = not len(self._read_ns)
+        before = t_ns[:1] if first else self._read_ns.all[-1:]
+        step_ns = np.diff(np.concatenate([before, t_ns]))
+        if np.any(step_ns[first:] <= 0):
+            raise RecordingError("the times of the table readings do not increase: sort them, drop repeats")
+        rates = np.vstack([rate_rps[:1] if first else self._read_rate.all[-1:], rate_rps])
+        area = 0.5 * (rates[1:] + rates[:-1]) * (step_ns * 1e-9)[:, None]
+        start = np.zeros((1, rates.shape[1])) if first else self._read_area.all[-1:]
+        summed = np.cumsum(np.vstack([start, area]), axis=0)[1:]
+        previous = angle_rad[0] - summed[0] if first else self._read_angle.all[-1] - self._read_area.all[-1]
+        # Without whole-turn jumps: the summed rate says which turn it is.
+        jumps = np.round(np.diff(np.vstack([previous, angle_rad - summed]), axis=0) / (2 * np.pi))
+        self._changes.append(changing(np.concatenate([[0.0], np.cumsum(step_ns * 1e-9)]), rates))
+        self._read_ns.append(t_ns)
+        self._read_angle.append(angle_rad - 2 * np.pi * np.cumsum(jumps, axis=0))
+        self._read_rate.append(rate_rps)
+        self._read_area.append(summed)
+        self._read_half_s.append(np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns * 1e-9)
+        self._take(everything=False)
+        self._refine_up_to_latest()
+
+    def _take(self, *, everything: bool) -> None:
+        """Make rows of the readings, up to a ramp of which the end is still to come."""
+        times, changes = self._read_ns.all, self._changes.all
+        hold_ns = round(HOLD_S * 1e9)
+        while (taken := self._taken) < len(times):
+            ahead = np.flatnonzero(changes[taken:])
+            start = taken + int(ahead[0]) if len(ahead) else len(times)
+            if start < len(times):  # a ramp: of its beginning a late reading may know nothing yet
+                before = int(np.searchsorted(times, times[start] - hold_ns))
+            else:
+                before = start if everything else int(np.searchsorted(times, times[-1] - hold_ns))
+            if before > taken:
+                self._append(taken, before, [])
+                continue
+            if start == len(times):
+                return
+            count, seen = ends(changes[start:])
+            stop = start + count
+            longest = int(np.searchsorted(times, times[start] + round(LONGEST_S * 1e9), side="right"))
+            if stop > longest:  # no ramp
+                self._append(taken, longest, [])
+            elif not is_ramp(self._read_rate.all[max(start - 1, 0) : stop]) and (seen or everything):
+                self._append(taken, stop, [])
+            elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9)):
+                self._append(taken, stop, self._ramps(start, stop) if len(self._times) else [])
+            else:
+                return
+
+    def _ramps(self, start: int, stop: int) -> list[tuple[int, Stamps, Ramp]]:
+        """Return the ramps between the readings before ``start`` and before ``stop``: column, corners, ramp."""
+        times, changes = self._read_ns.all, self._changes.all
+        window_ns = round(WINDOW_S * 1e9)
+        low = int(np.searchsorted(times, times[start - 1] - window_ns)) if start else 0
+        high = int(np.searchsorted(times, times[stop - 1] + window_ns, side="right"))
+        earlier, later = np.flatnonzero(changes[low + 1 : start]), np.flatnonzero(changes[stop:high])
+        low += int(earlier[-1]) + 1 if len(earlier) else 0
+        high = stop + int(later[0]) if len(later) else high
+        low = min(low, self._taken)
+        part = slice(low, high)
+        t_s = (times[part] - times[low]) * 1e-9
+        found = []
+        for column in range(len(self._gimbals)):
+            angle, rate = self._read_angle.all[part, column], self._read_rate.all[part, column]
+            own = np.flatnonzero(changing(t_s, rate[:, None])[max(start - 1 - low, 0) : stop - 1 - low])
+            if not len(own):
+                continue
+            first, last = max(start - 1 - low, 0) + int(own[0]), max(start - 1 - low, 0) + int(own[-1]) + 1
+            if not is_ramp(rate[first : last + 1, None]):
+                continue
+            ramp = fitted(t_s, angle, rate, self._read_half_s.all[part], first, last)
+            if ramp is not None:
+                corners = times[low] + np.round(ramp.t_s * 1e9).astype(np.int64)
+                found.append(
+                    (column, corners, replace(ramp, reading_rps=ramp.reading_rps[self._taken - low : stop - low]))
+                )
+        return found
+
+    def _append(self, start: int, stop: int, ramps: list[tuple[int, Stamps, Ramp]]) -> None:
+        """Append readings as rows, the corners of ramps between them as rows that were not measured."""
+        self._taken = stop
+        t_ns, angle, rate = (
+            self._read_ns.all[start:stop],
+            self._read_angle.all[start:stop],
+            self._read_rate.all[start:stop],
+        )
+        half_width_s, measured = self._read_half_s.all[start:stop], np.ones(stop - start)
+        corner_s = np.full(rate.shape, np.nan)
+        if ramps:
+            # From the row before on: in between the corners lie.
+            known_ns = np.concatenate([self._times.all[-1:], t_ns])
+            angles, rates = np.vstack([self._angle.all[-1:], angle]), np.vstack([self._rate.all[-1:], rate])
+            inside = [corners[(corners > known_ns[0]) & (corners < known_ns[-1])] for _, corners, _ in ramps]
+            t_ns = np.unique(np.concatenate([t_ns, *inside]))
+            measured = np.isin(t_ns, known_ns).astype(np.float64)
+            half_width_s = np.where(measured > 0, np.interp(t_ns, known_ns[1:], half_width_s), 0.0)
+            corner_s = np.full((len(t_ns), rate.shape[1]), np.nan)
+            angle, rate = np.empty_like(corner_s), np.empty_like(corner_s)
+            of_column = {column: (corners, ramp) for column, corners, ramp in ramps}
+            for c in range(rate.shape[1]):
+                own_ns, own_angle, own_rate = known_ns, angles[:, c], rates[:, c]
+                if c in of_column:
+                    corners, ramp = of_column[c]
+                    corner_s[:, c] = ramp.sd_s
+                    fresh = ~np.isin(corners, known_ns)
+                    own_ns = np.concatenate([known_ns, corners[fresh]])
+                    order = np.argsort(own_ns)
+                    own_ns = own_ns[order]
+                    own_angle = np.concatenate([own_angle, ramp.angle_rad[fresh]])[order]
+                    own_rate = np.concatenate([own_rate[:1], ramp.reading_rps, ramp.rate_rps[fresh]])[order]
+                since_s, own_s = (t_ns - known_ns[0]) * 1e-9, (own_ns - known_ns[0]) * 1e-9
+                angle[:, c], rate[:, c] = np.interp(since_s, own_s, own_angle), np.interp(since_s, own_s, own_rate)
+        self._add_rows(t_ns, angle, rate, half_width_s, measured, corner_s)
+
+    def _add_rows(
+        self, t_ns: Stamps, angle: Floats, rate_rps: Floats, half_width_s: Floats, measured: Floats, corner_s: Floats
+    ) -> None:
+        first = not len(self._times)
+        before = t_ns[:1] if first else self._times.all[-1:]
+        step_ns = np.diff(np.concatenate([before, t_ns]))
+        rates = np.vstack([rate_rps[:1] if first else self._rate.all[-1:], rate_rps])
+        area = 0.5 * (rates[1:] + rates[:-1]) * (step_ns * 1e-9)[:, None]
+        start = np.zeros((1, rates.shape[1])) if first else self._summed.all[-1:]
+        summed = np.cumsum(np.vstack([start, area]), axis=0)[1:]
+        drift = angle - summed
+        drift_before = drift[:1] if first else (self._angle.all[-1:] - self._summed.all[-1:])
+        unexplained = np.diff(np.vstack([drift_before, drift]), axis=0)
+        widths = np.concatenate([half_width_s[:1] if first else self._half_width_s.all[-1:], half_width_s])
+        doubt = np.abs(rate_rps) * (widths[1:] + widths[:-1])[:, None]
+        steady = np.abs(np.diff(rates, axis=0)) <= _STEADY_RPS + _STEADY_SHARE * np.abs(rate_rps)
+        explained = np.abs(unexplained) <= GAP_ANGLE_RAD + doubt
+        known_step = (step_ns <= GAP_NS) | (np.isfinite(corner_s) | (steady & explained)).all(axis=1)
+        self._known.append(known_step)
+        self._half_width_s.append(half_width_s)
+        self._corner_s.append(corner_s)
+        # What happened in a gap is no error of the rates beside it: there the angles alone count.
+        hidden = np.cumsum(np.where(known_step[:, None], 0.0, unexplained), axis=0)
+        summed, drift = summed + hidden, drift - hidden
+        s = ((t_ns - (t_ns[0] if first else self._times.all[0])) * 1e-9)[:, None]
+        may_scatter = (rate_rps * half_width_s[:, None]) ** 2 / 3
+        ones = np.ones_like(drift)
+        weight = measured[:, None] / (_ANGLE_SD_RAD**2 + may_scatter)
+        terms = np.stack([ones, s * ones, s * s * ones, drift, s * drift, drift**2, may_scatter], axis=1)
+        terms = np.concatenate([terms * weight[:, None], (measured[:, None] * ones)[:, None]], axis=1)
+        self._sums.append(np.cumsum(np.concatenate([self._sums.all[-1:], terms]), axis=0)[1:])
+        self._times.append(t_ns)
+        self._angle.append(drift + summed)
+        self._rate.append(rate_rps)
+        self._summed.append(summed)
+
+    def _refine_up_to_latest(self) -> None:
+        if len(self._times):
+            latest = int(self._times.all[-1]) - ANCHOR_HALF_WINDOW_NS
+            self._refine_up_to(int(np.searchsorted(self._times.all, latest, side="right")))
+
+    def finish(self) -> None:
+        """Make the last seconds final too, with windows that end with the readings."""
+        self._take(everything=True)
+        self._refine_up_to(len(self._times))
+
+    @property
+    def final_until_ns(self) -> int:
+        """Latest instant at which ``at`` may be asked; before the first reading when there is none yet."""
+        n = len(self._refined)
+        return int(self._times.all[n - 1]) if n else -(2**62)
+
+    @property
+    def starts_ns(self) -> int:
+        """Instant of the first reading."""
+        return int(self._times.all[0]) if len(self._times) else 2**62
+
+    def at(self, t_ns: Stamps) -> Floats:
+        """Return the body rate (rows, 3) in rad/s at instants between the first and the last final reading.
+
+        Rows are NaN where readings are far apart and disagree on what happened between them.
+        """
+        angle, rate = self.gimbals_at(t_ns)
+        w = body_rate(angle, rate, self._gimbals, self._site)
+        ends = np.searchsorted(self._times.all[: len(self._refined) - 1], t_ns, side="left")
+        w[~self._sure.all[ends]] = np.nan
+        return w
+
+    def gimbals_at(self, t_ns: Stamps) -> tuple[Floats, Floats]:
+        """Return angles and rates (rows, gimbals) at instants in order; beyond the readings, those of the last one."""
+        n = len(self._refined)
+        times = self._times.all[:n]
+        first = min(max(int(np.searchsorted(times, t_ns[0], side="right")) - 1, 0), n - 1)
+        last = max(min(int(np.searchsorted(times, t_ns[-1], side="left")) + 1, n), first + 1)
+        known = times[first:last]
+        origin = int(known[0])
+        at_s, known_s = (t_ns - origin) * 1e-9, (known - origin) * 1e-9
+        columns = range(len(self._gimbals))
+        angle = np.column_stack([np.interp(at_s, known_s, self._angle.all[first:last, c]) for c in columns])
+        rate = np.column_stack([np.interp(at_s, known_s, self._refined.all[first:last, c]) for c in columns])
+        return angle, rate
+
+    def accelerations_at(self, t_ns: Stamps) -> Floats:
+        """Return the slopes (rows, gimbals) of the rates between readings, rad/s2, at instants as for ``at``."""
+        n = len(self._refined)
+        times, rates = self._times.all[:n], self._refined.all
+        ends = np.clip(np.searchsorted(times, t_ns, side="left"), 1, max(n - 1, 1))
+        if n < 2:
+            return np.zeros((len(t_ns), len(self._gimbals)))
+        return np.asarray((rates[ends] - rates[ends - 1]) / ((times[ends] - times[ends - 1]) * 1e-9)[:, None])
+
+    def angular_acceleration_at(self, t_ns: Stamps) -> Floats | None:
+        """Return the derivative (rows, 3) of the body rate at instants as for ``at``; None where no axis ramps."""
+        ramps = np.abs(self.accelerations_at(t_ns)).max(axis=1) > LEAST_RPS2
+        if not ramps.any():
+            return None
+        change = (self.at(t_ns + _NEAR_NS) - self.at(t_ns - _NEAR_NS)) / (2e-9 * _NEAR_NS)
+        return np.where(ramps[:, None], change, 0.0)
+
+    def earlier(self, t_ns: Stamps, delay_s: float) -> Stamps:
+        """Return instants so much earlier, where there are final readings."""
+        return np.clip(t_ns - round(delay_s * 1e9), self.starts_ns, self.final_until_ns)
+
+    def _refine_up_to(self, stop: int) -> None:
+        start = len(self._refined)
+        if stop <= start:
+            return
+        times, sums = self._times.all, self._sums.all
+        low = np.searchsorted(times, times[start:stop] - ANCHOR_HALF_WINDOW_NS, side="left")
+        high = np.searchsorted(times, times[start:stop] + ANCHOR_HALF_WINDOW_NS, side="right")
+        weight, s, ss, d, sd, dd, u, count = (sums[high] - sums[low]).transpose(1, 0, 2)
+        spread = ss - s * s / weight
+        across = sd - s * d / weight
+        enough = (count >= 5) & (spread > 0)
+        spread = np.where(enough, spread, np.inf)
+        scatter = np.maximum(dd - d * d / weight - across**2 / spread, 0.0)
+        share = np.minimum(scatter / np.where(u > 0, u, np.inf) * count / np.maximum(count - 2, 1), 1.0)
+        slope = np.where(enough, across / (spread + share / _RATE_SD_RPS**2), 0.0)
+        refined = self._rate.all[start:stop] + slope
+        self._sure.append(self._known.all[start:stop] & self._timed(start, stop, share))
+        self._refined.append(refined)
+
+    def _timed(self, start: int, stop: int, share: Floats) -> Flags:
+        """Return whether rates since the reading before are known for all the doubt (share) of its instant."""
+        before = np.maximum(np.arange(start, stop) - 1, 0)
+        change = np.abs(self._rate.all[start:stop] - self._rate.all[before])
+        step_s = np.maximum((self._times.all[start:stop] - self._times.all[before]) * 1e-9, 1e-9)[:, None]
+        doubt_s = np.maximum(self._half_width_s.all[start:stop], self._half_width_s.all[before])[:, None]
+        corner_s = self._corner_s.all[start:stop]
+        doubt_s = np.where(np.isfinite(corner_s), corner_s, doubt_s * np.sqrt(share / 3))
+        return np.asarray((change / step_s * doubt_s <= _SURE_RPS).all(axis=1))
+
+
+def rates_from_attitude(readings: AttitudeReadings) -> RateReadings:
+    """Return mean body rates (k - 1, 3) between successive attitudes, stamped in the middle.
+
+    NaN beside a lost attitude, and over a gap of more than three usual steps: what happened there is not known.
+    """
+    q = readings.attitude_wxyz
+    w0, v0, w1, v1 = q[:-1, :1], q[:-1, 1:], q[1:, :1], q[1:, 1:]
+    scalar = w0 * w1 + np.sum(v0 * v1, axis=1, keepdims=True)
+    vector = w0 * v1 - w1 * v0 - np.cross(v0, v1)
+    sign = np.where(scalar < 0, -1.0, 1.0)  # q and -q are one attitude: take the short way
+    length = np.linalg.norm(vector, axis=1, keepdims=True)
+    angle = 2 * np.arctan2(length, sign * scalar)
+    turn = sign * vector * np.where(length > 1e-12, angle / np.where(length > 1e-12, length, 1.0), 2.0)
+    step_s = np.diff(readings.t_ns)[:, None] * 1e-9
+    step_s = np.where(step_s > 3 * np.median(step_s), np.nan, step_s)
+    return RateReadings((readings.t_ns[:-1] + np.diff(readings.t_ns) // 2), turn / step_s)

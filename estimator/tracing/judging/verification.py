@@ -1,0 +1,321 @@
+"""The error before and after, on runs used neither to fit nor to choose.
+
+A run is divided into phases: rests, ramps, steady rates. In each, what is left of a gyro's output error beside a model
+is projected on its mean and on the direction in which the two models differ; the rest of it is noise to both. These
+projections say how wrong the compensated rate is in that phase, and whether its interval holds. Coverage is over the
+phases in which the two models differ by more than an interval's standard deviation, over all if they are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.estimation.runs.run import Run
+from estimator.estimation.spectra import Stretch
+from estimator.geometry.model import decode
+from estimator.tracing.augmented import Augmented
+from estimator.tracing.investigation import Errors, GyroErrors, Improvement, PhaseErrors, ResidualView
+from estimator.tracing.residuals.origin import shape_of
+
+Floats = NDArray[np.float64]
+
+_PIECE_S, _FEWEST_IN_PIECE = 5.0, 5  # without a table: phases of this length, and no fewer blocks than these
+_RAMP_SHARE = 0.02  # of the steepest acceleration of a run: what counts as a ramp
+_FEWEST = 2
+_DRAWN = 400
+_ROUNDING = 1e-9  # of a correlation: elements that are known only together must not make the factor fail
+_MISFIT_DOF = 50.0  # of what no model fits: coherent with the motion, so far fewer than blocks
+_APART = 1.0  # sigmas of an interval by which models differ, to be told apart by it
+_FEWEST_JUDGED = 20
+_DIRECTION = 1e-3  # share of a direction that must be left beside the mean to count as another
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """Blocks of a run during which one thing went on."""
+
+    blocks: slice
+    kind: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """Errors over all gyros, by gyro, the improvement, and what pictures need; ``surprise`` in sigmas of chance."""
+
+    before: Errors
+    after: Errors
+    improvement: Improvement | None
+    gyros: tuple[GyroErrors, ...]
+    views: tuple[ResidualView, ...]
+    surprise: float
+
+
+@dataclass(slots=True, eq=False)
+class _Sums:
+    """Of one phase and gyro, before and after: ``largest`` error of the mean.
+
+    ``inside``, ``apart`` and ``chi`` are of the last projection: the direction in which the models differ.
+    """
+
+    gyro: str
+    inside: tuple[bool, bool]
+    largest: tuple[float, float]
+    apart: float
+    chi: float
+
+
+def phases_of(run: Run) -> list[Phase]:
+    """Return the phases of a run in order."""
+    grid = run.grid
+    if run.stated_rps:  # each turn is one
+        kinds = np.where(np.abs(run.w_rps).max(axis=1) > 0, "steady", "rest").tolist()
+        return [Phase(slice(n, n + 1), kind) for n, kind in enumerate(kinds)]
+    if grid.gimbals:
+        steep = np.abs(run.fold(np.abs(grid.acceleration_rps2))).max(axis=1)
+        top = np.abs(run.fold(np.abs(grid.rate_rps))).max(axis=1)
+        ramp = steep > _RAMP_SHARE * max(float(steep.max()), 1e-9)
+        ramp &= steep > 1e-4
+        turning = top > 0.01 * max(float(top.max()), 1e-9)
+        rates = np.round(run.fold(grid.rate_rps) / max(0.02 * float(top.max()), 1e-9))
+        kind = np.where(ramp, 1, np.where(turning, 2, 0))
+        key = np.column_stack([kind, np.where((kind == 2)[:, None], rates, 0), run.stretch])
+        edges = np.flatnonzero(np.any(np.diff(key, axis=0) != 0, axis=1)) + 1
+    else:
+        count = max(round(_PIECE_S / run.length_s), _FEWEST_IN_PIECE)
+        edges = np.arange(count, len(run.t_s), count)
+        kind = np.full(len(run.t_s), 3)
+    bounds = [0, *edges.tolist(), len(run.t_s)]
+    names = ("rest", "ramp", "steady", "piece")
+    found = [Phase(slice(a, b), names[int(kind[a])]) for a, b in pairwise(bounds) if b > a]
+    least = {"rest": 5, "steady": 5, "piece": 5, "ramp": 1}
+    return [p for p in found if p.blocks.stop - p.blocks.start >= least[p.kind]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What all recordings together say: parameters as in the last model, and by gyro and number of a run its misfit.
+
+    The misfit is the sum over blocks of what no model fits beyond the noise, (rad/s)^2, with its degrees of freedom.
+    """
+
+    model: Augmented
+    misfit: Mapping[tuple[str, int], float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """Sums over ``blocks`` of squared errors of one gyro before and after (m,), for draws of what may be true."""
+
+    before: Floats
+    after: Floats
+    blocks: float
+
+    def __add__(self, other: Drawn) -> Drawn:
+        return Drawn(self.before + other.before, self.after + other.after, self.blocks + other.blocks)
+
+    @property
+    def rms_rps(self) -> tuple[float, float]:
+        """Before and after, the mean over the draws."""
+        n = max(self.blocks, 1.0)
+        return float(np.sqrt(self.before.mean() / n)), float(np.sqrt(self.after.mean() / n))
+
+    @property
+    def improvement(self) -> Improvement:
+        """Before over after, and its 95 % interval."""
+        before, after = self.rms_rps
+        ratios = np.sqrt(self.before / np.maximum(self.after, 1e-300))
+        low, high = np.quantile(ratios, [0.025, 0.975])
+        return Improvement(before / max(after, 1e-150), float(low), float(high))
+
+
+def drawn(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, truth: Truth) -> dict[str, Drawn]:
+    """Return by gyro how wrong two models are on the whole of runs, the noise apart, if truth is what all data say.
+
+    Draws are from the posterior of all recordings; what nothing fits is an error of both models, known by chance only.
+    """
+    sums: dict[str, Drawn] = {}
+    for name in after.names:
+        g = after.names.index(name)
+        random = np.random.default_rng(g)  # the same figures for the same recordings
+        true = _draws(random, truth.model.mean[g], truth.model.covariance[g])
+        old = np.zeros(true.shape[1])
+        old[: before.mean.shape[1]] = before.mean[g]
+        for number, run in enumerate(runs):
+            if name not in run.array.names:
+                continue
+            columns = after.columns(run, first + number, run.array.names.index(name))[run.weight > 0]
+            gram = columns.T @ columns
+            squares = [np.einsum("mi,ij,mj->m", true - x, gram, true - x) for x in (old, after.mean[g])]
+            left = truth.misfit.get((name, first + number), 0.0)
+            chance = random.chisquare(_MISFIT_DOF, _DRAWN) / _MISFIT_DOF
+            own = Drawn(squares[0] + left * chance, squares[1] + left * chance, float(len(columns)))
+            sums[name] = sums[name] + own if name in sums else own
+    return sums
+
+
+def _draws(random: np.random.Generator, mean: Floats, covariance: Floats) -> Floats:
+    """Return draws of a normal distribution of which some elements may be known exactly.
+
+    The correlations are factored, by Cholesky: it takes a fixed number of steps, where an eigenvalue routine may not
+    converge, and the units of the elements do not matter.
+    """
+    sd = np.sqrt(np.diag(covariance))
+    scale = np.where(sd > 0, sd, 1.0)
+    correlation = covariance / np.outer(scale, scale)
+    correlation[np.diag_indices_from(correlation)] = 1 + _ROUNDING
+    factor = np.linalg.cholesky(correlation)
+    return np.asarray(mean + random.standard_normal((_DRAWN, len(mean))) @ factor.T * sd)
+
+
+def judge(
+    runs: Sequence[Run], first: int, before: Augmented, after: Augmented, held_back: bool, errors: Mapping[str, Drawn]
+) -> Judged:
+    """Return the errors of two models on runs, of which the first has this number among all.
+
+    ``errors`` are those of the whole runs by gyro.
+    """
+    sums: list[tuple[int, int, _Sums]] = []
+    phases: dict[str, list[PhaseErrors]] = {name: [] for name in after.names}
+    views = []
+    for number, run in enumerate(runs):
+        parts = phases_of(run)
+        weights = run.weight > 0
+        for i, name in enumerate(run.array.names):
+            if name not in after.names:
+                continue
+            g = after.names.index(name)
+            said_before, columns_before = before.predict(run, first + number, i)
+            said_after, columns_after = after.predict(run, first + number, i)
+            sigma = float(after.arw[g]) / np.sqrt(run.length_s)
+            for p, phase in enumerate(parts):
+                keep = np.flatnonzero(weights[phase.blocks]) + phase.blocks.start
+                if len(keep) < 1:
+                    continue
+                basis = _basis(said_after[keep] - said_before[keep], sigma)
+                noise = _noise(after, basis, run, len(keep), sigma)
+                rests = [run.z_rps[keep, i] - said[keep] for said in (said_before, said_after)]
+                scores = [basis.T @ rest for rest in rests]
+                doubts = [
+                    np.einsum("ij,jk,ik->i", basis.T @ c[keep], m.covariance[g], basis.T @ c[keep])
+                    for c, m in ((columns_before, before), (columns_after, after))
+                ]
+                # The last direction is that in which the models differ, or the mean if they do not.
+                variances = [float(noise[-1] + d[-1]) for d in doubts]
+                inside = [bool(abs(s[-1]) < 1.96 * np.sqrt(v)) for s, v in zip(scores, variances, strict=True)]
+                fits = [basis @ s for s in scores]
+                mean_noise = float(np.sqrt(noise[0] / len(keep)))
+                sums.append(
+                    (
+                        number,
+                        p,
+                        _Sums(
+                            name,
+                            (inside[0], inside[1]),
+                            (float(np.abs(fits[0]).max()), float(np.abs(fits[1]).max())),
+                            float(abs(scores[0][-1] - scores[1][-1]) / np.sqrt(variances[1])),
+                            float(scores[1][-1] ** 2 / variances[1]),
+                        ),
+                    )
+                )
+                u = run.w_rps[keep] @ run.array.p[i]
+                phases[name].append(
+                    PhaseErrors(
+                        run.name,
+                        float(run.t_s[keep[0]] - 0.5 * run.length_s),
+                        float(run.t_s[keep[-1]] + 0.5 * run.length_s),
+                        float(np.degrees(u.mean())),
+                        phase.kind,
+                        float(rests[0].mean()),
+                        float(rests[1].mean()),
+                        mean_noise,
+                    )
+                )
+            temperature = run.grid.temperature_c
+            views.append(
+                ResidualView(
+                    run.name,
+                    name,
+                    held_back,
+                    run.t_s,
+                    run.w_rps @ run.array.p[i],
+                    None if temperature is None else run.fold(temperature)[:, 0],
+                    run.z_rps[:, i] - said_before,
+                    run.z_rps[:, i] - said_after,
+                    sigma,
+                )
+            )
+    everything = [s for _, _, s in sums]
+    gyros = tuple(
+        _gyro(name, before, after, [s for s in everything if s.gyro == name], phases[name], errors[name])
+        for name in after.names
+        if any(s.gyro == name for s in everything)
+    )
+    dof = len(everything)
+    surprise = (sum(s.chi for s in everything) - dof) / np.sqrt(2 * max(dof, 1))
+    whole = sum_of(errors.values())
+    return Judged(
+        _errors(everything, 0, whole),
+        _errors(everything, 1, whole),
+        whole.improvement if after.parts else None,
+        gyros,
+        tuple(views),
+        float(surprise),
+    )
+
+
+def _basis(difference: Floats, sigma: float) -> Floats:
+    """Return orthonormal directions (b, 1 or 2): the mean, and what else the models differ in."""
+    n = len(difference)
+    mean = np.full((n, 1), 1 / np.sqrt(n))
+    other = difference - difference.mean()
+    size = float(np.linalg.norm(other))
+    if n < _FEWEST + 1 or size < _DIRECTION * sigma:
+        return mean
+    # Where the difference is nearly constant its mean is what tells; where it changes sign, its shape.
+    if abs(float(difference.mean())) * np.sqrt(n) > size:
+        return np.column_stack([other / size, mean])
+    return np.column_stack([mean, other / size])
+
+
+def _noise(model: Augmented, basis: Floats, run: Run, blocks: int, sigma: float) -> Floats:
+    """Return the variance of each projection: white noise, and what the bias wanders about where it was known."""
+    span_s = float(run.t_s[-1] - run.t_s[0]) + run.length_s
+    mean = shape_of(model, Stretch.of(0, slice(0, blocks), run.length_s, True), span_s)[0]
+    return np.asarray(sigma**2 * (1 + (mean - 1) * basis.sum(axis=0) ** 2 / blocks))
+
+
+def sum_of(errors: Iterable[Drawn]) -> Drawn:
+    """Return the errors of all gyros together."""
+    return sum(errors, Drawn(np.zeros(_DRAWN), np.zeros(_DRAWN), 0.0))
+
+
+def _errors(sums: Sequence[_Sums], which: int, whole: Drawn) -> Errors:
+    if not sums:
+        return Errors(float("nan"), float("nan"), float("nan"))
+    # Where the models agree their intervals hold or fail together; what differs is judged where they do not.
+    told = sorted(sums, key=lambda s: -s.apart)
+    count = max(sum(s.apart > _APART for s in told), min(_FEWEST_JUDGED, len(told)))
+    inside = [s.inside[which] for s in (told[:count] if told[0].apart > 0 else told)]
+    return Errors(whole.rms_rps[which], max(s.largest[which] for s in sums), float(np.mean(inside)))
+
+
+def _gyro(
+    name: str,
+    before: Augmented,
+    after: Augmented,
+    sums: Sequence[_Sums],
+    phases: Sequence[PhaseErrors],
+    errors: Drawn,
+) -> GyroErrors:
+    g = after.names.index(name)
+    old, old_covariance = decode(before.mean[g, :4], before.covariance[g, :4, :4])
+    new, covariance = decode(after.mean[g, :4], after.covariance[g, :4, :4])
+    moved = (new - old) / np.sqrt(np.diag(old_covariance))
+    sd = [np.sqrt(np.diag(c)) for c in (old_covariance, covariance)]
+    both = _errors(sums, 0, errors), _errors(sums, 1, errors)
+    return GyroErrors(name, *both, tuple(phases), old, new, np.asarray(moved), *sd)

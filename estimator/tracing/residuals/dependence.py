@@ -1,0 +1,125 @@
+"""What a residual depends on: how much of its power functions of time, rate, angle and so on take up."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.estimation.runs.run import Run
+from estimator.tracing.candidates import candidates_of
+
+Floats = NDArray[np.float64]
+Columns = NDArray[np.intp]
+
+_VARIABLES = ("time", "rate", "direction", "angle", "acceleration", "temperature", "gravity")
+_OF_CATALOGUE = {
+    "bias_drift": "time",
+    "scale_asymmetry": "rate",
+    "scale_quadratic": "rate",
+    "scale_cubic": "rate",
+    "table_harmonic": "angle",
+    "table_axes": "angle",
+    "earth_rate": "angle",
+    "latency": "acceleration",
+    "acceleration_sensitivity": "acceleration",
+    "thermal_bias": "temperature",
+    "thermal_bias_quadratic": "temperature",
+    "thermal_gradient": "temperature",
+    "thermal_scale": "temperature",
+    "g_sensitivity": "gravity",
+}
+"""Linear effects of the catalogue: what the general dependences add to them, they do not hold themselves."""
+_BY_CHANCE = 1e-4  # a dependence more probable than this beside white noise is none
+_INDEPENDENT = 1e-8  # share of a column's squares that must be left beside the others
+
+
+@dataclass(frozen=True, slots=True)
+class Dependence:
+    """How much of a residual's power beyond the noise a variable takes up, 0 where that is chance; shares overlap.
+
+    ``p_value`` is the probability that it takes up as much of white noise.
+    """
+
+    variable: str
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Columns, those ``beside`` which they count, and the squares over the noise that the model's ``doubt`` adds."""
+
+    columns: Columns
+    beside: Columns
+    doubt: float = 0.0
+
+
+class Regressors:
+    """Functions of each variable over the blocks of runs; ``where`` they are among the columns."""
+
+    def __init__(self, runs: Sequence[Run]) -> None:
+        """Take those functions that these runs have the conditions for."""
+        self._runs = [run.coarse() for run in runs]
+        candidates = [c for c in candidates_of(runs)[0] if (c.theta is None or c.by_size) and c.run is None]
+        of = {c.name: c.depends_on or _OF_CATALOGUE.get(c.called, "") for c in candidates}
+        self._candidates = sorted((c for c in candidates if of[c.name]), key=lambda c: _VARIABLES.index(of[c.name]))
+        self.count = sum(len(c.effect.parameters) for c in self._candidates)
+        self.where: Mapping[str, Columns] = {
+            variable: np.flatnonzero([of[c.name] == variable for c in self._candidates for _ in c.effect.parameters])
+            for variable in dict.fromkeys(of[c.name] for c in self._candidates)
+        }
+
+    def columns(self, number: int, gyro: int) -> Floats:
+        """Return the columns (b, q) of a gyro of run ``number``."""
+        run = self._runs[number]
+        columns = [c.effect.columns(run.grid, run.array, gyro) * c.largest for c in self._candidates]
+        return run.fold(np.hstack([np.empty((len(run.grid.t_s), 0)), *columns]))
+
+
+def dependences(
+    gram: Floats, rest: int, groups: Mapping[str, Group], count: float, doubt: float
+) -> tuple[float, tuple[Dependence, ...]]:
+    """Return the share of a whitened residual's power beyond the noise, and what that depends on.
+
+    ``gram`` holds the products of all columns.
+
+    ``rest`` is the residual, of ``count`` degrees of freedom, which its squares exceed by ``doubt`` if it is more than
+    noise; what a variable takes up for certain is, in any case. ``groups`` holds the columns of each variable.
+    """
+    from scipy.stats import f
+
+    total = float(gram[rest, rest])
+    found = []
+    for variable, group in groups.items():
+        power, rank = _taken(gram, group.columns, group.beside, rest)
+        left = max(count - rank, 1.0)
+        # So many columns would take up so much of noise: what is beyond that is the dependence.
+        chance = (rank + group.doubt) * max(total - power, 1e-12 * total) / left
+        p_value = float(f.sf(power / chance, rank, left)) if rank else 1.0
+        found.append((variable, power - chance, p_value))
+    shown = [beyond for _, beyond, p_value in found if p_value < _BY_CHANCE]
+    excess = max([total - count if total - count > doubt else 0.0, *shown])
+    return excess / max(total, 1e-300), tuple(
+        Dependence(variable, float(np.clip(beyond / excess, 0.0, 1.0)) if p_value < _BY_CHANCE else 0.0, p_value)
+        for variable, beyond, p_value in found
+    )
+
+
+def _taken(gram: Floats, columns: Columns, beside: Columns, rest: int) -> tuple[float, int]:
+    """Return the squares of the residual that columns take up beside others, and how many of them are independent."""
+    size = np.sqrt(np.diag(gram)[columns])
+    columns, size = columns[size > 0], size[size > 0]
+    if not len(columns):
+        return 0.0, 0
+    products, right = gram[np.ix_(columns, columns)], gram[columns, rest]
+    if len(beside):
+        scale = np.sqrt(np.maximum(np.diag(gram)[beside], 1e-300))
+        inner = np.linalg.pinv(gram[np.ix_(beside, beside)] / np.outer(scale, scale), 1e-10, hermitian=True)
+        across = gram[np.ix_(beside, columns)] / scale[:, None]
+        products = products - across.T @ inner @ across
+        right = right - across.T @ inner @ (gram[beside, rest] / scale)
+    values, vectors = np.linalg.eigh(products / np.outer(size, size))
+    kept = values > _INDEPENDENT * len(columns)
+    onto = vectors[:, kept].T @ (right / size)
+    return float(np.sum(onto**2 / values[kept])), int(kept.sum())

@@ -1,0 +1,222 @@
+"""What a model leaves of the output errors, against the noise model: its size, whiteness, spectrum, what it depends on.
+
+All is worked out in the cosine domain, where bias instability and random walk are a weight for each frequency
+(``spectra``). The mean of each stretch is left out: it holds the bias since power-on, of which nothing is known.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.estimation.runs.run import Run
+from estimator.estimation.spectra import Stretch, cosines
+from estimator.tracing.augmented import Augmented
+from estimator.tracing.residuals.dependence import Dependence, Group, Regressors, dependences
+from estimator.tracing.residuals.origin import WHITE_DOUBT, Origin, Split, shape_of, split_of
+
+Floats = NDArray[np.float64]
+
+_LAGS = 20
+_BANDS_A_DECADE = 5
+_FEWEST_IN_BAND = 4
+_FEWEST_BLOCKS = 10
+_BY_CHANCE = 1e-4  # what white noise shows less often than this is not white
+_BEYOND = 4.0  # sigmas
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectrum:
+    """One-sided density of a residual and of its noise model, (rad/s)^2/Hz, at the frequencies of bands; (f,) each."""
+
+    frequency_hz: Floats
+    density: Floats
+    noise: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroResidual:
+    """What a model leaves of one gyro, whitened by its noise model.
+
+    ``nis`` is the mean square, 1 if it is noise; ``nis_sd`` how far chance takes it from there. ``lag1`` is the
+    autocorrelation from one block to the next, with its standard deviation; ``white_p`` the probability that white
+    noise shows as much at twenty lags (Ljung and Box 1978). ``beyond`` is the share of its power beyond the noise, of
+    which ``dependences`` hold shares.
+    """
+
+    name: str
+    nis: float
+    nis_sd: float
+    lag1: float
+    lag1_sd: float
+    white_p: float
+    spectrum: Spectrum
+    beyond: float
+    dependences: tuple[Dependence, ...]
+
+    @property
+    def white(self) -> bool:
+        """Whether it passes for white noise."""
+        return self.white_p >= _BY_CHANCE
+
+    @property
+    def clean(self) -> bool:
+        """Whether it passes for the noise of the model: no larger, white, depending on nothing."""
+        return self.white and not self.beyond
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residual:
+    """What a model leaves of some runs: by gyro, and whose it is.
+
+    ``split`` is None where that cannot be told, ``no_split`` is the reason.
+    """
+
+    gyros: tuple[GyroResidual, ...]
+    split: Split | None
+    no_split: str = ""
+
+    @property
+    def clean(self) -> bool:
+        """Whether it passes for noise, in every gyro and in what they have in common."""
+        return all(gyro.clean for gyro in self.gyros) and (self.split is None or self.split.origin == Origin.NOISE)
+
+
+@dataclass(slots=True, eq=False)
+class _Gyro:
+    """Stretches of one gyro in the cosine domain, over the noise; of each model what it leaves (b, models).
+
+    ``gram`` holds the products of all columns: those of the regressors, of each model, what each model leaves.
+    """
+
+    arw: float
+    stretches: list[Stretch]
+    shapes: list[Floats]
+    rests: list[Floats]
+    gram: Floats
+    blocks: float
+
+
+def residuals(
+    runs: Sequence[Run], models: Sequence[Augmented], first: int = 0, *, held_back: bool = False
+) -> list[Residual]:
+    """Return what each of some models of the same gyros and noise leaves of runs; the first has this number among all.
+
+    ``held_back``: the models were not fitted to these runs; that their states do not fit them either is a dependence.
+    """
+    regressors = Regressors(runs)
+    left = [[run.z_rps.copy() for run in runs] for _ in models]
+    found: list[list[GyroResidual]] = [[] for _ in models]
+    for name in models[0].names:
+        columns = [_columns(run, name, models, first + number) for number, run in enumerate(runs)]
+        for m, model in enumerate(models):
+            for run, own, rest in zip(runs, columns, left[m], strict=True):
+                if own:
+                    rest[:, run.array.names.index(name)] -= own[m] @ model.mean[model.names.index(name)]
+        gyro = _whitened(name, runs, models[0], columns, left, regressors)
+        if gyro is not None:
+            for m in range(len(models)):
+                found[m].append(_judged(name, gyro, m, models, regressors, held_back))
+    splits = [split_of(runs, rest, model) for rest, model in zip(left, models, strict=True)]
+    return [Residual(tuple(gyros), *split) for gyros, split in zip(found, splits, strict=True)]
+
+
+def _columns(run: Run, name: str, models: Sequence[Augmented], number: int) -> list[Floats]:
+    """Return the columns of each model for a gyro, none if it is not in the run."""
+    if name not in run.array.names:
+        return []
+    return [model.columns(run, number, run.array.names.index(name)) for model in models]
+
+
+def _whitened(
+    name: str,
+    runs: Sequence[Run],
+    model: Augmented,
+    columns: Sequence[list[Floats]],
+    left: Sequence[Sequence[Floats]],
+    regressors: Regressors,
+) -> _Gyro | None:
+    arw = float(model.arw[model.names.index(name)])
+    gyro = _Gyro(arw, [], [], [], np.zeros(()), 0.0)
+    for number, (run, own) in enumerate(zip(runs, columns, strict=True)):
+        if not own:
+            continue
+        i = run.array.names.index(name)
+        rests = np.column_stack([rest[number][:, i] for rest in left])
+        whole = run.weighed(np.hstack([regressors.columns(number, i), *own, rests]), i) / arw
+        for blocks in run.stretches():
+            good = float((run.weight[blocks] > 0).sum())
+            if good < _FEWEST_BLOCKS:
+                continue
+            stretch = Stretch.of(number, blocks, run.length_s, True)
+            shape = shape_of(model, stretch)
+            white = cosines(whole[blocks]) * np.sqrt(run.length_s / shape)[:, None]
+            white[0] = 0.0
+            gyro.stretches.append(stretch)
+            gyro.shapes.append(shape)
+            gyro.rests.append(white[:, -len(left) :])
+            gyro.gram = gyro.gram + white.T @ white
+            gyro.blocks += good - 1
+    return gyro if gyro.stretches else None
+
+
+def _judged(
+    name: str, gyro: _Gyro, m: int, models: Sequence[Augmented], regressors: Regressors, held_back: bool
+) -> GyroResidual:
+    model, gram = models[m], gyro.gram
+    ends = np.cumsum([regressors.count, *(other.mean.shape[1] for other in models)])
+    own = np.arange(ends[m], ends[m + 1])
+    rest = int(ends[-1]) + m
+    # A fit takes away so many squares; to runs it was not fitted to, its doubt adds as many.
+    fitted = _doubt(model, name, gram, own)
+    expected = max(gyro.blocks + fitted if held_back else gyro.blocks - fitted, 1.0)
+    nis_sd = float(np.sqrt(2 / expected + WHITE_DOUBT**2 / (0.5 * gyro.blocks)))
+    states, none = own[:4], own[:0]
+    groups = {v: Group(columns, states if held_back else own) for v, columns in regressors.where.items()}
+    if held_back:
+        groups["states"] = Group(states, none, _doubt(model, name, gram, states))
+    parts = [part[:, m] for part in gyro.rests]
+    lag1, white_p = _whiteness(parts)
+    beyond, found = dependences(gram, rest, groups, expected, _BEYOND * nis_sd * expected)
+    return GyroResidual(
+        name,
+        float(gram[rest, rest]) / expected,
+        nis_sd,
+        lag1,
+        float(1 / np.sqrt(gyro.blocks)),
+        white_p,
+        _spectrum(gyro, parts),
+        beyond,
+        found,
+    )
+
+
+def _doubt(model: Augmented, name: str, gram: Floats, columns: NDArray[np.intp]) -> float:
+    """Return the squares over the noise that come from what a model does not know of its first parameters."""
+    covariance = model.covariance[model.names.index(name), : len(columns), : len(columns)]
+    return float(np.sum(covariance * gram[np.ix_(columns, columns)]))
+
+
+def _whiteness(parts: Sequence[Floats]) -> tuple[float, float]:
+    """Return the autocorrelation from one block to the next, and the probability of as much at twenty lags."""
+    from scipy.fft import idct
+    from scipy.stats import chi2
+
+    series = [np.asarray(idct(part, norm="ortho")) for part in parts]
+    n = sum(len(x) for x in series)
+    power = max(sum(float(x @ x) for x in series), 1e-300)
+    lags = np.arange(1, min(_LAGS, max(len(x) for x in series) - 1) + 1)
+    rho = np.array([sum(float(x[lag:] @ x[:-lag]) for x in series) for lag in lags]) / power
+    return float(rho[0]), float(chi2.sf(n * (n + 2) * np.sum(rho**2 / (n - lags)), len(lags)))
+
+
+def _spectrum(gyro: _Gyro, parts: Sequence[Floats]) -> Spectrum:
+    """Return the mean density within bands, of all stretches together."""
+    hz = np.concatenate([s.frequency_hz[1:] for s in gyro.stretches])
+    noise = np.concatenate([2 * gyro.arw**2 * shape[1:] for shape in gyro.shapes])
+    density = noise * np.concatenate([part[1:] for part in parts]) ** 2
+    lowest = np.sort(hz)[:_FEWEST_IN_BAND][-1]  # of single coefficients the spectrum says nothing
+    _, band = np.unique(np.floor(_BANDS_A_DECADE * np.log10(np.maximum(hz, lowest))), return_inverse=True)
+    counts = np.bincount(band)
+    return Spectrum(*(np.bincount(band, values) / counts for values in (hz, density, noise)))

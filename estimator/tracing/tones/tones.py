@@ -1,0 +1,255 @@
+"""Tones: vibrations and aliases of unknown frequency, looked for in the samples themselves."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.dynamics import tone
+from estimator.estimation.evidence import SCALES, log_mean
+from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.tone_columns import Samples
+from estimator.observations.turned import by_turns
+from estimator.tracing.tones.peaks import highest
+
+Floats = NDArray[np.float64]
+
+TONE = "tone"
+"""What a tone is called."""
+_LOWEST_HZ = 0.05  # below it a tone is told from slow effects by them, not by its line
+_LOWEST_BY_HAND_HZ = 5.0  # below it hands move what they hold, and a reference that is off by it shows it
+_FLOOR_BINS = 60  # the noise about a line is the median over so many frequencies to each side
+_STEPS = 12
+_WORTH = 0.3
+_FEWEST_CYCLES = 20
+_PARTS = 4
+_GAP_S = 1.0  # between samples: means of both sides are not those of one piece
+_CYCLES_A_PIECE = 3.0  # fewer within a piece without a gap are no line, but what the bias does from piece to piece
+_FEWEST = 256
+_RAMP = 0.02  # share of the steepest acceleration
+_COHERENT = 0.75  # of what parts of a run show each by itself, a tone shows as much with one phase
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToneFound:
+    """A line: its frequency, whether its phase is the same in all runs, and how much it tells.
+
+    ``log_evidence`` is beside no tone, the search among frequencies taken off.
+    """
+
+    frequency_hz: float
+    locked: bool
+    log_evidence: float
+
+
+def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFound | None:
+    """Return the strongest line beside a model; ``predicted`` (b, m) is what the model says of each run's blocks."""
+    if any(by_turns(run.recording.reference) and run.turns for run in runs):
+        return None  # what moves the body moves its reference: of a line in their difference nobody knows whose it is
+    samples = [_steady(run, s) for run, s in zip(runs, samples, strict=True)]
+    if min(len(s.t_s) for s in samples) < _FEWEST:
+        return None
+    rests = [_left(run, s, p) for run, s, p in zip(runs, samples, predicted, strict=True)]
+    even = [_evened(s.t_s, rest) for s, rest in zip(samples, rests, strict=True)]
+    longest = max((len(values) for values, _ in even), default=0)
+    period_s = min(period for _, period in even)
+    size = 2 << int(np.ceil(np.log2(longest)))
+    hz = np.fft.rfftfreq(size, period_s)
+    total = np.zeros(len(hz))
+    floors: list[Floats] = []
+    for (values, period), rest in zip(even, rests, strict=True):
+        if abs(period / period_s - 1) > 1e-3:
+            return None  # sources of different rates: each would need its own grid of frequencies
+        power = np.abs(np.fft.rfft(values, size, axis=0)) ** 2 / len(rest)  # of the samples that there are
+        floor = _floor(power)
+        floors.append(floor)
+        total += (power / floor).sum(axis=1)
+    span_s = longest * period_s
+    lowest_hz = _LOWEST_HZ if all(run.grid.gimbals for run in runs) else _LOWEST_BY_HAND_HZ
+    lowest_hz = max(lowest_hz, *(_CYCLES_A_PIECE / _piece_s(s) for s in samples))
+    usable = (hz > max(lowest_hz, _FEWEST_CYCLES / span_s)) & (hz < 0.98 * hz[-1])
+    if not usable.any():
+        return None
+    peak = int(np.flatnonzero(usable)[np.argmax(total[usable])])
+    from scipy.stats import gamma
+
+    amplitudes = sum(len(s.names) for s in samples)
+    if float(gamma.sf(total[peak], amplitudes)) * usable.sum() > _WORTH:
+        return None  # chance alone gives such a line: what follows costs more than the search for it
+    width = 1 / span_s
+    variances = [floor[peak] for floor in floors]
+
+    best: ToneFound | None = None
+    tries = float(np.log(usable.sum() / 2))
+    for locked in (True, False):
+        gain = partial(_gain, samples=samples, rests=rests, variances=variances, locked=locked)
+        frequency = _peak(gain, hz[peak] - width, hz[peak] + width)
+        _, squares, information = gain(frequency)
+        value = _log_evidence(np.array(squares), np.array(information)) - tries - (0.0 if locked else 1.0)
+        if best is None or value > best.log_evidence:
+            best = ToneFound(frequency, locked, value)
+    if best is None or not _coherent(best, samples, rests, variances):
+        return None
+    return best
+
+
+def _coherent(
+    found: ToneFound, samples: Sequence[Samples], rests: Sequence[Floats], variances: Sequence[Floats]
+) -> bool:
+    """Return whether a line goes on through each run: what comes and goes shows more in parts than in the whole."""
+    parts, part_rests, part_variances = [], [], []
+    for s, rest, variance in zip(samples, rests, variances, strict=True):
+        edges = np.linspace(0, len(s.t_s), _PARTS + 1).astype(int)
+        for a, b in pairwise(edges.tolist()):
+            parts.append(Samples(s.t_s[a:b], s.z_rps[a:b], s.names))
+            part_rests.append(rest[a:b])
+            part_variances.append(variance)
+    whole, squares, _ = _gain(found.frequency_hz, samples, rests, variances, found.locked)
+    apart, more, _ = _gain(found.frequency_hz, parts, part_rests, part_variances, False)
+    chance = float(len(more) - len(squares))  # half the squares of chance: one for each pair of amplitudes
+    return whole > _COHERENT * (apart - chance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToneFit:
+    """A tone as fitted to samples: for each gyro its cosine and sine (2,), of each run (2 runs,) if not locked; rad/s.
+
+    ``sd`` is the standard deviation of each of these numbers.
+    """
+
+    found: ToneFound
+    amplitude: dict[str, Floats]
+    sd: dict[str, float]
+
+    def at(self, name: str, run: int) -> Floats:
+        """Return cosine and sine (2,) of a gyro in a run; zero in a run whose phase is not known."""
+        if self.found.locked:
+            return self.amplitude[name]
+        known = self.amplitude[name]
+        return known[2 * run : 2 * run + 2] if 2 * run < len(known) else np.zeros(2)
+
+
+def fit_tone(found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFit:
+    """Return the tone that fits samples best beside a model, as ``find_tone`` takes it."""
+    names = list(dict.fromkeys(name for s in samples for name in s.names))
+    width = 1 if found.locked else len(samples)
+    total = {name: np.zeros(width, dtype=np.complex128) for name in names}
+    count = {name: np.zeros(width) for name in names}
+    squares = dict.fromkeys(names, 0.0)
+    for number, (run, s, p) in enumerate(zip(runs, samples, predicted, strict=True)):
+        rest = _left(run, s, p)
+        turning = np.exp(-2j * np.pi * found.frequency_hz * s.t_s) @ rest
+        at = 0 if found.locked else number
+        for i, name in enumerate(s.names):
+            total[name][at] += turning[i]
+            count[name][at] += len(s.t_s)
+            squares[name] += float(np.sum(rest[:, i] ** 2))
+    amplitude, sd = {}, {}
+    for name in names:
+        fitted = 2 * total[name] / np.maximum(count[name], 1)
+        amplitude[name] = np.column_stack([fitted.real, -fitted.imag]).ravel()
+        # White noise of a sample over the root of half the samples.
+        variance = squares[name] / max(float(count[name].sum()), 1.0)
+        sd[name] = float(np.sqrt(2 * variance / max(float(count[name].mean()), 1.0)))
+    return ToneFit(found, amplitude, sd)
+
+
+def without_tone(fit: ToneFit, samples: Sequence[Samples]) -> list[Samples]:
+    """Return the samples less a tone."""
+    cleaned = []
+    for number, s in enumerate(samples):
+        phase = 2 * np.pi * fit.found.frequency_hz * s.t_s
+        waves = np.column_stack([np.cos(phase), np.sin(phase)])
+        own = np.column_stack([waves @ fit.at(name, number) for name in s.names])
+        cleaned.append(Samples(s.t_s, s.z_rps - own, s.names))
+    return cleaned
+
+
+def _steady(run: Run, samples: Samples) -> Samples:
+    """Return the samples of a run within full blocks outside of ramps, where block means say enough of each."""
+    keep = run.weight > 0
+    if run.grid.gimbals:
+        steep = run.fold(np.abs(run.grid.acceleration_rps2).max(axis=1, keepdims=True))[:, 0]
+        ramp = steep > _RAMP * max(float(steep.max()), 1e-9)
+        ramp[1:] |= ramp[:-1].copy()
+        ramp[:-1] |= ramp[1:].copy()
+        keep &= ~ramp
+    block = np.clip(np.searchsorted(run.t_s + 0.5 * run.length_s, samples.t_s), 0, len(run.t_s) - 1)
+    inside = keep[block] & (np.abs(samples.t_s - run.t_s[block]) <= 0.5 * run.length_s)
+    return Samples(samples.t_s[inside], samples.z_rps[inside], samples.names)
+
+
+def _left(run: Run, samples: Samples, predicted: Floats) -> Floats:
+    """Return what a model of blocks (b, m) leaves of samples (n, m), about its mean over each piece without a gap."""
+    known = run.weight > 0
+    rest = samples.z_rps - np.column_stack([np.interp(samples.t_s, run.t_s[known], c) for c in predicted[known].T])
+    pieces = _pieces(samples)
+    for a, b in pairwise(pieces):
+        rest[a:b] -= rest[a:b].mean(axis=0)
+    return np.asarray(rest)
+
+
+def _pieces(samples: Samples) -> list[int]:
+    """Return where pieces of samples without a gap begin, and the end."""
+    breaks = np.flatnonzero(np.diff(samples.t_s) > _GAP_S) + 1
+    return [0, *breaks.tolist(), len(samples.t_s)]
+
+
+def _piece_s(samples: Samples) -> float:
+    """Return the length of the usual piece of samples without a gap."""
+    ends = [(samples.t_s[a], samples.t_s[b - 1]) for a, b in pairwise(_pieces(samples)) if b > a]
+    return max(float(np.median([b - a for a, b in ends])), 1e-3)
+
+
+def _evened(t_s: Floats, values: Floats) -> tuple[Floats, float]:
+    """Return values about their mean on an even grid: where samples are missing, zero."""
+    period_s = float(np.median(np.diff(t_s)))
+    number = np.round((t_s - t_s[0]) / period_s).astype(np.intp)
+    out = np.zeros((int(number[-1]) + 1, values.shape[1]))
+    out[number] = values - values.mean(axis=0)
+    return out, period_s
+
+
+def _floor(power: Floats) -> Floats:
+    """Return the noise at each frequency (f, m): the median about it, as the mean of what is exponentially spread."""
+    from scipy.ndimage import median_filter
+
+    coarse = median_filter(power[::4], size=(2 * _FLOOR_BINS // 2 + 1, 1), mode="nearest")
+    at = np.arange(len(power)) / 4
+    known = np.arange(len(coarse))
+    return np.asarray(np.column_stack([np.interp(at, known, c) for c in coarse.T]) / np.log(2) + 1e-30)
+
+
+def _gain(
+    frequency: float, samples: Sequence[Samples], rests: Sequence[Floats], variances: Sequence[Floats], locked: bool
+) -> tuple[float, list[float], list[float]]:
+    """Return what a tone takes of the squares in all, and by amplitude its squares and its information."""
+    sums: dict[tuple[str, int], tuple[complex, float]] = {}
+    for number, (s, rest, variance) in enumerate(zip(samples, rests, variances, strict=True)):
+        turning = np.exp(-2j * np.pi * frequency * s.t_s) @ rest
+        for i, name in enumerate(s.names):
+            key = name, 0 if locked else number
+            total, information = sums.get(key, (0j, 0.0))
+            sums[key] = total + turning[i] / variance[i], information + 0.5 * len(s.t_s) / variance[i]
+    squares = [abs(total) ** 2 / information for total, information in sums.values()]
+    return 0.5 * sum(squares), squares, [information for _, information in sums.values()]
+
+
+def _peak(gain: Callable[[float], tuple[float, list[float], list[float]]], low: float, high: float) -> float:
+    """Return the frequency of the highest point: the best of a grid, then what is highest beside it."""
+    grid = np.linspace(low, high, _STEPS)
+    best = int(np.argmax([gain(f)[0] for f in grid.tolist()]))
+    return highest(lambda f: gain(f)[0], float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _STEPS - 1)]))
+
+
+def _log_evidence(squares: Floats, information: Floats) -> float:
+    """Return the evidence of amplitudes, cosine and sine each, over the scales of their prior."""
+    largest = tone(1.0).parameters[0].largest
+    values = []
+    for scale in SCALES:
+        told = information * (scale * largest) ** 2
+        values.append(float(np.sum(0.5 * squares * told / (1 + told) - np.log1p(told))))
+    return log_mean(np.array(values))

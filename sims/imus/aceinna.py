@@ -1,0 +1,130 @@
+"""Twin of an Aceinna OpenIMU300RI or MTLT305D: its data messages on SAE J1939, and its answers to requests."""
+
+import asyncio
+
+import can
+import numpy as np
+
+from drivers.imus.aceinna import codec as aceinna
+from drivers.imus.signals import parameter_group
+from drivers.types import Floats
+from sims.physics.gyro import GyroArray
+from sims.wires.frames import FrameSink, NodeFaults, SpecificForce
+
+
+class AceinnaDevice:
+    """Sends a sample as SSI2, ACCS, ARI every n-th 10 ms; takes set and get requests.
+
+    It does not turn its axes by the orientation that is set, and does not filter: it only keeps what is told.
+    """
+
+    def __init__(
+        self,
+        gyros: GyroArray,
+        bus: FrameSink,
+        rate_hz: float = aceinna.INTERNAL_RATE_HZ,
+        *,
+        model: str = "openimu300ri",
+        axis_order: aceinna.AxisOrder | None = None,
+        address: int = aceinna.DEFAULT_ADDRESS,
+        orientation_bytes: aceinna.ByteOrder = "little",
+        version: bytes = bytes([19, 1, 51, 2, 1]),
+        name: aceinna.Name | None = None,
+        faults: NodeFaults | None = None,
+        specific_force: SpecificForce | None = None,
+    ) -> None:
+        """``gyros`` are three, at ``rate_hz``, which is how it sends until it is told otherwise.
+
+        Without ``specific_force`` the accelerometers say 0.
+        """
+        self._gyros, self._bus = gyros, bus
+        self._order: aceinna.AxisOrder = axis_order or aceinna.AXIS_ORDERS[model]
+        self._address, self._orientation_bytes = address, orientation_bytes
+        self._specific_force = specific_force
+        self.faults = faults or NodeFaults()
+        self.saved = 0
+        """How often it was told to save its configuration."""
+        self._held = {
+            aceinna.SOFTWARE_VERSION: version,
+            aceinna.ADDRESS_CLAIM: (name or aceinna.Name(identity=305_001, manufacturer=823, function=131)).encode(),
+            aceinna.RATE_DIVIDER: bytes([address, round(aceinna.INTERNAL_RATE_HZ / rate_hz)]),
+            aceinna.PACKET_TYPES: bytes([address, sum(aceinna.PACKETS.values()), 0]),
+            aceinna.FILTERS: bytes([address, 25, 5]),
+            aceinna.ORIENTATION: bytes([address, 0, 0]),
+        }
+
+    def received(self, msg: can.Message) -> None:
+        """Take a frame from the bus."""
+        if not msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:
+            return
+        group, data = parameter_group(msg.arbitration_id), bytes(msg.data)
+        destination = msg.arbitration_id >> 8 & 0xFF
+        if group == aceinna.REQUEST and destination in (self._address, aceinna.EVERYBODY) and len(data) == 3:
+            self._answer(data, destination, msg.arbitration_id & 0xFF)
+        elif group in (aceinna.RESET_ALGORITHM, aceinna.SAVE) and data[:2] == bytes([0, self._address]):
+            self.saved += group == aceinna.SAVE
+            self._send(group, bytes([1, self._address, 1]))
+        elif data[:1] == bytes([self._address]):
+            self._set(group, data[1:])
+
+    async def serve(self) -> None:
+        """Send until cancelled."""
+        loop = asyncio.get_running_loop()
+        at = loop.time()
+        while True:
+            divider = self._held[aceinna.RATE_DIVIDER][1]
+            at += (divider or 1) / (aceinna.INTERNAL_RATE_HZ * (1 + 1e-6 * self.faults.clock_ppm))
+            await asyncio.sleep(max(at - loop.time(), 0.0))
+            if not divider:
+                continue  # told to be quiet
+            rates = self.faults.rates(self._gyros.sample(np.array([at]))[0])
+            force = np.zeros(3) if self._specific_force is None else self._specific_force(np.array([at]))[0]
+            for _ in range(self.faults.times_to_send()):
+                self._send_sample(np.degrees(rates), force)
+
+    def _send_sample(self, rates_dps: Floats, force_mps2: Floats) -> None:
+        """Send what is switched on, in the order of a real device's trace."""
+        packets = self._held[aceinna.PACKET_TYPES][1]
+        if packets & aceinna.PACKETS["ssi2"]:
+            x, y, z = force_mps2
+            pitch, roll = np.degrees([np.arctan2(-x, np.hypot(y, z)), np.arctan2(y, z)])
+            self._send(aceinna.SSI2, aceinna.encode_slope(float(pitch), float(roll)))
+        if packets & aceinna.PACKETS["accs"]:
+            self._send(aceinna.ACCS, aceinna.encode_accelerations(force_mps2, self._order))
+        if packets & aceinna.PACKETS["ari"]:
+            self._send(aceinna.ARI, aceinna.encode_rates(np.clip(rates_dps, -1e9, 1e9), self._order))
+
+    def _answer(self, wanted: bytes, destination: int, host: int) -> None:
+        """Answer a request, written by the standard (low byte first) or in Aceinna's way, or refuse it.
+
+        Nobody refuses what everybody was asked (SAE J1939-21, 5.4.4); data messages come by themselves.
+        """
+        groups = int.from_bytes(wanted, "little"), int.from_bytes(wanted)
+        if self.faults.silent:
+            return
+        for group in groups:
+            if group in self._held:
+                self._send(group, self._held[group])
+                return
+        if destination == self._address and not set(groups) & {aceinna.SSI2, aceinna.ACCS, aceinna.ARI}:
+            self._send(aceinna.ACKNOWLEDGEMENT, bytes([1, 0xFF, 0xFF, 0xFF, host]) + wanted)
+
+    def _set(self, group: int, values: bytes) -> None:
+        """Take a setting if it is one that the device has."""
+        if group == aceinna.RATE_DIVIDER:
+            good = len(values) == 1 and values[0] in aceinna.DIVIDERS
+        elif group == aceinna.PACKET_TYPES:
+            good = len(values) == 2 and values[0] <= sum(aceinna.PACKETS.values())
+        elif group == aceinna.FILTERS:
+            good = len(values) == 2 and set(values) <= set(aceinna.FILTERS_HZ)
+            values = values[::-1]  # asked, it tells the accelerometer's first
+        elif group == aceinna.ORIENTATION:
+            good = len(values) == 2 and int.from_bytes(values, self._orientation_bytes) in aceinna.ORIENTATIONS
+        else:
+            return
+        if good:
+            self._held[group] = bytes([self._address]) + values
+
+    def _send(self, group: int, data: bytes) -> None:
+        frame = aceinna.message(group, data, self._address)
+        self._bus.send(can.Message(arbitration_id=frame.identifier, is_extended_id=True, data=data))

@@ -1,0 +1,130 @@
+"""Twin of any IMU on CAN that a DBC describes: nodes of one gyro each, or one device with several."""
+
+import asyncio
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+
+from drivers.imus.can.imu import CanChannel, ChannelSignals, load_dbc
+from drivers.imus.signals import SignalReader
+from drivers.types import Floats
+from sims.physics.gyro import GyroArray
+from sims.wires.frames import FrameSink, NodeFaults, SpecificForce
+
+_BUILT = "can twin"
+
+
+class CanNodes:
+    """Sends each channel's messages regularly; those that carry nothing but a temperature, once a second."""
+
+    def __init__(
+        self,
+        gyros: GyroArray,
+        bus: FrameSink,
+        dbc: Path,
+        channels: Sequence[CanChannel],
+        rate_hz: float,
+        *,
+        faults: NodeFaults | None = None,
+        specific_force: SpecificForce | None = None,
+    ) -> None:
+        """``channels`` are those of the driver, in the order of the gyros.
+
+        DeviceError for signals that the DBC does not have. Without ``specific_force`` accelerometers say 0.
+        """
+        database = load_dbc(_BUILT, dbc)
+        self._gyros, self._bus, self._rate_hz = gyros, bus, rate_hz
+        self._specific_force = specific_force if any(channel.acceleration for channel in channels) else None
+        self.faults = faults or NodeFaults()
+        self._nodes: list[_Node] = []
+        first = 0
+        for channel in channels:
+            signals = ChannelSignals(_BUILT, database, dbc, channel)
+            self._nodes.append(_Node(signals, slice(first, first + len(signals.rates))))
+            first += len(signals.rates)
+        # A temperature that has a message of its own, or none, is only looked at when it is sent.
+        self._rarely = all(node.tells_temperature_apart for node in self._nodes)
+
+    async def serve(self) -> None:
+        """Send until cancelled."""
+        loop = asyncio.get_running_loop()
+        device_s, start = 0.0, loop.time()
+        sample = 0
+        every = max(round(self._rate_hz), 1)
+        while True:
+            sample += 1
+            # A fast clock takes a second of its own for less: its samples come early.
+            step_s = 1 / self._rate_hz
+            start += step_s / (1 + 1e-6 * self.faults.clock_ppm)
+            device_s += step_s
+            await asyncio.sleep(max(start - loop.time(), 0.0))
+            at = np.array([start])
+            rates = self.faults.rates(self._gyros.sample(at)[0])
+            force = np.zeros(3) if self._specific_force is None else self._specific_force(at)[0]
+            with_temperature = sample % every == 0 or not self._rarely
+            temperature_c = self._gyros.temperature_c(start) if with_temperature else math.nan
+            told = _Told(sample, device_s, temperature_c, force)
+            times = self.faults.times_to_send()
+            for node in self._nodes:
+                messages = node.messages(rates[node.gyros], told, with_temperature=with_temperature)
+                for message in messages * times:
+                    self._bus.send(message)
+
+
+class _Told:
+    """What a device knows at one sampling instant besides the rates."""
+
+    def __init__(self, sample: int, device_s: float, temperature_c: float, force_mps2: Floats) -> None:
+        self.sample, self.device_s = sample, device_s
+        self.temperature_c, self.force_mps2 = temperature_c, force_mps2
+
+
+class _Node:
+    """One channel: its messages in the order in which they win the bus."""
+
+    def __init__(self, signals: ChannelSignals, gyros: slice) -> None:
+        self.gyros = gyros
+        self._signals = signals
+        by_key: dict[tuple[int, bool], Any] = {signal.key: signal.message for signal in signals.all}
+        self._messages = [(key, by_key[key]) for key in sorted(by_key)]
+        self._fields = {id(signal): signal.message.get_signal_by_name(signal.name) for signal in signals.all}
+        of_a_sample = {signal.key for signal in signals.all if signal is not signals.temperature}
+        self._rare = set(by_key) - of_a_sample
+        self.tells_temperature_apart = signals.temperature is None or signals.temperature.key in self._rare
+        self._values: dict[tuple[int, bool], dict[str, float]] = {
+            key: {signal.name: 0.0 for signal in message.signals if not signal.is_multiplexer}
+            for key, message in by_key.items()
+        }
+
+    def messages(self, rates_rps: Floats, told: _Told, *, with_temperature: bool) -> list[can.Message]:
+        signals = self._signals
+        for signal, rate in zip(signals.rates, rates_rps.tolist(), strict=True):
+            self._put(signal, rate)
+        for signal, force in zip(signals.acceleration, told.force_mps2.tolist(), strict=False):
+            self._put(signal, force)
+        if signals.temperature is not None and with_temperature:
+            self._put(signals.temperature, told.temperature_c)
+        if signals.counter is not None:
+            self._values[signals.counter.key][signals.counter.name] = told.sample % (1 << signals.counter.bits)
+        if signals.time is not None:
+            ticks = round(told.device_s / signals.time.scale) % (1 << signals.time.bits)
+            self._values[signals.time.key][signals.time.name] = signals.time.unscaled(ticks * signals.time.scale)
+        out = []
+        for key, message in self._messages:
+            if key not in self._rare or with_temperature:
+                data = message.encode(self._values[key], strict=False)
+                out.append(can.Message(arbitration_id=key[0], is_extended_id=key[1], data=data))
+        return out
+
+    def _put(self, signal: SignalReader, value: float) -> None:
+        """Keep a value in SI for sending, within the converter's range."""
+        field = self._fields[id(signal)]
+        scaled = signal.unscaled(value)
+        low, high = field.minimum, field.maximum
+        if low is not None and high is not None and low < high:
+            scaled = min(max(scaled, low), high)
+        self._values[signal.key][signal.name] = scaled

@@ -1,0 +1,243 @@
+"""Twin of a STIM300: its gyros as normal datagrams on a byte link, and its answers to commands."""
+
+import asyncio
+from collections.abc import Callable
+
+import numpy as np
+
+from drivers.imus.stim300 import codec as stim300
+from drivers.imus.stim300.special import BiasTrim, ExtendedError, PartNumber, SerialNumber, Special
+from drivers.imus.stim300.units import ACCEL_LSB_G, GYRO_LSB_DEG, GYRO_LSB_DPS, UNITS
+from drivers.imus.stim300.utility import UtilityMessage, encode_message
+from drivers.types import Flags, Floats, Ints
+from sims.imus.stim300_output import GyroOutput
+from sims.imus.stim300_settings import SERVICE_ERRORS, Settings, banner, service_lines, utility_reply
+from sims.physics.geometry import upright
+from sims.physics.gyro import GyroArray
+from sims.wires.burst import burst_of, copies_sent
+from sims.wires.line_controller import LineDevice, Refused
+
+_START_UP_TICKS = stim300.INTERNAL_RATE_HZ // 2
+_LONGEST_LATENCY_US = 65_535
+_GYRO_OVERLOAD_BIT = 101  # of x in the extended error register
+
+
+class Stim300Device(LineDevice):
+    """Sends datagrams in bursts of about 10 ms, as an operating system hands them over.
+
+    Fault knobs are plain attributes, to be set at any time.
+    """
+
+    longest = 200
+
+    def __init__(
+        self,
+        gyros: GyroArray,
+        write: Callable[[bytes], None],
+        rate_hz: int,
+        *,
+        identifier: int = 0x94,
+        gyro_unit: str = "rate",
+        accel_range_g: int = 10,
+        line_termination: bool = False,
+        serial: str = "N25582405002002",
+        part_number: str = "84167-440000-3321",
+        specific_force_g: Callable[[Floats], Floats] | None = None,
+        clock_ppm: float = 0.0,
+        cold: bool = False,
+        seed: int = 0,
+    ) -> None:
+        """``rate_hz`` is one of the device's own rates, at which the gyros were made too.
+
+        ``specific_force_g`` gives what accelerometers and inclinometers sense (n, 3) at instants (n,), 1 g along z
+        if left out. A clock with ``clock_ppm`` above 0 runs fast. A ``cold`` device is powered on when served: it
+        names itself and its first half second carries the start-up bit; else it has been on for long.
+        """
+        if identifier not in stim300.DATAGRAM_CODES.values():
+            raise ValueError(f"{identifier:02X} is no datagram of today's firmware")
+        self.settings = Settings(
+            rate_hz,
+            identifier,
+            next(code for code, name in UNITS.items() if name == gyro_unit),
+            accel_range_g,
+            line_termination,
+            serial,
+            part_number,
+        )
+        super().__init__(write)
+        self._base_hz = rate_hz
+        self._temperature_c = gyros.temperature_c
+        self._force_g = specific_force_g or upright
+        self._output = GyroOutput(gyros.sample, rate_hz)
+        self._period_s = 1 / (rate_hz * (1 + clock_ppm * 1e-6))
+        self._random = np.random.default_rng(seed)
+        self._mode = "normal"
+        self._answers: list[bytes] = []
+        self._replaced = 0  # normal datagrams that answers still stand in for
+        self._ticks = self._start_up_until = 0
+        self._errors = 0
+        self._held: Ints = np.zeros(3, dtype=np.int64)
+        self.stuck_gyro: int | None = None
+        """Gyro (0 to 2) whose output stays what it was."""
+        self.saturated_gyro: int | None = None
+        """Gyro (0 to 2) whose output is pegged at its range, without a word in the status."""
+        self.overload_gyro: int | None = None
+        """Gyro that the status calls overloaded."""
+        self.drop_share = 0.0
+        """Share of samples that are not sent."""
+        self.double_share = 0.0
+        """Share of samples that are sent twice."""
+        self.dropped = self.doubled = 0
+        if cold:
+            self.reset()
+
+    def reset(self) -> None:
+        """Start anew as after power-on: part number, serial number, configuration, then samples of a start-up."""
+        own = self.settings
+        self._mode, self._replaced, self._ticks = "normal", 0, 0
+        self._start_up_until = _START_UP_TICKS
+        names = (PartNumber(own.part_number, own.revision), SerialNumber(own.serial), own.configuration())
+        self._answers = [self._special(value) for value in names]
+
+    def _take(self, line: bytes) -> None:
+        if self._mode == "normal":
+            self._command(line + b"\r")
+        elif self._mode == "utility":
+            self._utility(line)
+        else:
+            self._service(line)
+
+    async def serve(self) -> None:
+        """Send until cancelled."""
+        loop = asyncio.get_running_loop()
+        start, sent = loop.time(), 0
+        burst = burst_of(self._base_hz)
+        tick = stim300.INTERNAL_RATE_HZ // self._base_hz
+        while True:
+            at = np.asarray(start + np.arange(sent + 1, sent + 1 + burst) * self._period_s, dtype=np.float64)
+            await asyncio.sleep(max(float(at[-1]) - loop.time(), 0.0))
+            sent += burst
+            ticks = self._ticks + tick * np.arange(1, burst + 1)
+            self._ticks = int(ticks[-1])
+            data = self._burst(at, ticks, max(loop.time() - float(at[-1]), 0.0))
+            if data:
+                self._write(data)
+
+    def _burst(self, at: Floats, ticks: Ints, late_s: float) -> bytes:
+        """Return what is sent for these instants: answers first, then the samples they did not take the place of.
+
+        Each is sent ``late_s`` later than it would be one by one, as the host's loop is late; its latency says so.
+        """
+        own = self.settings
+        step = stim300.INTERNAL_RATE_HZ // own.rate_hz
+        first = int(ticks[0]) - stim300.INTERNAL_RATE_HZ // self._base_hz
+        wanted = np.arange(first // step + 1, int(ticks[-1]) // step + 1, dtype=np.int64) * step
+        raw, over = self._output.at(at, ticks, wanted, own.gyro_unit, own.rate_hz, self.saturated_gyro)
+        if self.stuck_gyro is not None:
+            raw[:, self.stuck_gyro] = self._held[self.stuck_gyro]
+        if len(raw):
+            self._held = raw[-1]
+        if self._mode != "normal":
+            return b""
+        answers, self._answers = b"".join(self._answers), []
+        skipped = min(self._replaced, len(wanted))
+        self._replaced -= skipped
+        copies = copies_sent(self._random, len(wanted) - skipped, self.drop_share, self.double_share)
+        self.dropped += int((copies == 0).sum())
+        self.doubled += int((copies == 2).sum())
+        rows = np.repeat(np.arange(skipped, len(wanted)), copies)
+        if not len(rows):
+            return answers
+        status = self._status(wanted, over)[rows]
+        force = self._force_g(at)[np.minimum(np.searchsorted(ticks, wanted[rows]), len(ticks) - 1)]
+        return answers + self._datagrams(raw[rows], status, wanted[rows], force, float(at[-1]), late_s)
+
+    def _status(self, wanted: Ints, over: Flags) -> Ints:
+        """Return the status byte of the gyros at each tick."""
+        if self.overload_gyro is not None:
+            over[:, self.overload_gyro] = True
+        status = np.where(wanted <= self._start_up_until, stim300.STATUS_START_UP, 0)
+        if over.any():
+            status |= over @ np.array(stim300.STATUS_AXES) + stim300.STATUS_OVERLOAD * over.any(axis=1)
+            self._errors |= sum(1 << (_GYRO_OVERLOAD_BIT + axis) for axis in np.flatnonzero(over.any(axis=0)).tolist())
+        return status
+
+    def _datagrams(self, raw: Ints, status: Ints, ticks: Ints, force_g: Floats, t_s: float, late_s: float) -> bytes:
+        own = self.settings
+        n = len(raw)
+        start_up = status & stim300.STATUS_START_UP
+        temperature = np.full((n, 3), round(self._temperature_c(t_s) / stim300.TEMPERATURE_LSB_C))
+        since_pps = (ticks % stim300.INTERNAL_RATE_HZ) * (1_000_000 // stim300.INTERNAL_RATE_HZ)
+        groups: dict[str, tuple[Ints, Ints]] = {
+            "gyro": (raw, status),
+            "accelerometer": (np.round(force_g / ACCEL_LSB_G[own.accel_range_g]).astype(np.int64), start_up),
+            "inclinometer": (np.round(force_g / stim300.INCLINOMETER_LSB_G).astype(np.int64), start_up),
+        }
+        groups |= {f"{name}_temperature": (temperature, start_up) for name in groups}
+        groups["extra"] = since_pps[:, None], start_up
+        latency_us = np.full(n, min(round(late_s * 1e6), _LONGEST_LATENCY_US))
+        return stim300.encode(
+            stim300.Datagrams(own.identifier, ticks, latency_us, groups), line_termination=own.line_termination
+        )
+
+    def _special(self, value: Special) -> bytes:
+        return stim300.encode_special(value, line_termination=self.settings.line_termination)
+
+    def _command(self, line: bytes) -> None:
+        """Obey a command of normal mode; what is none is passed over without a word."""
+        own = self.settings
+        values: dict[bytes, Special] = {
+            stim300.ASK_PART_NUMBER: PartNumber(own.part_number, own.revision),
+            stim300.ASK_SERIAL_NUMBER: SerialNumber(own.serial),
+            stim300.ASK_CONFIGURATION: own.configuration(),
+            stim300.ASK_BIAS_TRIM: BiasTrim(saves_left=own.saves_left),
+            stim300.ASK_EXTENDED_ERROR: ExtendedError(self._errors),
+        }
+        if line in values:
+            self._answers.append(self._special(values[line]))
+            self._replaced += 1
+        if line == stim300.ASK_EXTENDED_ERROR:
+            self._errors = 0
+        elif line == stim300.RESET:
+            self.reset()
+        elif line == stim300.SERVICE_MODE:
+            self._mode = "service"
+            self._print(banner(own))
+        elif line == stim300.UTILITY_MODE:
+            self._mode = "utility"
+            self._write(encode_message(UtilityMessage(True, ("UTILITYMODE",))))
+
+    def _utility(self, line: bytes) -> None:
+        reply = utility_reply(self.settings, line)
+        if reply is not None:
+            self._write(encode_message(reply))
+            if reply.fields[:2] == ("xn", "0"):
+                self._mode = "normal"
+
+    def _service(self, line: bytes) -> None:
+        self._write(line + b"\r")
+        try:
+            command = line.decode("latin-1").strip()
+            lines = service_lines(self.settings, command, self._readings()) if command else []
+        except Refused as refusal:
+            lines = [SERVICE_ERRORS[refusal.code]]
+        if lines and lines[0].startswith("SYSTEM RETURNING"):
+            self._write(lines[0].encode("ascii") + b"\r")
+            self._mode = "normal"
+            if "INIT" in lines[0]:
+                self.reset()
+        else:
+            self._print(lines)
+
+    def _readings(self) -> dict[str, list[str]]:
+        """Return what a single shot, the bias trim and the diagnostics of service mode print, in the twin's words."""
+        angle = self.settings.gyro_unit & 1
+        shot = self._held * (GYRO_LSB_DEG if angle else GYRO_LSB_DPS)
+        return {
+            "a": [f"GYRO [{'deg' if angle else 'deg/s'}] = {', '.join(f'{value:.5f}' for value in shot)}"],
+            "b": ["BIAS TRIM OFFSET GYRO [deg/s] = 0.00000, 0.00000, 0.00000"],
+            "c": list(ExtendedError(self._errors).texts) or ["NO ERRORS"],
+        }
+
+    def _print(self, lines: list[str]) -> None:
+        self._write("\r".join([*lines, ">"]).encode("ascii") if lines else b"\r>")

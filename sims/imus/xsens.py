@@ -1,0 +1,232 @@
+"""Twin of an Xsens MTi: its gyros as MTData2 messages on a byte link, and its answers to requests."""
+
+import asyncio
+import math
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+
+from drivers.imus.xsens import mtdata2
+from drivers.imus.xsens.xbus import Mid, XbusDecoder, encode
+from drivers.packaged import packaged_codes
+from drivers.types import Flags, Floats, Ints
+from sims.physics.geometry import tilt_deg
+from sims.physics.gyro import GyroArray
+from sims.wires.burst import burst_of, copies_sent
+
+_TICKS_PER_S = round(1 / mtdata2.SAMPLE_TIME_TICK_S)
+_GYRO_RANGE_RPS = math.radians(2000)
+_STANDARD_GRAVITY_MPS2 = 9.80665
+_INVALID_MESSAGE, _INVALID_PARAMETER = 4, 33
+_SELF_TEST_PASSED = 1
+_COUNTS_AND_STATUS = (
+    mtdata2.PACKET_COUNTER,
+    mtdata2.SAMPLE_TIME_FINE,
+    mtdata2.SAMPLE_TIME_COARSE,
+    mtdata2.STATUS_BYTE,
+    mtdata2.STATUS_WORD,
+)
+_FROM_FORCE = (mtdata2.ACCELERATION, mtdata2.EULER_ANGLES)
+_VALUES = (mtdata2.RATE_OF_TURN, mtdata2.TEMPERATURE, *_FROM_FORCE)
+_MORE_ANSWERS = {mid: bytes.fromhex(text) for mid, text in packaged_codes("sims", "xsens", "answer").items()}
+_CLOCK_HZ = 115_200  # of which sampling periods are told
+_FIRMWARE = bytes([1, 8, 2]) + (37).to_bytes(4, "big") + (70964).to_bytes(4, "big")
+_HARDWARE = bytes([2, 0])
+
+
+class XsensDevice:
+    """An MTi that measures since it was switched on, in bursts of about 10 ms as an operating system hands them over.
+
+    Fault knobs are plain attributes, to be set at any time.
+    """
+
+    def __init__(
+        self,
+        gyros: GyroArray,
+        write: Callable[[bytes], None],
+        rate_hz: int,
+        *,
+        serial: str = "03700715",
+        product: str = "MTI-300-2A5G4",
+        clock_ppm: float = 0.0,
+        specific_force_g: Callable[[Floats], Floats] | None = None,
+        uptime_ticks: int = 0,
+        seed: int = 0,
+    ) -> None:
+        """The three gyros were made for ``rate_hz``; each output has this rate or this over a whole number.
+
+        ``serial`` are eight hex digits. A clock with ``clock_ppm`` above 0 runs fast. ``specific_force_g`` gives what
+        accelerometers sense (n, 3) at instants (n,); left out, the device has none. ``uptime_ticks`` of 100 us is
+        how long it has been on.
+        """
+        self._gyros, self._write, self._rate_hz = gyros, write, rate_hz
+        self._force_g = specific_force_g
+        self._period_s = 1 / (rate_hz * (1 + clock_ppm * 1e-6))
+        self._random = np.random.default_rng(seed)
+        self._decoder = XbusDecoder()
+        felt = [] if specific_force_g is None else [mtdata2.ACCELERATION]
+        self.outputs = (
+            mtdata2.Output(mtdata2.PACKET_COUNTER, mtdata2.EVERY),
+            mtdata2.Output(mtdata2.SAMPLE_TIME_FINE, mtdata2.EVERY),
+            *(mtdata2.Output(kind, rate_hz) for kind in (mtdata2.RATE_OF_TURN, *felt, mtdata2.TEMPERATURE)),
+        )
+        """Output configuration, which it keeps when it is switched off."""
+        self.measuring = True
+        own, period = bytes.fromhex(serial), _CLOCK_HZ // rate_hz
+        self._answers: dict[int, bytes] = {
+            **_MORE_ANSWERS,
+            Mid.REQ_DEVICE_ID: own,
+            Mid.INIT: own,
+            # Of one device, at byte 98; trigger, dates and what it was once set to are left at 0.
+            Mid.REQ_CONFIGURATION: own + period.to_bytes(2) + bytes(90) + (1).to_bytes(2) + own + bytes(16),
+            Mid.REQ_PRODUCT_CODE: product.ljust(20).encode("ascii"),
+            Mid.REQ_FIRMWARE: _FIRMWARE,
+            Mid.REQ_HARDWARE: _HARDWARE,
+        }
+        self._sample = 0  # since the device was switched on
+        self._uptime_ticks = uptime_ticks
+        self._messages = 0
+        self._last = np.zeros(3)
+        self.stuck_gyro: int | None = None
+        """Gyro (0 to 2) whose output stays what it was."""
+        self.saturated_gyro: int | None = None
+        """Gyro whose output is pegged at its range."""
+        self.drop_share = 0.0
+        """Share of messages that are not sent."""
+        self.double_share = 0.0
+        """Share of messages that are sent twice."""
+
+    def received(self, data: bytes) -> None:
+        """Take bytes from the host, cut anywhere, and answer the requests that they complete."""
+        for messages in self._decoder.feed(data):
+            for request in messages.each():
+                self._answer(messages.mid, request)
+
+    async def serve(self) -> None:
+        """Send until cancelled."""
+        loop = asyncio.get_running_loop()
+        start, burst, sent = loop.time(), burst_of(self._rate_hz), 0
+        while True:
+            at = np.asarray(start + np.arange(sent + 1, sent + 1 + burst) * self._period_s, dtype=np.float64)
+            await asyncio.sleep(max(float(at[-1]) - loop.time(), 0.0))
+            sent += burst
+            index = np.arange(self._sample + 1, self._sample + 1 + burst)
+            self._sample += burst
+            rate = self._sensed(at)  # also while nothing is sent: gyros do not rest
+            data = self._stream(at, index, rate) if self.measuring else b""
+            if data:
+                self._write(data)
+
+    def restart(self) -> None:
+        """Switch off and on: times and counts begin anew, and it says that it has woken up."""
+        self._sample = self._uptime_ticks = self._messages = 0
+        self.measuring = True
+        self._write(encode(Mid.WAKE_UP))
+
+    def report(self, error: int) -> None:
+        """Send an Error that nobody has asked for."""
+        self._write(encode(Mid.ERROR, bytes([error])))
+
+    def _answer(self, mid: int, data: bytes) -> None:
+        if mid % 2:
+            return  # an answer itself
+        if mid == Mid.RESET:
+            self._write(encode(mid + 1))
+            self.restart()
+        elif mid == Mid.GO_TO_CONFIG:
+            self.measuring = False
+            self._write(encode(mid + 1))
+        elif self.measuring:
+            self.report(_INVALID_MESSAGE)
+        elif mid == Mid.GO_TO_MEASUREMENT:
+            self._messages = 0
+            self.measuring = True
+            self._write(encode(mid + 1))
+        elif mid == Mid.OUTPUT_CONFIGURATION:
+            self._configure(data)
+        elif data and mid in _MORE_ANSWERS:
+            self._answers[mid] = data
+            self._write(encode(mid + 1))
+        elif mid in self._answers:
+            self._write(encode(mid + 1, self._answers[mid]))
+        else:
+            self.report(_INVALID_MESSAGE)
+
+    def _configure(self, data: bytes) -> None:
+        """Take over an output configuration as far as it can be granted; without data, only say what it is."""
+        wanted = mtdata2.decode_outputs(data)
+        if wanted is None or any(mtdata2.kind_of(o.data_id) not in _COUNTS_AND_STATUS + _VALUES for o in wanted):
+            self.report(_INVALID_PARAMETER)
+            return
+        if wanted:
+            self.outputs = tuple(self._granted(o) for o in wanted if self._has(o))
+        self._write(encode(Mid.OUTPUT_CONFIGURATION + 1, mtdata2.encode_outputs(self.outputs)))
+
+    def _has(self, output: mtdata2.Output) -> bool:
+        return mtdata2.kind_of(output.data_id) not in _FROM_FORCE or self._force_g is not None
+
+    def _granted(self, wanted: mtdata2.Output) -> mtdata2.Output:
+        if mtdata2.kind_of(wanted.data_id) in _COUNTS_AND_STATUS:
+            return mtdata2.Output(wanted.data_id, mtdata2.EVERY)
+        return mtdata2.Output(wanted.data_id, self._rate_hz // self._divider(wanted))
+
+    def _divider(self, output: mtdata2.Output) -> int:
+        """Return of how many samples one is sent; neither 0 nor EVERY is a rate."""
+        rate_hz = self._rate_hz if output.rate_hz in (0, mtdata2.EVERY) else output.rate_hz
+        return max(round(self._rate_hz / rate_hz), 1)
+
+    def _sensed(self, at: Floats) -> Floats:
+        rate = np.clip(self._gyros.sample(at), -_GYRO_RANGE_RPS, _GYRO_RANGE_RPS)
+        if self.saturated_gyro is not None:
+            rate[:, self.saturated_gyro] = _GYRO_RANGE_RPS
+        if self.stuck_gyro is not None:
+            rate[:, self.stuck_gyro] = self._last[self.stuck_gyro]
+        self._last = rate[-1]
+        return rate
+
+    def _stream(self, at: Floats, index: Ints, rate: Floats) -> bytes:
+        """Return the messages of these samples (n,)."""
+        due = self._due(index)
+        rows = np.flatnonzero(due.any(axis=1))
+        numbers = self._messages + np.arange(len(rows))
+        self._messages += len(rows)
+        copies = copies_sent(self._random, len(rows), self.drop_share, self.double_share)
+        rows, numbers = np.repeat(rows, copies), np.repeat(numbers, copies)
+        # Messages of the same packets are made together.
+        changes = np.flatnonzero((due[rows[1:]] != due[rows[:-1]]).any(axis=1)) + 1
+        parts: list[bytes] = []
+        for start, stop in pairwise([0, *changes.tolist(), len(rows)]):
+            if stop > start:
+                some = rows[start:stop]
+                present = [o.data_id for o, now in zip(self.outputs, due[some[0]], strict=True) if now]
+                values = self._values(at[some], index[some], rate[some], numbers[start:stop])
+                parts.append(
+                    mtdata2.encode_mtdata2([(data_id, values(mtdata2.kind_of(data_id))) for data_id in present])
+                )
+        return b"".join(parts)
+
+    def _due(self, index: Ints) -> Flags:
+        """Return which outputs are in the messages of these samples (n, outputs); none at all where all is False."""
+        steps = np.array([1 if o.rate_hz == mtdata2.EVERY else self._divider(o) for o in self.outputs])
+        timed = [o.rate_hz != mtdata2.EVERY for o in self.outputs]
+        due = index[:, None] % steps == 0
+        if any(timed):
+            due &= due[:, timed].any(axis=1, keepdims=True)
+        return np.asarray(due, dtype=np.bool_)
+
+    def _values(self, at: Floats, index: Ints, rate: Floats, numbers: Ints) -> Callable[[int], Floats | Ints]:
+        """Return what gives the values (n, fields) of a kind at these samples."""
+        ticks = self._uptime_ticks + index * _TICKS_PER_S // self._rate_hz
+        force_g = self._force_g(at) if self._force_g is not None else np.full((len(at), 3), np.nan)
+        made: dict[int, Callable[[], Floats | Ints]] = {
+            mtdata2.RATE_OF_TURN: lambda: rate,
+            mtdata2.ACCELERATION: lambda: force_g * _STANDARD_GRAVITY_MPS2,
+            mtdata2.EULER_ANGLES: lambda: tilt_deg(force_g),
+            mtdata2.TEMPERATURE: lambda: np.full((len(at), 1), self._gyros.temperature_c(float(at[-1]))),
+            mtdata2.PACKET_COUNTER: lambda: (numbers % mtdata2.PACKET_COUNTER_MODULUS)[:, None],
+            mtdata2.SAMPLE_TIME_FINE: lambda: (ticks % mtdata2.SAMPLE_TIME_MODULUS)[:, None],
+            mtdata2.SAMPLE_TIME_COARSE: lambda: (ticks // _TICKS_PER_S)[:, None],
+        }
+        status = np.full((len(at), 1), _SELF_TEST_PASSED)  # byte and word
+        return lambda kind: made[kind]() if kind in made else status

@@ -1,0 +1,110 @@
+"""What the body really does: its attitude as a quaternion, and its inertial rate as the change of attitude."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from drivers.types import Floats
+
+SIDEREAL_DAY_S = 86164.0905
+_HALF_STEP_S = 1e-4
+_AHEAD_S = 0.1
+_SAME_INSTANT_S = 1e-6
+
+
+# q @ _RIGHT[axis] is the quaternion product q e, with e the unit quaternion along x, y or z.
+_RIGHT = {
+    "x": np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, -1], [0, 0, 1, 0]], dtype=np.float64),
+    "y": np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]], dtype=np.float64),
+    "z": np.array([[0, 0, 0, 1], [0, 0, -1, 0], [0, 1, 0, 0], [-1, 0, 0, 0]], dtype=np.float64),
+}
+_EACH_RIGHT = np.stack([_RIGHT[axis] for axis in "xyz"])
+_ALL_RIGHT = np.hstack(list(_EACH_RIGHT))
+
+
+class Body:
+    """A body on the innermost gimbal of a table that stands on the turning Earth."""
+
+    def __init__(
+        self,
+        gimbals: Sequence[str],
+        angles: Callable[[str, Floats], Floats],
+        revision: Callable[[], int],
+        latitude_rad: float,
+        heading_rad: float,
+        earth_turns: bool = True,
+        directions: Mapping[str, Floats] | None = None,
+    ) -> None:
+        """Gimbals are named outermost first.
+
+        ``angles(axis, t_s)`` gives an axis' true angles, now and to come by what it has been told; ``revision``
+        changes whenever it is told something else. ``directions`` are unit vectors (3,) of axes that at home are not
+        along the body axis they are named after.
+        """
+        self.gimbals = tuple(gimbals)
+        self._angles = angles
+        tilted = {axis: np.tensordot(unit, _EACH_RIGHT, 1) for axis, unit in (directions or {}).items()}
+        self._right = {axis: tilted.get(axis, _RIGHT[axis]) for axis in gimbals}
+        self._revision_of_angles = revision
+        # The pole, seen from a base with z up and x at the heading: turn east about up by the heading.
+        spin = 2 * math.pi / SIDEREAL_DAY_S if earth_turns else 0.0
+        north, up = math.cos(latitude_rad), math.sin(latitude_rad)
+        self._spin = spin
+        self._pole = np.array([north * math.cos(heading_rad), north * math.sin(heading_rad), up])
+
+    @property
+    def revision(self) -> int:
+        """Number that changes whenever rates to come have changed."""
+        return self._revision_of_angles()
+
+    def rate_rps(self, t_s: Floats) -> Floats:
+        """Return the inertial rate in body axes at each instant, (n, 3)."""
+        n = len(t_s)
+        attitude = self._attitude(np.concatenate([t_s - _HALF_STEP_S, t_s + _HALF_STEP_S]), float(t_s[0]))
+        before, after = attitude[:n], attitude[n:]
+        # The vector part of (before)* (after): half the angle turned in a step of 2 h.
+        half_turn = (before @ _ALL_RIGHT).reshape(n, 3, 4) @ after[:, :, None]
+        return np.asarray(half_turn[:, :, 0] / _HALF_STEP_S)
+
+    def angle(self, axis: str, t_s: Floats) -> Floats:
+        """Return the true angle of an axis at each instant, (n,); 0 for an axis that is no gimbal."""
+        return self._angles(axis, t_s) if axis in self.gimbals else np.zeros(len(t_s))
+
+    def up(self, t_s: Floats) -> Floats:
+        """Return the unit vector up, which is the specific force at rest in g, in body axes at each instant, (n, 3)."""
+        w, x, y, z = self._turned(np.tile([1.0, 0.0, 0.0, 0.0], (len(t_s), 1)), t_s).T
+        return np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+
+    def up_in_turn(self, period_s: float) -> Callable[[Floats], Floats]:
+        """Return ``up`` for who asks for one instant after the other: worked out ahead until the motion changes."""
+        count = max(round(_AHEAD_S / period_s), 1)
+        first_s, ahead, revision = math.inf, np.empty((0, 3)), -1
+
+        def up(t_s: Floats) -> Floats:
+            nonlocal first_s, ahead, revision
+            if len(t_s) != 1:
+                return self.up(t_s)
+            place = (float(t_s[0]) - first_s) / period_s
+            row = round(place) if 0 <= place < count - 0.5 else 0
+            if revision != self.revision or abs(place - row) * period_s > _SAME_INSTANT_S:
+                first_s, row = float(t_s[0]), 0
+                ahead, revision = self.up(first_s + period_s * np.arange(count, dtype=np.float64)), self.revision
+            return ahead[row : row + 1]
+
+        return up
+
+    def _attitude(self, t_s: Floats, origin_s: float) -> Floats:
+        earth = 0.5 * self._spin * (t_s - origin_s)
+        q = np.empty((len(t_s), 4))
+        q[:, 0] = np.cos(earth)
+        q[:, 1:] = np.sin(earth)[:, None] * self._pole
+        return self._turned(q, t_s)
+
+    def _turned(self, q: Floats, t_s: Floats) -> Floats:
+        """Return attitudes (n, 4) turned by the gimbals."""
+        half = 0.5 * np.stack([self._angles(axis, t_s) for axis in self.gimbals])
+        cos, sin = np.cos(half)[:, :, None], np.sin(half)[:, :, None]
+        for i, axis in enumerate(self.gimbals):
+            q = cos[i] * q + sin[i] * (q @ self._right[axis])
+        return q

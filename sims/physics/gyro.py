@@ -1,0 +1,155 @@
+"""Physics of an array of rate gyros: true input, deterministic errors, noise, temperature."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.types import Floats
+from sims.physics.body import Body
+from sims.physics.geometry import Mounting
+from sims.physics.hidden.chain import GyroChain
+from sims.physics.hidden.effects import Hidden
+from sims.physics.hidden.scene import World
+from sims.physics.hidden.temperature import Temperature
+
+_AHEAD_S = 0.1  # bias instability moves in steps of this, a tenth of its shortest time
+_ROWS_AT_ONCE = 1 << 16
+_CORRELATION_TIMES_S = np.array([1.0, 10.0, 100.0, 1000.0])
+# A decade-spaced sum of Gauss-Markov processes of equal variance s^2 has a flat Allan deviation of 0.775 s;
+# bias instability B is the one whose floor is 0.664 B (IEEE Std 952, Annex C).
+_SHARE = 0.664 / 0.775
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroTruth:
+    """True errors of each gyro (m,), and the noise all have."""
+
+    k: Floats
+    b_rps: Floats
+    sigma_j_rad: Floats
+    sigma_k_rad: Floats
+    arw_rps_rthz: float
+    bias_instability_rps: float
+    temperature_c: float = 25.0
+    warming_c: float = 2.0
+    warming_time_s: float = 300.0
+    rate_random_walk_rps_rts: float = 0.0
+
+
+class GyroArray:
+    """Rates that the gyros of one device put out, before its own quantisation."""
+
+    def __init__(
+        self,
+        mounting: Mounting,
+        truth: GyroTruth,
+        body: Body,
+        rate_hz: float,
+        seed: tuple[int, ...],
+        hidden: Hidden | None = None,
+        started_s: float = 0.0,
+    ) -> None:
+        """``seed`` makes the noise; the same seed gives the same samples.
+
+        The clock that temperature and hidden effects follow stood at ``started_s`` at the instant 0.
+        """
+        self._truth = truth
+        self._body = body
+        tilt_j, tilt_k = truth.sigma_j_rad[:, None], truth.sigma_k_rad[:, None]
+        tilted = mounting.p - tilt_k * mounting.j + tilt_j * mounting.k
+        self._sensitivity = (1 - truth.k)[:, None] * tilted
+        self._white_rps = truth.arw_rps_rthz * math.sqrt(rate_hz)
+        self._random = np.random.default_rng(seed)
+        m = len(mounting.p)
+        self._wander_rps = _SHARE * truth.bias_instability_rps
+        self._wander = self._random.standard_normal((len(_CORRELATION_TIMES_S), m))
+        self._walk_rps = np.zeros(m)
+        self._period_s = 1 / rate_hz
+        self._started_s = started_s
+        self._temperature = (hidden and hidden.temperature) or Temperature(
+            truth.temperature_c, truth.warming_c, truth.warming_time_s
+        )
+        self._chain: GyroChain | None = None
+        if hidden is not None and hidden.of_gyros:
+            world = World(body, mounting, tilted, self._temperature, started_s)
+            self._chain = GyroChain(hidden.of_gyros, world, 1 - truth.k, self._period_s, seed)
+        self._been_t = np.empty(0)
+        self._decays: dict[int, tuple[Floats, Floats]] = {}
+        self._per_call = 0
+        self._revision = -1
+        self._ahead_t, self._ahead, self._ahead_noise = np.empty(0), np.empty((0, m)), np.empty((0, m))
+
+    def sample(self, t_s: Floats) -> Floats:
+        """Return the outputs (n, m) in rad/s at n successive sampling instants, the first of which is now.
+
+        The instants to come are worked out ahead; when the table has been told to do something else in the
+        meantime, the true part of what is left is worked out anew. The noise of an instant stays what it was.
+        """
+        n = len(t_s)
+        if n != self._per_call or not len(self._ahead):
+            self._look_ahead(t_s)
+        elif self._body.revision != self._revision:
+            self._work_out(self._ahead_t)
+        out = self._ahead[:n] - self._ahead_noise[:n]
+        if self._chain is not None:
+            self._been_t = np.concatenate([self._been_t, self._ahead_t[:n]])
+            out = self._chain.put_out(self._ahead_t[:n], out)
+        self._ahead, self._ahead_noise, self._ahead_t = self._ahead[n:], self._ahead_noise[n:], self._ahead_t[n:]
+        return np.asarray(out)
+
+    def sample_all(self, t_s: Floats) -> Floats:
+        """Return the outputs (n, m) in rad/s at all instants of a run whose motion is known from the start."""
+        steps = max(round(_AHEAD_S / self._period_s), 1)
+        wander = np.repeat([self._step_wander(steps) for _ in range(-(-len(t_s) // steps))], steps, axis=0)
+        out = np.empty((len(t_s), len(self._truth.k)))
+        for start in range(0, len(t_s), _ROWS_AT_ONCE):  # attitudes take many times the room of outputs
+            stop = min(start + _ROWS_AT_ONCE, len(t_s))
+            white = self._white_rps * self._random.standard_normal((stop - start, out.shape[1]))
+            out[start:stop] = self._true_output(t_s[start:stop], keep=True) - wander[start:stop] - white
+        return out if self._chain is None else self._chain.put_out(t_s, out)
+
+    def _look_ahead(self, t_s: Floats) -> None:
+        n = self._per_call = len(t_s)
+        calls = max(round(_AHEAD_S / (n * self._period_s)), 1)
+        self._ahead_t = (t_s + n * self._period_s * np.arange(calls)[:, None]).ravel()
+        rows, m = len(self._ahead_t), len(self._truth.k)
+        wander = self._step_wander(rows)
+        self._ahead_noise = wander + self._white_rps * self._random.standard_normal((rows, m))
+        self._work_out(self._ahead_t)
+
+    def _work_out(self, t_s: Floats) -> None:
+        if self._chain is not None and self._chain.remembers and len(self._been_t):
+            self._chain.output(self._been_t, keep=True)  # what was worked out ahead may never have come
+        self._been_t = np.empty(0)
+        self._ahead = self._true_output(t_s, keep=False)
+        self._revision = self._body.revision
+
+    def _true_output(self, t_s: Floats, *, keep: bool) -> Floats:
+        if self._chain is not None:
+            return self._chain.output(t_s, keep=keep) - self._truth.b_rps
+        return np.asarray(self._body.rate_rps(t_s) @ self._sensitivity.T - self._truth.b_rps)
+
+    def _step_wander(self, samples: int) -> Floats:
+        """Return what the bias has wandered to (m,) after this many more samples."""
+        keep, push = self._decay(samples)
+        self._wander = keep * self._wander + push * self._random.standard_normal(self._wander.shape)
+        if self._truth.rate_random_walk_rps_rts:
+            step_rps = self._truth.rate_random_walk_rps_rts * math.sqrt(samples * self._period_s)
+            self._walk_rps = self._walk_rps + step_rps * self._random.standard_normal(len(self._walk_rps))
+        return np.asarray(self._wander_rps * self._wander.sum(axis=0) + self._walk_rps)
+
+    def _decay(self, samples: int) -> tuple[Floats, Floats]:
+        """Return what the wander keeps over this many samples, and what is added to it."""
+        if samples not in self._decays:
+            keep = np.exp(-samples * self._period_s / _CORRELATION_TIMES_S)[:, None]
+            self._decays[samples] = keep, np.sqrt(1 - keep**2)
+        return self._decays[samples]
+
+    def temperature_c(self, t_s: float) -> float:
+        """Return the temperature of the gyros."""
+        return float(self.temperatures_c(np.array([t_s]))[0])
+
+    def temperatures_c(self, t_s: Floats) -> Floats:
+        """Return the temperature of the gyros at instants (n,)."""
+        return self._temperature.at(t_s + self._started_s)

@@ -1,0 +1,12 @@
+"""What is wrong with the twins that nobody is told: effects of gyros, of their converters, of the table.
+
+Written from the physics, not from the formulas by which the estimator looks for them: a delay is a look at the past,
+a low pass runs through the samples, a tilted axis is turned about. Everything that is added to a gyro's output is in
+rad/s. Times are those of a bench clock that goes on from run to run.
+"""
+
+from sims.physics.hidden.effects import KINDS, Hidden
+from sims.physics.hidden.errors import HiddenError
+from sims.physics.hidden.temperature import Temperature
+
+__all__ = ["KINDS", "Hidden", "HiddenError", "Temperature"]

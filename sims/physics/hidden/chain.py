@@ -1,0 +1,87 @@
+"""The gyros of one device with what is wrong with them: from the motion to what is put out."""
+
+from collections.abc import Iterable
+from copy import copy
+from typing import TypeVar
+
+import numpy as np
+
+from drivers.types import Floats
+from sims.physics.hidden.biases import Added, BiasWalk
+from sims.physics.hidden.converter import Converter, DeadBand, SampleHold, Saturation, Stuck
+from sims.physics.hidden.errors import HiddenError
+from sims.physics.hidden.fields import for_gyros
+from sims.physics.hidden.scene import Scene, World
+from sims.physics.hidden.sensed import Sensed
+from sims.physics.hidden.timing import Bandwidth, Hysteresis, LastTurn, Latency, LowPass, RateDependentDelay
+
+T = TypeVar("T")
+
+
+class GyroChain:
+    """Motion -> delay -> rate, dead band, what is sensed beside it -> low pass -> biases; then noise -> converter."""
+
+    def __init__(
+        self, effects: Iterable[object], world: World, gain: Floats, period_s: float, seed: tuple[int, ...]
+    ) -> None:
+        """``gain`` (m,) is what the constant scale factor errors leave of the rate."""
+        m = len(gain)
+        self._world, self._gain = world, gain
+        fitted = [for_gyros(e.for_run(m, seed) if isinstance(e, BiasWalk) else e, m) for e in effects]
+        self._sensed = [e for e in fitted if isinstance(e, Sensed)]
+        self._added = [e for e in fitted if isinstance(e, Added)]
+        self._late_s = sum(latency.delay_s for latency in _of(fitted, Latency))
+        self._delays = _of(fitted, RateDependentDelay)
+        self._bands = _of(fitted, DeadBand)
+        self._hysteresis = _of(fitted, Hysteresis)
+        self._low_passes = [LowPass(b.lag_s(), period_s) for b in _of(fitted, Bandwidth)]
+        self._turns = [LastTurn(h.threshold_rps, np.zeros(m)) for h in self._hysteresis]
+        stuck = _of(fitted, Stuck)
+        if any(s.gyro > m for s in stuck):
+            raise HiddenError(f"stuck.gyro: there are {m} gyros, counted from 1")
+        holds = [hold.samples for hold in _of(fitted, SampleHold)]
+        self._converter = Converter(tuple(_of(fitted, Saturation)), max(holds, default=1), tuple(stuck))
+
+    @property
+    def remembers(self) -> bool:
+        """Return whether what comes depends on what has been."""
+        return bool(self._low_passes or self._turns)
+
+    def output(self, t_s: Floats, *, keep: bool) -> Floats:
+        """Return outputs (n, m) without noise at successive instants; with ``keep`` they count as having been."""
+        low_passes = self._low_passes if keep else [copy(p) for p in self._low_passes]
+        turns = self._turns if keep else [copy(t) for t in self._turns]
+        now = Scene(self._world, t_s)
+        late = Scene(self._world, t_s - self._late_s) if self._late_s else now
+        out = self._sense_late(now, late)
+        for low_pass in low_passes:
+            out = low_pass(out)
+        for effect in self._added:
+            out = out + effect.output(now)
+        for hysteresis, turn in zip(self._hysteresis, turns, strict=True):
+            out = out + hysteresis.size_rps * turn(late.u)
+        return out
+
+    def put_out(self, t_s: Floats, out: Floats) -> Floats:
+        """Return what the converter makes of successive outputs (n, m) with their noise."""
+        return self._converter(t_s + self._world.started_s, out)
+
+    def _sense_late(self, now: Scene, late: Scene) -> Floats:
+        if not self._delays:
+            return self._sense(late)
+        instants = late.t_s[:, None] - sum(delay.delay_s(now.u) for delay in self._delays)
+        scenes = [Scene(self._world, instants[:, i]) for i in range(len(self._gain))]
+        return np.column_stack([self._sense(scene)[:, i] for i, scene in enumerate(scenes)])
+
+    def _sense(self, scene: Scene) -> Floats:
+        out = self._gain * scene.u
+        for effect in self._sensed:
+            out = out + effect.output(scene)
+        for band in self._bands:
+            within = np.abs(scene.u) <= band.size_rps
+            out = np.where(within, out - self._gain * scene.u, out)
+        return np.asarray(out)
+
+
+def _of(effects: Iterable[object], kind: type[T]) -> list[T]:
+    return [effect for effect in effects if isinstance(effect, kind)]

@@ -1,0 +1,90 @@
+"""All hidden effects: what is wrong with a table and its gyros, and the file that says so."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from sims.physics.hidden import biases, converter, sensed, table, timing
+from sims.physics.hidden.errors import HiddenError
+from sims.physics.hidden.fields import check, read, refuse_unknown
+from sims.physics.hidden.table import OfTable, TableFaults
+from sims.physics.hidden.temperature import Temperature
+
+KINDS = biases.KINDS | sensed.KINDS | timing.KINDS | converter.KINDS | table.KINDS
+"""Effects by the name of their table in the file."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hidden:
+    """What is wrong, in SI: effects, the temperature (of the devices' own truth if None).
+
+    ``devices`` are those whose gyros have the effects; all if None. The table's effects are there for all.
+    """
+
+    effects: tuple[object, ...] = ()
+    temperature: Temperature | None = None
+    devices: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is no effect."""
+        for effect in self.effects:
+            if type(effect) not in KINDS.values():
+                raise HiddenError(f"{effect!r} is no hidden effect")
+            check(effect)
+        if self.temperature is not None:
+            check(self.temperature)
+
+    @classmethod
+    def of(cls, tables: Mapping[str, object]) -> Hidden:
+        """Return what tables of texts with units say; HiddenError with table and key for what is wrong.
+
+        An effect that is there more than once is a list of tables.
+        """
+        refuse_unknown(tables, dict.fromkeys(("devices", Temperature.name, *KINDS)), "hidden effects")
+        effects: list[object] = []
+        for name, kind in KINDS.items():
+            if name in tables:
+                said = tables[name]
+                several = said if isinstance(said, list | tuple) else [said]
+                effects.extend(read(kind, one, name) for one in several)
+        temperature = read(Temperature, tables["temperature"], "temperature") if "temperature" in tables else None
+        return cls(tuple(effects), temperature, _devices(tables.get("devices")))
+
+    @classmethod
+    def load(cls, path: Path) -> Hidden:
+        """Read a hidden-effects file; HiddenError with its name for what is wrong."""
+        try:
+            return cls.of(tomllib.loads(path.read_text(encoding="utf-8")))
+        except (OSError, UnicodeDecodeError) as error:
+            raise HiddenError(f"cannot read hidden effects {path}: {error}") from None
+        except tomllib.TOMLDecodeError as error:
+            raise HiddenError(f"{path}: not valid TOML: {error}") from None
+        except HiddenError as error:
+            raise HiddenError(f"{path}: {error}") from None
+
+    def of_device(self, name: str) -> Hidden:
+        """Return what is hidden from this device: effects of its gyros only if it is among the devices."""
+        if self.devices is None or name in self.devices:
+            return self
+        return replace(self, effects=self.table.effects, temperature=None)
+
+    @property
+    def table(self) -> TableFaults:
+        """What is wrong with the table."""
+        return TableFaults(tuple(e for e in self.effects if isinstance(e, OfTable)))
+
+    @property
+    def of_gyros(self) -> tuple[object, ...]:
+        """Effects of the gyros."""
+        return tuple(e for e in self.effects if not isinstance(e, OfTable))
+
+
+def _devices(said: object) -> tuple[str, ...] | None:
+    if said is None:
+        return None
+    if not isinstance(said, list | tuple) or not all(isinstance(name, str) for name in said):
+        raise HiddenError("devices: must be a list of names")
+    return tuple(said)

@@ -1,0 +1,128 @@
+"""Fields of effects: what each measures, and how a table of texts becomes an effect of numbers.
+
+A field's metadata say what it takes. Its key in the file is its name without the unit that the name of an SI number
+ends in; without a default it must be there.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from typing import Any, TypeVar, dataclass_transform
+
+import numpy as np
+
+from drivers.types import Floats
+from sims.physics.hidden.errors import HiddenError
+from sims.physics.hidden.units import quantity
+
+Each = float | Sequence[float] | Floats
+"""A number for all gyros, or one for each."""
+T = TypeVar("T")
+
+_SUFFIX = re.compile(r"_(rps|rps2|rad|s|c|hz|rps_rts)$")
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
+def hidden(kinds: dict[str, type[Any]], name: str) -> Callable[[type[T]], type[T]]:
+    """Return a decorator that makes an effect of a class and enters it among its kind by its name in the file."""
+
+    def entered(described: type[T]) -> type[T]:
+        kinds[name] = dataclass(frozen=True, slots=True, eq=False)(described)
+        kinds[name].name = name
+        return kinds[name]
+
+    return entered
+
+
+def given(like: str, *, least: float | None = None) -> dict[str, object]:
+    """Describe a number whose unit measures the same as ``like``; ``least`` is the least it may be, in SI."""
+    return {"like": like, "least": least}
+
+
+def each(like: str, *, least: float | None = None) -> dict[str, object]:
+    """Describe a number for all gyros, or a list of one each."""
+    return {"like": like, "least": least, "each": True}
+
+
+def whole() -> dict[str, object]:
+    """Describe a whole number from 1 on."""
+    return {"whole": True}
+
+
+def choice(choices: Sequence[str]) -> dict[str, object]:
+    """Describe one of a few words."""
+    return {"choices": tuple(choices)}
+
+
+def read(kind: type[T], table: object, name: str) -> T:
+    """Return the effect that a table of texts describes; HiddenError with table and key for what is wrong."""
+    if not isinstance(table, Mapping):
+        raise HiddenError(f"{name}: must be a table")
+    declared = {_SUFFIX.sub("", f.name): f for f in fields(kind) if f.metadata}  # type: ignore[arg-type]
+    refuse_unknown(table, declared, name)
+    values = {}
+    for key, what in declared.items():
+        if key in table:
+            try:
+                values[what.name] = _value(table[key], what)
+            except HiddenError as error:
+                raise HiddenError(f"{name}.{key}: {error}") from None
+        elif what.default is MISSING:
+            raise HiddenError(f"{name}: {key} is missing")
+    return kind(**values)
+
+
+def refuse_unknown(table: Mapping[str, object], known: Mapping[str, object], where: str) -> None:
+    """Complain of the first key that is not known."""
+    for key in table:
+        if key not in known:
+            close = difflib.get_close_matches(key, known, 1)
+            hint = f"did you mean {close[0]}?" if close else f"known here: {', '.join(known)}"
+            raise HiddenError(f"{where}: unknown key {key!r}; {hint}")
+
+
+def for_gyros(effect: T, count: int) -> T:
+    """Return the effect with every number that each gyro has to itself as an array (count,).
+
+    HiddenError if there are not as many numbers as gyros.
+    """
+    arrays = {}
+    for what in fields(effect):  # type: ignore[arg-type]
+        if what.metadata.get("each"):
+            value = np.asarray(getattr(effect, what.name), dtype=np.float64)
+            if value.ndim and value.shape != (count,):
+                name = f"{getattr(effect, 'name', '')}.{_SUFFIX.sub('', what.name)}"
+                raise HiddenError(f"{name}: {value.size} values for {count} gyros: give one for all, or one each")
+            arrays[what.name] = np.broadcast_to(value, (count,))
+    return replace(effect, **arrays) if arrays else effect  # type: ignore[type-var]
+
+
+def check(effect: object) -> None:
+    """Refuse what is no number, or less than it may be."""
+    for what in fields(effect):  # type: ignore[arg-type]
+        if "like" not in what.metadata:
+            continue
+        value = np.asarray(getattr(effect, what.name), dtype=np.float64)
+        least = what.metadata["least"]
+        if not np.isfinite(value).all() or (least is not None and np.any(value < least)):
+            wanted = "a number" if least is None else f"{least:g} or more"
+            name = f"{getattr(effect, 'name', '')}.{_SUFFIX.sub('', what.name)}"
+            raise HiddenError(f"{name}: must be {wanted}")
+
+
+def _value(raw: object, what: Field[Any]) -> Any:
+    if "like" in what.metadata:
+        if what.metadata.get("each") and isinstance(raw, list | tuple):
+            return np.array([quantity(r, what.metadata["like"]) for r in raw])
+        return quantity(raw, what.metadata["like"])
+    if what.metadata.get("whole"):
+        if not isinstance(raw, int) or isinstance(raw, bool) or raw < 1:
+            raise HiddenError(f"{raw!r} is not a whole number from 1 on")
+        return raw
+    choices = what.metadata["choices"]
+    if raw not in choices:
+        raise HiddenError(f"{raw!r} is not one of {', '.join(choices)}")
+    return raw

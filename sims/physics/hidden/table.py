@@ -1,0 +1,106 @@
+"""Effects of the table: what its encoders say is not where its axes are, and its axes are not at right angles.
+
+A servo follows its encoder, so what the drives report is what they were told, and the body is what is off.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from drivers.types import Floats
+from sims.physics.hidden.errors import HiddenError
+from sims.physics.hidden.fields import choice, given, hidden, whole
+
+KINDS: dict[str, type[Any]] = {}
+ALL = "all"
+_NEWTON_STEPS = 3
+_UNIT = dict(zip("xyz", np.eye(3), strict=True))
+
+
+class OfTable:
+    """An effect of the table, the same for all that rides on it."""
+
+    def true_angle(self, axis: str, angle_rad: Floats) -> Floats:
+        """Return the true angle of an axis whose encoder stands at ``angle_rad`` (n,)."""
+        return angle_rad
+
+    def tilt(self, axis: str) -> Floats:
+        """Return what is added to the direction (3,) of an axis at home."""
+        return np.zeros(3)
+
+
+@hidden(KINDS, "table_axes")
+class TableAxes(OfTable):
+    """Axes tilted towards others, as they stand at home; rad."""
+
+    x_towards_y: float = field(default=0.0, metadata=given("arcsec"))
+    x_towards_z: float = field(default=0.0, metadata=given("arcsec"))
+    y_towards_x: float = field(default=0.0, metadata=given("arcsec"))
+    y_towards_z: float = field(default=0.0, metadata=given("arcsec"))
+    z_towards_x: float = field(default=0.0, metadata=given("arcsec"))
+    z_towards_y: float = field(default=0.0, metadata=given("arcsec"))
+
+    def tilt(self, axis: str) -> Floats:
+        tilts = [getattr(self, f"{axis}_towards_{other}") * _UNIT[other] for other in "xyz" if other != axis]
+        return np.asarray(np.sum(tilts, axis=0))
+
+
+@hidden(KINDS, "table_rate")
+class TableRate(OfTable):
+    """Axes that turn further than their encoders say, by a share: gears, counts a turn."""
+
+    x: float = field(default=0.0, metadata=given("ppm"))
+    y: float = field(default=0.0, metadata=given("ppm"))
+    z: float = field(default=0.0, metadata=given("ppm"))
+
+    def true_angle(self, axis: str, angle_rad: Floats) -> Floats:
+        return np.asarray((1 + getattr(self, axis)) * angle_rad)
+
+
+@hidden(KINDS, "encoder_eccentricity")
+class EncoderEccentricity(OfTable):
+    """An encoder that says ``size_rad`` sin(order times the true angle + phase) more than the true angle.
+
+    It is zeroed at home, so it says that much less what it would say there.
+    """
+
+    size_rad: float = field(metadata=given("deg"))
+    order: int = field(default=3, metadata=whole())
+    phase_rad: float = field(default=0.0, metadata=given("deg"))
+    axis: str = field(default=ALL, metadata=choice((*_UNIT, ALL)))
+
+    def __post_init__(self) -> None:
+        """Refuse an encoder that would go backwards."""
+        if abs(self.order * self.size_rad) > 0.1:
+            raise HiddenError("encoder_eccentricity: size times order is beyond 0.1 rad")
+
+    def true_angle(self, axis: str, angle_rad: Floats) -> Floats:
+        if self.axis not in (axis, ALL):
+            return angle_rad
+        true = angle_rad
+        for _ in range(_NEWTON_STEPS):
+            wave = self.order * true + self.phase_rad
+            said = true + self.size_rad * (np.sin(wave) - np.sin(self.phase_rad))
+            true = true - (said - angle_rad) / (1 + self.order * self.size_rad * np.cos(wave))
+        return np.asarray(true)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TableFaults:
+    """All effects of a table together."""
+
+    effects: tuple[OfTable, ...] = ()
+
+    def true_angle(self, axis: str, angle_rad: Floats) -> Floats:
+        """Return the true angle of an axis whose encoder stands at ``angle_rad`` (n,)."""
+        for effect in self.effects:
+            angle_rad = effect.true_angle(axis, angle_rad)
+        return angle_rad
+
+    def directions(self, gimbals: Sequence[str]) -> Mapping[str, Floats]:
+        """Return the unit vectors (3,) of the axes that are not where they should be, at home."""
+        tilts = {axis: np.sum([effect.tilt(axis) for effect in self.effects], 0) for axis in gimbals if self.effects}
+        tilted = {axis: _UNIT[axis] + tilt for axis, tilt in tilts.items() if np.any(tilt)}
+        return {axis: direction / np.linalg.norm(direction) for axis, direction in tilted.items()}

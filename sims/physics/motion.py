@@ -1,0 +1,135 @@
+"""One axis of a table: a rotor that follows trapezoids of rate within its limits, exactly, at any instant."""
+
+import math
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.types import Floats
+
+_KEEP_SEGMENTS = 64  # seconds of the past, which sensors with a delay look at
+
+
+@dataclass(frozen=True, slots=True)
+class _Segment:
+    """Constant acceleration from ``t_s`` on."""
+
+    t_s: float
+    angle_rad: float
+    rate_rps: float
+    acceleration_rps2: float
+
+    def at(self, t_s: float) -> tuple[float, float]:
+        dt = t_s - self.t_s
+        rate = self.rate_rps + self.acceleration_rps2 * dt
+        return self.angle_rad + 0.5 * (self.rate_rps + rate) * dt, rate
+
+
+class AxisMotion:
+    """Angle and rate of a rotor over time. Times given must not go back before the last command."""
+
+    def __init__(self, angle_rad: float, max_rate_rps: float, max_acceleration_rps2: float) -> None:
+        """Start at rest."""
+        self.max_rate_rps = max_rate_rps
+        self.max_acceleration_rps2 = max_acceleration_rps2
+        self._segments = [_Segment(-math.inf, angle_rad, 0.0, 0.0)]
+        self._ends_s = -math.inf
+        self.revision = 0
+        self._keep = _KEEP_SEGMENTS
+
+    def keep_all(self) -> None:
+        """Remember every segment from now on, for a run that is looked at as a whole."""
+        self._keep = sys.maxsize
+
+    def at(self, t_s: float) -> tuple[float, float]:
+        """Return angle and rate at one instant, not before the segments that are kept."""
+        for segment in reversed(self._segments):
+            if t_s >= segment.t_s:
+                return segment.at(t_s) if segment.t_s > -math.inf else (segment.angle_rad, 0.0)
+        first = self._segments[0]
+        return first.angle_rad, first.rate_rps
+
+    def angles(self, t_s: Floats) -> Floats:
+        """Return the angle at each instant (n,), in ascending order or not."""
+        out = np.full(len(t_s), self._segments[0].angle_rad)
+        first_s = t_s.min()
+        for segment, following in zip(self._segments, [*self._segments[1:], None], strict=True):
+            if segment.t_s == -math.inf or (following is not None and following.t_s <= first_s):
+                continue
+            dt = t_s - segment.t_s
+            angle = segment.angle_rad + dt * (segment.rate_rps + 0.5 * segment.acceleration_rps2 * dt)
+            out = np.where(dt >= 0, angle, out)
+        return np.asarray(out)
+
+    def rates(self, t_s: Floats) -> Floats:
+        """Return the rate at each instant (n,), in ascending order or not."""
+        out = np.full(len(t_s), self._segments[0].rate_rps)
+        for segment in self._segments:
+            if segment.t_s > -math.inf:
+                dt = t_s - segment.t_s
+                out = np.where(dt >= 0, segment.rate_rps + segment.acceleration_rps2 * dt, out)
+        return np.asarray(out)
+
+    def settled(self, t_s: float) -> bool:
+        """Return whether the last command has been carried out."""
+        return t_s >= self._ends_s
+
+    def jog(self, t_s: float, rate_rps: float, acceleration_rps2: float) -> None:
+        """Go to a rate along a ramp."""
+        rate_rps = min(max(rate_rps, -self.max_rate_rps), self.max_rate_rps)
+        acceleration = self._acceleration(acceleration_rps2)
+        angle, rate = self.at(t_s)
+        self._start(t_s)
+        end = self._ramp(t_s, angle, rate, rate_rps, acceleration)
+        self._ends_s = end[0]
+
+    def stop(self, t_s: float, acceleration_rps2: float) -> None:
+        """Come to rest along a ramp."""
+        self.jog(t_s, 0.0, acceleration_rps2)
+
+    def move(self, t_s: float, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
+        """Go to an angle and stay there: a trapezoid of rate, a triangle if the way is short."""
+        acceleration = self._acceleration(acceleration_rps2)
+        top = min(abs(rate_rps), self.max_rate_rps)
+        if top == 0.0:
+            self.stop(t_s, acceleration)
+            return
+        start_angle, rate = self.at(t_s)
+        self._start(t_s)
+        now, here = t_s, start_angle
+        stopping = here + rate * abs(rate) / (2 * acceleration)
+        if (rate and (stopping - angle_rad) * rate > 0) or abs(rate) > top:
+            now, here, rate = self._ramp(now, here, rate, 0.0, acceleration)  # too fast to make it: rest first
+        sign = math.copysign(1.0, angle_rad - here) if not rate else math.copysign(1.0, rate)
+        way = abs(angle_rad - here)
+        peak = min(top, math.sqrt(acceleration * way + 0.5 * rate * rate))
+        if peak > 0.0:
+            now, here, _ = self._ramp(now, here, rate, sign * peak, acceleration)
+            ramp_down = peak * peak / (2 * acceleration)
+            flat = max(abs(angle_rad - here) - ramp_down, 0.0) / peak
+            self._segments.append(_Segment(now, here, sign * peak, 0.0))
+            now, here = now + flat, here + sign * peak * flat
+            now, here, _ = self._ramp(now, here, sign * peak, 0.0, acceleration)
+        self._segments.append(_Segment(now, angle_rad, 0.0, 0.0))  # a servo ends on its target, not beside it
+        self._ends_s = now
+
+    def _ramp(
+        self, t_s: float, angle: float, rate: float, to: float, acceleration: float
+    ) -> tuple[float, float, float]:
+        duration = abs(to - rate) / acceleration
+        if duration > 0:
+            segment = _Segment(t_s, angle, rate, math.copysign(acceleration, to - rate))
+            self._segments.append(segment)
+            angle, _ = segment.at(t_s + duration)
+        self._segments.append(_Segment(t_s + duration, angle, to, 0.0))
+        return t_s + duration, angle, to
+
+    def _start(self, t_s: float) -> None:
+        """Forget what was to come, keep what has been."""
+        self.revision += 1
+        past = [s for s in self._segments if s.t_s <= t_s]
+        self._segments = past[-self._keep :]
+
+    def _acceleration(self, wanted_rps2: float) -> float:
+        return min(abs(wanted_rps2) or self.max_acceleration_rps2, self.max_acceleration_rps2)

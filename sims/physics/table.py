@@ -1,0 +1,104 @@
+"""The table as a thing of metal: axes, encoders, a fault input; one model under every protocol."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.types import Floats
+from sims.physics.hidden.table import TableFaults
+from sims.physics.motion import AxisMotion
+
+FOLLOWING_ERROR = "following error"  # reason of a trip by which the servo itself gives up
+
+
+@dataclass(frozen=True, slots=True)
+class AxisData:
+    """What the maker's plate says of an axis, and where it happens to stand at power-on."""
+
+    max_rate_rps: float
+    max_acceleration_rps2: float
+    counts_per_turn: int
+    start_angle_rad: float = 0.0
+
+
+class TableModel:
+    """Axes x, y, z as far as the table has them; angles are true angles from the mechanical home position.
+
+    With ``faults`` an axis moves as its encoder sees it, and only ``angles`` are true.
+    """
+
+    def __init__(
+        self, axes: Mapping[str, AxisData], clock: Callable[[], float], faults: TableFaults | None = None
+    ) -> None:
+        """Start at rest, each axis where it stands; ``clock`` gives seconds."""
+        self._faults = faults or TableFaults()
+        self.clock = clock
+        self.data = dict(axes)
+        self.motion = {
+            name: AxisMotion(data.start_angle_rad, data.max_rate_rps, data.max_acceleration_rps2)
+            for name, data in axes.items()
+        }
+        self.tripped: dict[str, str] = {}
+        self.pressed: dict[str, int] = {}  # limit switches: 1 forward, -1 reverse
+        # Encoders count from where they were switched on until a homing run zeroes them at home.
+        self._zero = {name: data.start_angle_rad for name, data in axes.items()}
+
+    def angles(self, axis: str, t_s: Floats) -> Floats:
+        """Return the true angles of an axis; an axis that the table lacks stays at zero."""
+        motion = self.motion.get(axis)
+        return np.zeros(len(t_s)) if motion is None else self._faults.true_angle(axis, motion.angles(t_s))
+
+    def revision(self) -> int:
+        """Return a number that changes whenever an axis has been told something."""
+        return sum(motion.revision for motion in self.motion.values())
+
+    def encoder_turns(self, axis: str) -> float:
+        """Return what the encoder reads now, a whole number of counts, in turns."""
+        counts = self.data[axis].counts_per_turn
+        angle = self.motion[axis].at(self.clock())[0] - self._zero[axis]
+        return math.floor(angle / (2 * math.pi) * counts + 0.5) / counts
+
+    def rate_rps(self, axis: str) -> float:
+        """Return the rate of an axis now."""
+        return self.motion[axis].at(self.clock())[1]
+
+    def at_rest(self) -> bool:
+        """Return whether no axis turns."""
+        return all(self.rate_rps(axis) == 0.0 for axis in self.motion)
+
+    def move_encoder(self, axis: str, turns: float, rate_rps: float, acceleration_rps2: float) -> None:
+        """Move until the encoder reads this many turns."""
+        target = turns * 2 * math.pi + self._zero[axis]
+        self.motion[axis].move(self.clock(), target, rate_rps, acceleration_rps2)
+
+    def seek_home(self, axis: str, rate_rps: float) -> None:
+        """Turn to the nearest index pulse, which is at home once a turn."""
+        now = self.clock()
+        angle = self.motion[axis].at(now)[0]
+        home = 2 * math.pi * round(angle / (2 * math.pi))
+        self.motion[axis].move(now, home, rate_rps, self.data[axis].max_acceleration_rps2)
+
+    def zero_encoder(self, axis: str) -> None:
+        """Let the encoder count from where the axis stands."""
+        self._zero[axis] = self.motion[axis].at(self.clock())[0]
+
+    def stop(self, axis: str) -> None:
+        """Brake with the drive's full torque."""
+        self.motion[axis].stop(self.clock(), self.data[axis].max_acceleration_rps2)
+
+    def trip(self, axis: str, reason: str) -> None:
+        """Pull the fault input of an axis: it brakes by itself and its drive goes to fault."""
+        self.tripped[axis] = reason
+        self.stop(axis)
+
+    def press_limit(self, axis: str, direction: int) -> None:
+        """Press the limit switch of a direction, 1 or -1: an axis that turns that way brakes by itself."""
+        self.pressed[axis] = direction
+        if self.rate_rps(axis) * direction > 0:
+            self.stop(axis)
+
+    def release_limit(self, axis: str) -> None:
+        """Let go of the limit switch of an axis."""
+        self.pressed.pop(axis, None)

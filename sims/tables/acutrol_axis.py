@@ -1,0 +1,139 @@
+"""One axis of the twin of an ACUTROL controller: interlock, mode, demands, limits."""
+
+import math
+
+from sims.physics.table import TableModel
+
+TURN = 2 * math.pi
+
+LIMITED_MODES = ("rate", "position", "synthesis")
+
+
+class AclError(Exception):
+    """What the controller says when it does not do what it is told."""
+
+
+class AcutrolAxisTwin:
+    """One axis; values are in deg, deg/s, deg/s2."""
+
+    def __init__(self, table: TableModel, axis: str, wrapped: bool) -> None:
+        """Start off, with the interlock open."""
+        self._table, self._axis, self._wrapped = table, axis, wrapped
+        data = table.data[axis]
+        self.most = {"rate": math.degrees(data.max_rate_rps), "acceleration": math.degrees(data.max_acceleration_rps2)}
+        self.limits = {(what, mode): self.most[what] for what in self.most for mode in LIMITED_MODES}
+        self._mode = "off"
+        self.powered = False
+        """Whether the interlock is closed."""
+        self.faulty = False
+        """Whether the interlock is in fault."""
+        self._rate_demand = 0.0
+        self._position_demand = 0.0
+
+    def update(self) -> None:
+        """Let a pulled fault input or a pressed limit switch open the interlock."""
+        if self._axis in self._table.tripped or (self.powered and self._pressed_ahead()):
+            self.faulty, self.powered, self._mode = True, False, "off"
+            self._brake()
+
+    def interlock(self, word: str) -> None:
+        """Open, close or reset the interlock."""
+        if word == "open":
+            self.power_down()
+        elif word == "reset":
+            self._table.tripped.pop(self._axis, None)
+            self.faulty = False
+        elif self.faulty:
+            raise AclError("Interlock fault")
+        else:
+            self.powered = True
+
+    def interlock_text(self) -> str:
+        """Return the state of the interlock."""
+        return "Fault" if self.faulty else "Closed" if self.powered else "Open"
+
+    def mode_text(self) -> str:
+        """Return the mode as it is told."""
+        return self._mode.capitalize()
+
+    def enter(self, mode: str) -> None:
+        """Change the mode; position mode holds where the axis stands."""
+        if mode != "off" and not self.powered:
+            raise AclError("Interlock not closed")
+        self._mode = mode
+        if mode == "rate":
+            self._follow_rate()
+        else:
+            self._brake()
+            self._position_demand = self.angle_deg()
+
+    def demand(self, what: str, value: float) -> None:
+        """Take a demand; it acts in its own mode."""
+        if what == "rate":
+            if abs(value) > self.limits["rate", "rate"] * 1.001:
+                raise AclError("Demand exceeds limit")
+            self._rate_demand = value
+            if self._mode == "rate":
+                self._follow_rate()
+        elif what == "acceleration":
+            self.set_limit("acceleration", "rate", value)
+        elif self._mode != "position":
+            raise AclError("Not in position mode")
+        elif what == "delta":
+            if abs(value) > 180.0:
+                raise AclError("Demand exceeds limit")
+            self._go(self._position_demand + value)
+        else:
+            way = value - self._position_demand
+            self._go(self._position_demand + (math.remainder(way, 360.0) if self._wrapped else way))
+
+    def set_limit(self, what: str, mode: str, value: float) -> None:
+        """Set a limit of a mode, within the absolute one."""
+        if not 0.0 < value <= self.most[what] * 1.001:
+            raise AclError("Value out of range")
+        self.limits[what, mode] = value
+
+    def angle_deg(self) -> float:
+        """Return what the encoder says of the angle, which is absolute."""
+        counts = self._table.data[self._axis].counts_per_turn
+        angle = self._table.motion[self._axis].at(self._table.clock())[0]
+        return math.floor(angle / TURN * counts + 0.5) / counts * 360.0
+
+    def read(self, what: str) -> float:
+        """Return a measured value."""
+        if what == "position":
+            return self.angle_deg() % 360.0 if self._wrapped else self.angle_deg()
+        if what == "rate":
+            return math.degrees(self._table.rate_rps(self._axis))
+        motion, now = self._table.motion[self._axis], self._table.clock()
+        return math.degrees(motion.at(now + 1e-6)[1] - motion.at(now)[1]) * 1e6
+
+    def power_down(self) -> None:
+        """Open the interlock: the drive brakes and lets go."""
+        self._brake()
+        self.powered, self._mode = False, "off"
+
+    def _follow_rate(self) -> None:
+        self._table.motion[self._axis].jog(
+            self._table.clock(), math.radians(self._rate_demand), math.radians(self.limits["acceleration", "rate"])
+        )
+
+    def _go(self, angle_deg: float) -> None:
+        self._position_demand = angle_deg
+        self._table.motion[self._axis].move(
+            self._table.clock(),
+            math.radians(angle_deg),
+            math.radians(self.limits["rate", "position"]),
+            math.radians(self.limits["acceleration", "position"]),
+        )
+
+    def _brake(self) -> None:
+        if self._table.rate_rps(self._axis):
+            self._table.stop(self._axis)
+
+    def _pressed_ahead(self) -> bool:
+        """Return whether the axis stands on a limit switch and is sent further on."""
+        pressed = self._table.pressed.get(self._axis, 0)
+        if self._mode == "rate":
+            return self._rate_demand * pressed > 0
+        return self._mode == "position" and (self._position_demand - self.angle_deg()) * pressed > 1e-3

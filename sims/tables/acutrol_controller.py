@@ -1,0 +1,139 @@
+"""Twin of an ACUTROL controller over the table model: interlocks, modes, demands, limits, as open drivers use them.
+
+The maker's manuals are not public. What the open drivers do not show is chosen here, on the hard side for a driver:
+angles are told within one turn, a position demand is reached on the shorter way, a change of it is 180 deg at most,
+a rate demand of long ago still holds when rate mode is entered. The prefix of an answer is true in its length only.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+
+from sims.physics.table import TableModel
+from sims.tables.acutrol_axis import LIMITED_MODES, AclError, AcutrolAxisTwin
+from sims.wires.line_controller import LineController, number
+
+_VTRIP = 1.1
+_JERK_DPS3 = 100_000.0
+
+_WORDS = {
+    "utility": ("lockout",),
+    "interlock": ("open", "close", "reset"),
+    "mode": ("off", "rate", "position", "synthesis", "absolute"),
+    "demand": ("rate", "position", "delta", "acceleration"),
+    "read": ("rate", "position", "acceleration"),
+    "limit": ("rate", "acceleration", "absolute"),
+}
+
+
+class AcutrolController(LineController):
+    """A line ends with LF; an empty one is none."""
+
+    ends, skipped, longest = b"\n", b"", 256
+
+    def __init__(
+        self,
+        table: TableModel,
+        write: Callable[[bytes], None],
+        axes: Mapping[str, int],
+        *,
+        watchdog_s: float = 0.0,
+        prefix_length: int = 8,
+        wrapped: bool = True,
+        identity: str = "Acutronic,ACUTROL3000,3117,2.4",
+    ) -> None:
+        """``axes`` gives each axis of the table its number; ``watchdog_s`` of silence stops them (0: never)."""
+        super().__init__(table, write, watchdog_s)
+        self._prefix_length, self._identity = prefix_length, identity
+        self._axes = {number: AcutrolAxisTwin(table, axis, wrapped) for axis, number in axes.items()}
+        self._answers = 0
+
+    def _is_powered(self) -> bool:
+        return any(axis.powered for axis in self._axes.values())
+
+    def _take(self, line: bytes) -> None:
+        if not line.strip():
+            return
+        for axis in self._axes.values():
+            axis.update()
+        try:
+            text = self._carry_out(line.decode("ascii", "replace").strip().lower())
+        except AclError as error:
+            text = str(error)
+        self._answers += 1
+        prefix = f"{self._answers:08d}".rjust(self._prefix_length, "0")[-self._prefix_length :]
+        self._write(f"{prefix if self._prefix_length else ''}{text}\r\n".encode("ascii", "replace"))
+
+    def _carry_out(self, line: str) -> str:
+        if line == "*idn?":
+            return self._identity
+        if line == "*stb?":
+            return "65" if any(axis.faulty for axis in self._axes.values()) else "0"
+        subsystem = ""
+        values = []
+        for part in line.split(";"):
+            match = re.fullmatch(r"(?::([a-z]+))?:?([a-z]*)(\?)? ?(.*)", part.strip())
+            if match is None or not (match[1] or subsystem):
+                raise AclError("Command not recognized")
+            subsystem = _full(match[1], _WORDS) if match[1] else subsystem
+            if (value := self._part(subsystem, match[2], bool(match[3]), match[4])) != "OK":
+                values.append(value)
+        return ";".join(values) or "OK"
+
+    def _part(self, subsystem: str, word: str, query: bool, arguments: str) -> str:
+        given = [argument.strip() for argument in arguments.split(",")]
+        if subsystem == "utility":
+            return "OK"
+        if subsystem == "limit":
+            return self._limit(_full(word, _WORDS["limit"]), query, given)
+        axis = self._axis(given[0]) if given[0] else None
+        if subsystem == "interlock" and axis is None and not query:
+            for each in self._axes.values():
+                each.interlock(_full(word, _WORDS["interlock"]))
+            return "OK"
+        if axis is None:
+            raise AclError("Axis missing")
+        if subsystem == "interlock":
+            if query:
+                return axis.interlock_text()
+            axis.interlock(_full(word, _WORDS["interlock"]))
+        elif subsystem == "mode":
+            if query:
+                return axis.mode_text()
+            axis.enter(_full(word or given[-1], _WORDS["mode"]))
+        elif subsystem == "read":
+            return f"{axis.read(_full(word, _WORDS['read'])):.6f}"
+        else:
+            axis.demand(_full(word, _WORDS["demand"]), number(given[-1], AclError("Parameter error")))
+        return "OK"
+
+    def _limit(self, what: str, query: bool, given: list[str]) -> str:
+        if what == "absolute":
+            most = self._axis(given[0]).most
+            values = (most["rate"], most["acceleration"], _JERK_DPS3, -1e6, 1e6, most["rate"] * _VTRIP)
+            return ",".join(f"{value:.6f}" for value in values)
+        if len(given) != (2 if query else 3):
+            raise AclError("Wrong number of arguments")
+        mode, axis = _full(given[0], LIMITED_MODES), self._axis(given[1])
+        if query:
+            return f"{axis.limits[what, mode]:.6f}"
+        axis.set_limit(what, mode, number(given[2], AclError("Parameter error")))
+        return "OK"
+
+    def _axis(self, text: str) -> AcutrolAxisTwin:
+        axis = self._axes.get(int(text)) if text.isdecimal() else None
+        if axis is None:
+            raise AclError("Axis not available")
+        return axis
+
+    def _master_is_silent(self) -> None:
+        for axis in self._axes.values():
+            axis.update()
+            axis.power_down()
+
+
+def _full(word: str, words: Mapping[str, object] | tuple[str, ...]) -> str:
+    """Return the word that a short form means: the first that begins with it."""
+    for full in words:
+        if word and full.startswith(word):
+            return full
+    raise AclError("Command not recognized")

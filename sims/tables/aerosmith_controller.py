@@ -1,0 +1,133 @@
+"""Twin of an Ideal Aerosmith table with one axis, as far as public programs show its language. EXPERIMENTAL.
+
+The bits of STA are its own, since nobody tells the real ones.
+"""
+
+import math
+import re
+from collections.abc import Callable
+
+from sims.physics.table import TableModel
+from sims.wires.line_controller import LineController
+
+STA_MOVING, STA_FAULT, STA_SERVO_OFF, STA_FORWARD_LIMIT, STA_REVERSE_LIMIT = 1, 2, 4, 8, 16
+
+_COMMAND = re.compile(r"([A-Z]{3})([-+]?\d+(?:\.\d*)?)?")
+
+
+class AerosmithController(LineController):
+    """One axis; a line ends with CR."""
+
+    def __init__(
+        self, table: TableModel, write: Callable[[bytes], None], axis: str, *, watchdog_s: float = 0.0
+    ) -> None:
+        """Start with the servo off; ``watchdog_s`` of silence stops the axis (0: never)."""
+        super().__init__(table, write, watchdog_s)
+        self._table, self._axis = table, axis
+        self._servo_on = False
+        self._faulty = False
+        self._held_prompt = False
+        self._homing = False
+        data = table.data[axis]
+        self._most_dps, self._most_dps2 = math.degrees(data.max_rate_rps), math.degrees(data.max_acceleration_rps2)
+        self._velocity_dps, self._acceleration_dps2 = self._most_dps, self._most_dps2
+
+    def _is_powered(self) -> bool:
+        return self._servo_on
+
+    def _take(self, line: bytes) -> None:
+        self._update()
+        if self._held_prompt:
+            self._held_prompt = False
+            self._write(b">\r\n")
+        found = _COMMAND.fullmatch(line.decode("ascii", "replace").strip())
+        text = self._carry_out(found[1], float(found[2] or 0.0)) if found else "?"
+        if text is None:
+            self._held_prompt = True
+        else:
+            self._write(f"{text}\r\n>".encode() if text else b">")
+
+    def _carry_out(self, word: str, value: float) -> str | None:
+        """Return the answer; None if its prompt is held back."""
+        if word == "PPO":
+            return f"{self._table.encoder_turns(self._axis) * 360.0:.4f}"
+        if word == "PVE":
+            return f"{math.degrees(self._table.rate_rps(self._axis)):.4f}"
+        if word == "STA":
+            return str(self._status())
+        if word in ("VEL", "ACL"):
+            return self._set(word, value)
+        if word == "SRV":
+            self._switch(value == 1.0)
+        elif word == "STO":
+            self._homing = False
+            self._brake(self._acceleration_dps2)
+        elif word == "ZER":
+            self._table.zero_encoder(self._axis)
+        elif word in ("JOG", "MOV", "RMO", "HOM"):
+            return self._move(word, value)
+        else:
+            return "?"
+        return ""
+
+    def _set(self, word: str, value: float) -> str:
+        if not 0.0 < value <= (self._most_dps if word == "VEL" else self._most_dps2) * 1.001:
+            return "?"
+        if word == "VEL":
+            self._velocity_dps = value
+        else:
+            self._acceleration_dps2 = value
+        return ""
+
+    def _move(self, word: str, value: float) -> str | None:
+        if not self._servo_on or (word == "JOG" and (abs(value) > self._most_dps * 1.001 or value % 1.0)):
+            return "?"
+        motion, now = self._table.motion[self._axis], self._table.clock()
+        self._homing = False
+        acceleration = math.radians(self._acceleration_dps2)
+        if word == "JOG":
+            if value * self._table.pressed.get(self._axis, 0) > 0:
+                return "?"
+            motion.jog(now, math.radians(value), acceleration)
+            return None
+        if word == "HOM":
+            self._table.seek_home(self._axis, math.radians(self._velocity_dps))
+            self._homing = True
+            return ""
+        start = self._table.encoder_turns(self._axis) if word == "RMO" else 0.0
+        self._table.move_encoder(self._axis, start + value / 360.0, math.radians(self._velocity_dps), acceleration)
+        return ""
+
+    def _switch(self, on: bool) -> None:
+        if on:
+            self._table.tripped.pop(self._axis, None)
+            self._faulty = False
+        else:
+            self._homing = False
+            self._brake(self._most_dps2)
+        self._servo_on = on
+
+    def _update(self) -> None:
+        if self._axis in self._table.tripped:
+            self._faulty, self._servo_on, self._homing = True, False, False
+        if self._homing and self._table.motion[self._axis].settled(self._table.clock()):
+            self._homing = False
+            self._table.zero_encoder(self._axis)
+
+    def _status(self) -> int:
+        pressed = self._table.pressed.get(self._axis, 0)
+        return (
+            STA_MOVING * (self._table.rate_rps(self._axis) != 0.0)
+            + STA_FAULT * self._faulty
+            + STA_SERVO_OFF * (not self._servo_on)
+            + STA_FORWARD_LIMIT * (pressed > 0)
+            + STA_REVERSE_LIMIT * (pressed < 0)
+        )
+
+    def _brake(self, deceleration_dps2: float) -> None:
+        if self._table.rate_rps(self._axis):
+            self._table.motion[self._axis].stop(self._table.clock(), math.radians(deceleration_dps2))
+
+    def _master_is_silent(self) -> None:
+        self._update()
+        self._switch(False)

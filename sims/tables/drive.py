@@ -1,0 +1,221 @@
+"""A CiA 402 servo drive over one axis of the table model: state machine, modes, set-points, watchdog."""
+
+import math
+
+from drivers.tables.modbus import cia402
+from drivers.tables.modbus.registers import DriveProfile
+from sims.physics.table import TableModel
+from sims.wires.watchdog import Watchdog
+
+TURN = 2 * math.pi
+_RELATIVE, _HALT = 0x40, 0x100  # bits 6 and 8 of the controlword
+_READ_ONLY = ("statusword", "position", "rate", "error_code", "serial_number", "firmware")
+
+
+class Drive:
+    """One drive. Values are in turns, turns/s and turns/s2, as its registers carry them.
+
+    What the profile has, it does: with a register ``access`` it takes nothing from a master that has not written 1
+    there; with ``node_guard`` it trips after so many milliseconds of silence (0: never). Other registers that it
+    does not know keep what is written to them.
+    """
+
+    def __init__(self, table: TableModel, axis: str, profile: DriveProfile, watchdog_s: float) -> None:
+        """Start in Switch-on disabled; ``watchdog_s`` of silence stops the axis (0: never)."""
+        self._table, self._axis = table, axis
+        self._errors = profile.errors
+        self._state = cia402.DriveState.SWITCH_ON_DISABLED
+        self._controlword = 0
+        self._watchdog_s = watchdog_s
+        self._watchdog = Watchdog(table.clock, self._silence_s, self._master_is_silent)
+        self._acknowledged = False
+        self._homed = False
+        self._homing = False
+        self._goal: float | None = None  # where the last move was to end, in turns
+        self.values: dict[str, float] = dict.fromkeys(profile.registers, 0.0)
+        self.values |= {"mode": cia402.MODE_PROFILE_VELOCITY, "serial_number": 1.0, "firmware": 1.0}
+
+    def heard(self) -> None:
+        """Note that the master has said something."""
+        self._watchdog.heard(self._state is cia402.DriveState.OPERATION_ENABLED)
+
+    def read(self, register: str) -> float:
+        """Return what a register says now."""
+        self._update()
+        if register == "statusword":
+            return self._statusword()
+        if register == "controlword":
+            return self._controlword
+        if register == "position":
+            return self._table.encoder_turns(self._axis)
+        if register == "rate":
+            return self._table.rate_rps(self._axis) / TURN
+        if register == "error_code":
+            return self._error_code()
+        return self.values[register]
+
+    def write(self, register: str, value: float) -> None:
+        """Take a value; a controlword acts at once."""
+        self._update()
+        if register == "controlword":
+            self._control(int(value))
+        elif register in self.values:
+            self.values[register] = value
+            if register == "mode":
+                self._goal = None
+            if register == "target_rate" and self.values["mode"] == cia402.MODE_PROFILE_VELOCITY:
+                self._follow_rate()
+
+    def commanded_by_us(self, register: str) -> bool:
+        """Return whether the master has the command, or is about to take it."""
+        return register == "access" or self.values.get("access", 1.0) == 1.0
+
+    def accepts(self, register: str, value: float) -> bool:
+        """Return whether a value is within what the drive takes."""
+        if register == "mode":
+            return value in (cia402.MODE_PROFILE_POSITION, cia402.MODE_PROFILE_VELOCITY, cia402.MODE_HOMING)
+        if register in ("target_rate", "profile_rate"):
+            return abs(value) * TURN <= self._table.data[self._axis].max_rate_rps * 1.001
+        return register not in _READ_ONLY
+
+    def _control(self, word: int) -> None:
+        before, self._controlword = self._controlword, word
+        rising = word & ~before
+        if rising & 0x80 and self._state is cia402.DriveState.FAULT:
+            self._table.tripped.pop(self._axis, None)
+            self._state = cia402.DriveState.SWITCH_ON_DISABLED
+            return
+        if self._state in (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION):
+            return
+        self._walk(word)
+        if self._state is cia402.DriveState.OPERATION_ENABLED:
+            self._operate(word, rising, (word ^ before) & _HALT)
+
+    def _walk(self, word: int) -> None:
+        """Carry out the device-control bits 0 to 3 (CiA 402 transitions 2 to 12 and 16)."""
+        state = self._state
+        if not word & 0x02:  # disable voltage
+            self._release(cia402.DriveState.SWITCH_ON_DISABLED)
+        elif not word & 0x04:  # quick stop
+            if state is cia402.DriveState.OPERATION_ENABLED:
+                self._table.stop(self._axis)
+                self._state = cia402.DriveState.QUICK_STOP_ACTIVE
+            elif state is not cia402.DriveState.QUICK_STOP_ACTIVE:
+                self._release(cia402.DriveState.SWITCH_ON_DISABLED)
+        elif word & 0x0F == 0x0F:
+            if state in (
+                cia402.DriveState.SWITCHED_ON,
+                cia402.DriveState.READY_TO_SWITCH_ON,
+                cia402.DriveState.QUICK_STOP_ACTIVE,
+            ):
+                self._enter_operation()
+        elif state is cia402.DriveState.QUICK_STOP_ACTIVE:
+            pass  # as with the quick stop options 5 to 8 (605Ah): neither shutdown nor switch on leads out of it
+        elif word & 0x07 == 0x07:
+            if state is cia402.DriveState.READY_TO_SWITCH_ON:
+                self._state = cia402.DriveState.SWITCHED_ON
+            elif state is cia402.DriveState.OPERATION_ENABLED:
+                self._release(cia402.DriveState.SWITCHED_ON)
+        else:
+            self._release(cia402.DriveState.READY_TO_SWITCH_ON)
+
+    def _enter_operation(self) -> None:
+        self._state = cia402.DriveState.OPERATION_ENABLED
+        self.values["target_rate"] = 0.0
+        self._acknowledged, self._goal = False, None
+        self.heard()
+
+    def _operate(self, word: int, rising: int, halt_changed: int) -> None:
+        mode = self.values["mode"]
+        if mode == cia402.MODE_PROFILE_VELOCITY:
+            self._follow_rate()
+        elif mode == cia402.MODE_HOMING and rising & 0x10:
+            self._homed, self._homing = False, True
+            self._table.seek_home(self._axis, self.values["homing_rate_1"] * TURN)
+        elif mode == cia402.MODE_PROFILE_POSITION:
+            if rising & 0x10:
+                self._acknowledged = True
+                self._goal = self._start_of_move(word) + self.values["target_position"]
+            elif not word & 0x10:
+                self._acknowledged = False
+            if rising & 0x10 or halt_changed:
+                self._follow_goal()
+
+    def _start_of_move(self, word: int) -> float:
+        """Return from where a target position counts: a relative one from the target before it (60F2h: 0)."""
+        if not word & _RELATIVE:
+            return 0.0
+        return self._table.encoder_turns(self._axis) if self._goal is None else self._goal
+
+    def _follow_goal(self) -> None:
+        if self._controlword & _HALT:
+            self._jog(0.0)
+        elif self._goal is not None:
+            rate, acceleration = self.values["profile_rate"] * TURN, self.values["acceleration"] * TURN
+            self._table.move_encoder(self._axis, self._goal, rate, acceleration)
+
+    def _follow_rate(self) -> None:
+        if self._state is cia402.DriveState.OPERATION_ENABLED:
+            self._jog(self.values["target_rate"])
+
+    def _jog(self, rate: float) -> None:
+        rate, ramp = (0.0, "deceleration") if self._controlword & _HALT else (rate, "acceleration")
+        self._table.motion[self._axis].jog(self._table.clock(), rate * TURN, self.values[ramp] * TURN)
+
+    def _release(self, state: cia402.DriveState) -> None:
+        """Leave operation: an axis that turns brakes along its ramp."""
+        if self._table.rate_rps(self._axis):
+            self._table.stop(self._axis)
+        self._state = state
+        self._homing = False
+
+    def _update(self) -> None:
+        """Let what has happened since the last look take effect."""
+        motion = self._table.motion[self._axis]
+        settled = motion.settled(self._table.clock())
+        if self._axis in self._table.tripped:
+            self._state = cia402.DriveState.FAULT if settled else cia402.DriveState.FAULT_REACTION
+            self._homing = False
+        if self._homing and settled:
+            self._homing, self._homed = False, True
+            self._table.zero_encoder(self._axis)
+
+    def _statusword(self) -> int:
+        word = self._state.value[1] | cia402.VOLTAGE_ENABLED
+        mode = self.values["mode"]
+        tripped = self._table.tripped.get(self._axis, "")
+        settled = self._table.motion[self._axis].settled(self._table.clock())
+        if tripped.startswith("limit switch"):
+            word |= cia402.INTERNAL_LIMIT
+        if settled and not self._homing:
+            word |= cia402.TARGET_REACHED
+        if mode == cia402.MODE_HOMING:
+            word |= cia402.BIT_12 if self._homed else 0
+        elif mode == cia402.MODE_PROFILE_POSITION:
+            word |= cia402.BIT_12 if self._acknowledged else 0
+            word |= cia402.BIT_13 if tripped == "following error" else 0
+        elif self._table.rate_rps(self._axis) == 0.0:
+            word |= cia402.BIT_12
+        return word
+
+    def _error_code(self) -> int:
+        """Return the code of the trip: of the first error that is named like it, else the first of all."""
+        reason = self._table.tripped.get(self._axis)
+        if reason is None:
+            return 0
+        named = [code for code, text in self._errors.items() if text.startswith(reason)]
+        return next(iter([*named, *self._errors]), 0)
+
+    def _silence_s(self) -> float:
+        """Return how long the master may be silent, 0 for ever: the drive's own guard, or the bench's watchdog."""
+        limits = [limit for limit in (self.values.get("node_guard", 0.0) / 1000, self._watchdog_s) if limit]
+        return min(limits, default=0.0)
+
+    def _master_is_silent(self) -> None:
+        if self._state is not cia402.DriveState.OPERATION_ENABLED:
+            return
+        if self._silence_s() == self._watchdog_s:
+            self._release(cia402.DriveState.SWITCH_ON_DISABLED)
+        else:
+            self._table.trip(self._axis, "node guarding")
+            self._update()

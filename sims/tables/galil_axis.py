@@ -1,0 +1,227 @@
+"""One axis of the twin of a Galil controller: its settings, its motion, its switches and stop code."""
+
+import math
+
+from drivers.tables.galil import language as galil
+from sims.physics.table import FOLLOWING_ERROR, TableModel
+from sims.wires.line_controller import Refused
+
+TURN = 2 * math.pi
+_LARGEST_COUNT = 2**31 - 1
+_LARGEST_RATE = 12_000_000
+_LARGEST_ACCELERATION = 67_107_840
+_MOST_TORQUE_V = 9.9982
+
+
+class GalilAxisTwin:
+    """Values are in counts, counts/s and counts/s2, as the language has them."""
+
+    def __init__(self, table: TableModel, axis: str, velocity_window_s: float) -> None:
+        """Start with the motor off, at rest."""
+        self._table, self._axis, self._window_s = table, axis, velocity_window_s
+        self._per_turn = table.data[axis].counts_per_turn
+        self._offset = 0
+        self._mode = "PA"
+        self._way = 0  # direction of the motion under way
+        self._end = galil.AT_TARGET  # stop code when the motion under way has ended
+        self._stop_code = galil.AT_TARGET
+        self._moving = False
+        self.motor_off = True
+        self._settings: dict[str, float] = {
+            "JG": 25000, "PA": 0, "PR": 0, "SP": 25000, "AC": 256000, "DC": 256000,
+            "ER": 16384, "OE": 0, "FL": _LARGEST_COUNT, "BL": -_LARGEST_COUNT - 1,
+            "TL": _MOST_TORQUE_V,
+        }  # fmt: skip
+
+    def update(self) -> None:
+        """Let what has happened since the last look take effect."""
+        motion, now = self._table.motion[self._axis], self._table.clock()
+        pressed = self._table.pressed.get(self._axis, 0)
+        reason = self._table.tripped.get(self._axis)
+        if reason is not None and reason.startswith("limit switch"):
+            # A switch that was hit for a moment: a Galil stops, keeps the motor on, and forgets nothing.
+            del self._table.tripped[self._axis]
+            self._moving, self._stop_code = False, galil.REVERSE_LIMIT if self._way < 0 else galil.FORWARD_LIMIT
+        elif reason is not None and not self.motor_off:
+            self.motor_off, self._moving = True, False
+            self._stop_code = galil.OFF_ON_ERROR if reason == FOLLOWING_ERROR else galil.AMPLIFIER_FAULT
+        if self._moving and pressed and pressed == self._way and self._end not in galil.LIMIT_STOPS:
+            self._end = galil.FORWARD_LIMIT if pressed > 0 else galil.REVERSE_LIMIT
+            self._brake(self._table.data[self._axis].max_acceleration_rps2)
+        if self._moving and motion.settled(now) and (self._mode != "JG" or self._end != galil.AT_TARGET):
+            self._moving, self._stop_code = False, self._end
+
+    def get(self, word: str) -> float:
+        """Return a value by the command that tells it."""
+        if word in ("TP", "DP"):
+            return self._position()
+        if word == "TV":
+            now = self._table.clock()
+            motion = self._table.motion[self._axis]
+            return self._to_counts((motion.at(now)[0] - motion.at(now - self._window_s)[0]) / self._window_s)
+        if word == "TE":
+            lost = self._table.tripped.get(self._axis) == FOLLOWING_ERROR
+            return self._settings["ER"] + 1 if lost else 0
+        state: dict[str, float] = {
+            "TS": self._switches(),
+            "SC": self._stop_code,
+            "BG": int(self._moving),
+            "MO": int(self.motor_off),
+        }
+        state |= {"TD": 0, "TT": 0.0}  # no dual encoders; torque is not simulated
+        if word in state:
+            return state[word]
+        if word not in self._settings:
+            raise Refused(galil.UNRECOGNIZED)
+        return self._settings[word]
+
+    def set(self, word: str, value: float) -> None:
+        """Take a value; a jog under way follows at once."""
+        if word in ("PA", "PR", "DP") and self._moving:
+            raise Refused(galil.NOT_WHILE_RUNNING)
+        if word == "JG" and self._moving and self._mode != "JG":
+            raise Refused(galil.NOT_JOGGING)
+        self._check_range(word, value)
+        if word in ("AC", "DC"):
+            value = galil.floor_acceleration(value)
+        elif word == "SP":
+            value = int(value) // 2 * 2 or 2  # in steps of two
+        elif word == "JG":
+            value = int(value)
+        if word == "DP":
+            self._table.zero_encoder(self._axis)
+            self._offset = round(value)
+            return
+        self._settings[word] = value
+        if word in ("PA", "PR", "JG"):
+            self._mode = word
+        if word == "JG" and self._moving:
+            self._jog()
+
+    def act(self, word: str) -> None:
+        """Carry out SH, MO, ST, HM or FI."""
+        if word == "ST":
+            if self._moving:
+                self._end = galil.STOPPED
+                self._brake(self._to_rad(self._settings["DC"]))
+            return
+        if self._moving:
+            raise Refused(galil.NOT_WHILE_RUNNING)
+        if word == "MO":
+            self.motor_off = True
+        elif word == "SH":
+            if self._table.rate_rps(self._axis) == 0.0:
+                self._table.tripped.pop(self._axis, None)
+                self.motor_off = False
+        else:
+            self._mode = word
+
+    def check_begin(self) -> None:
+        """Refuse to begin what cannot be begun."""
+        if self.motor_off:
+            raise Refused(galil.MOTOR_OFF)
+        if self._moving:
+            raise Refused(galil.RUNNING)
+        pressed = self._table.pressed.get(self._axis, 0)
+        if pressed and pressed == self._direction():
+            raise Refused(galil.ON_LIMIT)
+
+    def begin(self) -> None:
+        """Start the motion that was set up."""
+        self._way, self._moving, self._stop_code, self._end = self._direction(), True, 0, galil.AT_TARGET
+        acceleration = self._to_rad(self._settings["AC"])
+        motion, now = self._table.motion[self._axis], self._table.clock()
+        if self._mode == "JG":
+            self._jog()
+        elif self._mode == "HM":
+            self._end = galil.HOMED
+            self._table.seek_home(self._axis, self._to_rad(self._settings["SP"]))
+        elif self._mode == "FI":
+            self._end = galil.HOMED
+            turns = motion.at(now)[0] / TURN
+            pulse = math.ceil(turns) if self._way > 0 else math.floor(turns)
+            motion.move(now, pulse * TURN, self._to_rad(abs(self._settings["JG"])), acceleration)
+        else:
+            target = self._settings["PA"] if self._mode == "PA" else self._position() + self._settings["PR"]
+            self._go(self._within_soft_limits(target), self._settings["SP"])
+
+    def abort(self) -> None:
+        """Stop without a ramp; the motor goes off where off-on-error is set."""
+        if self._moving:
+            self._moving, self._stop_code = False, galil.ABORTED
+        self._table.stop(self._axis)
+        self.motor_off |= bool(self._settings["OE"])
+
+    def power_down(self) -> None:
+        """Brake along the ramp and switch the motor off."""
+        if self._moving:
+            self._brake(self._to_rad(self._settings["DC"]))
+            self._moving, self._stop_code = False, galil.STOPPED
+        self.motor_off = True
+
+    def _jog(self) -> None:
+        """Turn at the rate of JG, as far as a soft limit lets it."""
+        rate = self._settings["JG"]
+        self._way = int(math.copysign(1, rate)) if rate else 0
+        limit = self._settings["FL"] if rate > 0 else self._settings["BL"]
+        if abs(limit) < _LARGEST_COUNT and rate:
+            self._end = galil.FORWARD_LIMIT if rate > 0 else galil.REVERSE_LIMIT
+            self._go(limit, abs(rate))
+        else:
+            motion = self._table.motion[self._axis]
+            motion.jog(self._table.clock(), self._to_rad(rate), self._to_rad(self._settings["AC"]))
+
+    def _within_soft_limits(self, target: float) -> float:
+        if target > self._settings["FL"]:
+            self._end = galil.FORWARD_LIMIT
+            return self._settings["FL"]
+        if target < self._settings["BL"]:
+            self._end = galil.REVERSE_LIMIT
+            return self._settings["BL"]
+        return target
+
+    def _go(self, counts: float, rate: float) -> None:
+        turns = (counts - self._offset) / self._per_turn
+        self._table.move_encoder(self._axis, turns, self._to_rad(rate), self._to_rad(self._settings["AC"]))
+
+    def _brake(self, deceleration_rps2: float) -> None:
+        self._table.motion[self._axis].stop(self._table.clock(), deceleration_rps2)
+
+    def _direction(self) -> int:
+        if self._mode == "PA":
+            way = self._settings["PA"] - self._position()
+        elif self._mode == "HM":
+            way = -math.remainder(self._table.motion[self._axis].at(self._table.clock())[0], TURN)
+        else:
+            way = self._settings["PR" if self._mode == "PR" else "JG"]
+        return int(math.copysign(1, way)) if way else 0
+
+    def _switches(self) -> int:
+        """Return the TS word; the home input is low in the first half of a turn."""
+        pressed = self._table.pressed.get(self._axis, 0)
+        lost = self._table.tripped.get(self._axis) == FOLLOWING_ERROR
+        beyond_home = math.sin(self._table.motion[self._axis].at(self._table.clock())[0]) < 0
+        bits = (self._moving, lost, self.motor_off, False, pressed <= 0, pressed >= 0, beyond_home, True)
+        return sum(bit << 7 - place for place, bit in enumerate(bits))
+
+    def _position(self) -> int:
+        return round(self._table.encoder_turns(self._axis) * self._per_turn) + self._offset
+
+    def _to_rad(self, counts: float) -> float:
+        return counts / self._per_turn * TURN
+
+    def _to_counts(self, angle_rad: float) -> float:
+        return angle_rad / TURN * self._per_turn
+
+    def _check_range(self, word: str, value: float) -> None:
+        low, high = {
+            "SP": (0, _LARGEST_RATE),
+            "JG": (-_LARGEST_RATE, _LARGEST_RATE),
+            "AC": (1024, _LARGEST_ACCELERATION),
+            "DC": (1024, _LARGEST_ACCELERATION),
+            "ER": (-1, _LARGEST_COUNT),
+            "OE": (0, 3),
+            "TL": (0, _MOST_TORQUE_V),
+        }.get(word, (-_LARGEST_COUNT - 1, _LARGEST_COUNT))
+        if not low <= value <= high:
+            raise Refused(galil.OUT_OF_RANGE)

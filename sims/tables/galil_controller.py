@@ -1,0 +1,195 @@
+"""Twin of a Galil DMC motion controller over the table model: commands, answers, motion, switches, stop codes.
+
+It is what the manuals and public code tables say; where they are silent it does the simplest thing. The watchdog is
+what a program on a real controller has to do: a DMC has none of its own.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+
+from drivers.packaged import packaged_codes, packaged_toml
+from drivers.tables.galil.language import LONGEST_LINE, UNRECOGNIZED
+from sims.physics.table import TableModel
+from sims.tables.galil_axis import GalilAxisTwin
+from sims.wires.line_controller import LineController, Refused, number
+
+_LETTERS = "ABCDEFGH"
+_SYNONYMS = str.maketrans("XYZW", "ABCD")
+_COMMAND = re.compile(r"([A-Z]{2}) ?(.*)")
+_ONE_AXIS = re.compile(r"([A-HW-Z])=(.+)")
+_REVISION = "\x12\x16"
+
+_WORDS = packaged_codes("sims", "galil", "error")
+_KNOWN = packaged_toml("sims", "codes.toml")["galil"]
+_TELL = ("TP", "TV", "TE", "TS", "SC", "TD", "TT")
+_SETTINGS = ("JG", "PA", "PR", "SP", "AC", "DC", "ER", "OE", "FL", "BL", "DP", "TL")
+_IN_VOLTS = ("TT", "TL")
+
+
+class GalilController(LineController):
+    """A carriage return or a semicolon ends a command."""
+
+    ends, longest = b"\r;", LONGEST_LINE
+
+    def __init__(
+        self,
+        table: TableModel,
+        write: Callable[[bytes], None],
+        axes: Mapping[str, str],
+        *,
+        watchdog_s: float = 0.0,
+        velocity_window_s: float = 0.25,
+        echo: bool = False,
+        revision: str = "DMC4030 Rev 1.2c",
+        serial: int = 9046,
+    ) -> None:
+        """``axes`` gives each axis of the table its letter; ``watchdog_s`` of silence stops them (0: never).
+
+        Velocities are means of ``velocity_window_s``.
+        """
+        super().__init__(table, write, watchdog_s)
+        self._axes = {
+            letter: GalilAxisTwin(table, axis, velocity_window_s)
+            for axis, letter in sorted(axes.items(), key=lambda a: a[1])
+        }
+        self._echo, self._revision, self._serial = echo, revision, serial
+        self._error = 0
+        self._leading_zeros = False
+        self._own: dict[str, list[float]] = {word: list(values) for word, values in _KNOWN["setting"].items()}
+
+    def received(self, data: bytes) -> None:
+        """Take bytes from the host, cut anywhere; with echo on each is said again before it is obeyed."""
+        for part in [bytes([byte]) for byte in data] if self._echo else [data]:
+            if self._echo:
+                self._write(part.replace(b"\r", b"\r\n"))
+            super().received(part)
+
+    def _is_powered(self) -> bool:
+        return any(not axis.motor_off for axis in self._axes.values())
+
+    def _take(self, line: bytes) -> None:
+        for axis in self._axes.values():
+            axis.update()
+        try:
+            if self._too_long:
+                raise Refused(5)
+            text = self._command(line.decode("ascii", "replace").strip(" "))
+        except Refused as refusal:
+            self._error = refusal.code
+            self._write(b"?")
+            return
+        self._write(f"{text}\r\n:".encode() if text else b":")
+
+    def _command(self, command: str) -> str:
+        if not command:
+            return ""
+        if command == _REVISION:
+            return self._revision
+        match = _COMMAND.fullmatch(command)
+        if match is None:
+            raise Refused(UNRECOGNIZED)
+        word, operand = match[1], match[2].strip()
+        if word == "MG":
+            return self._message(operand)
+        if word in _SETTINGS:
+            return self._setting(word, operand)
+        if word in self._own:
+            return self._own_setting(word, operand)
+        if word in _KNOWN["tell"]:
+            return str(_KNOWN["tell"][word])
+        if word in _TELL:
+            return ",".join(self._number(axis.get(word), word) for axis in self._each(operand))
+        return self._act(word, operand)
+
+    def _act(self, word: str, operand: str) -> str:
+        if word == "TC":
+            code, self._error = self._error, 0
+            return f" {code}" if operand in ("", "0") else f"{code} {_WORDS.get(code, '')}".rstrip()
+        if word == "ID":
+            return f"FW, {self._revision}"
+        if word == "TB":
+            return f" {int(self._echo)}"
+        if word == "AB":
+            for axis in self._axes.values():
+                axis.abort()
+        elif word == "EO":
+            self._echo = operand == "1"
+        elif word == "LZ":
+            self._leading_zeros = operand == "0"
+        elif word == "BG":
+            for axis in self._each(operand):
+                axis.check_begin()
+            for axis in self._each(operand):
+                axis.begin()
+        elif word in ("SH", "MO", "ST", "HM", "FI"):
+            for axis in self._each(operand):
+                axis.act(word)
+        else:
+            raise Refused(UNRECOGNIZED)
+        return ""
+
+    def _setting(self, word: str, operand: str) -> str:
+        """Set or tell values: ``JGA=1000``, ``JGA=?``, ``JG 1000,,500``, ``JG ?,?``."""
+        one = _ONE_AXIS.fullmatch(operand)
+        if one:
+            given = {self._axis(one[1]): one[2]}
+        else:
+            values = operand.split(",")
+            if len(values) > len(_LETTERS):
+                raise Refused(4)
+            given = {self._axis(_LETTERS[i]): value for i, value in enumerate(values) if value.strip()}
+        if given and all(value.strip() == "?" for value in given.values()):
+            return ",".join(self._number(axis.get(word), word) for axis in given)
+        for axis, value in given.items():
+            axis.set(word, number(value, Refused(4)))
+        return ""
+
+    def _own_setting(self, word: str, operand: str) -> str:
+        """Set or tell what the controller has once, not for each axis."""
+        own, values = self._own[word], [value.strip() for value in operand.split(",")]
+        if len(values) > len(own):
+            raise Refused(4)
+        for i, value in enumerate(values):
+            if value not in ("", "?"):
+                own[i] = number(value, Refused(4))
+        return ",".join(f"{own[i]: g}" for i, value in enumerate(values) if value == "?")
+
+    def _message(self, operand: str) -> str:
+        """Tell texts in quotation marks, numbers, and what the controller knows (``_TPA``)."""
+        parts = []
+        decimals = round(self._own["VF"][0] % 1 * 10)
+        for part in re.findall(r'"[^"]*"|[^,"]+', operand):
+            if part.startswith('"'):
+                parts.append(part[1:-1])
+            elif part.strip() == "_BN":
+                parts.append(f" {self._serial}.0000")
+            elif part.strip().startswith("_"):
+                name = part.strip()
+                parts.append(f"{self._axis(name[3:]).get(name[1:3]): .{decimals}f}")
+            else:
+                parts.append(f"{number(part, Refused(4)): .{decimals}f}")
+        if not parts:
+            raise Refused(4)
+        return "".join(parts)
+
+    def _each(self, letters: str) -> list[GalilAxisTwin]:
+        return [self._axis(letter) for letter in letters] if letters else list(self._axes.values())
+
+    def _axis(self, letter: str) -> GalilAxisTwin:
+        axis = self._axes.get(letter.translate(_SYNONYMS))
+        if axis is None:
+            raise Refused(UNRECOGNIZED)
+        return axis
+
+    def _number(self, value: float, word: str) -> str:
+        if word in _IN_VOLTS:
+            return f"{value: .4f}"
+        whole = round(value)
+        if self._leading_zeros:
+            return f"{'-' if whole < 0 else ''}{abs(whole):0{3 if word in ('TS', 'SC') else int(self._own['PF'][0])}d}"
+        return f"{'' if whole < 0 else ' '}{whole}"
+
+    def _master_is_silent(self) -> None:
+        for axis in self._axes.values():
+            axis.update()
+            axis.power_down()

@@ -1,0 +1,272 @@
+"""The protocol side of the table twin: drives on Modbus, TCP or RTU, at the connections of a stock pymodbus server.
+
+Requests are read by the letter of the MODBUS Application Protocol Specification V1.1b3, the Messaging on TCP/IP
+Implementation Guide V1.0b and MODBUS over Serial Line V1.02: a stock server passes what a drive would not.
+"""
+
+import asyncio
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from pymodbus.constants import ExcCodes
+from pymodbus.framer import FramerRTU
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.server.requesthandler import ServerRequestHandler
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from drivers.tables.modbus.line import Address, SerialPort
+from drivers.tables.modbus.order import READ, WRITE_MORE, WRITE_ONE
+from drivers.tables.modbus.registers import DriveProfile, Register
+from sims.physics.table import TableModel
+from sims.tables.drive import Drive
+from sims.wires.faults import Line, Silence, WireFaults, damaged
+from sims.wires.line_controller import Refused
+from sims.wires.wires import ByteDevice, Write
+
+_BROADCAST = 0
+_MOST_READ, _MOST_WRITTEN = 125, 123  # registers a request
+_HEADER = struct.Struct(">HHH")  # on TCP: transaction, protocol, length
+_LENGTHS = range(2, 255)  # of unit id and PDU
+_LONGEST_FRAME = 256  # on RTU
+
+
+class FaultyModbus:
+    """What a wire does to requests and replies on it."""
+
+    def __init__(self, faults: WireFaults, seed: int | tuple[int, ...]) -> None:
+        """Must be made within a running loop."""
+        self._faults = faults
+        self._random = np.random.default_rng(seed)
+        self._silence = Silence(faults)
+        # A reply is late by what request and reply take: the stock server has no place for two requests at once.
+        both = replace(faults, latency_s=2 * faults.latency_s, jitter_s=2 * faults.jitter_s)
+        self._line = Line(self._write, both, self._random)
+        self.server: ModbusTcpServer | ModbusSerialServer | None = None
+
+    def trace(self, sending: bool, data: bytes) -> bytes:
+        """Return what comes through of a frame at once."""
+        if self._silence.now or self._random.random() < self._faults.loss:
+            return b""
+        data = damaged(data, self._faults, self._random)
+        if not sending or not self._faults.delays:
+            return data
+        self._line.put(data)
+        return b""
+
+    def _write(self, data: bytes) -> None:
+        for connection in list(self.server.active_connections.values()) if self.server is not None else ():
+            if connection.transport is not None:
+                connection.transport.write(data)  # type: ignore[attr-defined]
+
+
+def pull_plug(server: ModbusTcpServer | ModbusSerialServer) -> None:
+    """Close all connections of a server and have it listen no more, until ``listen`` is called at the same address."""
+    for bound in getattr(server.transport, "sockets", ()):
+        server.init_setup_connect_listen(*bound.getsockname()[:2])  # also where any port was asked for
+    server.close()
+
+
+class DriveRegisters:
+    """Translates Modbus requests into reads and writes of one drive."""
+
+    def __init__(self, drive: Drive, profile: DriveProfile, counts_per_turn: int) -> None:
+        """``counts_per_turn`` scales the registers, as the profile says."""
+        self._drive = drive
+        self._counts = counts_per_turn
+        self._by_address: dict[int, Register] = {r.address: r for r in profile.registers.values()}
+
+    def answer(self, pdu: bytes) -> bytes:
+        """Return the reply to a request, both from the function code on."""
+        self._drive.heard()
+        try:
+            return pdu[:1] + self._carry_out(pdu[0], pdu[1:])
+        except Refused as refusal:
+            return _exception(pdu, refusal.code)
+        except ValueError:  # what the drive has to say fits no register
+            return _exception(pdu, ExcCodes.DEVICE_FAILURE)
+
+    def _carry_out(self, function: int, data: bytes) -> bytes:
+        """Check in the order of the specification: function code, quantity, address, value."""
+        if function == READ:
+            address, count = _unpacked(">HH", data)
+            if not 1 <= count <= _MOST_READ:
+                raise Refused(ExcCodes.ILLEGAL_VALUE)
+            registers = self._at(address, count)
+            words = [word for r in registers for word in r.encode(self._drive.read(r.name), self._counts)]
+            return bytes([2 * count]) + struct.pack(f">{count}H", *words)
+        if function == WRITE_ONE:
+            address, word = _unpacked(">HH", data)
+            self._write(address, [word])
+        elif function == WRITE_MORE:
+            address, count, size = _unpacked(">HHB", data[:5])
+            if not 1 <= count <= _MOST_WRITTEN or size != 2 * count:
+                raise Refused(ExcCodes.ILLEGAL_VALUE)
+            self._write(address, _unpacked(f">{count}H", data[5:]))
+        else:
+            raise Refused(ExcCodes.ILLEGAL_FUNCTION)
+        return data[:4]
+
+    def _write(self, address: int, words: Sequence[int]) -> None:
+        for register in self._at(address, len(words)):
+            value = register.decode(words[: register.words], self._counts)
+            words = words[register.words :]
+            if not self._drive.commanded_by_us(register.name):
+                raise Refused(ExcCodes.DEVICE_FAILURE)
+            if not self._drive.accepts(register.name, value):
+                raise Refused(ExcCodes.ILLEGAL_VALUE)
+            self._drive.write(register.name, value)
+
+    def _at(self, address: int, count: int) -> list[Register]:
+        """Return what lies at these addresses; a register that is not there, or only half of one, is refused."""
+        found: list[Register] = []
+        while count:
+            register = self._by_address.get(address)
+            if register is None or register.words > count:
+                raise Refused(ExcCodes.ILLEGAL_ADDRESS)
+            found.append(register)
+            address, count = address + register.words, count - register.words
+        return found
+
+
+class ModbusTcp:
+    """Drives by unit id behind a gateway on TCP; what a unit that is not there is asked it refuses (exception 0Bh)."""
+
+    def __init__(self, drives: Mapping[int, DriveRegisters], write: Write) -> None:
+        """Begin with no request."""
+        self._drives, self._write = drives, write
+        self._buffer = b""
+
+    def received(self, data: bytes) -> None:
+        """Answer each request in turn; ConnectionError when nobody can tell where the next one begins."""
+        self._buffer += data
+        while len(self._buffer) >= _HEADER.size:
+            number, protocol, length = _HEADER.unpack_from(self._buffer)
+            if length not in _LENGTHS:
+                raise ConnectionError
+            end = _HEADER.size + length
+            if len(self._buffer) < end:
+                return
+            unit, pdu, self._buffer = self._buffer[6], self._buffer[7:end], self._buffer[end:]
+            if protocol:
+                continue  # discarded, says the implementation guide (4.4.2.1)
+            drive = self._drives.get(unit)
+            reply = drive.answer(pdu) if drive else _exception(pdu, ExcCodes.GATEWAY_NO_RESPONSE)
+            self._write(_HEADER.pack(number, 0, len(reply) + 1) + bytes([unit]) + reply)
+
+
+class ModbusRtu:
+    """Drives by unit id on a serial line; those that are not there are silent, a broadcast is answered by none.
+
+    A frame ends with 3.5 characters of silence; one that is whole by its length is answered at once.
+    """
+
+    def __init__(self, drives: Mapping[int, DriveRegisters], silence_s: float, write: Write) -> None:
+        """Must be made within a running loop."""
+        self._drives, self._write, self._silence_s = drives, write, silence_s
+        self._buffer = b""
+        self._loop = asyncio.get_running_loop()
+        self._silence: asyncio.TimerHandle | None = None
+
+    def received(self, data: bytes) -> None:
+        """Take bytes from the master."""
+        if self._silence is not None:
+            self._silence.cancel()
+        self._buffer = (self._buffer + data)[-_LONGEST_FRAME - 1 :]
+        function = self._buffer[1] if len(self._buffer) > 1 else 0
+        more = self._buffer[6] + 1 if function == WRITE_MORE and len(self._buffer) > 6 else 0
+        if len(self._buffer) == 8 + more and function in (READ, WRITE_ONE, WRITE_MORE) and _is_sound(self._buffer):
+            self._serve()
+        else:
+            self._silence = self._loop.call_later(self._silence_s, self._serve)
+
+    def _serve(self) -> None:
+        frame, self._buffer = self._buffer, b""
+        if not _is_sound(frame):
+            return
+        unit, pdu = frame[0], frame[1:-2]
+        if unit == _BROADCAST:
+            for drive in self._drives.values():
+                drive.answer(pdu)
+        elif unit in self._drives:
+            reply = frame[:1] + self._drives[unit].answer(pdu)
+            self._write(reply + FramerRTU.compute_CRC(reply).to_bytes(2))
+
+
+class _Connection(ServerRequestHandler):
+    """One master's connection to a stock server, whose transport it keeps."""
+
+    def __init__(self, server: Any, make: Callable[[Write], ByteDevice]) -> None:
+        super().__init__(server, server.trace_packet, None, server.trace_connect)  # type: ignore[no-untyped-call]
+        self._device = make(self._say)
+
+    def data_received(self, data: bytes) -> None:
+        try:
+            self._device.received(self.trace_packet(False, data))
+        except ConnectionError:
+            self.close()
+
+    def _say(self, frame: bytes) -> None:
+        if frame := self.trace_packet(True, frame):
+            self.send(frame)
+
+
+def drives_by_unit(
+    table: TableModel, profile: DriveProfile, unit_ids: Mapping[str, int], watchdog_s: float
+) -> dict[int, DriveRegisters]:
+    """Return a drive for each axis, by its unit id."""
+    return {
+        unit_id: DriveRegisters(Drive(table, axis, profile, watchdog_s), profile, table.data[axis].counts_per_turn)
+        for axis, unit_id in unit_ids.items()
+    }
+
+
+def modbus_server(
+    table: TableModel,
+    profile: DriveProfile,
+    unit_ids: Mapping[str, int],
+    address: Address,
+    watchdog_s: float,
+    faults: FaultyModbus | None = None,
+) -> ModbusTcpServer | ModbusSerialServer:
+    """Return a server, not yet listening, with one unit id an axis; at a host and port, or on a serial line."""
+    drives = drives_by_unit(table, profile, unit_ids, watchdog_s)
+    trace = None if faults is None else faults.trace
+    nobody = [SimDevice(1, simdata=[SimData(0, datatype=DataType.REGISTERS)])]  # the stock server wants to be given one
+    server: ModbusTcpServer | ModbusSerialServer
+    if not isinstance(address, SerialPort):
+        server = ModbusTcpServer(nobody, address=address, trace_packet=trace)
+        make: Callable[[Write], ByteDevice] = partial(ModbusTcp, drives)
+    else:
+        server = ModbusSerialServer(
+            nobody,
+            trace_packet=trace,
+            port=address.port,
+            baudrate=address.baud,
+            parity=address.parity,
+            stopbits=address.stop_bits,
+        )
+        make = partial(ModbusRtu, drives, address.silence_s)
+    server.callback_new_connection = partial(_Connection, server, make)  # type: ignore[method-assign]
+    if faults is not None:
+        faults.server = server
+    return server
+
+
+def _exception(pdu: bytes, code: int) -> bytes:
+    return bytes((pdu[0] | 0x80, code))
+
+
+def _unpacked(layout: str, data: bytes) -> tuple[int, ...]:
+    """Return the numbers of a request; a length that contradicts it is an illegal value."""
+    try:
+        return struct.unpack(layout, data)
+    except struct.error:
+        raise Refused(ExcCodes.ILLEGAL_VALUE) from None
+
+
+def _is_sound(frame: bytes) -> bool:
+    return len(frame) >= 4 and FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:]))

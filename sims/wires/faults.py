@@ -1,0 +1,308 @@
+"""What can go wrong with a twin and its wire: knobs, the same every time for one seed.
+
+A bench file turns them in [twin.fault] for the table and [twin.NAME.fault] for a device; times count from the start of
+the twins, on the loop's clock. Faults of a wire sit between device and wire, so one serves every wire.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+from collections import deque
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Generic, TypeVar
+
+import can
+import numpy as np
+
+from sims.physics.hidden.errors import HiddenError
+from sims.physics.hidden.fields import choice, given, read, refuse_unknown
+from sims.physics.table import FOLLOWING_ERROR, TableModel
+from sims.wires.frames import FrameSink
+from sims.wires.wires import ByteDevice, Plug, Write
+
+T = TypeVar("T")
+
+_MOST_UNDER_WAY = 100_000
+_KINDS = {"fault": "fault input", "limit": "limit switch", "servo": FOLLOWING_ERROR, "runaway": ""}
+_RUNAWAY_RPS = math.radians(20.0)
+_KEY = re.compile(r"_s$")  # a key is a field's name without its unit
+
+
+@dataclass(frozen=True, slots=True)
+class WireFaults:
+    """What a wire does to what goes over it, both ways.
+
+    Everything comes ``latency_s`` late and ``jitter_s`` more on the average (exponentially scattered), in its order;
+    of what the device sends the share ``late`` comes ``late_by_s`` later still.
+    ``loss`` and ``doubled`` are shares of what is sent at once, or of frames; ``byte_loss`` and ``bit_flips`` shares
+    of bytes. With ``one_byte`` bytes come one at a time. Nothing comes through from ``silent_from_s`` to
+    ``silent_until_s``; the plug is pulled at ``unplug_s`` and put back at ``replug_s``.
+    """
+
+    latency_s: float = field(default=0.0, metadata=given("s", least=0))
+    jitter_s: float = field(default=0.0, metadata=given("s", least=0))
+    late: float = field(default=0.0, metadata=given("%", least=0))
+    late_by_s: float = field(default=0.0, metadata=given("s", least=0))
+    loss: float = field(default=0.0, metadata=given("%", least=0))
+    doubled: float = field(default=0.0, metadata=given("%", least=0))
+    byte_loss: float = field(default=0.0, metadata=given("%", least=0))
+    bit_flips: float = field(default=0.0, metadata=given("%", least=0))
+    one_byte: bool = False
+    silent_from_s: float = field(default=math.inf, metadata=given("s", least=0))
+    silent_until_s: float = field(default=math.inf, metadata=given("s", least=0))
+    unplug_s: float = field(default=math.inf, metadata=given("s", least=0))
+    replug_s: float = field(default=math.inf, metadata=given("s", least=0))
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        _check(self, ("late", "loss", "doubled", "byte_loss", "bit_flips"))
+
+    @property
+    def any(self) -> bool:
+        """Whether anything is wrong at all."""
+        return self != WireFaults()
+
+    @property
+    def delays(self) -> bool:
+        """Whether anything comes late."""
+        return bool(self.latency_s or self.jitter_s or self.late)
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceFaults:
+    """What is wrong with a device under test.
+
+    Gyro ``stuck`` (from 1; 0 is none) keeps its output and gyro ``saturated`` shows the end of its range, from
+    ``from_s`` to ``until_s``. ``dropped`` and ``doubled`` are shares of samples; ``clock`` is how much too fast its
+    clock runs.
+    """
+
+    stuck: int = 0
+    saturated: int = 0
+    from_s: float = field(default=0.0, metadata=given("s", least=0))
+    until_s: float = field(default=math.inf, metadata=given("s", least=0))
+    dropped: float = field(default=0.0, metadata=given("%", least=0))
+    doubled: float = field(default=0.0, metadata=given("%", least=0))
+    clock: float = field(default=0.0, metadata=given("ppm"))
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        _check(self, ("dropped", "doubled"))
+        if min(self.stuck, self.saturated) < 0:
+            raise HiddenError("stuck, saturated: gyros are counted from 1")
+
+    @property
+    def clock_ppm(self) -> float:
+        """How much too fast its clock runs, in ppm."""
+        return self.clock * 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class TableFault:
+    """A fault of one axis of the table at an instant: a fault input, a limit switch, a servo that trips or turns it."""
+
+    axis: str = field(metadata=choice(("x", "y", "z")))
+    at_s: float = field(metadata=given("s", least=0))
+    kind: str = field(default="fault", metadata=choice(tuple(_KINDS)))
+
+    def strike(self, table: TableModel, *, limits_trip: bool) -> None:
+        """Let it happen; ``limits_trip`` is of drives that know a limit switch only as a reason to trip."""
+        if self.kind == "runaway":
+            table.motion[self.axis].jog(table.clock(), _RUNAWAY_RPS, table.data[self.axis].max_acceleration_rps2)
+        elif self.kind == "limit" and not limits_trip:
+            table.press_limit(self.axis, 1 if table.rate_rps(self.axis) >= 0 else -1)
+        else:
+            table.trip(self.axis, _KINDS[self.kind])
+
+
+def device_faults(table: Mapping[str, object], gyros: int, where: str) -> tuple[DeviceFaults, WireFaults]:
+    """Return what [twin.NAME.fault] says of a device of so many gyros and of its wire; HiddenError if it cannot be."""
+    device, wire = _split(table, (DeviceFaults, WireFaults), where)
+    numbers = {
+        key: _number(device.pop(key), gyros, f"{where}.{key}") for key in ("stuck", "saturated") if key in device
+    }
+    found = read(DeviceFaults, device, where)
+    return replace(found, **numbers), _wire(wire, where)
+
+
+def table_faults(
+    table: Mapping[str, object], axes: Collection[str], where: str
+) -> tuple[TableFault | None, WireFaults]:
+    """Return what [twin.fault] says of a table with these axes and of its wire; HiddenError if it cannot be."""
+    fault, wire = _split(table, (TableFault, WireFaults), where)
+    found = read(TableFault, fault, where) if fault else None
+    if found is not None and found.axis not in axes:
+        raise HiddenError(f"{where}.axis: the table has no axis {found.axis}; it has {', '.join(axes)}")
+    return found, _wire(wire, where)
+
+
+def damaged(data: bytes, faults: WireFaults, random: np.random.Generator) -> bytes:
+    """Return what a wire makes of bytes: some with a flipped bit, some lost."""
+    if not faults.byte_loss and not faults.bit_flips:
+        return data
+    octets = np.frombuffer(data, dtype=np.uint8).copy()
+    flipped = random.random(len(octets)) < faults.bit_flips
+    octets[flipped] ^= (1 << random.integers(0, 8, int(flipped.sum()))).astype(np.uint8)
+    return octets[random.random(len(octets)) >= faults.byte_loss].tobytes()
+
+
+class FaultyBytes:
+    """One way of a wire for bytes."""
+
+    def __init__(self, write: Write, faults: WireFaults, seed: int | tuple[int, ...]) -> None:
+        """Write by ``write`` what comes through; must be made within a running loop."""
+        self._faults = faults
+        self._random = np.random.default_rng(seed)
+        self._line = Line(self._deliver, faults, self._random)
+        self._silence = Silence(faults)
+        self._write = write
+
+    def __call__(self, data: bytes) -> None:
+        """Send bytes."""
+        faults = self._faults
+        if not data or self._silence.now or _share(self._random, faults.loss):
+            return
+        for _ in range(2 if _share(self._random, faults.doubled) else 1):
+            self._line.put(damaged(data, faults, self._random))
+
+    def _deliver(self, data: bytes) -> None:
+        if self._silence.now:
+            return
+        if self._faults.one_byte:
+            for i in range(len(data)):
+                self._write(data[i : i + 1])
+        elif data:
+            self._write(data)
+
+
+class FaultyFrames:
+    """One way of a CAN bus to one node. A bus drops damaged frames by itself; a node that is unplugged is silent."""
+
+    def __init__(self, sink: FrameSink | Callable[[can.Message], None], faults: WireFaults, seed: Any) -> None:
+        """Hand what comes through to ``sink``; must be made within a running loop."""
+        self._hand_on = sink if callable(sink) else sink.send
+        self._faults = faults
+        self._random = np.random.default_rng(seed)
+        self._line = Line(self._deliver, faults, self._random)
+        self._silence = Silence(faults, unplugged_too=True)
+
+    def send(self, msg: can.Message) -> None:
+        """Send a frame."""
+        if self._silence.now or _share(self._random, self._faults.loss):
+            return
+        for _ in range(2 if _share(self._random, self._faults.doubled) else 1):
+            self._line.put(msg)
+
+    __call__ = send
+
+    def _deliver(self, msg: can.Message) -> None:
+        if not self._silence.now:
+            self._hand_on(msg)
+
+
+def faulty_device(
+    make: Callable[[Write], ByteDevice], faults: WireFaults, seed: int | tuple[int, ...], plug: Plug
+) -> Callable[[Write], ByteDevice]:
+    """Return ``make`` with the faults of a wire around its device; ``plug`` is that of the wire it is put on."""
+    if not faults.any:
+        return make
+    seeds = np.random.SeedSequence(seed).generate_state(2)
+
+    def made(write: Write) -> ByteDevice:
+        device = make(FaultyBytes(write, faults, int(seeds[0])))
+        plug.schedule(faults.unplug_s, faults.replug_s)
+        hear = FaultyBytes(device.received, replace(faults, late=0.0), int(seeds[1]))
+        return _Behind(hear, getattr(device, "hung_up", lambda: None))
+
+    return made
+
+
+class _Behind:
+    """A device as it is heard through a faulty wire."""
+
+    def __init__(self, received: Write, hung_up: Callable[[], None]) -> None:
+        self.received, self.hung_up = received, hung_up
+
+
+class Line(Generic[T]):
+    """Delivers late, in order."""
+
+    def __init__(self, deliver: Callable[[T], None], faults: WireFaults, random: np.random.Generator) -> None:
+        self._deliver, self._faults, self._random = deliver, faults, random
+        self._under_way: deque[tuple[float, T]] = deque(maxlen=_MOST_UNDER_WAY)
+        self._last_s = -math.inf
+
+    def put(self, item: T) -> None:
+        faults = self._faults
+        if not faults.delays:
+            self._deliver(item)
+            return
+        loop = asyncio.get_running_loop()
+        late_s = faults.latency_s + (self._random.exponential(faults.jitter_s) if faults.jitter_s else 0.0)
+        late_s += faults.late_by_s if _share(self._random, faults.late) else 0.0
+        self._last_s = max(self._last_s, loop.time() + late_s)
+        self._under_way.append((self._last_s, item))
+        if len(self._under_way) == 1:
+            loop.call_at(self._last_s, self._arrive)
+
+    def _arrive(self) -> None:
+        loop = asyncio.get_running_loop()
+        while self._under_way and self._under_way[0][0] <= loop.time() + 1e-9:
+            self._deliver(self._under_way.popleft()[1])
+        if self._under_way:
+            loop.call_at(self._under_way[0][0], self._arrive)
+
+
+class Silence:
+    """Whether nothing comes through now."""
+
+    def __init__(self, faults: WireFaults, *, unplugged_too: bool = False) -> None:
+        spans = [(faults.silent_from_s, faults.silent_until_s)]
+        if unplugged_too:
+            spans.append((faults.unplug_s, faults.replug_s))
+        self._spans = [span for span in spans if span[0] < math.inf]
+        self._began_s = asyncio.get_running_loop().time()
+
+    @property
+    def now(self) -> bool:
+        if not self._spans:
+            return False
+        at_s = asyncio.get_running_loop().time() - self._began_s
+        return any(from_s <= at_s < until_s for from_s, until_s in self._spans)
+
+
+def _share(random: np.random.Generator, share: float) -> bool:
+    return share > 0 and float(random.random()) < share
+
+
+def _check(faults: Any, shares: tuple[str, ...]) -> None:
+    for what in fields(faults):
+        value, least = getattr(faults, what.name), what.metadata.get("least")
+        if what.name in shares and not 0 <= value <= 1:
+            raise HiddenError(f"{what.name}: give 0 % to 100 %")
+        if least is not None and not value >= least:
+            raise HiddenError(f"{what.name.removesuffix('_s')}: must be {least:g} or more")
+
+
+def _split(table: Mapping[str, object], kinds: tuple[type, type], where: str) -> tuple[dict[str, object], ...]:
+    """Return what of a table belongs to each kind, the first of which comes first."""
+    known = [{_KEY.sub("", what.name): what for what in fields(kind)} for kind in kinds]
+    refuse_unknown(table, known[0] | known[1], where)
+    first = {key: value for key, value in table.items() if key in known[0]}
+    return first, {key: value for key, value in table.items() if key not in first}
+
+
+def _number(value: object, gyros: int, where: str) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= gyros:
+        raise HiddenError(f"{where}: {value!r} is not the number of a gyro, 1 to {gyros}")
+    return value
+
+
+def _wire(table: dict[str, object], where: str) -> WireFaults:
+    one_byte = table.pop("one_byte", False)
+    if not isinstance(one_byte, bool):
+        raise HiddenError(f"{where}.one_byte: {one_byte!r} is not true or false")
+    return replace(read(WireFaults, table, where), one_byte=one_byte)

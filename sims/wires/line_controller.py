@@ -1,0 +1,82 @@
+"""What twins that are spoken to have in common: bytes to lines, numbers, refusals, and the watchdog of controllers."""
+
+import math
+from collections.abc import Callable
+
+from sims.physics.table import TableModel
+from sims.wires.watchdog import Watchdog
+
+
+class Refused(Exception):
+    """A command or request that a device refuses, with the code of its protocol."""
+
+    def __init__(self, code: int) -> None:
+        """Keep the code."""
+        super().__init__(code)
+        self.code = code
+
+
+class LineDevice:
+    """Takes bytes from the host as they come and writes the answers at once, in order."""
+
+    ends, skipped, longest = b"\r", b"", 80
+    """Which bytes end a line, which mean nothing, and how long a line may be."""
+
+    def __init__(self, write: Callable[[bytes], None]) -> None:
+        """Answer by ``write``."""
+        self._write = write
+        self._line, self._too_long = b"", False
+
+    def received(self, data: bytes) -> None:
+        """Take bytes from the host, cut anywhere."""
+        for byte in data:
+            if byte in self.ends:
+                line, self._line = self._line, b""
+                self._take(line)
+                self._too_long = False
+            elif byte not in self.skipped:
+                self._too_long |= len(self._line) >= self.longest
+                self._line = (self._line + bytes([byte]))[: self.longest]
+
+    def hung_up(self) -> None:
+        """Forget the line that a connection was lost in the middle of."""
+        self._line, self._too_long = b"", False
+
+    def _take(self, line: bytes) -> None:
+        """Obey a line; of one that was ``_too_long`` only the beginning is given."""
+        raise NotImplementedError
+
+
+class LineController(LineDevice):
+    """A controller of axes that stops them when its master falls silent."""
+
+    skipped = b"\n"
+
+    def __init__(self, table: TableModel, write: Callable[[bytes], None], watchdog_s: float) -> None:
+        """``watchdog_s`` of silence stops the axes (0: never)."""
+        super().__init__(write)
+        self._watchdog = Watchdog(table.clock, watchdog_s, self._master_is_silent)
+
+    def received(self, data: bytes) -> None:
+        """Take bytes from the host, cut anywhere."""
+        super().received(data)
+        self._watchdog.heard(self._is_powered())
+
+    def _is_powered(self) -> bool:
+        """Return whether silence of the master matters now."""
+        raise NotImplementedError
+
+    def _master_is_silent(self) -> None:
+        """Stop the axes."""
+        raise NotImplementedError
+
+
+def number(text: str, refusal: Exception) -> float:
+    """Return a finite number; what is none raises the refusal."""
+    try:
+        value = float(text)
+    except ValueError:
+        raise refusal from None
+    if not math.isfinite(value):
+        raise refusal
+    return value

@@ -1,0 +1,180 @@
+"""Twin of a serial CAN adapter that speaks Lawicel's commands (CANUSB, CAN232, and what copies them).
+
+Source: Lawicel's CAN232 and CANUSB manuals; the FD commands d, D, b, B and Y are those of the CANable firmware.
+Every command ends with CR; CR says done, BELL says refused.
+"""
+
+from collections import deque
+from collections.abc import Callable
+
+import can
+from can.util import CAN_FD_DLC, len2dlc
+
+from sims.wires.line_controller import LineDevice
+
+CR, BELL = b"\r", b"\a"
+
+_FIFO = 64
+_STAMP_WRAP_MS = 60_000
+_FRAMES = "tTrRdDbB"
+
+
+class SlcanAdapter(LineDevice):
+    """Bridges a byte stream to a bus: frames of the host go to ``on_message``, frames of the bus come by ``send``."""
+
+    longest = 10 + 2 * 64
+
+    def __init__(
+        self,
+        write: Callable[[bytes], None],
+        on_message: Callable[[can.Message], None] | None = None,
+        *,
+        clock: Callable[[], float] | None = None,
+        version: str = "1013",
+        serial: str = "A123",
+    ) -> None:
+        """``clock`` in s stamps the frames once the host asks for stamps; without one they carry 0."""
+        super().__init__(write)
+        self._on_message, self._clock = on_message, clock
+        self._version, self._serial = version, serial
+        self.is_open = self._listens_only = self._stamps = False
+        self._sends_itself = True
+        self._waiting: deque[bytes] = deque()
+        self._flags = 0
+
+    def flag(self, bits: int) -> None:
+        """Raise bits of the status that F tells once: 1, 2 queues full, 4 warning, 8 overrun, 32 passive, 128 error."""
+        self._flags |= bits
+
+    def _take(self, line: bytes) -> None:
+        self._write(BELL if self._too_long else self._obey(line))
+
+    def send(self, msg: can.Message) -> None:
+        """Take a frame from the bus, as a python-can bus would send it; nobody hears it while the channel is closed."""
+        if not self.is_open or msg.is_error_frame:
+            return
+        line = self._encoded(msg)
+        if self._sends_itself:
+            self._write(line)
+        elif len(self._waiting) < _FIFO:
+            self._waiting.append(line)
+        else:
+            self.flag(1)
+
+    def _obey(self, line: bytes) -> bytes:
+        """Return the answer to one command."""
+        if not line:
+            return CR
+        try:
+            text = line.decode("ascii")
+        except UnicodeDecodeError:
+            return BELL
+        name, rest = text[0], text[1:]
+        if name in _FRAMES:
+            return self._transmit(text)
+        if name in "SsYMmZOLC":
+            return self._set_up(name, rest)
+        if name in "XPA":
+            return self._poll(name, rest)
+        if rest:
+            return BELL
+        if name == "F" and self.is_open:
+            flags, self._flags = self._flags, 0
+            return f"F{flags:02X}\r".encode()
+        told = {"V": f"V{self._version}", "N": f"N{self._serial}"}.get(name)
+        return BELL if told is None else told.encode() + CR
+
+    def _set_up(self, name: str, rest: str) -> bytes:
+        """Open, close, and what can only be set while closed."""
+        if name == "C":
+            was_open, self.is_open = self.is_open, False
+            self._waiting.clear()
+            return CR if was_open and not rest else BELL
+        if self.is_open:
+            return BELL
+        if name in "OL":
+            if rest:
+                return BELL
+            self.is_open, self._listens_only = True, name == "L"
+            return CR
+        if name == "Z":
+            self._stamps = rest == "1"
+        # Filters are taken only where they let everything pass: this twin has none.
+        known = {
+            "S": len(rest) == 1 and rest in "0123456789",
+            "s": _is_hex(rest, 4),
+            "Y": rest in ("2", "5"),
+            "M": rest == "00000000",
+            "m": rest.upper() == "FFFFFFFF",
+            "Z": rest in ("0", "1"),
+        }
+        return CR if known[name] else BELL
+
+    def _poll(self, name: str, rest: str) -> bytes:
+        """Hand out the frames that wait, where the host wants to ask for them."""
+        if name == "X":
+            if rest not in ("0", "1"):
+                return BELL
+            self._sends_itself = rest == "1"
+            return CR
+        if rest or not self.is_open or self._sends_itself:
+            return BELL
+        if name == "P":
+            return self._waiting.popleft() if self._waiting else CR
+        waiting = b"".join(self._waiting)
+        self._waiting.clear()
+        return waiting + b"A\r"
+
+    def _transmit(self, text: str) -> bytes:
+        message = decode_frame(text)
+        if message is None or not self.is_open or self._listens_only:
+            return BELL
+        if self._on_message is not None:
+            self._on_message(message)
+        if not self._sends_itself:
+            return CR
+        return b"Z\r" if message.is_extended_id else b"z\r"
+
+    def _encoded(self, msg: can.Message) -> bytes:
+        stamp = ""
+        if self._stamps:
+            now_s = self._clock() if self._clock is not None else 0.0
+            stamp = f"{int(now_s * 1000) % _STAMP_WRAP_MS:04X}"
+        return f"{encode_frame(msg)}{stamp}\r".encode()
+
+
+def encode_frame(msg: can.Message) -> str:
+    """Return a frame as Lawicel's line, without its end."""
+    kind = ("r" if msg.is_remote_frame else "b" if msg.bitrate_switch else "d") if msg.is_fd else "t"
+    kind = "r" if msg.is_remote_frame else kind
+    identifier = f"{msg.arbitration_id:08X}" if msg.is_extended_id else f"{msg.arbitration_id:03X}"
+    data = "" if msg.is_remote_frame else bytes(msg.data).hex().upper()
+    return f"{kind.upper() if msg.is_extended_id else kind}{identifier}{len2dlc(msg.dlc):X}{data}"
+
+
+def decode_frame(text: str) -> can.Message | None:
+    """Return the frame of a line, with or without a stamp of four digits; None where it is none."""
+    kind, digits = text[:1], 8 if text[:1].isupper() else 3
+    if not kind or kind not in _FRAMES or not _is_hex(text[1 : 1 + digits], digits):
+        return None
+    identifier, code = int(text[1 : 1 + digits], 16), text[1 + digits : 2 + digits]
+    fd, remote = kind in "dDbB", kind in "rR"
+    if not _is_hex(code, 1) or identifier >> (29 if digits == 8 else 11) or (not fd and int(code, 16) > 8):
+        return None
+    length, data = CAN_FD_DLC[int(code, 16)], text[2 + digits :]
+    size = 0 if remote else 2 * length
+    if not (_is_hex(data, size) or _is_hex(data, size + 4)):
+        return None
+    return can.Message(
+        arbitration_id=identifier,
+        is_extended_id=digits == 8,
+        is_remote_frame=remote,
+        is_fd=fd,
+        bitrate_switch=kind in "bB",
+        dlc=length,
+        data=bytes.fromhex(data[:size]),
+    )
+
+
+def _is_hex(text: str, digits: int) -> bool:
+    return len(text) == digits and all(c in "0123456789abcdefABCDEF" for c in text)

@@ -1,0 +1,322 @@
+"""Wires at whose far end a twin of a byte device sits: in memory, a pseudo-terminal, a TCP port.
+
+Wires work by the loop alone, without threads. Each can be unplugged by its ``Plug``, and plugged in again. A serial
+port that is not open hears nothing, and is empty when it is opened; an open one keeps 4 kB that nobody reads and loses
+what comes thereafter, as the buffer of a UART's driver.
+"""
+
+import asyncio
+import fcntl
+import math
+import os
+import select
+import socket
+import struct
+import tempfile
+import termios
+import tty
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
+from pathlib import Path
+from typing import Any, Protocol
+
+from drivers.clocks.loop_scale import loop_scale
+from drivers.links.memory_link import MemoryLink
+
+Write = Callable[[bytes], None]
+_MOST_WAITING = 65536
+_READ = 4096
+_KEPT = 4095  # what Linux keeps of a terminal that nobody reads, and so what goes there at once
+_AGAIN_S = 0.001
+
+
+class ByteDevice(Protocol):
+    """A device at the far end of a byte link.
+
+    One with a ``hung_up`` as well is told when a TCP connection has ended: what it was cut in the middle of is past.
+    """
+
+    def received(self, data: bytes) -> None:
+        """Take bytes from the host, cut anywhere."""
+
+
+class Plug:
+    """Where a wire ends at its device: it can be pulled, and put back."""
+
+    def __init__(self) -> None:
+        """Start plugged in, on no wire yet."""
+        self.out = False
+        self._timers: list[asyncio.TimerHandle] = []
+        self._pulled: Callable[[], None] = _nothing
+        self._put_back: Callable[[], None] = _nothing
+
+    def attach(self, pulled: Callable[[], None], put_back: Callable[[], None]) -> None:
+        """Let a wire know what happens to it."""
+        self._pulled, self._put_back = pulled, put_back
+
+    def schedule(self, pull_s: float, push_s: float) -> None:
+        """Have it pulled and put back after these times of the loop, infinite for never."""
+        loop = asyncio.get_running_loop()
+        for after_s, act in ((pull_s, self.pull), (push_s, self.push)):
+            if after_s < math.inf:
+                self._timers.append(loop.call_later(after_s, act))
+
+    def detach(self) -> None:
+        """Take the wire away, and all that was still to come."""
+        for timer in self._timers:
+            timer.cancel()
+        self._pulled = self._put_back = _nothing
+
+    def pull(self) -> None:
+        """Unplug; twice is once."""
+        if not self.out:
+            self.out = True
+            self._pulled()
+
+    def push(self) -> None:
+        """Plug in again; twice is once."""
+        if self.out:
+            self.out = False
+            self._put_back()
+
+
+@contextmanager
+def in_memory(name: str, make: Callable[[Write], ByteDevice], plug: Plug | None = None) -> Iterator[MemoryLink]:
+    """Put a device on a wire in memory; yield the link that a station uses, for a device of this ``name``."""
+    heard: list[ByteDevice] = []
+    link = MemoryLink(name, lambda data: heard[0].received(data))
+    plug = plug or Plug()
+    plug.attach(link.unplug, link.plug)
+    heard.append(make(link.deliver))
+    try:
+        yield link
+    finally:
+        plug.detach()
+        link.unplug()
+
+
+@asynccontextmanager
+async def on_pty(make: Callable[[Write], ByteDevice], plug: Plug | None = None) -> AsyncIterator[str]:
+    """Put a device on a pseudo-terminal; yield the name that a station opens. ``make`` is given what it writes by.
+
+    With a ``plug`` the name is a link, which leads nowhere while unplugged, and to another terminal thereafter.
+    """
+    with ExitStack() as stack:
+        wire = _Pty(stack.enter_context(ExitStack()), plug is not None)
+        device = make(wire.write)
+        wire.plug_in(device.received)
+        if plug is not None:
+            plug.attach(wire.unplug, lambda: wire.plug_in(device.received))
+            stack.callback(plug.detach)
+        stack.callback(wire.unplug)
+        yield wire.name
+
+
+class _Pty:
+    """A pseudo-terminal that can be closed, as if unplugged, and opened again."""
+
+    def __init__(self, stack: ExitStack, replaceable: bool) -> None:
+        self._end: _PtyEnd | None = None
+        self._terminal = ExitStack()
+        self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory())) if replaceable else None
+        self.name = ""
+
+    def write(self, data: bytes) -> None:
+        if self._end is not None:
+            self._end.write(data)
+
+    def plug_in(self, received: Write) -> None:
+        ours, theirs = _open_pty(self._terminal)
+        self._end = _PtyEnd(ours, theirs)
+        self._terminal.callback(self._end.close)
+        self._end.hear(received)
+        self.name = theirs
+        if self._folder is not None:
+            (self._folder / "tty").symlink_to(theirs)
+            self.name = str(self._folder / "tty")
+
+    def unplug(self) -> None:
+        self._end = None
+        self._terminal.close()
+        if self._folder is not None:
+            (self._folder / "tty").unlink(missing_ok=True)
+
+
+class _PtyEnd:
+    """Our end of a pseudo-terminal, read and written by the loop.
+
+    Its other end is open only while a station has it open: that is how the two are told apart.
+    """
+
+    def __init__(self, descriptor: int, name: str) -> None:
+        self._descriptor, self._name = descriptor, name
+        self._waiting = bytearray()
+        self._loop = asyncio.get_running_loop()
+        self._scale = max(loop_scale(self._loop), 1.0)
+        self._soon: asyncio.Handle | None = None
+        self._holds_some = False
+        # By its edges: a terminal without a station is hung up all the time.
+        self._events = select.epoll()
+        self._events.register(descriptor, select.EPOLLIN | select.EPOLLET)
+        self._hung_up = select.poll()
+        self._hung_up.register(descriptor, 0)
+
+    def hear(self, received: Write) -> None:
+        def read() -> None:
+            self._events.poll(0)
+            with suppress(OSError):  # nothing more, or nobody there
+                while data := os.read(self._descriptor, _READ):
+                    received(data)
+            self._is_open()
+
+        self._loop.add_reader(self._events.fileno(), read)
+
+    def write(self, data: bytes) -> None:
+        self._waiting.extend(data)
+        if self._soon is None:  # what is written at one instant goes out in one piece
+            self._soon = self._loop.call_soon(self._send)
+
+    def _send(self) -> None:
+        self._soon = None
+        if not self._is_open():
+            self._waiting.clear()
+            return
+        unread = 0
+        with suppress(OSError), self._other_end() as port:
+            (unread,) = struct.unpack("i", fcntl.ioctl(port, termios.FIONREAD, bytes(4)))
+        now = self._waiting[: max(_KEPT - unread, 0)]
+        with suppress(BlockingIOError):
+            del self._waiting[: os.write(self._descriptor, now)]
+            self._holds_some = True
+        # At a multiple of real time as many times the bytes come at one instant, and are no more than 4 kB of the line.
+        del self._waiting[max(round(_KEPT * self._scale) - unread - len(now), 0) :]
+        if self._waiting:
+            self._soon = self._loop.call_later(_AGAIN_S * self._scale, self._send)
+
+    def _is_open(self) -> bool:
+        """Return whether a station has the port open; what one that has left did not read is flushed."""
+        if not self._hung_up.poll(0):
+            return True
+        if self._holds_some:
+            self._holds_some = False
+            with suppress(OSError), self._other_end() as port:
+                termios.tcflush(port, termios.TCIFLUSH)
+        return False
+
+    @contextmanager
+    def _other_end(self) -> Iterator[int]:
+        """Open the end of the stations for a moment; OSError if one wants it for itself."""
+        port = os.open(self._name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            yield port
+        finally:
+            os.close(port)
+
+    def close(self) -> None:
+        if self._soon is not None:
+            self._soon.cancel()
+        self._loop.remove_reader(self._events.fileno())
+        self._events.close()
+
+
+def _open_pty(stack: ExitStack) -> tuple[int, str]:
+    """Return our end of a new raw pseudo-terminal, closed with the stack, and the other's name."""
+    ours, theirs = os.openpty()
+    stack.callback(os.close, ours)
+    tty.setraw(ours)
+    tty.setraw(theirs)
+    name = os.ttyname(theirs)
+    os.close(theirs)
+    os.set_blocking(ours, False)
+    return ours, name
+
+
+@asynccontextmanager
+async def on_tcp(
+    make: Callable[[Write], ByteDevice], host: str, port: int = 0, plug: Plug | None = None
+) -> AsyncIterator[tuple[str, int]]:
+    """Put a device on a TCP port, for one station at a time; yield host and port. OSError if the port is taken."""
+    wire = _Tcp()
+    device = make(wire.write)
+    wire.received, wire.hung_up = device.received, getattr(device, "hung_up", _nothing)
+    bound = await wire.listen(host, port)
+    plug = plug or Plug()
+    plug.attach(wire.unplug, lambda: wire.plug_in(bound))
+    try:
+        yield bound
+    finally:
+        plug.detach()
+        await wire.close()
+
+
+class _Tcp:
+    """A TCP port and the stations at it: who comes last is served."""
+
+    def __init__(self) -> None:
+        self.received: Write = _ignore
+        self.hung_up: Callable[[], None] = _nothing
+        self._server: asyncio.Server | None = None
+        self._client: asyncio.StreamWriter | None = None
+        self._tasks: set[asyncio.Task[object]] = set()
+
+    def write(self, data: bytes) -> None:
+        client = self._client
+        if client is None or client.is_closing() or client.transport.get_write_buffer_size() > _MOST_WAITING:
+            return
+        client.write(data)
+
+    async def listen(self, host: str, port: int) -> tuple[str, int]:
+        self._server = await asyncio.start_server(self._welcome, host, port)
+        name = self._server.sockets[0].getsockname()
+        return str(name[0]), int(name[1])
+
+    def unplug(self) -> None:
+        """Reset the connection, and listen no more."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        if self._client is not None:
+            self._client.transport.abort()
+            self._client = None
+            self.hung_up()
+
+    def plug_in(self, bound: tuple[str, int]) -> None:
+        self._keep(asyncio.get_running_loop().create_task(self.listen(*bound)))
+
+    async def close(self) -> None:
+        """Leave the port, and wait until all connections are gone."""
+        self.unplug()
+        await asyncio.gather(*self._tasks)
+        self.unplug()  # what had just been put back
+
+    def _keep(self, task: asyncio.Task[Any]) -> None:
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        # The task is ours: asyncio's own would be reported with a traceback if it were cancelled at the end.
+        before, self._client = self._client, writer
+        if before is not None:
+            before.transport.abort()  # it may never take what is left for it
+            self.hung_up()
+        writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._keep(asyncio.get_running_loop().create_task(self._serve(reader, writer)))
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with suppress(OSError):
+            while data := await reader.read(_READ):
+                self.received(data)
+        if self._client is writer:
+            self._client = None
+            self.hung_up()
+        writer.close()
+        with suppress(OSError):
+            await writer.wait_closed()
+
+
+def _nothing() -> None:
+    """Do nothing."""
+
+
+def _ignore(data: bytes) -> None:
+    """Do nothing with bytes."""

@@ -1,0 +1,203 @@
+"""The bench file: what stands in the lab, what it may do, and what counts as a pass."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
+from pathlib import Path
+
+from drivers.packaged import packaged_text
+from estimator.effects.entries import Kind, entries
+from estimator.geometry.kinematics import Site
+from station.bench.imu import ImuConfig, read_imu
+from station.bench.table import TableConfig, read_table
+from station.errors import BenchError, UsageError
+from station.schema.tables import Table
+
+_LONGEST_NAME = 100  # characters of an operator's name or a serial number
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What PASS means, in SI: sizes of the states, their sigmas, mean NIS, share of samples lost."""
+
+    k: float
+    b_rps: float
+    sigma_rad: float
+    sd_k: float
+    sd_b_rps: float
+    sd_sigma_rad: float
+    nis_low: float
+    nis_high: float
+    lost: float
+
+    @property
+    def stated(self) -> bool:
+        """Whether there is anything to judge by."""
+        least = (self.nis_low, 1 - self.lost)
+        return any(map(math.isfinite, astuple(self)[:6])) or math.isfinite(self.nis_high) or any(v > 0 for v in least)
+
+
+@dataclass(frozen=True, slots=True)
+class TwinConfig:
+    """What only twins read: seed, watchdog, the table of truths, unread; what is hidden from the station.
+
+    Temperature and hidden effects follow a clock that stands at ``started_s`` when the loop's stands at 0.
+    """
+
+    seed: int
+    watchdog_s: float
+    truths: Table
+    hidden: Path | None = None
+    started_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """A whole bench, and the text of its file.
+
+    ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
+    like there (regular expressions for the whole of it), empty for anything. ``excluded`` are effects of the catalogue
+    that devices and table do not have; None for all of them.
+    """
+
+    name: str
+    text: str
+    site: Site | None
+    table: TableConfig
+    imus: tuple[ImuConfig, ...]
+    limits: Limits
+    twin: TwinConfig
+    station: str
+    operator_pattern: str
+    serial_pattern: str
+    excluded: frozenset[str] | None = None
+
+    def checked_operator(self, text: str) -> str:
+        """Return an operator's name as it is to be kept; UsageError with the pattern if it does not match."""
+        return _matched(text, self.operator_pattern, "--operator", "operator_pattern")
+
+    def checked_serial(self, text: str) -> str:
+        """Return a device's serial number as it is to be kept; UsageError with the pattern if it does not match."""
+        return _matched(text, self.serial_pattern, "--serial-number", "serial_pattern")
+
+
+def default_bench_text() -> str:
+    """Return the bench file that ships with the station."""
+    return packaged_text("station.bench", "default_bench.toml")
+
+
+def load_bench(path: Path | None) -> Bench:
+    """Read a bench file, or the built-in one; BenchError with line and key for what is wrong."""
+    if path is None:
+        text, file, folder = default_bench_text(), "built-in bench", Path()
+    else:
+        try:
+            text, file, folder = path.read_text(encoding="utf-8"), str(path), path.parent
+        except (OSError, UnicodeDecodeError) as error:
+            raise BenchError(f"cannot read bench file {path}: {error}") from None
+    top = Table.parse(text, file, BenchError)
+    name, place = top.string("name", path.stem if path else "bench"), top.table("station", optional=True)
+    bench = Bench(
+        name=name,
+        text=text,
+        site=_site(top),
+        table=read_table(top.table("table"), folder),
+        imus=_distinct([read_imu(t, folder) for t in top.tables("imu")]),
+        limits=_limits(top.table("limits", optional=True)),
+        twin=_twin(top.table("twin", optional=True), folder),
+        station=place.string("name", name),
+        operator_pattern=_pattern(place, "operator_pattern"),
+        serial_pattern=_pattern(place, "serial_pattern"),
+        excluded=_excluded(top.table("undeclared", optional=True)),
+    )
+    place.done()
+    top.done()
+    names = [imu.name for imu in bench.imus]
+    if not names or len(set(names)) != len(names):
+        raise BenchError(f"{file}: it needs one [[imu]] or more, each with a name of its own; it has {names}")
+    return bench
+
+
+def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:
+    """Return the devices with sources of different names: those that two devices share get the device's before."""
+    seen = Counter(channel.name for imu in imus if imu.can is not None for channel in imu.can.channels)
+    seen.update(imu.name for imu in imus)
+    found = []
+    for imu in imus:
+        if imu.can is not None:
+            channels = tuple(
+                replace(c, name=f"{imu.name}.{c.name}") if seen[c.name] > 1 and c.name != imu.name else c
+                for c in imu.can.channels
+            )
+            imu = replace(imu, can=replace(imu.can, channels=channels))
+        found.append(imu)
+    return tuple(found)
+
+
+def read_limits(text: str) -> Limits:
+    """Return the limits of a bench file's text, for instance the one that a recording carries."""
+    return _limits(Table.parse(text, "bench in the recording", BenchError).table("limits", optional=True))
+
+
+def read_excluded(text: str) -> frozenset[str] | None:
+    """Return the effects that a bench file's text rules out, None if all."""
+    return _excluded(Table.parse(text, "bench in the recording", BenchError).table("undeclared", optional=True))
+
+
+def _excluded(table: Table) -> frozenset[str] | None:
+    which = table.string("effects", "all", one_of=("all", "none"))
+    excluded = frozenset(table.strings("excluded")) if table.has("excluded") else frozenset[str]()
+    laws = dict.fromkeys(e.name.rstrip("_0123456789") for e in entries() if e.kind is Kind.LAW)  # harmonics together
+    for unknown in sorted(excluded - set(laws)):
+        raise table.fail("excluded", f"{unknown!r} is none of {', '.join(laws)}")
+    table.done()
+    return None if which == "none" else excluded
+
+
+def _pattern(table: Table, key: str) -> str:
+    text = table.string(key, "")
+    try:
+        re.compile(text)
+    except re.error as error:
+        raise table.fail(key, f"not a regular expression: {error}") from None
+    return text
+
+
+def _matched(text: str, pattern: str, option: str, key: str) -> str:
+    kept = text.strip()
+    if not kept.isprintable() or not 0 < len(kept) <= _LONGEST_NAME:
+        raise UsageError(f"{option} {text!r}: give 1 to {_LONGEST_NAME} printable characters")
+    if pattern and not re.fullmatch(pattern, kept):
+        raise UsageError(f"{option} {kept!r} is not what this bench expects: {pattern} ({key} in [station])")
+    return kept
+
+
+def _site(top: Table) -> Site | None:
+    if not top.has("site"):
+        return None
+    table = top.table("site")
+    site = Site(table.quantity("latitude", "angle"), table.quantity("heading", "angle", 0.0))
+    if abs(site.latitude_rad) > math.pi / 2:
+        raise table.fail("latitude", "beyond the poles: give -90 deg to 90 deg")
+    table.done()
+    return site
+
+
+def _limits(table: Table) -> Limits:
+    nis = {"nis_low": table.number("nis_low", 0.0), "nis_high": table.number("nis_high", math.inf)}
+    limits = Limits(**table.declared("limits"), **nis)
+    table.done()
+    return limits
+
+
+def _twin(table: Table, folder: Path) -> TwinConfig:
+    seed = table.integer("seed", 0)
+    if seed < 0:
+        raise table.fail("seed", "must not be negative")
+    watchdog_s = table.quantity("watchdog", "time", 0.0)
+    hidden = folder / table.string("hidden") if table.has("hidden") else None
+    return TwinConfig(seed, watchdog_s, table, hidden, table.quantity("started", "time", 0.0))

@@ -1,0 +1,90 @@
+"""Many items of work, each on its own: on all cores of this machine, or on a Dask cluster."""
+
+import os
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import TypeVar
+
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+
+from station.campaigns.worker_pool import Ended, attempt, run_in_processes
+from station.render.progress import Bar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_PLAIN_LINES = 10  # without a terminal: at most so many lines
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """An item that came to nothing, by its name, and why, in one line."""
+
+    item: str
+    reason: str
+
+
+def run_all(
+    work: Callable[[T], R],
+    items: Sequence[T],
+    *,
+    label: str,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    quiet: bool = False,
+    name_of: Callable[[T], str] = str,
+) -> tuple[list[R | None], list[Failure]]:
+    """Return what ``work`` makes of each item, in the items' order (None where it failed), and what failed.
+
+    ``work``, items and results must be picklable. They run in ``workers`` processes (default: one a core; with one
+    worker or one item in this process), or on the cluster whose scheduler is named (tcp://host:port). None of this
+    changes a bit of the results, if this process has one BLAS thread, too. Progress goes to stderr unless ``quiet``.
+
+    Raises UsageError if there is no such cluster.
+    """
+    results: list[R | None] = [None] * len(items)
+    reasons: dict[int, str] = {}
+    with closing(_ends(work, items, scheduler, workers)) as ends, _Bar(label, len(items), quiet) as bar:
+        for ended in ends:
+            if ended.reason is None:
+                results[ended.index] = ended.value
+            else:
+                reasons[ended.index] = ended.reason
+            bar.advance(len(reasons))
+    return results, [Failure(name_of(items[i]), reasons[i]) for i in sorted(reasons)]
+
+
+def _ends(
+    work: Callable[[T], R], items: Sequence[T], scheduler: str | None, workers: int | None
+) -> Generator[Ended[R]]:
+    if scheduler is not None:
+        from station.campaigns.cluster import run_on_cluster
+
+        yield from run_on_cluster(work, items, scheduler)
+        return
+    count = min(workers or len(os.sched_getaffinity(0)), len(items))
+    if count > 1:
+        yield from run_in_processes(work, items, count)
+        return
+    for index, item in enumerate(items):
+        yield attempt(work, index, item)
+
+
+class _Bar(Bar):
+    """How far a campaign is."""
+
+    def __init__(self, label: str, total: int, quiet: bool) -> None:
+        """Show nothing if quiet."""
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        super().__init__(quiet, *columns, TextColumn("{task.fields[failed]}"), begins=label, total=total, failed="")
+        self._label, self._total = label, total
+        self._done = 0
+
+    def advance(self, failed: int) -> None:
+        """Count one item more; ``failed`` of all so far failed."""
+        self._done += 1
+        said = f"{failed} failed" if failed else ""
+        line = f"{self._label}: {self._done} of {self._total}  {said}".rstrip()
+        due = self._done * _PLAIN_LINES // self._total > (self._done - 1) * _PLAIN_LINES // self._total
+        self._tell(line, 0.0, due, completed=self._done, failed=said)

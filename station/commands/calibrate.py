@@ -1,0 +1,195 @@
+"""station calibrate: estimates from recordings that are there, one or an archive of them."""
+
+import argparse
+import json
+import os
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator.calibration.calibration_file import write_calibration
+from estimator.calibration.error_model import ErrorModel
+from estimator.calibration.values import Calibration
+from estimator.errors import RecordingError
+from estimator.estimation.calibrate import calibrate
+from estimator.estimation.repeatability import Repeatability, repeatability, same_device
+from estimator.recordings.recording import Recording, read_recording
+from station.bench.bench import Bench, load_bench, read_excluded, read_limits
+from station.campaigns.campaigns import run_all
+from station.errors import UsageError
+from station.render.printing import (
+    print_calibration,
+    print_repeatability,
+    print_verdict,
+    refuse,
+    repeatability_object,
+    result_object,
+)
+from station.render.terminal import print_rendered, stdout
+from station.run.outcome import Verdict, judge
+from station.views.figures import OUTCOME_STYLES
+
+_IN_FULL = 5  # more recordings than this are printed a line each: a person compares them
+_KEPT = ("device", "devices", "script", "seed", "clock_zero_utc_s", "outcome", "reason")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimated:
+    """What one recording says, without its samples.
+
+    ``attributes`` are those of the recording that tell which device was measured, how and when. ``seen`` is the
+    largest sigma of all states as a share of what the data sheet promises.
+    """
+
+    calibration: Calibration
+    verdict: Verdict
+    attributes: Mapping[str, Any]
+    seen: float
+
+
+def command_calibrate(arguments: argparse.Namespace) -> int:
+    """Estimate the gyros of each recording; the worst exit code of all."""
+    names = recordings_of(arguments.recordings)
+    bench = load_bench(Path(arguments.bench)) if arguments.bench else None
+    model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
+    results, failures = run_all(
+        partial(estimate, bench=bench, write=arguments.write, model=model),
+        [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
+        label="calibrating",
+        scheduler=arguments.scheduler,
+        workers=arguments.jobs,
+        quiet=arguments.json or len(names) == 1,
+    )
+    reasons = iter(failure.reason for failure in failures)  # in the order of the recordings, as the gaps are
+    ends = [(name, next(reasons) if found is None else found) for name, found in zip(names, results, strict=True)]
+    return _print_json(ends) if arguments.json else _print(ends)
+
+
+def recordings_of(arguments: Sequence[str]) -> list[str]:
+    """Return the recordings that are meant, each once: a folder means every .h5 in it and below, by name.
+
+    Raises UsageError for a folder without any.
+    """
+    found: dict[Path, str] = {}  # two processes must not write into one file
+    for argument in arguments:
+        path = Path(argument)
+        inside = sorted(str(p) for p in path.rglob("*.h5") if p.is_file()) if path.is_dir() else [argument]
+        if not inside:
+            raise UsageError(f"{argument} holds no recording (.h5)")
+        for name in inside:
+            found.setdefault(Path(name).resolve(), name)
+    return list(found.values())
+
+
+def estimate(name: str, *, bench: Bench | None, write: bool, model: ErrorModel | None = None) -> Estimated:
+    """Estimate the gyros of one recording and judge them, by its own bench file unless one is given.
+
+    ``model``: effects to estimate beside the states.
+
+    Raises EstimatorError or UsageError for a recording that cannot be used, or not be written into.
+    """
+    recording = read_recording(Path(name))
+    text = str(recording.attributes.get("bench", ""))
+    limits = bench.limits if bench else read_limits(text)
+    excluded = bench.excluded if bench else read_excluded(text)
+    calibration = calibrate(recording, model=model, excluded=excluded)
+    verdict = judge(calibration, limits)
+    if write:
+        try:
+            write_calibration(Path(name), calibration)
+        except OSError as error:
+            raise RecordingError(f"{name} cannot be written into: {error}") from None
+    attributes = {key: recording.attributes[key] for key in _KEPT if key in recording.attributes}
+    return Estimated(calibration, verdict, attributes, _worst_share(recording, calibration))
+
+
+def _worst_share(recording: Recording, calibration: Calibration) -> float:
+    """Return the largest sigma of the gyros' states as a share of what the data sheet says."""
+    promised = {name: np.sqrt(data.prior.variances()) for name, data in recording.sources.items()}
+    return max(float((gyro.sd / promised[gyro.source]).max()) for gyro in calibration.gyros)
+
+
+def _print_json(ends: Sequence[tuple[str, Estimated | str]]) -> int:
+    worst = 0
+    devices = {runs[-1][0]: runs for runs in _devices(ends) if len(runs) > 1}
+    for name, end in ends:
+        if isinstance(end, str):
+            worst = max(worst, refuse(end, True, recording=name))
+        else:
+            result = result_object(end.verdict, name, end.calibration)
+            if name in devices:  # the last run of a device carries how it repeats
+                result["repeatability"] = repeatability_object(_repeats(devices[name]))
+            print(json.dumps(result))
+            worst = max(worst, end.verdict.outcome.exit_code)
+    return worst
+
+
+def _print(ends: Sequence[tuple[str, Estimated | str]]) -> int:
+    judged = [(name, end) for name, end in ends if isinstance(end, Estimated)]
+    if len(ends) > _IN_FULL:
+        folder = os.path.commonpath([Path(name).absolute().parent for name, _ in ends])
+        _print_overview(judged, folder)
+        counts = Counter(str(end.verdict.outcome) for _, end in judged)
+        counts["not estimated"] = len(ends) - len(judged)
+        print(f"{len(ends)} recordings: " + ", ".join(f"{count} {what}" for what, count in counts.items() if count))
+    else:
+        for name, end in judged:
+            print_calibration(end.calibration)
+            print_verdict(end.verdict, Path(name))
+    devices = _devices(ends)
+    for runs in devices:
+        if len(runs) > 1:
+            print_repeatability(_repeats(runs), runs[0][1].calibration.gyros[0].device)
+    if len(devices) > 1:
+        kinds = "; ".join(", ".join(g.name for g in runs[0][1].calibration.gyros) for runs in devices)
+        print(f"note: {len(devices)} different devices or arrays ({kinds}): runs are compared within each only")
+    worst = max((end.verdict.outcome.exit_code for _, end in judged), default=0)
+    sys.stdout.flush()  # what failed comes last, wherever the two streams lead
+    failed = [(name, reason) for name, reason in ends if isinstance(reason, str)]
+    return max([worst, *(refuse(_named(name, reason), False) for name, reason in failed)])
+
+
+def _devices(ends: Sequence[tuple[str, Estimated | str]]) -> list[list[tuple[str, Estimated]]]:
+    """Return the estimated recordings by device: the same name if it has one, the same gyros along the same axes."""
+    groups: list[list[tuple[str, Estimated]]] = []
+    for name, end in ends:
+        if isinstance(end, str):
+            continue
+        gyros = end.calibration.gyros
+        for group in groups:
+            other = group[0][1].calibration.gyros
+            if other[0].device == gyros[0].device and same_device(other, gyros):
+                group.append((name, end))
+                break
+        else:
+            groups.append([(name, end)])
+    return groups
+
+
+def _repeats(runs: Sequence[tuple[str, Estimated]]) -> list[Repeatability]:
+    return repeatability([end.calibration.gyros for _, end in runs])
+
+
+def _named(name: str, reason: str) -> str:
+    return reason if Path(name).name in reason else f"{name}: {reason}"
+
+
+def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> None:
+    """Print one line a recording: what it is of, how it was judged, how well it shows its states, how true it is."""
+    lines = []
+    for name, end in judged:
+        carried = [str(device).partition(" (")[0] for device in end.attributes.get("devices", ())]
+        device = str(end.attributes.get("device", "")) or ", ".join(carried or _sources(end.calibration))
+        lines.append((os.path.relpath(name, folder), device, str(end.attributes.get("script", "")), end))
+    values = {"lines": lines, "folder": folder, "styles": OUTCOME_STYLES, "isfinite": np.isfinite}
+    print_rendered(stdout(), "station.render", "overview.rich", values)
+
+
+def _sources(calibration: Calibration) -> list[str]:
+    return list(dict.fromkeys(gyro.source for gyro in calibration.gyros))

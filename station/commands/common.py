@@ -1,0 +1,201 @@
+"""What each command does. Long work shows progress on stderr; results go to stdout."""
+
+import argparse
+import asyncio
+import json
+import signal
+import sys
+from collections.abc import Mapping
+from contextlib import AsyncExitStack, nullcontext, suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import DeviceError
+from estimator.calibration.error_model import ErrorModel
+from estimator.errors import EstimatorError
+from estimator.recordings.recording import write_recording
+from station.atomic_write import new_recording
+from station.bench.bench import Bench, load_bench
+from station.errors import EXIT_USAGE, UsageError
+from station.opening import needs_only_memory, open_bench, serve_twins, with_links
+from station.remote.hosting import Host, introduction
+from station.render.printing import print_calibration, print_verdict, refuse, result_object
+from station.render.progress import RunProgress
+from station.run.early_end import check_early_end
+from station.run.event_loop.detached_output import lasting_streams
+from station.run.event_loop.loops import ScaledLoop, VirtualLoop, run_to_end
+from station.run.event_loop.signals import ignore_hang_up
+from station.run.outcome import Outcome
+from station.run.session import Result, RunOptions, Session
+from station.scripts.script import Script, check, load_script, paper_script
+
+
+def command_run(arguments: argparse.Namespace) -> int:
+    """Run a script on a bench; a hosted run goes on when its terminal is gone."""
+    if arguments.host:
+        ignore_hang_up()
+    with lasting_streams() if arguments.host else nullcontext():
+        return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    try:
+        bench = chosen_bench(arguments)
+        operator = bench.checked_operator(arguments.operator) if arguments.operator is not None else ""
+        serial = bench.checked_serial(arguments.serial_number) if arguments.serial_number is not None else ""
+        script = load_script(Path(arguments.script)) if arguments.script else paper_script()
+        script = check(script, bench.table.limits)
+        if arguments.end_early:
+            check_early_end(bench)
+        model = _model_of(arguments, bench)
+        path = Path(arguments.output) if arguments.output else new_recording(Path("recordings"))
+        scale = arguments.scale or (1.0 if arguments.host else None)  # virtual time has no sockets
+        host = Host(scale or 1.0) if arguments.host else None
+        options = RunOptions(
+            arguments.reset_fault, arguments.end_early, model, operator, serial, host is not None, scale or 1.0
+        )
+        with clock(bench, scale) as runner:
+            result = run_to_end(runner, drive(bench, script, path, options, arguments.json, host, arguments.bench))
+    except (UsageError, EstimatorError) as error:
+        return refuse(str(error), arguments.json)
+    except DeviceError as error:
+        return refuse(str(error), arguments.json, Outcome.FAULT)
+    if arguments.json:
+        print(json.dumps(_run_object(result)))
+    else:
+        if result.ended_early:
+            print(f"ended early {result.ended_early}")
+        if result.calibration is not None:
+            print_calibration(result.calibration)
+        for report in result.sources:
+            print(report.text())
+        print_verdict(result.verdict, result.recording)
+    return result.verdict.outcome.exit_code
+
+
+def _run_object(result: Result) -> Mapping[str, Any]:
+    """Return what --json prints of a run."""
+    found = result_object(result.verdict, str(result.recording), result.calibration)
+    sources = {report.name: report.as_object() for report in result.sources}
+    return {**found, "ended_early": result.ended_early or None, "sources": sources}
+
+
+def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
+    """Return the error model that is to be begun with, seen to fit the bench before anything moves."""
+    if arguments.model is None:
+        return None
+    model = ErrorModel.read(Path(arguments.model))
+    if arguments.end_early:
+        raise UsageError(
+            "--end-early with --model: what is enough is judged by the four states alone; give one of the two"
+        )
+    model.made(bench.table.gimbals, frozenset({"gimbals", "specific force", "temperature"}))
+    if model.needs_temperature:
+        for imu in bench.imus:
+            if imu.used and not imu.knows_temperature:
+                raise UsageError(
+                    f"{arguments.model} has effects of temperature, and {imu.name} states no temperature signal: name "
+                    "it in the channels of the bench file, or run without --model"
+                )
+    return model
+
+
+def command_twin(arguments: argparse.Namespace) -> int:
+    """Serve the twins of a bench until a signal."""
+    bench = _seeded(load_bench(Path(arguments.bench) if arguments.bench else None), arguments.seed)
+
+    async def serve() -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, task.cancel)
+        with suppress(asyncio.CancelledError):
+            await serve_twins(
+                bench,
+                time_scale=arguments.scale,
+                host=arguments.host,
+                port=arguments.port,
+                announce=partial(print, flush=True),
+            )
+
+    try:
+        with asyncio.Runner(loop_factory=partial(ScaledLoop, arguments.scale)) as runner:
+            runner.run(serve())
+    except OSError as error:
+        return refuse(str(error), False, Outcome.FAULT)
+    return 0
+
+
+def command_import(arguments: argparse.Namespace) -> int:
+    """Turn foreign data into a recording."""
+    from estimator.importing.importing import import_recording
+    from estimator.importing.mapping.mapping import read_mapping
+    from station.opening.captures import PROTOCOLS
+
+    output = Path(arguments.output)
+    imported = import_recording(read_mapping(Path(arguments.mapping), PROTOCOLS), [Path(d) for d in arguments.data])
+    write_recording(output, imported.recording)
+    samples = {name: len(data.t_ns) for name, data in imported.recording.sources.items()}
+    refused = [{"name": r.name, "reason": r.reason} for r in imported.refused]
+    if arguments.json:
+        notes = list(imported.notes)
+        print(json.dumps({"recording": str(output), "samples": samples, "refused": refused, "notes": notes}))
+    else:
+        for note in imported.notes:
+            print(f"note: {note}")
+        print(f"{output}: {', '.join(f'{n} samples of {name}' for name, n in samples.items())}", flush=True)
+        for entry in refused:
+            print(f"refused {entry['name']}: {entry['reason']}", file=sys.stderr)
+    return EXIT_USAGE if imported.lost_files else 0
+
+
+def clock(bench: Bench, scale: float | None) -> asyncio.Runner:
+    """Return what runs loops of one clock: virtual time if every link leads to a twin and no scale is given."""
+    virtual = needs_only_memory(bench) and scale is None
+    return asyncio.Runner(loop_factory=VirtualLoop if virtual else partial(ScaledLoop, scale or 1.0))
+
+
+async def drive(
+    bench: Bench,
+    script: Script,
+    path: Path,
+    options: RunOptions,
+    quiet: bool,
+    host: Host | None = None,
+    bench_file: str | None = None,
+) -> Result:
+    """Run a script on a bench into a recording, with its progress on stderr, and for whom a host lets look on."""
+    async with AsyncExitStack() as stack:
+        if host is not None:
+            await stack.enter_async_context(host)
+        opened = await stack.enter_async_context(open_bench(bench, time_scale=options.time_scale))
+        progress = stack.enter_context(RunProgress(quiet))
+        on_event = host.tell if host is not None else None
+        session = Session(opened, script, path, options, on_progress=progress.show, on_event=on_event)
+        if host is None:
+            return await session.run()
+        told = {key: getattr(options, key) for key in ("time_scale", "operator", "device_serial")}
+        await host.begin(session, {**introduction(bench, bench_file, script, path, session.gyros), **told})
+        result = await session.run()
+        with suppress(asyncio.CancelledError):  # what was seen of the table is told whatever comes now
+            await host.end(_run_object(result))
+        return result
+
+
+def chosen_bench(arguments: argparse.Namespace) -> Bench:
+    """Return the bench that the options name, with their links, devices and seed."""
+    bench = load_bench(Path(arguments.bench) if arguments.bench else None)
+    links = {}
+    for text in arguments.link:
+        device, equals, url = text.partition("=")
+        if not equals:
+            raise UsageError(f"--link {text}: write DEVICE=URL, for instance table=tcp://127.0.0.1:5020")
+        links[device] = url
+    return _seeded(with_links(bench, links, arguments.device), arguments.seed)
+
+
+def _seeded(bench: Bench, seed: int | None) -> Bench:
+    return bench if seed is None else replace(bench, twin=replace(bench.twin, seed=seed))

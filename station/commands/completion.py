@@ -1,0 +1,34 @@
+"""station completion: what a shell needs to complete commands, options and file names."""
+
+import argparse
+import sys
+
+from station.errors import EXIT_USAGE
+from station.run.outcome import Outcome
+
+_FILES = ("FILE", "RECORDING", "RUN", "BENCH", "SCRIPT", "MAPPING", "DATA")
+_FOLDERS = ("FOLDER",)
+
+
+def command_completion(arguments: argparse.Namespace) -> int:
+    """Print the completion script of a shell."""
+    import shtab
+
+    parser: argparse.ArgumentParser = arguments.parser
+    _name_files(parser, shtab.FILE, shtab.DIRECTORY)
+    try:
+        print(shtab.complete(parser, arguments.shell))
+    except NotImplementedError:
+        print(f"station: this version of shtab does not know {arguments.shell}: install 1.13 or newer", file=sys.stderr)
+        return EXIT_USAGE
+    return Outcome.PASS.exit_code
+
+
+def _name_files(parser: argparse.ArgumentParser, file: object, folder: object) -> None:
+    """Mark the arguments that are files and folders, here and in the commands below, by what they are called."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                _name_files(command, file, folder)
+        elif action.metavar in (*_FILES, *_FOLDERS):
+            action.complete = folder if action.metavar in _FOLDERS else file  # type: ignore[attr-defined]

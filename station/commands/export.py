@@ -1,0 +1,75 @@
+"""station export: the calibration in a recording, in the form that something else needs."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from rich.markup import escape
+
+from station.atomic_write import write_whole
+from station.errors import UsageError
+from station.exports.exported import Exported, exported_of
+from station.exports.formats import FORMATS
+from station.exports.held import HELD
+from station.exports.written import Written
+from station.render.rich_table import rich_table
+from station.render.terminal import stdout
+from station.run.outcome import Outcome
+
+_STDOUT = "-"
+
+
+def command_export(arguments: argparse.Namespace) -> int:
+    """Write a calibration to a file or to stdout; what the form does not hold goes to stderr."""
+    if arguments.list:
+        _print_list(arguments.json)
+        return Outcome.PASS.exit_code
+    try:
+        exported, written = _written(arguments)
+        if arguments.output != _STDOUT:
+            write_whole(Path(arguments.output), written.text, replace=arguments.force)
+    except OSError as error:
+        raise UsageError(f"{arguments.recording} cannot be read: {error.strerror or error}") from None
+    if arguments.json:
+        told = {"file": arguments.output, "format": arguments.format, "not_held": list(written.not_held)}
+        print(json.dumps({**told, "notes": exported.cautions}))
+    elif arguments.output == _STDOUT:
+        sys.stdout.flush()
+        sys.stdout.buffer.write(written.text.encode())  # whatever the locale: these files are UTF-8
+        sys.stdout.buffer.flush()
+    for line in written.not_held:
+        print(f"not in {arguments.format}: {line}", file=sys.stderr)
+    for line in exported.cautions:
+        print(f"note: {line}", file=sys.stderr)
+    return Outcome.PASS.exit_code
+
+
+def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:
+    """Return what --json prints when nothing was written."""
+    return {"file": None, "format": arguments.format, "reason": reason}
+
+
+def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
+    if arguments.recording is None or arguments.format is None:
+        raise UsageError("give a recording and --format; `station export --list` says what each format holds")
+    if arguments.json and arguments.output == _STDOUT:
+        raise UsageError("--json says what was written where: give a file with --output")
+    form = FORMATS[arguments.format]
+    exported = exported_of(Path(arguments.recording), arguments.device)
+    if form.of_one_device and len(exported.devices) > 1 and not arguments.device:
+        raise UsageError(
+            f"{arguments.recording} holds the devices {', '.join(exported.devices)}: name one with --device, or "
+            "several that are one array by giving it several times"
+        )
+    return exported, form.write(exported, arguments.instance)
+
+
+def _print_list(as_json: bool) -> None:
+    if as_json:
+        print(json.dumps({name: {"holds": holds, "lacks": lacks} for name, (holds, lacks) in HELD.items()}))
+        return
+    table = rich_table("Formats of station export", ("--format", "holds", "not in it"), fold=True)
+    for name, (holds, lacks) in HELD.items():
+        table.add_row(name, escape(holds), escape(lacks))
+    stdout().print(table)

@@ -1,0 +1,312 @@
+"""station plan --improve: finds a script that reaches given sigmas sooner, or lower ones in a given time."""
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from drivers.types import Flags, Floats
+from estimator.calibration.budget import table_budget
+from estimator.geometry.kinematics import body_rate
+from estimator.geometry.model import regressor_maps
+from estimator.observations.rows import BLOCK_S
+from estimator.planning.planning import UNSEEN, weighed
+from station.atomic_write import free_path
+from station.bench.bench import Bench
+from station.bench.imu import ImuConfig
+from station.errors import UsageError
+from station.render.template import rendered
+from station.render.terminal import print_rendered, stdout
+from station.run.outcome import Outcome
+from station.run.snapshot import by_state
+from station.schema.quantities import QuantityError, parse
+from station.scripts.plan import make_plan
+from station.scripts.planned import planned_motion
+from station.scripts.script import Move, Rest, Rotate, Script, check
+from station.scripts.script_family import ways_of
+from station.scripts.script_search import LONGEST_S, Found, Needs, Search, sds_of
+from station.views.figures import STATE_UNITS
+
+NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)}
+"""What --states may list: columns of the states."""
+DEFAULT_FILE = "improved.toml"
+_PERIOD_S = 0.05
+_MOST_ROWS = 50_000
+_KINDS = {Rest: "rest", Move: "move", Rotate: "rotate"}
+_AFTER_MOVE_S = 0.05  # the sequencer asks whether a move has arrived when it is due, and again so much later
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wanted:
+    """What is asked for: sigmas (n, 4), infinite where none; the time given, or None for the least."""
+
+    sd: Floats
+    total_s: float | None
+    rest_s: float
+    criterion: str
+    one_way: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Improved:
+    """What was found, against what was asked for, and how long the search took."""
+
+    before: Script
+    wanted: Wanted
+    found: Found
+    gyros: tuple[tuple[str, str], ...]
+    search_s: float
+
+
+def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
+    """Find a better script than this one and write it; 1 if the sigmas asked for cannot be reached.
+
+    Raises UsageError for wrong options and a file that is there already, ScriptError where what is found leaves an
+    axis's travel.
+    """
+    began_s = time.perf_counter()
+    wanted = _wanted(arguments, bench, script)
+    path = Path(arguments.output) if arguments.output else free_path(Path(DEFAULT_FILE))
+    if path.exists():
+        raise UsageError(f"{path} is there already: give another name")
+    say = Console(stderr=True, quiet=arguments.json)
+    search = search_of(bench, wanted, lambda text: say.print(f"[dim]{text}[/]", highlight=False))
+    found = search.least_time() if wanted.total_s is None else search.least_sigmas(wanted.total_s)
+    gyros = tuple((imu.name, gyro) for imu in _used(bench) for gyro in imu.array.names)
+    if found is None:
+        return _refuse(_why_not(search, bench, wanted, gyros), arguments.json)
+    check(found.script, bench.table.limits)
+    improved = Improved(script, wanted, found, gyros, time.perf_counter() - began_s)
+    write_script(path, found.script, _origin(improved, bench))
+    if arguments.json:
+        print(json.dumps(improved_object(improved, path)))
+    else:
+        _print(improved, path)
+    return Outcome.PASS.exit_code
+
+
+def search_of(bench: Bench, wanted: Wanted, on_progress: Callable[[str], None]) -> Search:
+    """Return the search for this bench's used devices."""
+    imus = _used(bench)
+    needs = Needs(
+        maps=np.vstack([regressor_maps(imu.array) for imu in imus]),
+        arw=np.concatenate([np.full(len(imu.array), imu.noise.arw) for imu in imus]),
+        prior=np.vstack([np.tile(imu.prior.variances(), (len(imu.array), 1)) for imu in imus]),
+        sd=wanted.sd,
+    )
+    return Search(
+        needs,
+        bench.table.limits,
+        bench.table.gimbals,
+        wanted.rest_s,
+        lambda script: predicted(script, bench),
+        criterion=wanted.criterion,
+        gentle_rps2=_gentle_rps2(bench),
+        coloured=any(imu.noise.instability > 0 or imu.noise.walk > 0 for imu in imus),
+        one_directional=wanted.one_way,
+        on_progress=on_progress,
+    )
+
+
+def predicted(script: Script, bench: Bench) -> Floats:
+    """Return the covariances (n, 4, 4) of the states that a run of the script will have, noise and table together.
+
+    They are those of ``station.scripts.plan.make_plan``, without the effects that it adds.
+    """
+    period_s = max(_PERIOD_S, script.duration_s / _MOST_ROWS)
+    motion = planned_motion(script, bench.table.gimbals, period_s)
+    w = body_rate(motion.angle_rad, motion.rate_rps, motion.gimbals, bench.site)
+    columns = np.column_stack([np.ones(len(w)), w])
+    readings = motion.readings(bench.table.uncertainty)
+    covariances = []
+    for imu in _used(bench):
+        maps, arw = regressor_maps(imu.array), np.full(len(imu.array), imu.noise.arw)
+        seen = weighed(columns, motion.t_s, period_s, imu.noise)
+        own = np.linalg.inv(maps @ seen @ maps.transpose(0, 2, 1) + np.diag(1 / imu.prior.variances()))
+        for covariance, parts in zip(own, table_budget(readings, bench.site, imu.array, imu.prior, arw), strict=True):
+            covariances.append(covariance + sum(part.covariance for part in parts))
+    return np.array(covariances)
+
+
+def _gentle_rps2(bench: Bench) -> float:
+    """Return the acceleration at which the corners of a ramp, missed between two readings, are lost in the noise.
+
+    A rate interpolated over a corner at a share f of the time h between readings, misses an angle a h^2 f (1 - f) / 2,
+    for any f in the mean square a h^2 / sqrt(120); the noise is that of one block of the live filter.
+    """
+    noise_rad = min(imu.noise.arw for imu in _used(bench)) * math.sqrt(BLOCK_S)
+    return noise_rad * math.sqrt(120) * bench.table.poll_rate_hz**2
+
+
+def _used(bench: Bench) -> list[ImuConfig]:
+    used = [imu for imu in bench.imus if imu.used]
+    if not used:
+        raise UsageError("no device of the bench is used: set used = true, or name one with --device")
+    return used
+
+
+def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Wanted:
+    margin, rest_s = _quantity(arguments, "margin", "ratio"), _quantity(arguments, "rest", "time")
+    if not 0 <= margin < 1 or not 1 <= rest_s <= LONGEST_S / 4:
+        raise UsageError('--margin must be from "0 %" to below "100 %", --rest "1 s" or more')
+    columns = _columns(arguments.states)
+    if arguments.sigmas == "bench":
+        limits = bench.limits
+        row = np.array([limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad])
+        sd = np.tile(row, (sum(len(imu.array) for imu in _used(bench)), 1))
+    else:
+        plan = make_plan(script, bench, effects=())
+        promised = np.array([gyro.prior_sd for gyro in plan.forecast.gyros])
+        sd = np.where(plan.sd > UNSEEN * promised, np.inf, plan.sd)  # what it does not show, it does not reach
+    sd = np.where(np.isin(np.arange(4), columns), sd * (1 - margin), np.inf)
+    if not np.isfinite(sd).any():
+        raise UsageError(
+            "nothing to reach: the bench requires none of these sigmas ([limits], sd_...)"
+            if arguments.sigmas == "bench"
+            else f"nothing to reach: {script.name} shows none of these states"
+        )
+    total_s = None if arguments.time_given is None else _quantity(arguments, "time_given", "time")
+    if total_s is not None and not 0 < total_s <= LONGEST_S:
+        raise UsageError(f"--for {arguments.time_given}: give a time above 0 s and up to {LONGEST_S / 3600:g} h")
+    return Wanted(sd, total_s, rest_s, arguments.criterion, arguments.one_way)
+
+
+def _quantity(arguments: argparse.Namespace, option: str, kind: str) -> float:
+    text = getattr(arguments, option)
+    try:
+        return parse(text, kind)
+    except QuantityError as error:
+        name = "for" if option == "time_given" else option
+        raise UsageError(f"--{name} {text}: {error}") from None
+
+
+def _columns(text: str) -> list[int]:
+    names = [name.strip() for name in text.split(",")]
+    wrong = [name for name in names if name not in NAMES]
+    if wrong:
+        raise UsageError(f"--states {text}: {wrong[0]!r} is not one of {', '.join(NAMES)}")
+    return sorted({column for name in names for column in NAMES[name]})
+
+
+def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[str, str], ...]) -> str:
+    """Return which sigmas cannot be reached, and what limits them."""
+    if wanted.total_s is not None:
+        return f"no turns about the table's axes fit into {wanted.total_s:g} s beside the rests: give more time"
+    missed = search.unreachable()
+    if missed.any():
+        directions = np.array([way.direction for way in ways_of(bench.table.gimbals, (0.0, math.pi / 2))])
+        if np.linalg.matrix_rank(directions) < 3:
+            axes = ", ".join(bench.table.gimbals)
+            reason = f"the table turns the body about too few directions (it has axis {axes}): an axis is missing"
+        else:
+            reason = f"the rates that the axes allow and the white noise, even in {LONGEST_S / 3600:g} h"
+        return f"cannot be reached: {_listed(missed, gyros)}; what limits it: {reason}"
+    longest = search.longest()
+    sd, table_sd = sds_of(search.predict(longest)), make_plan(longest, bench, effects=()).table_sd
+    missed = sd > wanted.sd
+    reason = (
+        "the table's own uncertainty ([table.uncertainty])"
+        if (table_sd > wanted.sd).any()
+        else "noise that no time averages out (bias_instability, rate_random_walk of the data sheet)"
+    )
+    return f"cannot be reached: {_listed(missed, gyros)}; what limits it: {reason}"
+
+
+def _listed(missed: Flags, gyros: tuple[tuple[str, str], ...]) -> str:
+    names = [
+        f"{name} {STATE_UNITS[state][0]}"
+        for (_, name), row in zip(gyros, missed, strict=True)
+        for state in np.flatnonzero(row)
+    ]
+    more = f" and {len(names) - 4} more" if len(names) > 4 else ""
+    return f"sigma of {', '.join(names[:4])}{more}"
+
+
+def _refuse(reason: str, as_json: bool) -> int:
+    print(f"station: {reason}", file=sys.stderr)
+    if as_json:
+        print(json.dumps({"reached": False, "reason": reason, "script": None}))
+    return Outcome.FAIL.exit_code
+
+
+def script_text(script: Script, origin: str) -> str:
+    """Return a script as TOML that ``station.scripts.script.load_script`` reads; ``origin`` is its first comment."""
+    steps = zip((_KINDS[type(step)] for step in script.steps), script.steps, script.durations_s(), strict=True)
+    values = {"origin": origin, "script": script, "steps": steps, "degrees": math.degrees}
+    return rendered("station.commands", "script.toml", values)
+
+
+def write_script(path: Path, script: Script, origin: str) -> None:
+    """Write a script as TOML into a new file; UsageError if that fails."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(script_text(script, origin))
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error}") from None
+
+
+def _origin(improved: Improved, bench: Bench) -> str:
+    wanted, script = improved.wanted, improved.found.script
+    aim = "least time to its sigmas" if wanted.total_s is None else f"least sigmas in {wanted.total_s:g} s"
+    return (
+        f"Found by station plan --improve for the bench {bench.name!r}, criterion {wanted.criterion}: {aim}.\n"
+        f"{script.duration_s:.1f} s; {improved.before.name} takes {improved.before.duration_s:.1f} s.\n"
+        f"It rests {wanted.rest_s:g} s at both ends, so that the noise can be told from the motion."
+    )
+
+
+def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
+    """Return what was found as what --json prints, in SI; null for what was not asked for."""
+    script, before = improved.found.script, improved.before
+    return {
+        "reached": bool((improved.found.sd <= improved.wanted.sd).all()),
+        "script": str(path),
+        "duration_s": script.duration_s,
+        "duration_with_sequencer_s": _with_sequencer_s(script),
+        "before": {"script": before.name, "duration_s": before.duration_s},
+        "criterion": improved.wanted.criterion,
+        "compared": improved.found.compared,
+        "search_s": improved.search_s,
+        "gyros": [
+            {
+                "device": device,
+                "name": name,
+                "required": by_state(needed),
+                "sd": by_state(reached),
+            }
+            for (device, name), needed, reached in zip(
+                improved.gyros, improved.wanted.sd, improved.found.sd, strict=True
+            )
+        ],
+        "steps": [
+            {"label": step.label, "duration_s": duration_s}
+            for step, duration_s in zip(script.steps, script.durations_s(), strict=True)
+        ],
+    }
+
+
+def _with_sequencer_s(script: Script) -> float:
+    return script.duration_s + _AFTER_MOVE_S * sum(not isinstance(step, Rest) for step in script.steps)
+
+
+def _print(improved: Improved, path: Path) -> None:
+    script = improved.found.script
+    values = {
+        "improved": improved,
+        "found": improved.found,
+        "wanted": improved.wanted,
+        "with_sequencer_s": _with_sequencer_s(script),
+        "units": STATE_UNITS,
+        "infinite": math.inf,
+        "steps": list(zip(script.steps, script.durations_s(), strict=True)),
+        "path": path,
+    }
+    print_rendered(stdout(), "station.render", "improved.rich", values)

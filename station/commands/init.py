@@ -1,0 +1,100 @@
+"""station init: a bench file, made of answers about the hardware."""
+
+import argparse
+import os
+import shlex
+import sys
+from itertools import zip_longest
+from pathlib import Path
+
+from station.atomic_write import write_whole
+from station.bench.bench import Bench, load_bench
+from station.bench.table import TWIN
+from station.errors import EXIT_ABORTED, ScriptError, UsageError
+from station.init.bench_text import IMUS, TABLES, BenchAnswer, ImuAnswer, bench_text
+from station.init.dialogue import Dialogue, EndedError
+from station.init.hardware import can_interfaces, serial_ports
+from station.init.imu import ask_imu
+from station.init.links import Links
+from station.init.rest import ask_rest
+from station.init.table import ask_table
+from station.run.outcome import Outcome
+from station.scripts.script import check, paper_script
+
+
+def command_init(arguments: argparse.Namespace) -> int:
+    """Ask, write a bench file, say what to type next; 3 if the questions were not answered to the end."""
+    path = Path(arguments.file)
+    try:
+        dialogue = Dialogue(asks=not arguments.defaults)
+        _check_options(arguments)
+        _check_place(path, dialogue, arguments.force)
+        answers = _ask(dialogue, arguments, path)
+        write_whole(path, bench_text(answers), replace=True, verify=load_bench)
+        _say_next(path, load_bench(path))
+    except (KeyboardInterrupt, EndedError):
+        print("\nstation: stopped before the last question; nothing was written", file=sys.stderr)
+        return EXIT_ABORTED
+    return Outcome.PASS.exit_code
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    for option, given, known in (("--table", [arguments.table or "modbus"], TABLES), ("--imu", arguments.imu, IMUS)):
+        for name in given:
+            if name not in known:
+                raise UsageError(f"{option} {name}: give one of {', '.join(known)}")
+    if len(arguments.imu_link) > max(len(arguments.imu), 1):
+        raise UsageError("there are more --imu-link than --imu")
+
+
+def _check_place(path: Path, dialogue: Dialogue, force: bool) -> None:
+    """See that a file can be written, before anything is asked."""
+    if path.is_dir():
+        raise UsageError(f"{path} is a folder: give the name of a file")
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise UsageError(f"{folder} cannot be written to: give a file in another folder")
+    if path.exists() and not force:
+        if not dialogue.asks:
+            raise UsageError(f"{path} is there already: give another name, or --force to write over it")
+        if not dialogue.agrees(f"{path} is there already. Write over it?", False):
+            raise UsageError(f"{path} is left as it is: give another name")
+
+
+def _ask(dialogue: Dialogue, arguments: argparse.Namespace, path: Path) -> BenchAnswer:
+    dialogue.say(
+        "This writes a bench file: which devices there are, and where. What stands in brackets is taken if you type\n"
+        "nothing; a - is an empty answer. What is not there yet gets a simulated twin. Ctrl-C ends, and writes nothing."
+    )
+    folder = path.absolute().parent
+    links = Links(serial_ports(), can_interfaces()) if dialogue.asks else Links()
+    name = dialogue.ask("\nname of the bench", path.stem, _check_name)
+    table = ask_table(dialogue, links, folder, arguments.table or "", arguments.table_link or "")
+    imus: list[ImuAnswer] = []
+    for protocol, link in zip_longest(arguments.imu or [""], arguments.imu_link, fillvalue=""):
+        imus.append(ask_imu(dialogue, links, folder, protocol, link, [imu.name for imu in imus]))
+    while dialogue.asks and dialogue.agrees("\nAnother device under test?", False):
+        imus.append(ask_imu(dialogue, links, folder, "", "", [imu.name for imu in imus]))
+    return ask_rest(dialogue, BenchAnswer(name, table, imus))
+
+
+def _check_name(text: str) -> None:
+    if not text:
+        raise UsageError("give it a name")
+
+
+def _say_next(path: Path, bench: Bench) -> None:
+    """Say what was written, and what to type next."""
+    links = {"table": bench.table.link, **{imu.name: imu.link for imu in bench.imus}}
+    twins = [device for device, link in links.items() if link == TWIN]
+    named = shlex.quote(str(path))
+    print(f"\nwritten: {path}")
+    if twins:
+        print(f"simulated until you put in their links: {', '.join(twins)}")
+    print("next:")
+    print(f"  station check {named:<30} does everything answer? nothing moves")
+    try:
+        check(paper_script(), bench.table.limits)
+        print(f"  station run --bench {named:<24} the 360 s script, and the calibration")
+    except ScriptError as error:
+        print(f"  station run --bench {named} --script FILE   a script of your own, since: {error}")

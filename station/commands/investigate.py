@@ -1,0 +1,184 @@
+"""station investigate: what the error model lacks, traced in recordings that are there."""
+
+import argparse
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.packaged import packaged_toml
+from drivers.types import AxisLimits
+from estimator.estimation.runs.run import runs_of
+from estimator.recordings.recording import Recording, read_recording
+from estimator.recordings.reference import TableReadings
+from estimator.tracing.investigate import investigate
+from estimator.tracing.investigation import Finding, Investigation
+from station.atomic_write import free_path
+from station.bench.bench import load_bench
+from station.commands.calibrate import recordings_of
+from station.commands.improve import write_script
+from station.errors import UsageError
+from station.exports.investigation_file import check_new_file, write_investigation
+from station.render.investigation_pictures import draw_investigation
+from station.render.investigation_printed import exit_code_of, investigation_object, print_investigation
+from station.render.progress import TracingProgress
+from station.schema.tables import Table
+from station.scripts.next_script import NextScript, Past, next_script
+from station.studies.pictures import check_picture
+
+_NEXT_FILE = "next-script.toml"
+_MOST_RIVALS = 4  # of what stays unexplained, so many suspects are told apart
+_SUSPECTS = packaged_toml("station.commands", "suspects.toml")
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a table can do, and where that is stated."""
+
+    axes: Mapping[str, AxisLimits]
+    stated_in: str
+
+
+def command_investigate(arguments: argparse.Namespace) -> int:
+    """Trace what the model lacks; 0 if nothing or known, 1 if it cannot be told or explained, 2 for bad input."""
+    picture, model, script_file = _outputs(arguments)
+    arguments.recordings, arguments.verify = recordings_of(arguments.recordings), recordings_of(arguments.verify)
+    fitted, judging = arguments.recordings, arguments.verify
+    _check_apart(fitted, judging)
+    recordings, verification = read(fitted), read(judging)
+    limits = limits_of(recordings, Path(arguments.bench) if arguments.bench else None)
+    with TracingProgress(arguments.json) as progress:
+        found = investigate(recordings, verification, most_effects=arguments.most_effects, progress=progress.show)
+        following = following_script(found, recordings, verification, limits)
+    if following is not None:
+        script_file = script_file or free_path(Path(_NEXT_FILE))
+        write_next(script_file, following, limits)
+    written = None if following is None else script_file
+    what = investigation_object(found, written, fitted, judging)
+    if model is not None:
+        write_investigation(model, found, what)
+    if picture is not None:
+        draw_investigation(picture, found)
+    if arguments.json:
+        print(json.dumps({**what, "output": arguments.output, "plot": arguments.plot}))
+    else:
+        print_investigation(found, following, written)
+        if following is None and exit_code_of(found.finding):
+            print(f"no next script: {_why_none(recordings, limits)}")
+        for kind, path in (("picture", picture), ("results", model)):
+            if path is not None:
+                print(f"{kind}: {path}")
+    return exit_code_of(found.finding)
+
+
+def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what --json prints when there is no verdict."""
+    recordings, verification = list(arguments.recordings), list(arguments.verify)
+    return {"verdict": None, "reason": reason, "recordings": recordings, "verification": verification}
+
+
+def _outputs(arguments: argparse.Namespace) -> tuple[Path | None, Path | None, Path | None]:
+    """Return picture, results and script to write, checked before the long work."""
+    picture, model, script = (
+        Path(name) if name else None for name in (arguments.plot, arguments.output, arguments.next_script)
+    )
+    if picture is not None:
+        check_picture(picture)
+    for path, option in ((model, "--output"), (script, "--next-script")):
+        if path is not None:
+            check_new_file(path, option)
+    return picture, model, script
+
+
+def _check_apart(fitted: Sequence[str], judging: Sequence[str]) -> None:
+    both = {Path(name).resolve() for name in fitted} & {Path(name).resolve() for name in judging}
+    if both:
+        raise UsageError(f"{min(both)} is to be fitted and to verify: a run that is fitted cannot judge")
+
+
+def read(names: Sequence[str]) -> list[Recording]:
+    """Return recordings by name."""
+    return [read_recording(Path(name)) for name in names]
+
+
+def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | None:
+    """Return the limits of the table: of a bench file, or of the one that a recording carries; None if neither."""
+    if bench is not None:
+        return Limits(load_bench(bench).table.limits, str(bench))
+    for recording in recordings:
+        text = recording.attributes.get("bench")
+        if text and isinstance(recording.reference, TableReadings):
+            table = Table.parse(str(text), f"bench in {recording.name}", UsageError).table("table")
+            axes = {axis: AxisLimits(**table.table(axis).declared("axis")) for axis in recording.reference.gimbals}
+            return Limits(axes, f"the bench in {recording.name}")
+    return None
+
+
+def following_script(
+    found: Investigation,
+    recordings: Sequence[Recording],
+    verification: Sequence[Recording],
+    limits: Limits | None,
+    most_s: float = math.inf,
+) -> NextScript | None:
+    """Return what to drive next within a time, None if all is settled or no table is known.
+
+    Raises UsageError if the limits are those of another table.
+    """
+    fitted, judging = ([r for r in own if isinstance(r.reference, TableReadings)] for own in (recordings, verification))
+    if limits is None or not fitted or found.finding in (Finding.NOTHING, Finding.ADDED):
+        return None
+    reference = fitted[0].reference
+    assert isinstance(reference, TableReadings)
+    missing = [axis for axis in reference.gimbals if axis not in limits.axes]
+    if missing:
+        raise UsageError(f"{limits.stated_in} has no axis {', '.join(missing)}, which the recordings turn about")
+    rivals = found.rivals or (_suspects(found),)
+    known = {suspect.effect: suspect.log_evidence for suspect in found.suspects}
+    seen_since = _evidence_of(found)
+    past, since = ([Past.of(run) for recording in own for run in runs_of(recording)[0]] for own in (fitted, judging))
+    return next_script(
+        rivals,
+        {name: max(known.get(name, 0.0), seen_since) for own in rivals for name in own},
+        past,
+        limits.axes,
+        reference.gimbals,
+        fitted[0].site,
+        judging=since,
+        most_s=most_s,
+    )
+
+
+def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
+    if not any(isinstance(recording.reference, TableReadings) for recording in recordings):
+        return "these recordings were not made on a table"
+    if limits is None:
+        return "nothing says what the table can do: give its bench file with --bench"
+    return "no script is known that shows more of this"
+
+
+def _suspects(found: Investigation) -> tuple[str, ...]:
+    """Return what may lie behind something unexplained: effects of its kind, else those that would explain most."""
+    if found.unexplained is not None and found.unexplained.depends_on in _SUSPECTS:
+        return tuple(_SUSPECTS[found.unexplained.depends_on])
+    ranked = sorted(found.suspects, key=lambda suspect: -suspect.log_evidence)
+    return tuple(suspect.effect for suspect in ranked[:_MOST_RIVALS])
+
+
+def _evidence_of(found: Investigation) -> float:
+    """Return half the squares, in sigmas, by which the errors on a verification run exceed their noise."""
+    views = [view for view in found.views if view.verification and view.noise_rps > 0]
+    squares = sum(float(np.sum((view.after_rps / view.noise_rps) ** 2 - 1)) for view in views)
+    return max(0.5 * squares, 0.0)
+
+
+def write_next(path: Path, following: NextScript, limits: Limits | None) -> None:
+    """Write the script that an investigation asks for; UsageError if that fails."""
+    rivals = "; ".join(" or ".join(names) for names in following.rivals)
+    origin = f"Found by station investigate, within the limits of {limits.stated_in if limits else 'a table'}.\n"
+    origin += f"To tell apart: {rivals}. Predicted probability of that: {following.probability:.2f}."
+    write_script(path, following.script, origin)

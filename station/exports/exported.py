@@ -1,0 +1,153 @@
+"""What is exported of a recording: its calibration, the compensation of some of its gyros, where they come from."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from estimator.calibration.compensation import Compensation
+from estimator.calibration.error_model import ErrorModel
+from estimator.calibration.stored_calibration import read_calibration
+from estimator.calibration.values import Calibration, GyroCalibration
+from estimator.errors import EstimatorError, RecordingError
+from estimator.recordings.recording import Recording, read_recording
+from station.errors import UsageError
+from station.exports.hashes import file_sha256
+from station.run.outcome import Outcome
+from station.views.figures import STATE_FIGURES
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the calibration was made at: temperatures (lowest, mean, highest; NaN if not recorded), rates, sampling.
+
+    ``largest_rps`` is the largest output of the gyros, ``rate_hz`` how often they were sampled.
+    """
+
+    temperature_c: tuple[float, float, float]
+    largest_rps: float
+    rate_hz: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exported:
+    """Gyros of a recording with their calibration. ``identity`` says what they are and where the figures come from."""
+
+    path: Path
+    identity: Mapping[str, str]
+    calibration: Calibration
+    gyros: tuple[GyroCalibration, ...]
+    compensation: Compensation
+    seen: Seen
+    devices: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """What the gyros are called together."""
+        return " and ".join(self.devices) or "imu"
+
+    @property
+    def cautions(self) -> list[str]:
+        """What speaks against using the calibration: that it was no pass, and what its notes say."""
+        outcome = self.identity.get("outcome", Outcome.PASS)
+        failed = [] if outcome.startswith((Outcome.PASS, Outcome.ESTIMATED)) else [f"the run was no pass: {outcome}"]
+        return [*failed, *self.calibration.notes]
+
+    @property
+    def origin(self) -> list[str]:
+        """Who was measured, how, and under what conditions: lines of text for the head of a file."""
+        lines = [f"{key}: {value}" for key, value in self.identity.items()]
+        low, mean, high = self.seen.temperature_c
+        warmth = f"{low:.2f} to {high:.2f} degC, mean {mean:.2f}" if np.isfinite(mean) else "temperature not recorded"
+        lines.append(
+            f"calibrated at: rates to {np.degrees(self.seen.largest_rps):.4g} deg/s, {warmth}, {self.seen.rate_hz:.6g} "
+            "samples a second"
+        )
+        names = self.compensation.array.names
+        return lines + [f"{name}: {_states(gyro)}" for name, gyro in zip(names, self.gyros, strict=True)]
+
+
+def exported_of(path: Path, devices: Sequence[str] = ()) -> Exported:
+    """Return what is exported of a recording: of these devices under test, or all.
+
+    Raises RecordingError if there is no calibration, ModelError and CompensationError for effects of another version,
+    UsageError for a device that the recording does not have.
+    """
+    recording = _read(path)
+    calibration = read_calibration(path, trusted=True)
+    there = tuple(dict.fromkeys(gyro.device for gyro in calibration.gyros))
+    for device in devices:
+        if device not in there:
+            raise UsageError(f"{path} has no calibrated device {device!r}; it has {', '.join(filter(None, there))}")
+    gyros = tuple(gyro for gyro in calibration.gyros if not devices or gyro.device in devices)
+    arrays = {name: data.array for name, data in recording.sources.items()}
+    return Exported(
+        path,
+        _identity(path, recording, gyros),
+        calibration,
+        gyros,
+        Compensation.of(gyros, arrays, calibration.model),
+        _seen(recording, gyros),
+        tuple(device for device in there if device and (not devices or device in devices)),
+    )
+
+
+def _read(path: Path) -> Recording:
+    try:
+        return read_recording(path)
+    except RecordingError:
+        with suppress(EstimatorError):
+            ErrorModel.read(path)
+            raise UsageError(
+                f"{path} holds what an investigation found, which is of a type of gyros: `station calibrate --model "
+                f"{path} --write RECORDING` puts it into the calibration of a recording, which can then be exported"
+            ) from None
+        raise
+
+
+def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]) -> dict[str, str]:
+    told = recording.attributes
+    with h5py.File(path, "r") as file:
+        kinds = [_kind(file[f"imu/{gyro.source}"].attrs) for gyro in gyros]
+    named = {
+        "device": ", ".join(dict.fromkeys(gyro.device for gyro in gyros if gyro.device)) or told.get("device", ""),
+        "model": ", ".join(dict.fromkeys(filter(None, kinds))),
+        "serial number": told.get("device_serial", ""),
+        "operator": told.get("operator", ""),
+        "station": told.get("station", ""),
+        "script": told.get("script", ""),
+        "outcome": " ".join(str(told[key]) for key in ("outcome", "reason") if key in told),
+        "software version": told.get("software_version", ""),
+        "recording": path.name,
+        "sha256 of the recording": file_sha256(path),
+    }
+    # A line each: what a file says of itself must not end the comment that it stands in.
+    return {key: " ".join(str(value).split()) for key, value in named.items() if value}
+
+
+def _kind(attributes: Mapping[str, Any]) -> str:
+    words = {"model": "{}", "serial": "serial {}", "firmware": "firmware {}"}
+    return " ".join(word.format(attributes[key]) for key, word in words.items() if key in attributes)
+
+
+def _states(gyro: GyroCalibration) -> str:
+    """Return the states with their standard deviations, in the units people use."""
+    return ", ".join(
+        f"{shown.name} {state * shown.factor:.6g} ± {float(f'{sd * shown.factor:.2g}'):g} {shown.unit}"
+        for shown, state, sd in zip(STATE_FIGURES, gyro.states, gyro.sd, strict=True)
+    )
+
+
+def _seen(recording: Recording, gyros: Sequence[GyroCalibration]) -> Seen:
+    used = {gyro.source: recording.sources[gyro.source] for gyro in gyros}.values()
+    temperatures = [data.temperature_c for data in used if data.temperature_c is not None]
+    known = np.concatenate([t[np.isfinite(t)] for t in temperatures]) if temperatures else np.empty(0)
+    span = (float(known.min()), float(known.mean()), float(known.max())) if len(known) else (float("nan"),) * 3
+    outputs = [np.abs(data.rate_rps[np.isfinite(data.rate_rps)]).max(initial=0.0) for data in used]
+    periods = [float(np.median(np.diff(data.t_ns))) * 1e-9 for data in used if len(data.t_ns) > 1]
+    fastest = 1 / min(periods) if periods and min(periods) > 0 else float("nan")
+    return Seen((span[0], span[1], span[2]), float(max(outputs)), fastest)

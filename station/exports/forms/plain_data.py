@@ -1,0 +1,133 @@
+"""All of a calibration as JSON and YAML, and its states as CSV."""
+
+import csv
+import io
+import json
+from typing import Any
+
+import numpy as np
+
+from estimator.calibration.compensation import CompensationError
+from estimator.calibration.values import GyroCalibration
+from estimator.geometry.model import STATES
+from station.errors import UsageError
+from station.exports.exported import Exported
+from station.exports.forms.yaml_text import yaml_lines
+from station.exports.written import NOT_FINITE, Written, lines_of, number
+
+FORMAT = "turntable-calibration"
+FORMAT_VERSION = 1
+_FORMULA = "y = G w - b + effects, so w = H (y + b - effects); rows of G: (1 - k)(p - sigma_k j + sigma_j k)"
+
+
+def write_json(exported: Exported) -> Written:
+    """Return everything as one JSON object, SI units."""
+    try:
+        return Written(json.dumps(_object(exported), indent=1, allow_nan=False) + "\n")
+    except ValueError:
+        raise UsageError(NOT_FINITE) from None
+
+
+def write_yaml(exported: Exported) -> Written:
+    """Return the same as YAML."""
+    return Written("\n".join(yaml_lines(_object(exported))) + "\n")
+
+
+def write_csv(exported: Exported) -> Written:
+    """Return a line a gyro: axes, states, sigmas, row of the sensitivity, effects; SI units are in the headings."""
+    compensation = exported.compensation
+    units = ("1", "rad/s", "rad", "rad")
+    headings = ["gyro", "source", "device"]
+    headings += [f"{axis}_{component}" for axis in "pjk" for component in "xyz"]
+    for key, unit in zip(STATES, units, strict=True):
+        headings += [f"{key} ({unit})", f"sd {key} ({unit})"]
+    headings += [f"g_{component}" for component in "xyz"]
+    headings += ["noise of a sample (rad/s)"]
+    for effect in exported.gyros[0].effects:
+        named = f"{effect.effect}: {effect.parameter} ({effect.unit})"
+        headings += [named, f"sd {named}"]
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(headings)
+    array = compensation.array
+    for i, gyro in enumerate(exported.gyros):
+        values = [*array.p[i], *array.j[i], *array.k[i]]
+        for state, sd in zip(gyro.states, gyro.sd, strict=True):
+            values += [state, sd]
+        values += [*compensation.sensitivity[i], gyro.noise_rps]
+        for effect in gyro.effects:
+            values += [effect.value, effect.sd]
+        writer.writerow([array.names[i], gyro.source, gyro.device, *map(number, values)])
+    lacking = ("covariances, uncertainty budget and where it comes from: json and yaml hold them",)
+    return Written(file.getvalue(), lacking)
+
+
+def _object(exported: Exported) -> dict[str, Any]:
+    compensation, seen = exported.compensation, exported.seen
+    try:
+        solution: Any = compensation.solution.tolist()
+    except CompensationError:
+        solution = None
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "identity": {key.replace(" ", "_"): value for key, value in exported.identity.items()},
+        "units": "SI: rad, rad/s, s, degC; axes and body rates in the body frame of the recording",
+        "formula": _FORMULA,
+        "calibrated_at": {
+            "temperature_c": [None if np.isnan(t) else t for t in seen.temperature_c],
+            "largest_rps": seen.largest_rps,
+            "rate_hz": None if np.isnan(seen.rate_hz) else seen.rate_hz,
+        },
+        "gyros": [_gyro(exported, i, gyro) for i, gyro in enumerate(exported.gyros)],
+        "sensitivity_g": compensation.sensitivity.tolist(),
+        "bias_b_rps": compensation.bias_rps.tolist(),
+        "solution_h": solution,
+        "delay_s": compensation.delay_s,
+        "effects": [
+            {
+                "effect": held.name,
+                **held.known.settings,
+                "parameters": [{"name": s.name, "unit": s.unit} for s in held.known.sizes],
+                "values": held.values.tolist(),
+            }
+            for held in compensation.effects
+        ],
+        "not_corrected": lines_of(compensation.left_out),
+        "excluded": {e.name: e.reason for e in exported.calibration.excluded},
+        "notes": list(exported.calibration.notes),
+        "nis_mean": _known(exported.calibration.nis_mean),
+        "samples": exported.calibration.samples,
+        "lost": exported.calibration.lost,
+    }
+
+
+def _gyro(exported: Exported, number_of: int, gyro: GyroCalibration) -> dict[str, Any]:
+    array = exported.compensation.array
+    return {
+        "name": array.names[number_of],
+        "source": gyro.source,
+        "device": gyro.device,
+        "p": array.p[number_of].tolist(),
+        "j": array.j[number_of].tolist(),
+        "k": array.k[number_of].tolist(),
+        "states": dict(zip(STATES, gyro.states.tolist(), strict=True)),
+        "sd": dict(zip(STATES, gyro.sd.tolist(), strict=True)),
+        "covariance": gyro.covariance.tolist(),
+        "budget": {line.name: dict(zip(STATES, line.u.tolist(), strict=True)) for line in gyro.budget},
+        "noise_of_a_sample_rps": gyro.noise_rps,
+        "noise": gyro.noise
+        and {
+            "arw_rps_rthz": gyro.noise.mean.arw,
+            "instability_rps": gyro.noise.mean.instability,
+            "walk_rps_rts": gyro.noise.mean.walk,
+        },
+        "effects": [
+            {"effect": e.effect, "parameter": e.parameter, "value": e.value, "sd": e.sd, "unit": e.unit}
+            for e in gyro.effects
+        ],
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,87 @@
+"""What an investigation is kept in: an HDF5 file with the verdict as JSON and the residuals before and after."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from estimator.calibration.error_model import WHERE
+from estimator.tracing.investigation import Investigation
+from estimator.tracing.residuals.residual import Residual
+from estimator.tracing.type_model import error_model_of
+from station.errors import UsageError
+
+if TYPE_CHECKING:
+    from h5py import Group
+
+FORMAT = "turntable-investigation"
+FORMAT_VERSION = 1
+
+
+def check_new_file(path: Path, option: str) -> None:
+    """See, before any long work, that a file can be created there; UsageError if not."""
+    if path.exists():
+        raise UsageError(f"{option} {path} is there already: give another name")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"{option} {path}: there is no directory {path.parent}")
+
+
+def write_investigation(path: Path, found: Investigation, what: Mapping[str, Any]) -> None:
+    """Write group /investigation: ``what`` --json prints as its attribute ``json``, states, residuals by run and gyro.
+
+    Group ``spectrum`` holds by gyro the densities of the residual of the recordings that were fitted, before and after,
+    and of the noise model, (rad/s)^2/Hz at ``frequency_hz``; ``spectrum_verification`` those of the verification run.
+
+    ``error_model`` is the text of the model to begin with on the next device of the type: that of
+    ``estimator.calibration.error_model``.
+
+    Raises UsageError if the file is there or cannot be written.
+    """
+    import h5py
+
+    try:
+        created = h5py.File(path, "x")
+    except (OSError, ValueError) as error:
+        raise UsageError(f"cannot create {path}: {' '.join(str(error).split())}") from None
+    try:
+        with created as file:
+            file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
+            group = file.create_group("investigation")
+            group.attrs.update({"verdict": str(found.finding), "reason": found.reason, "json": json.dumps(what)})
+            if found.model is not None:
+                file[WHERE] = error_model_of(found.model).text()
+            group["name"] = np.array([gyro.name.encode() for gyro in found.gyros])
+            for key in ("states_before", "states_after", "moved"):
+                group[key] = np.array([getattr(gyro, key) for gyro in found.gyros])
+            for view in found.views:
+                part = group.create_group(f"residual/{_name(view.run)}/{_name(view.gyro)}")
+                part.attrs.update({"verification": view.verification, "noise_rps": view.noise_rps})
+                for key in ("t_s", "rate_rps", "temperature_c", "before_rps", "after_rps"):
+                    values = getattr(view, key)
+                    if values is not None:
+                        part[key] = values
+            _write_spectra(group, "spectrum", found.residual_before, found.residual_after)
+            _write_spectra(group, "spectrum_verification", found.verified_before, found.verified_after)
+    except (OSError, ValueError) as error:
+        with suppress(OSError):
+            path.unlink()
+        raise UsageError(f"cannot write {path}: {' '.join(str(error).split())}") from None
+
+
+def _write_spectra(group: Group, name: str, before: Residual | None, after: Residual | None) -> None:
+    if before is None or after is None:
+        return
+    for old, new in zip(before.gyros, after.gyros, strict=True):
+        part = group.create_group(f"{name}/{_name(old.name)}")
+        part["frequency_hz"], part["noise"] = old.spectrum.frequency_hz, old.spectrum.noise
+        part["before"], part["after"] = old.spectrum.density, new.spectrum.density
+
+
+def _name(text: str) -> str:
+    """Return a name without slashes, which would make a group each."""
+    return text.replace("/", "_")

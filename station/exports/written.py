@@ -1,0 +1,61 @@
+"""One calibration in one form: the text of the file, and what the file cannot hold."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.effects.constructed import readable
+from station.errors import UsageError
+from station.exports.exported import Exported
+
+NOT_FINITE = "the calibration holds a number that is not finite: estimate it again"
+"""Why a calibration cannot be written in any form."""
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """Text of a file; ``not_held`` says, a line each, what of the calibration is not in it, or must be done by hand."""
+
+    text: str
+    not_held: tuple[str, ...] = ()
+
+
+def number(value: float) -> str:
+    """Return a number with 17 significant digits, which give the same double back: for YAML, C and Python alike."""
+    if not np.isfinite(value):
+        raise UsageError(NOT_FINITE)
+    text = format(float(value), ".17g")
+    mantissa, e, exponent = text.partition("e")
+    # YAML takes 1e-05 for a text, and C 1 for an int.
+    return f"{mantissa}{'' if '.' in mantissa else '.0'}{e}{exponent}"
+
+
+def lines_of(reasons: Mapping[str, str]) -> list[str]:
+    """Return a line for each effect that is not held, with the reason."""
+    return [f"{readable(effect)}: {why}" for effect, why in reasons.items()]
+
+
+def delay_line(exported: Exported, what: str = "take it off the stamps of the samples") -> list[str]:
+    """Return the line for a delay that a form does not hold; none if there is no delay."""
+    delay_s = exported.compensation.delay_s
+    return [f"a delay of {delay_s:.6g} s: {what}"] if delay_s else []
+
+
+def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> list[str]:
+    """Return the lines that a text begins with, each behind ``mark``."""
+    lines = [what, "", *exported.origin]
+    if not_held:
+        lines += ["", "Not in this file, or to be done by hand:", *(f"  - {line}" for line in not_held)]
+    return [f"{mark} {line}".rstrip() for line in lines]
+
+
+def as_triad(exported: Exported, form: str) -> None:
+    """See that there are three gyros, which is all that a form holds; UsageError that says what to do if not."""
+    count = len(exported.gyros)
+    if count != 3:
+        several = f" of {len(exported.devices)} devices: give one with --device" if len(exported.devices) > 1 else ""
+        raise UsageError(
+            f"{form} holds three gyros, and this is an array of {count}{several}; `--format c` or `--format python` "
+            "gives the function that makes one body rate of them"
+        )

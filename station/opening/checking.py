@@ -1,0 +1,256 @@
+"""Whether everything on a bench answers: identities, limits, and two seconds of samples of each source."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+
+import numpy as np
+
+from drivers.errors import BadReply, DeviceError, LinkLost
+from drivers.protocols import ImuSource
+from drivers.types import Floats, Identity, ImuBlock, SourceCounts, Stamps
+from station.bench.imu import ImuConfig
+from station.opening import OpenBench, OpenImu
+
+LISTEN_S = 2.0
+_OPEN_S = 5.0
+_READINGS = 10
+_RATE_OFF = 0.02
+_LEAST_PERIOD_S = 1e-5
+_LOOK_AT_TABLE = "are protocol, link, baud rate, parity and the axes' addresses those of the controller?"
+_LOOK_AT_IMU = "are protocol, link, baud rate or channel those of the device?"
+
+
+@dataclass(frozen=True, slots=True)
+class AxisCheck:
+    """One axis as it answered: ``text`` is its condition in words, limits are the bench file's."""
+
+    name: str
+    angle_rad: float
+    rate_rps: float
+    text: str
+    max_rate_rps: float
+    max_acceleration_rps2: float
+    travel_rad: tuple[float, float] | None
+    round_trip_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourceCheck:
+    """Two seconds of one source; ``jitter_s`` is the standard deviation of arrivals against sample times."""
+
+    name: str
+    rate_hz: float
+    samples: int
+    lost: int
+    repeated: int
+    late: int
+    corrupt: int
+    jitter_s: float
+    temperature_c: float
+    mean_rps: Floats
+
+
+@dataclass(slots=True)
+class DeviceCheck:
+    """What one device answered. ``wrong`` says what is wrong and what to do, empty if nothing is."""
+
+    device: str
+    kind: str
+    link: str
+    identity: Identity = field(default_factory=Identity)
+    axes: list[AxisCheck] = field(default_factory=list)
+    sources: list[SourceCheck] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+
+    @property
+    def answered_nothing(self) -> bool:
+        """Whether nothing came of it that could be understood, not even a refusal."""
+        return not self.axes and not self.sources and not {_LOOK_AT_TABLE, _LOOK_AT_IMU}.isdisjoint(self.wrong)
+
+
+async def check_bench(
+    opened: OpenBench, *, time_scale: float = 1.0, tell: Callable[[str], None] = lambda device: None
+) -> list[DeviceCheck]:
+    """Return what each device of an open bench answers, the table first. Nothing moves; every link is closed."""
+    found = []
+    tell("table")
+    try:
+        found.append(await _check_table(opened, time_scale))
+    finally:
+        opened.table.close()
+    for imu in opened.imus:
+        tell(imu.config.name)
+        try:
+            found.append(await _check_imu(imu, time_scale))
+        finally:
+            imu.source.close()
+    dumb = [check for check in found if check.answered_nothing]
+    for check in dumb if len(dumb) > 1 else ():
+        others = " and ".join(other.device for other in dumb if other is not check)
+        check.wrong.append(f"{others} cannot be understood either: are their links exchanged?")
+    return found
+
+
+@contextmanager
+def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
+    """Keep what a device does not answer, and what to look at."""
+    try:
+        yield
+    except TimeoutError:
+        check.wrong += [f"no answer within {_OPEN_S:g} s: is it powered?", look_at]
+    except (LinkLost, BadReply) as error:
+        check.wrong += [error.message, look_at]
+    except DeviceError as error:
+        check.wrong.append(error.message)
+
+
+async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
+    bench, table = opened.bench, opened.table
+    check = DeviceCheck("table", bench.table.protocol, ", ".join(bench.table.links))
+    loop = asyncio.get_running_loop()
+    with _heard(check, _LOOK_AT_TABLE):
+        async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
+            await table.open()
+            check.identity = await table.identify()
+        for axis in bench.table.gimbals:
+            status = await table.status(axis)
+            if status.fault:
+                check.wrong.append(f"{status.fault}; clear its cause, then run with --reset-fault")
+            elif status.caution:
+                check.wrong.append(status.caution)
+            trips = []
+            for _ in range(_READINGS):
+                began = loop.time()
+                state = await table.read(axis)
+                trips.append(loop.time() - began)
+            limits = table.limits[axis]
+            trip = float(np.median(trips)) / time_scale
+            check.axes.append(
+                AxisCheck(
+                    axis,
+                    state.angle_rad,
+                    state.rate_rps,
+                    status.text,
+                    limits.rate_rps,
+                    limits.acceleration_rps2,
+                    limits.travel_rad,
+                    trip,
+                )
+            )
+            if abs(state.rate_rps) > math.radians(0.05):
+                check.wrong.append(f"axis {axis} turns at {math.degrees(state.rate_rps):.2f} deg/s: stop it first")
+        slow = sum(axis.round_trip_s for axis in check.axes)
+        if slow * bench.table.poll_rate_hz > 1:
+            check.wrong.append(
+                f"a reading of all axes takes {slow * 1e3:.0f} ms, too slow for poll_rate = "
+                f"{bench.table.poll_rate_hz:g} Hz: lower it, or use a faster link"
+            )
+    return check
+
+
+async def _check_imu(imu: OpenImu, time_scale: float) -> DeviceCheck:
+    config, source = imu.config, imu.source
+    check = DeviceCheck(config.name, config.protocol, config.link)
+    blocks: dict[str, list[ImuBlock]] = {}
+    with _heard(check, _LOOK_AT_IMU):
+        async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
+            await source.open()
+            check.identity = await source.identify()
+        blocks = await _listen(source, LISTEN_S * max(time_scale, 1.0))
+    if check.wrong:
+        return check
+    silent = [name for name in source.names if not sum(len(block.t_ns) for block in blocks.get(name, []))]
+    if silent:
+        corrupt = sum(source.counts(name).corrupt for name in silent)
+        heard = f", but {corrupt} pieces of something else or damaged" if corrupt else ""
+        said = f"no samples from {', '.join(silent)} in {LISTEN_S:g} s{heard}: is it powered and sending?"
+        check.wrong += [said, _LOOK_AT_IMU]
+    for name in source.names:
+        if name not in silent:
+            source_check = _source(source, name, blocks[name], time_scale)
+            check.sources.append(source_check)
+            check.wrong += _complaints(config, source_check, _counted(blocks[name]))
+    return check
+
+
+async def _listen(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlock]]:
+    blocks: dict[str, list[ImuBlock]] = {}
+    try:
+        async with asyncio.timeout(duration_s):
+            async for name, block in source.blocks():
+                blocks.setdefault(name, []).append(block)
+    except TimeoutError:
+        pass
+    for name, block in source.flush():
+        blocks.setdefault(name, []).append(block)
+    return blocks
+
+
+def _source(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale: float) -> SourceCheck:
+    t_ns = np.concatenate([block.t_ns for block in blocks])
+    arrival_ns = np.concatenate([block.arrival_ns for block in blocks])
+    temperature = np.concatenate([block.temperature_c for block in blocks])
+    rate = np.vstack([block.rate_rps for block in blocks])
+    counts = source.counts(name)
+    known = temperature[np.isfinite(temperature)]
+    valid = np.isfinite(rate).any(axis=0)
+    mean = np.full(rate.shape[1], np.nan)
+    mean[valid] = np.nanmean(rate[:, valid], axis=0)
+    return SourceCheck(
+        name,
+        _sent_hz(t_ns, arrival_ns, counts, _counted(blocks)),
+        **asdict(replace(counts, samples=len(t_ns))),
+        jitter_s=float(np.std((arrival_ns - t_ns).astype(np.float64))) * 1e-9 / time_scale,
+        temperature_c=float(known[-1]) if len(known) else math.nan,
+        mean_rps=mean,
+    )
+
+
+def _counted(blocks: Sequence[ImuBlock]) -> bool:
+    """Return whether the device tells its own count or clock."""
+    return blocks[0].counter is not None
+
+
+def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bool) -> float:
+    """Return how many samples a second a device sends.
+
+    Stamps from its own count or clock tell it once that is placed, after the first of them. Without one, stamps,
+    losses and repeats go by the rate of the bench file: only arrivals can deny that.
+    """
+    n = len(t_ns)
+    if n < 2:
+        return 0.0
+    if counted:
+        settled_ns = t_ns[(n - 1) // 2 :]
+        period_s = float(settled_ns[-1] - settled_ns[0]) * 1e-9 / (len(settled_ns) - 1)
+    else:
+        period_s = float(np.polyfit(np.arange(n), (arrival_ns - arrival_ns[0]) * 1e-9, 1)[0])
+    unseen = counts.lost if counted else counts.repeated
+    return (1 + unseen / n) / max(period_s, _LEAST_PERIOD_S)
+
+
+def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> Iterator[str]:
+    """Yield what is wrong with a source that does send."""
+    who, prefix = ("it", "") if check.name == config.name else (check.name, f"{check.name}: ")
+    whole = check.samples + check.lost
+    lost = f"{check.lost} of {whole} samples"
+    cables = "look at cable, baud rate and load of the host"
+    if abs(check.rate_hz / config.rate_hz - 1) > _RATE_OFF:
+        said = f"{who} sends at {check.rate_hz:.1f} Hz, the bench file says {config.rate_hz:g} Hz: set one to the other"
+        whole_hz = check.rate_hz * whole / check.samples
+        if not counted and abs(whole_hz / config.rate_hz - 1) < 2 * _RATE_OFF:
+            said += f"; or {lost} were lost: {cables}"
+        yield said
+    elif check.lost or check.corrupt:
+        yield f"{prefix}{lost} lost, {check.corrupt} corrupt: {cables}"
+    for i, mean in enumerate(check.mean_rps):
+        if math.isnan(mean):
+            yield f"{prefix}gyro {i + 1} gives no valid rate: is the device starting up, or broken?"
+        elif abs(mean) > math.radians(20.0):
+            said = f"{prefix}gyro {i + 1} says {math.degrees(mean):.1f} deg/s at rest"
+            yield f"{said}: is its unit or scale as in the bench file?"

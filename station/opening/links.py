@@ -1,0 +1,89 @@
+"""What a link in a bench file means: twin:, serial:, tcp:, rfc2217:, socket:, can:."""
+
+from contextlib import suppress
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from drivers.links.byte_links import SerialLink, TcpLink
+from drivers.protocols import ByteLink
+from drivers.tables.modbus.line import Address, SerialPort
+from station.errors import BenchError
+
+_BYTE_LINKS = "write serial:///dev/ttyUSB0?baud=921600, tcp://host:port, rfc2217://host:port, or twin:"
+_SERIAL_OPTIONS = {"baud", "parity", "stop_bits"}
+_TCP_LIMIT_S = 2.0
+_LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would be more than what a pty holds
+
+
+def byte_link(
+    link: str, device: str, *, baud: int, time_scale: float, port: int | None = None, gather_s: float = 0.0
+) -> ByteLink:
+    """Return the link to a device that speaks bytes; BenchError if it is none.
+
+    ``baud`` is that of a serial link that states none, ``port`` that of a TCP link that states none; ``gather_s`` is
+    for streams, whose bytes may come in handfuls.
+    """
+    if urlsplit(link).scheme == "tcp":
+        host, number = tcp_address(link, device, port)
+        return TcpLink(device, host, number, _TCP_LIMIT_S * time_scale)
+    serial = _serial(link, device, baud)
+    return SerialLink(
+        device,
+        serial.port,
+        serial.baud,
+        parity=serial.parity,
+        stop_bits=serial.stop_bits,
+        gather_s=max(gather_s / time_scale, _LEAST_GATHER_S) if gather_s else 0.0,
+    )
+
+
+def modbus_address(link: str, device: str) -> Address:
+    """Return where drives on Modbus are: a host and port, or a serial line (RTU); BenchError if it is neither."""
+    if urlsplit(link).scheme == "tcp":
+        return tcp_address(link, device, 502)
+    return _serial(link, device, 19200)
+
+
+def tcp_address(link: str, device: str, default_port: int | None) -> tuple[str, int]:
+    """Return host and port of tcp://host:port; BenchError if it is no such link."""
+    try:
+        url = urlsplit(link)
+        port = url.port or default_port
+    except ValueError:
+        url, port = urlsplit(""), None
+    if url.scheme != "tcp" or not url.hostname or port is None:
+        raise BenchError(f"{device}: {link!r} is no link it can use: write tcp://host:port, or twin:")
+    return url.hostname, port
+
+
+def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
+    """Split can:INTERFACE:CHANNEL?option=value; numbers among the options become numbers."""
+    address, _, query = link.partition("?")
+    parts = address.split(":", 2)
+    if len(parts) != 3 or parts[0] != "can" or not parts[1]:
+        raise BenchError(
+            f"{device}: {link!r} is no CAN link: write can:INTERFACE:CHANNEL, for instance can:socketcan:can0"
+        )
+    options: dict[str, Any] = {key: values[0] for key, values in parse_qs(query).items()}
+    for key, value in options.items():
+        with suppress(ValueError):
+            options[key] = float(value) if "." in value else int(value)
+    if parts[1] == "slcan":
+        options.setdefault("sleep_after_open", 0.1)  # python-can waits two seconds for an Arduino's boot
+    return parts[1], parts[2], options
+
+
+def _serial(link: str, device: str, baud: int) -> SerialPort:
+    url = urlsplit(link)
+    options = {key: values[0] for key, values in parse_qs(url.query).items()}
+    port = url.path if url.scheme == "serial" else link.partition("?")[0]
+    if url.scheme not in ("serial", "socket", "rfc2217") or not (url.path or url.netloc) or not port:
+        raise BenchError(f"{device}: {link!r} is no link it can use: {_BYTE_LINKS}")
+    unknown = sorted(set(options) - _SERIAL_OPTIONS)
+    parity, stop_bits = options.get("parity", "N").upper(), options.get("stop_bits", "1")
+    number = options.get("baud", str(baud))
+    if unknown or parity not in ("N", "E", "O") or stop_bits not in ("1", "2") or not number.isdigit() or number == "0":
+        raise BenchError(
+            f"{device}: {link!r} has options that no serial port has: baud=921600, parity=N, E or O, stop_bits=1 or 2"
+        )
+    return SerialPort(port, int(number), parity, int(stop_bits))

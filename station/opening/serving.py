@@ -1,0 +1,144 @@
+"""Twins on real ports: what `station twin` serves."""
+
+import asyncio
+import json
+import socket
+from collections.abc import Callable
+from contextlib import AsyncExitStack
+from functools import partial
+from typing import Any
+
+import can
+
+from drivers.errors import DeviceError
+from sims.wires.slcan_adapter import SlcanAdapter
+from sims.wires.socketcand_server import SocketcandServer
+from sims.wires.wires import ByteDevice, Plug, Write, on_pty, on_tcp
+from station.bench.bench import Bench
+from station.bench.imu import ON_CAN, ImuConfig
+from station.opening.twins import Twins
+
+_MULTICAST = "239.74.163.2"
+_BUS = "can0"
+
+
+async def serve_twins(
+    bench: Bench, *, time_scale: float, host: str, port: int, announce: Callable[[str], None]
+) -> None:
+    """Serve every twin of the bench on real ports until cancelled; announce each address as a line of JSON.
+
+    ``port`` is that of the table, 0 for any. What each is served on is said by [twin.wires] of the bench file.
+    """
+    async with AsyncExitStack() as stack:
+        twins = Twins(bench, stack, time_scale)
+        serving = _Serving(twins, stack, host)
+
+        def tell(**said: Any) -> None:
+            announce(json.dumps(said))
+
+        tell(device="table", **await serving.table(port))
+        for imu in bench.imus:
+            link = await (serving.bus(imu) if imu.protocol in ON_CAN else serving.imu(imu))
+            tell(device=imu.name, link=link, protocol=imu.protocol, rate_hz=imu.rate_hz)
+        tell(ready=True, time_scale=time_scale)
+        await asyncio.Event().wait()
+
+
+class _Serving:
+    """Puts the twins of one bench on wires."""
+
+    def __init__(self, twins: Twins, stack: AsyncExitStack, host: str) -> None:
+        self._twins, self._stack, self._host = twins, stack, host
+
+    async def table(self, port: int) -> dict[str, Any]:
+        """Return what is announced of the table."""
+        config, wire = self._twins.bench.table, self._twins.wire("table")
+        addresses = {name: axis.address for name, axis in config.axes.items()}
+        said = {"protocol": config.protocol, "watchdog_s": self._twins.watchdog_s}
+        if config.protocol == "modbus":
+            said |= {"protocol": f"modbus-{'rtu' if wire == 'serial' else 'tcp'}", "unit_ids": addresses}
+        else:
+            said["axes"] = addresses
+        if wire == "serial":
+            return {"link": await self._pty("table", self._twins.table_device), **said}
+        if config.protocol == "modbus":
+            server = await self._twins.serve_modbus((self._host, port))
+            bound = server.transport.sockets[0].getsockname()
+            return {"link": f"tcp://{bound[0]}:{bound[1]}", **said}
+        return {"link": await self._tcp("table", self._twins.table_device, port), **said}
+
+    async def imu(self, imu: ImuConfig) -> str:
+        """Serve a device that speaks bytes; return its link."""
+        make = partial(self._twins.imu_device, imu)
+        return await (
+            self._tcp(imu.name, make, 0) if self._twins.wire(imu.name) == "tcp" else self._pty(imu.name, make)
+        )
+
+    async def bus(self, imu: ImuConfig) -> str:
+        """Serve a device on a CAN bus of its own; return its link."""
+        wire = self._twins.wire(imu.name)
+        if wire == "slcan":
+            return await self._slcan(imu)
+        if wire == "socketcand":
+            return await self._socketcand(imu)
+        # A port of its own, so that two stations on one machine do not hear each other's arrays.
+        options = {"port": _free_port(), "hop_limit": 0}
+        heard = _Heard()
+        bus = can.Bus(_MULTICAST, "udp_multicast", port=options["port"], hop_limit=0)
+        self._stack.callback(bus.shutdown)
+        heard.by = self._twins.bus_device(imu, bus)
+        if heard.by is not None:
+            notifier = can.Notifier(bus, [heard], loop=asyncio.get_running_loop())
+            self._stack.callback(notifier.stop)
+        query = "&".join(f"{key}={value}" for key, value in options.items())
+        return f"can:udp_multicast:{_MULTICAST}?{query}"
+
+    async def _slcan(self, imu: ImuConfig) -> str:
+        heard = _Heard()
+
+        def adapter(write: Callable[[bytes], None]) -> SlcanAdapter:
+            made = SlcanAdapter(write, heard, clock=asyncio.get_running_loop().time)
+            heard.by = self._twins.bus_device(imu, made)
+            return made
+
+        name = await self._stack.enter_async_context(on_pty(adapter))
+        return f"can:slcan:{name}"
+
+    async def _socketcand(self, imu: ImuConfig) -> str:
+        heard = _Heard()
+        server = SocketcandServer(_BUS, heard)
+        bound = await server.start(self._host)
+        self._stack.push_async_callback(server.close)
+        heard.by = self._twins.bus_device(imu, server)
+        return f"can:socketcand:{_BUS}?host={bound[0]}&port={bound[1]}"
+
+    async def _pty(self, device: str, make: Callable[[Write], ByteDevice]) -> str:
+        plug = Plug()
+        name = await self._stack.enter_async_context(on_pty(self._twins.faulty(device, make, plug), plug))
+        return f"serial://{name}"
+
+    async def _tcp(self, device: str, make: Callable[[Write], ByteDevice], port: int) -> str:
+        plug = Plug()
+        try:
+            wire = on_tcp(self._twins.faulty(device, make, plug), self._host, port, plug)
+            bound = await self._stack.enter_async_context(wire)
+        except OSError as error:
+            raise DeviceError("twin", f"cannot listen on {self._host}:{port} ({error}); is the port free?") from None
+        return f"tcp://{bound[0]}:{bound[1]}"
+
+
+class _Heard:
+    """Hands on what a host says on a bus, to a device that is only put there afterwards."""
+
+    def __init__(self) -> None:
+        self.by: Callable[[can.Message], None] | None = None
+
+    def __call__(self, message: can.Message) -> None:
+        if self.by is not None:
+            self.by(message)
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        asked.bind(("", 0))
+        return int(asked.getsockname()[1])

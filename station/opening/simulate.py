@@ -1,0 +1,160 @@
+"""Recordings made straight from the physics of the twins, without a wire: for studies and for planning."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from drivers.types import Floats
+from estimator.geometry.array import SensorArray
+from estimator.geometry.kinematics import Site
+from estimator.geometry.model import Prior
+from estimator.geometry.noise import NoiseModel
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import TableReadings
+from sims.direct import TimedMove, direct_run
+from sims.physics.geometry import MOUNTS_DEG, Mounting, mounted
+from sims.physics.gyro import GyroTruth
+from sims.physics.hidden import Hidden, HiddenError
+from station.bench.bench import Bench
+from station.errors import BenchError
+from station.opening.twins import hidden_of, mounting_of, truth_of
+from station.scripts.script import Move, Rest, Script
+
+__all__ = ["DeviceTruth", "Hidden", "simulate", "simulate_bench"]
+
+
+GIMBALS = ("z", "y", "x")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceTruth:
+    """What a simulated device really is: its states (n, 4) as in ``estimator.geometry.model.STATES``, and its noise.
+
+    ``kind`` names a mounting that the twins know by themselves (triad, tetrahedron, dodecahedron); without it the
+    twin is mounted as the array says. ``stated`` is the noise that the data sheet, and so the recording, states.
+    """
+
+    array: SensorArray
+    states: Floats
+    arw_rps_rthz: float
+    bias_instability_rps: float = 0.0
+    rate_random_walk_rps_rts: float = 0.0
+    rate_hz: float = 100.0
+    prior: Prior = field(default_factory=Prior)
+    kind: str | None = None
+    stated: NoiseModel | None = None
+
+
+def simulate(
+    script: Script,
+    devices: Mapping[str, DeviceTruth],
+    seed: int,
+    *,
+    site: Site | None,
+    gimbals: Sequence[str] = GIMBALS,
+    earth_turns: bool = True,
+    hidden: Hidden | None = None,
+    started_s: float = 0.0,
+    mounts: Mapping[str, tuple[Mounting, GyroTruth]] | None = None,
+) -> Recording:
+    """Return the recording of a script on a table with these devices, each one source of its name.
+
+    Without ``earth_turns`` the data hold no Earth rate. The recording carries the site if there is one, and nothing
+    of ``hidden``, which is what is wrong with devices and table. Its stamps begin at 0, when the clock that
+    temperature and hidden effects follow stands at ``started_s``: runs of one session follow each other. ``mounts``
+    are other mountings and truths than the devices' own.
+    """
+    moves = _timed(script)
+    latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
+    sources: dict[str, ImuData] = {}
+    reference: TableReadings | None = None
+    for index, (name, device) in enumerate(devices.items()):
+        mounting, truth = mounts[name] if mounts is not None else _own(device)
+        run = direct_run(
+            moves,
+            script.duration_s,
+            mounting,
+            truth,
+            (seed, index),
+            gimbals=gimbals,
+            latitude_rad=latitude,
+            heading_rad=heading,
+            rate_hz=device.rate_hz,
+            earth_turns=earth_turns,
+            hidden=hidden.of_device(name) if hidden is not None else None,
+            started_s=started_s,
+        )
+        sources[name] = ImuData(
+            device.array,
+            run.t_ns,
+            run.output_rps,
+            temperature_c=run.temperature_c,
+            prior=device.prior,
+            noise=device.stated,
+            device=name,
+        )
+        reference = TableReadings(run.table_t_ns, run.angle_rad, run.rate_rps, tuple(gimbals))
+    if reference is None:
+        raise ValueError("a simulation needs one device or more")
+    # An empty bench, not none: stamps of gyros and table are those of one clock, as of every run of the station.
+    return Recording(sources, reference, site, {"bench": ""})
+
+
+def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
+    """Return the recording of a script on the twins of a bench, its used devices each as one source."""
+    truths = bench.twin.truths.again()
+    used = [imu for imu in bench.imus if imu.used]
+    devices = {
+        imu.name: DeviceTruth(
+            imu.array,
+            np.zeros((len(imu.array), 4)),
+            imu.noise.arw,
+            rate_hz=imu.rate_hz,
+            prior=imu.prior,
+            stated=imu.noise,
+        )
+        for imu in used
+    }
+    mounts = {imu.name: (mounting_of(imu), truth_of(truths, imu)) for imu in used}
+    try:
+        recording = simulate(
+            script,
+            devices,
+            seed,
+            site=bench.site,
+            gimbals=bench.table.gimbals,
+            hidden=hidden_of(bench),
+            started_s=bench.twin.started_s,
+            mounts=mounts,
+        )
+    except HiddenError as error:
+        raise BenchError(f"{bench.twin.hidden}: {error}") from None
+    if isinstance(recording.reference, TableReadings):
+        reference = replace(recording.reference, uncertainty=bench.table.uncertainty)
+        recording = replace(recording, reference=reference)
+    return replace(recording, attributes={"bench": bench.text, "seed": seed, "script": script.name})
+
+
+def _own(device: DeviceTruth) -> tuple[Mounting, GyroTruth]:
+    """Return how a device is mounted, and what it is, by its own account."""
+    mounting = mounted(MOUNTS_DEG[device.kind]) if device.kind else None
+    k, b_rps, sigma_j, sigma_k = device.states.T
+    noise = device.arw_rps_rthz, device.bias_instability_rps
+    truth = GyroTruth(k, b_rps, sigma_j, sigma_k, *noise, rate_random_walk_rps_rts=device.rate_random_walk_rps_rts)
+    return mounting or Mounting(device.array.p, device.array.j, device.array.k), truth
+
+
+def _timed(script: Script) -> list[TimedMove]:
+    """Return the moves of a script with the instants at which they begin."""
+    at: float = 0.0
+    angles: dict[str, float] = {}
+    moves = []
+    for step, duration in zip(script.steps, script.durations_s(), strict=True):
+        if not isinstance(step, Rest):
+            here = angles.get(step.axis, 0.0)
+            angles[step.axis] = step.angle_rad if isinstance(step, Move) else here + step.turn_rad
+            moves.append(TimedMove(at, step.axis, angles[step.axis], abs(step.rate_rps), step.acceleration_rps2))
+        at += duration
+    return moves

@@ -1,0 +1,285 @@
+"""The twins of a bench: one table, the controller that turns it, gyros that ride on it and the devices they are in."""
+
+import asyncio
+import itertools
+import logging
+import math
+from collections.abc import Callable, Coroutine
+from contextlib import AsyncExitStack
+from functools import partial
+from typing import Any
+
+import numpy as np
+from pymodbus.transport import NULLMODEM_HOST
+
+from drivers.errors import DeviceError
+from drivers.links.can_link import CanLink
+from drivers.links.can_memory import MemoryBus
+from drivers.protocols import ByteLink, FrameLink
+from drivers.tables.modbus.line import Address, SerialPort
+from drivers.tables.modbus.registers import DriveProfile
+from drivers.types import Floats
+from sims.imus.aceinna import AceinnaDevice
+from sims.imus.can_nodes import CanNodes
+from sims.imus.stim300 import Stim300Device
+from sims.imus.vectornav import VectorNavDevice
+from sims.imus.xsens import XsensDevice
+from sims.physics.body import Body
+from sims.physics.geometry import MOUNTS_DEG, Mounting, along, mounted
+from sims.physics.gyro import GyroArray, GyroTruth
+from sims.physics.hidden import Hidden, HiddenError
+from sims.physics.hidden.table import TableFaults
+from sims.physics.table import AxisData, TableModel
+from sims.tables.acutrol_controller import AcutrolController
+from sims.tables.aerosmith_controller import AerosmithController
+from sims.tables.galil_controller import GalilController
+from sims.tables.modbus import FaultyModbus, ModbusRtu, drives_by_unit, modbus_server, pull_plug
+from sims.wires.faults import DeviceFaults, FaultyFrames, faulty_device
+from sims.wires.frames import FrameSink, NodeFaults
+from sims.wires.wires import ByteDevice, Plug, Write, in_memory
+from station.bench.bench import Bench
+from station.bench.imu import ON_CAN, ImuConfig
+from station.errors import BenchError
+from station.opening.faults import read_faults, turn_knobs, turn_node_knobs
+from station.schema.tables import Table
+
+_log = logging.getLogger(__name__)
+_wires = itertools.count(1)
+_STANDARD_GRAVITY_MPS2 = 9.80665
+
+
+class Twins:
+    """The twins of a bench: one table model, gyros that ride on it, and the tasks that serve them."""
+
+    def __init__(self, bench: Bench, stack: AsyncExitStack, time_scale: float) -> None:
+        self.bench, self._stack = bench, stack
+        self.watchdog_s = bench.twin.watchdog_s * max(time_scale, 1.0)  # it waits for a host
+        loop = asyncio.get_running_loop()
+        truths = bench.twin.truths.again()
+        start = truths.quantities("start", "angle", len(bench.table.gimbals), 0.0)
+        axes = {
+            name: AxisData(axis.limits.rate_rps, axis.limits.acceleration_rps2, axis.counts_per_turn, angle)
+            for (name, axis), angle in zip(bench.table.axes.items(), start, strict=True)
+        }
+        self._hidden = hidden_of(bench)
+        faults = self._hidden.table if self._hidden is not None else TableFaults()
+        self.table = TableModel(axes, loop.time, faults)
+        site = bench.site
+        latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
+        self._body = Body(
+            bench.table.gimbals,
+            self.table.angles,
+            self.table.revision,
+            latitude,
+            heading,
+            directions=faults.directions(bench.table.gimbals),
+        )
+        self._wires = self._read_wires(truths)
+        self._faults = read_faults(truths, bench)
+        self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
+        truths.done()
+        if (fault := self._faults.table) is not None:
+            strike = loop.call_later(
+                fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.protocol == "modbus")
+            )
+            stack.callback(strike.cancel)
+
+    async def modbus_in_memory(self) -> Address:
+        """Serve the drives on a wire in memory; return where."""
+        address = (NULLMODEM_HOST, next(_wires))
+        await self.serve_modbus(address)
+        return address
+
+    async def serve_modbus(self, address: tuple[str, int]) -> Any:
+        """Serve the drives at a host and port; return pymodbus's server."""
+        faults = self._faults.wires["table"]
+        wire = FaultyModbus(faults, self._seed("table")) if faults.any else None
+        server = modbus_server(self.table, *self._drives(), address, self.watchdog_s, wire)
+        try:
+            await server.serve_forever(background=True)
+        except RuntimeError:
+            where = f"{address[0]}:{address[1]}"
+            raise DeviceError("table twin", f"cannot listen on {where}; is the port free?") from None
+        self._stack.push_async_callback(server.shutdown)
+        plug = Plug()
+        plug.attach(partial(pull_plug, server), lambda: self.run(server.listen()))
+        self._stack.callback(plug.detach)
+        plug.schedule(faults.unplug_s, faults.replug_s)
+        return server
+
+    def _drives(self) -> tuple[DriveProfile, dict[str, int]]:
+        """Return the profile of the drives, and their unit ids."""
+        config = self.bench.table
+        assert config.profile is not None
+        return config.profile, {name: int(axis.address) for name, axis in config.axes.items()}
+
+    def table_device(self, write: Write) -> ByteDevice:
+        """Return the controller, or the drives on a serial line."""
+        config, watchdog_s = self.bench.table, self.watchdog_s
+        if config.protocol == "modbus":
+            drives = drives_by_unit(self.table, *self._drives(), watchdog_s)
+            return ModbusRtu(drives, SerialPort("").silence_s, write)
+        if config.protocol == "galil":
+            letters = {name: str(axis.address) for name, axis in config.axes.items()}
+            window_s = config.velocity_window_s
+            return GalilController(self.table, write, letters, watchdog_s=watchdog_s, velocity_window_s=window_s)
+        if config.protocol == "acutrol":
+            numbers = {name: int(axis.address) for name, axis in config.axes.items()}
+            return AcutrolController(self.table, write, numbers, watchdog_s=watchdog_s, prefix_length=config.prefix)
+        return AerosmithController(self.table, write, config.gimbals[0], watchdog_s=watchdog_s)
+
+    def table_in_memory(self) -> ByteLink:
+        """Return the near end of a wire to the controller."""
+        return self._in_memory("table", self.table_device)
+
+    def imu_device(self, imu: ImuConfig, write: Write) -> ByteDevice:
+        """Return a device that speaks bytes, which sends from now on."""
+        gyros, up, faults = self.gyros(imu), self._up(imu), self._faults.devices[imu.name]
+        ppm = faults.clock_ppm
+        device: Stim300Device | XsensDevice | VectorNavDevice
+        if imu.protocol == "stim300":
+            device = Stim300Device(gyros, write, round(imu.rate_hz), specific_force_g=up, clock_ppm=ppm)
+        elif imu.protocol == "xsens":
+            device = XsensDevice(gyros, write, round(imu.rate_hz), specific_force_g=up, clock_ppm=ppm)
+        else:
+            device = VectorNavDevice(gyros, write, rate_hz=imu.rate_hz, up=up, clock_ppm=ppm)
+        self._turn(faults, partial(turn_knobs, device, faults))
+        self.run(device.serve())
+        return device
+
+    def imu_in_memory(self, imu: ImuConfig) -> ByteLink:
+        """Return the near end of a wire to a device that speaks bytes."""
+        return self._in_memory(imu.name, lambda write: self.imu_device(imu, write))
+
+    def bus_device(self, imu: ImuConfig, bus: FrameSink) -> Callable[[Any], None] | None:
+        """Put a device on a bus, where it sends from now on; return what hears the host's frames, if it listens."""
+        up = self._up(imu)
+
+        def force(t_s: Floats) -> Floats:
+            return up(t_s) * _STANDARD_GRAVITY_MPS2
+
+        faults, wire = self._faults.devices[imu.name], self._faults.wires[imu.name]
+        knobs = NodeFaults(clock_ppm=faults.clock_ppm, seed=self.bench.twin.seed)
+        self._turn(faults, partial(turn_node_knobs, knobs, faults))
+        if wire.any:
+            bus = FaultyFrames(bus, wire, self._seed(imu.name))
+        if imu.can is not None:
+            signals = imu.can.dbc, imu.can.channels
+            nodes = CanNodes(self.gyros(imu), bus, *signals, imu.rate_hz, specific_force=force, faults=knobs)
+            self.run(nodes.serve())
+            return None
+        own = {key: imu.options[key] for key in ("model", "address")}
+        device = AceinnaDevice(self.gyros(imu), bus, imu.rate_hz, **own, specific_force=force, faults=knobs)
+        self.run(device.serve())
+        return FaultyFrames(device.received, wire, (*self._seed(imu.name), 1)) if wire.any else device.received
+
+    def bus_in_memory(self, imu: ImuConfig) -> FrameLink:
+        """Return the link to a bus in memory with the device on it."""
+        channel = f"wire{next(_wires)}"
+        heard: list[Callable[[Any], None] | None] = [None]
+        bus = MemoryBus(channel, lambda message: heard[0](message) if heard[0] is not None else None)
+        self._stack.callback(bus.shutdown)
+        heard[0] = self.bus_device(imu, bus)
+        return CanLink(imu.name, "memory", channel, {})
+
+    def gyros(self, imu: ImuConfig) -> GyroArray:
+        """Return the gyros of a device, on the table."""
+        index = [other.name for other in self.bench.imus].index(imu.name)
+        twin = self.bench.twin
+        try:
+            return GyroArray(
+                mounting_of(imu),
+                self._truths[imu.name],
+                self._body,
+                imu.rate_hz,
+                (twin.seed, index),
+                self._hidden.of_device(imu.name) if self._hidden is not None else None,
+                twin.started_s,
+            )
+        except HiddenError as error:
+            raise BenchError(f"{twin.hidden}: {imu.name}: {error}") from None
+
+    def run(self, twin: Coroutine[Any, Any, Any]) -> None:
+        """Let a twin work until the bench is closed."""
+        task = asyncio.get_running_loop().create_task(twin)
+
+        async def end() -> None:
+            task.cancel()
+            await asyncio.wait({task})
+            if not task.cancelled() and (error := task.exception()) is not None:
+                _log.error("a twin has ended by itself: %r", error)
+
+        self._stack.push_async_callback(end)
+
+    def wire(self, device: str) -> str:
+        """Return what a device is served on."""
+        return self._wires[device]
+
+    def _read_wires(self, truths: Table) -> dict[str, str]:
+        table = truths.table("wires", optional=True)
+        wires = {"table": table.string("table", "tcp", one_of=("tcp", "serial"))}
+        for imu in self.bench.imus:
+            known = ("udp_multicast", "slcan", "socketcand") if imu.protocol in ON_CAN else ("serial", "tcp")
+            wires[imu.name] = table.string(imu.name, known[0], one_of=known)
+        table.done()
+        return wires
+
+    def _up(self, imu: ImuConfig) -> Callable[[Floats], Floats]:
+        """Return the direction up along the axes of a device (n, 3), which are those of its first three gyros."""
+        p = mounting_of(imu).p[:3]
+        up = self._body.up_in_turn(1 / imu.rate_hz)
+        return lambda t_s: up(t_s) @ p.T
+
+    def faulty(self, device: str, make: Callable[[Write], ByteDevice], plug: Plug) -> Callable[[Write], ByteDevice]:
+        """Return ``make`` with what the bench file says is wrong with the wire of this device."""
+        return faulty_device(make, self._faults.wires[device], self._seed(device), plug)
+
+    def _in_memory(self, device: str, make: Callable[[Write], ByteDevice]) -> ByteLink:
+        plug = Plug()
+        return self._stack.enter_context(in_memory(device, self.faulty(device, make, plug), plug))
+
+    def _seed(self, device: str) -> tuple[int, int]:
+        return self.bench.twin.seed, 1000 + list(self._faults.wires).index(device)
+
+    def _turn(self, faults: DeviceFaults, knobs: Callable[[bool], None]) -> None:
+        """Turn a device's knobs when its faults begin, and back when they end."""
+        loop = asyncio.get_running_loop()
+        for at_s, on in ((faults.from_s, True), (faults.until_s, False)):
+            if math.isfinite(at_s):
+                self._stack.callback(loop.call_later(at_s, knobs, on).cancel)
+
+
+def hidden_of(bench: Bench) -> Hidden | None:
+    """Return what is wrong with the twins of a bench; BenchError for a file that cannot be right."""
+    if bench.twin.hidden is None:
+        return None
+    try:
+        return Hidden.load(bench.twin.hidden)
+    except HiddenError as error:
+        raise BenchError(str(error)) from None
+
+
+def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
+    table = truths.table(imu.name, optional=True)
+    table.value("fault", {})  # read by read_faults
+    n = len(imu.array)
+    truth = GyroTruth(
+        k=np.array(table.quantities("k", "ratio", n, 0.0)),
+        b_rps=np.array(table.quantities("b", "rate", n, 0.0)),
+        sigma_j_rad=np.array(table.quantities("sigma_j", "angle", n, 0.0)),
+        sigma_k_rad=np.array(table.quantities("sigma_k", "angle", n, 0.0)),
+        arw_rps_rthz=table.quantity("arw", "angle random walk", imu.noise.arw),
+        bias_instability_rps=table.quantity("bias_instability", "rate", 0.0),
+        rate_random_walk_rps_rts=table.quantity("rate_random_walk", "rate random walk", 0.0),
+        temperature_c=table.quantity("temperature", "temperature", 25.0),
+    )
+    table.done()
+    return truth
+
+
+def mounting_of(imu: ImuConfig) -> Mounting:
+    if imu.array_name in MOUNTS_DEG:
+        return mounted(MOUNTS_DEG[imu.array_name])
+    # Explicit axes are what the bench file says, for the twin as for the estimator.
+    explicit = Mounting(imu.array.p, imu.array.j, imu.array.k)
+    return explicit if imu.array_name == "explicit" else along(imu.array.p.tolist())

@@ -1,0 +1,162 @@
+"""The far side of a session's socket: which sessions run, and what one says and can be told.
+
+Plain asyncio. What a session says is JSON, a line each (``station.remote.hosting`` has the other end).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from collections import deque
+from collections.abc import AsyncIterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from station.errors import UsageError
+from station.remote.session_folder import socket_folders
+
+VERSION = 2
+"""Of the language on the socket."""
+_CONNECT_S = 5.0
+_STOP = b'{"do":"stop"}\n'
+_PROBE_S = 0.5
+
+
+def running_sessions() -> list[Path]:
+    """Return the sockets of this user's running sessions, the newest first; those of dead ones are removed."""
+    found = []
+    for folder in socket_folders():
+        for path in folder.glob("*.sock"):
+            with suppress(FileNotFoundError):
+                if _answers(path):
+                    found.append((path.stat().st_mtime, path))
+                else:
+                    path.unlink()
+    return [path for _, path in sorted(found, reverse=True)]
+
+
+def _answers(path: Path) -> bool:
+    """Return whether a process is at the other end; a busy one is one."""
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.settimeout(_PROBE_S)
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            return False
+        except (TimeoutError, BlockingIOError):
+            return True
+    return True
+
+
+class RemoteSession:
+    """A session in another process. What is said to it takes effect there; refusals come as messages."""
+
+    def __init__(self, transport: asyncio.Transport, inbox: _Inbox, hello: Mapping[str, Any]) -> None:
+        """``connect`` makes one."""
+        self._transport, self._inbox = transport, inbox
+        self.hello = dict(hello)
+        """What the session says of itself: version, pid, bench, script, recording, gyros, axes, limits, ..."""
+
+    @classmethod
+    async def connect(cls, path: Path) -> RemoteSession:
+        """Connect to a session's socket; UsageError if none is there, or one that speaks another language."""
+        loop = asyncio.get_running_loop()
+        try:
+            async with asyncio.timeout(_CONNECT_S):
+                transport, inbox = await loop.create_unix_connection(_Inbox, str(path))
+                try:
+                    hello = await inbox.next()
+                except BaseException:
+                    transport.abort()
+                    raise
+        except (OSError, TimeoutError) as error:
+            raise UsageError(f"no session answers at {path}: it has ended ({error or 'no word from it'})") from None
+        if hello is None or hello.get("kind") != "hello" or hello.get("version") != VERSION:
+            transport.abort()
+            raise UsageError(
+                f"what answers at {path} is no session of this version of the station: "
+                f"{(hello or {}).get('reason') or 'look at it with the version that started it'}"
+            )
+        return cls(transport, inbox, hello)
+
+    async def messages(self) -> AsyncIterator[dict[str, Any]]:
+        """Yield what it says, by "kind": "event", "snapshot", "course", "refused", "result"; end when it is gone.
+
+        Snapshots that nobody has taken give way to the newest. A session that ends without "result" was killed.
+        """
+        while (message := await self._inbox.next()) is not None:
+            yield message
+
+    def stop(self) -> bool:
+        """Bring the table to rest and end the run; return whether the system took the word.
+
+        From any thread, past the event loop: whatever that is at, or waits for, does not hold it up.
+        """
+        try:
+            with self._transport.get_extra_info("socket").dup() as line:
+                return bool(line.send(_STOP) == len(_STOP))
+        except OSError:  # the session is gone, or takes nothing any more
+            return False
+
+    def pause(self) -> None:
+        """Hold after the step under way."""
+        self._say({"do": "pause"})
+
+    def resume(self) -> None:
+        """Go on."""
+        self._say({"do": "resume"})
+
+    def note(self, text: str) -> None:
+        """Have a note kept in the recording."""
+        self._say({"do": "note", "text": text})
+
+    def ask_course(self) -> None:
+        """Have it told, as a message of the kind "course", how the estimates went so far."""
+        self._say({"do": "course"})
+
+    def close(self) -> None:
+        """Hang up; the session goes on."""
+        self._transport.close()
+
+    def _say(self, request: Mapping[str, str]) -> None:
+        self._transport.write(json.dumps(request).encode() + b"\n")
+
+
+class _Inbox(asyncio.Protocol):
+    """Messages as they come, stale snapshots left out."""
+
+    def __init__(self) -> None:
+        self._messages: deque[dict[str, Any]] = deque()
+        self._part = b""
+        self._new = asyncio.Event()
+        self._ended = False
+
+    async def next(self) -> dict[str, Any] | None:
+        """Return the next message, None when there will be no more."""
+        while not self._messages:
+            if self._ended:
+                return None
+            self._new.clear()
+            await self._new.wait()
+        return self._messages.popleft()
+
+    def data_received(self, data: bytes) -> None:
+        *lines, self._part = (self._part + data).split(b"\n")
+        for line in lines:
+            with suppress(ValueError):  # what is no JSON is none of ours
+                self._take(json.loads(line))
+        self._new.set()
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self._ended = True
+        self._new.set()
+
+    def _take(self, message: Any) -> None:
+        if not isinstance(message, dict):
+            return
+        kind = message.get("kind")
+        if kind == "snapshot" and self._messages and self._messages[-1].get("kind") == kind:
+            self._messages.pop()
+        self._messages.append(message)

@@ -1,0 +1,335 @@
+"""The session's side of its socket: whoever connects sees the run, and may stop it, pause it, and add notes.
+
+JSON, a line each. To a client: "hello", the events so far, then every new event and ten snapshots a second of the
+wall's clock, "result" at the end. From a client: ``{"do": "stop"}``, "pause" (after the step under way), "resume",
+``{"do": "note", "text": ...}``; "course", which is answered by the estimates so far, thinned. What is not understood
+or cannot be done is answered "refused" with its reason.
+
+Nothing a client does, or leaves undone, delays the session: what a slow one does not take is not kept for it, beside
+the events, and the next snapshot that it gets is the newest.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import math
+import os
+import socket
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, cast
+
+from station.bench.bench import Bench
+from station.errors import UsageError
+from station.remote.attaching import VERSION
+from station.remote.session_folder import socket_folder
+from station.run.snapshot import EventKind, Snapshot, json_object
+from station.scripts.script import Script
+
+_log = logging.getLogger(__name__)
+
+_EVERY_S = 0.1  # of the wall's clock, like all times here
+_LAST_WORDS_S = 1.0
+_MOST_CLIENTS = 20
+_LONGEST_LINE = 4096
+_LINES_AT_ONCE = 16  # then others have their turn
+_BREATH_S = 0.05
+_SEND_BYTES = 32768  # in the system's hands: what is there cannot be made newer any more
+_EVENT_BYTES = 16384
+_COURSE_EVERY = 10  # looks: a point a second
+_MOST_POINTS = 300
+_DIGITS = 6
+
+
+class Watched(Protocol):
+    """A run that can be looked at and told what to do; UsageError for what cannot be done now."""
+
+    def snapshot(self) -> Snapshot:
+        """Return the state now."""
+
+    def stop(self) -> None:
+        """Bring the table to rest and end."""
+
+    def pause(self) -> None:
+        """Hold after the step under way."""
+
+    def resume(self) -> None:
+        """Go on."""
+
+    def note(self, text: str) -> None:
+        """Keep a note in the record."""
+
+
+class Host:
+    """A socket for one run. Entered before anything is opened, so that a socket that cannot be is known by then."""
+
+    def __init__(self, time_scale: float = 1.0) -> None:
+        """``time_scale`` is how fast the loop's clock runs."""
+        self.scale = time_scale
+        self.events: list[bytes] = []
+        """Lines of all events so far."""
+        self._clients: set[_Client] = set()
+        self._hello: bytes = b""
+        self._run: Watched | None = None
+        self._server: asyncio.Server | None = None
+        self._path = self._hidden = Path()
+        self._showing: asyncio.Task[None] | None = None
+        self._course: list[bytes] = []
+        self._blind = False
+
+    async def __aenter__(self) -> Host:
+        """Make the socket, which nobody sees yet; UsageError if that cannot be."""
+        if not hasattr(socket, "AF_UNIX"):
+            raise UsageError("--host: this system has no Unix sockets")
+        self._path = socket_folder() / f"{os.getpid()}.sock"
+        self._hidden = self._path.with_name(f"{self._path.name}.new")
+        try:
+            self._server = await asyncio.get_running_loop().create_unix_server(
+                lambda: _Client(self), str(self._hidden), start_serving=False
+            )
+        except OSError as error:
+            raise UsageError(f"--host: cannot make the socket {self._path}: {error}") from None
+        return self
+
+    async def begin(self, run: Watched, hello: Mapping[str, Any]) -> None:
+        """Let clients in; ``hello`` is what they are told first, beside version and pid."""
+        assert self._server is not None
+        self._run = run
+        self._hello = _line("hello", {"version": VERSION, "pid": os.getpid(), **hello})
+        await self._server.start_serving()
+        self._hidden.rename(self._path)  # a socket that is seen is listened to: whoever finds one deaf removes it
+        self._showing = asyncio.get_running_loop().create_task(self._show())
+
+    def tell(self, t_s: float, kind: EventKind, text: str) -> None:
+        """Tell an event, at ``t_s`` of the loop's clock."""
+        self.events.append(_line("event", {"t_s": t_s, "event": kind, "text": text}))
+        for client in self._clients:
+            client.send_events()
+
+    async def end(self, result: Mapping[str, Any]) -> None:
+        """Tell how the run ended, and hang up; who does not take it within a second misses it."""
+        self._snapshots()
+        last = _line("result", json_object(result))
+        for client in tuple(self._clients):
+            client.end(last)
+        deadline_s = self._now() + _LAST_WORDS_S * self.scale
+        while self._clients and self._now() < deadline_s:
+            await asyncio.sleep(0.01 * self.scale)
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._showing is not None:
+            self._showing.cancel()
+            with suppress(asyncio.CancelledError):
+                await self._showing
+        if self._server is not None:
+            self._server.close()
+        for client in tuple(self._clients):
+            client.drop()
+        for path in (self._path, self._hidden):
+            with suppress(OSError):
+                path.unlink()
+
+    def welcome(self, client: _Client) -> None:
+        """Take in a client: hello, events, and where the run is."""
+        if len(self._clients) >= _MOST_CLIENTS:
+            client.turn_away(_line("refused", {"reason": f"{_MOST_CLIENTS} others look at this session already"}))
+            return
+        self._clients.add(client)
+        client.send(self._hello)
+        client.send_events()
+        snapshot = self._look()
+        if snapshot is not None:
+            client.send(_line("snapshot", json_object(snapshot)))
+
+    def forget(self, client: _Client) -> None:
+        """Let a client go."""
+        self._clients.discard(client)
+
+    def do(self, line: bytes) -> bytes:
+        """Do what a line asks and return the answer, if it has one; UsageError if that cannot be done or understood."""
+        try:
+            request = json.loads(line)
+            action = request["do"]
+        except (ValueError, TypeError, KeyError, RecursionError):
+            raise UsageError(
+                'not understood: say {"do": "stop"}, "pause", "resume", "course" or "note" with a "text"'
+            ) from None
+        assert self._run is not None
+        actions: dict[str, Callable[[], None]] = {
+            "stop": self._run.stop,
+            "pause": self._run.pause,
+            "resume": self._run.resume,
+        }
+        if action == "course":
+            return b'{"kind":"course","points":[' + b",".join(self._course) + b"]}\n"
+        if action == "note" and isinstance(text := request.get("text"), str):
+            self._run.note(text)
+        elif isinstance(action, str) and action in actions:
+            actions[action]()
+        else:
+            raise UsageError(f"not understood: {str(action)[:40]!r}")
+        return b""
+
+    async def _show(self) -> None:
+        looks = 0
+        while True:
+            await asyncio.sleep(_EVERY_S * self.scale)
+            self._snapshots(keep=looks % _COURSE_EVERY == 0)
+            looks += 1
+
+    def _snapshots(self, *, keep: bool = False) -> None:
+        """Send what is new to whoever has taken all that came before; ``keep``: as a point of the course, too."""
+        for client in self._clients:
+            client.send_events()
+        ready = [client for client in self._clients if client.idle]
+        snapshot = self._look() if ready or keep else None
+        if snapshot is None:
+            return
+        if keep:
+            self._keep(snapshot)
+        if ready:
+            line = _line("snapshot", json_object(snapshot))
+            for client in ready:
+                client.send(line)
+
+    def _look(self) -> Snapshot | None:
+        """Return the state of the run; None before it begins, and after a defect: who looks on must not end it."""
+        if self._run is None or self._blind:
+            return None
+        try:
+            return self._run.snapshot()
+        except Exception:
+            self._blind = True
+            _log.exception("no snapshot could be made; the run goes on")
+            return None
+
+    def _keep(self, snapshot: Snapshot) -> None:
+        """Keep where the estimates are for who comes later, ready to be sent; a long run is thinned to every other."""
+        gyros = {gyro.name: (_rounded(gyro.values), _rounded(gyro.sds)) for gyro in snapshot.gyros}
+        if gyros and snapshot.elapsed_s > 0:
+            point = {"t_s": snapshot.elapsed_s, "gyros": gyros}
+            self._course.append(json.dumps(point, allow_nan=False, separators=(",", ":")).encode())
+        if len(self._course) > _MOST_POINTS:
+            del self._course[1::2]
+
+    def _now(self) -> float:
+        return asyncio.get_running_loop().time()
+
+
+class _Client(asyncio.Protocol):
+    """One connection. Lines are acted on as they come, without a detour over tasks."""
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        self._received = b""
+        self._told = 0  # events
+        self._transport: asyncio.Transport
+
+    @property
+    def idle(self) -> bool:
+        """Whether it has taken all that was sent."""
+        return not self._transport.get_write_buffer_size() and not self._transport.is_closing()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)
+        connection = transport.get_extra_info("socket")
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BYTES)
+        self._host.welcome(self)
+
+    def data_received(self, data: bytes) -> None:
+        self._received += data
+        self._heed()
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """Act also on what is not read yet: a STOP counts, though its sender hung up and no answer can be written."""
+        self._host.forget(self)
+        with suppress(OSError), self._transport.get_extra_info("socket").dup() as rest:
+            self._received += rest.recv(_LONGEST_LINE)
+        for line in self._received.split(b"\n", _LINES_AT_ONCE)[:-1]:
+            with suppress(UsageError):
+                self._host.do(line)
+
+    def send(self, line: bytes) -> None:
+        self._transport.write(line)
+
+    def send_events(self) -> None:
+        """Send the events that it has not been told, as many as it takes."""
+        events = self._host.events
+        while self._told < len(events) and self._transport.get_write_buffer_size() < _EVENT_BYTES:
+            self._transport.write(events[self._told])
+            self._told += 1
+
+    def end(self, last: bytes) -> None:
+        """Send what it has not been told and the last line, and hang up when that is taken."""
+        self._transport.write(b"".join((*self._host.events[self._told :], last)))
+        self._transport.close()
+
+    def turn_away(self, reason: bytes) -> None:
+        self._transport.write(reason)
+        self._transport.close()
+
+    def drop(self) -> None:
+        self._transport.abort()
+
+    def _heed(self) -> None:
+        """Act on some of the lines that are there; on the rest, of a client that sends without end, a little later."""
+        if self._transport.is_closing():
+            return
+        *lines, self._received = self._received.split(b"\n", _LINES_AT_ONCE)
+        for line in lines:
+            try:
+                answer = self._host.do(line)
+            except UsageError as error:
+                answer = _line("refused", {"reason": str(error)})
+            self._answer(answer)
+        if b"\n" not in self._received[: _LONGEST_LINE + 1] and len(self._received) > _LONGEST_LINE:
+            self._answer(_line("refused", {"reason": f"a line of more than {_LONGEST_LINE} bytes"}))
+            self._transport.close()
+        elif b"\n" in self._received:
+            self._transport.pause_reading()
+            asyncio.get_running_loop().call_later(_BREATH_S * self._host.scale, self._go_on)
+
+    def _go_on(self) -> None:
+        if not self._transport.is_closing():
+            self._transport.resume_reading()
+            self._heed()
+
+    def _answer(self, answer: bytes) -> None:
+        if answer and self.idle:
+            self.send(answer)
+
+
+def introduction(
+    bench: Bench, bench_file: str | None, script: Script, recording: Path, gyros: tuple[str, ...]
+) -> dict[str, Any]:
+    """Return what a client is told of a bench and its run; times in s, limits in SI, null for none."""
+    steps, end_s = [], 0.0
+    for step, duration_s in zip(script.steps, script.durations_s(), strict=True):
+        steps.append({"label": step.label, "start_s": end_s, "end_s": end_s + duration_s})
+        end_s += duration_s
+    found: dict[str, Any] = json_object(
+        {
+            "bench": bench.name,
+            "bench_file": None if bench_file is None else str(Path(bench_file).resolve()),
+            "script": {"name": script.name, "duration_s": end_s, "steps": steps},
+            "recording": str(recording.resolve()),
+            "gyros": gyros,
+            "axes": bench.table.gimbals,
+            "limits": bench.limits,
+        }
+    )
+    return found
+
+
+def _rounded(values: tuple[float, ...]) -> list[float | None]:
+    return [float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None for value in values]
+
+
+def _line(kind: str, fields: Mapping[str, Any]) -> bytes:
+    return json.dumps({"kind": kind, **fields}, allow_nan=False, separators=(",", ":")).encode() + b"\n"

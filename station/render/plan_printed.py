@@ -1,0 +1,150 @@
+"""A plan as a person reads it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from drivers.types import Flags, Floats
+from estimator.effects.catalogue import TONE_HZ
+from estimator.effects.thermal import REFERENCE_C
+from estimator.planning.planning import ALIKE, EffectForecast, Forecast
+from station.render.investigation_printed import words
+from station.render.rich_table import rich_table
+from station.render.terminal import print_rendered
+from station.scripts.axis_profile import profile_lines
+from station.scripts.plan import WARMING_TIME_S, Plan
+from station.scripts.polling import too_steep
+from station.views.figures import STATE_UNITS, effect_units
+
+_UNITS = effect_units("planned")
+_MARKED = 1.0  # shifts of the states below so many of their sigmas are not worth a word
+
+
+def print_plan(plan: Plan, console: Console) -> None:
+    """Print the plan: what moves, sigmas of the states, smallest effects, what looks alike, what was assumed."""
+    found = plan.forecast
+    reached = zip(found.gyros, plan.reached, strict=True)
+    values = {
+        "plan": plan,
+        "profile": profile_lines(plan.motion, console.width),
+        "states": _states(plan),
+        "is_required": bool(np.isfinite(plan.required).any()),
+        "missed": [gyro.name for gyro, of_gyro in reached if not of_gyro.all()],
+        "combination": combination,
+        "effects": _effects(found),
+        "warnings": [*plan.rounded, *too_steep(plan.script, plan.bench.table.read_time_s)],
+        "partly_seen": any(f.seen.any() and not f.seen.all() for f in found.effects),
+        "corrupted": [line for forecast in found.effects for line in _corrupted(forecast, found)],
+        "words": words,
+        "alike": ALIKE,
+        "reference_c": REFERENCE_C,
+        "warming_time_s": WARMING_TIME_S,
+        "tone_hz": TONE_HZ,
+    }
+    print_rendered(console, "station.render", "plan.rich", values)
+
+
+def _states(plan: Plan) -> Table:
+    asked = bool(np.isfinite(plan.required).any())
+    several = len({gyro.source for gyro in plan.forecast.gyros}) > 1
+    heads = [*(["device"] if several else []), "gyro", *(f"{name}\n{unit}" for name, unit, _ in STATE_UNITS)]
+    align = "l" * (1 + several) + "rrrr"
+    if asked:
+        heads, align = [*heads, "required"], f"{align}l"
+    table = rich_table("Predicted sigmas of the states", heads, align)
+    for gyro, sd, reached in zip(plan.forecast.gyros, plan.sd, plan.reached, strict=True):
+        cells = [gyro.source] if several else []
+        cells += [gyro.name, *(_number(v * f) for v, (_, _, f) in zip(sd, STATE_UNITS, strict=True))]
+        table.add_row(*cells, *([_reached(reached)] if asked else []), end_section=gyro is plan.forecast.gyros[-1])
+    if asked:
+        limits = [
+            _number(v * f) if np.isfinite(v) else "-" for v, (_, _, f) in zip(plan.required, STATE_UNITS, strict=True)
+        ]
+        table.add_row(*([""] if several else []), "required", *limits, "", style="dim")
+    return table
+
+
+def _reached(reached: Flags) -> str:
+    missed = [name for (name, _, _), ok in zip(STATE_UNITS, reached, strict=True) if not ok]
+    return f"[bold red]NOT REACHED[/] {', '.join(missed)}" if missed else "[green]OK[/]"
+
+
+def combination(direction: Floats) -> str:
+    """Return a direction of the states in words, such as "k + 0.58 sigma_j"; a bias in it is in rad/s."""
+    names = ("k", "b", "sigma_j", "sigma_k")
+    text = ""
+    for value, name in zip(direction, names, strict=True):
+        if value == 0:
+            continue
+        size = "" if math.isclose(abs(value), 1.0, rel_tol=5e-4) else f"{abs(value):.3g} "
+        sign = (" - " if value < 0 else " + ") if text else ("-" if value < 0 else "")
+        text += f"{sign}{size}{name}"
+    return text
+
+
+def _effects(found: Forecast) -> Table:
+    heads = ("effect", "smallest", "up to*", "unit")
+    table = rich_table("Smallest size of each effect that would be found", heads, "lrrl")
+    for forecast in found.effects:
+        for unit in dict.fromkeys(parameter.unit for parameter in forecast.effect.parameters):
+            own = [i for i, parameter in enumerate(forecast.effect.parameters) if parameter.unit == unit]
+            shown, factor = _UNITS[unit]
+            largest = _number(float(forecast.largest[own].max()) * factor)
+            table.add_row(words(forecast.effect.name), _smallest(forecast, own, factor), largest, shown)
+    return table
+
+
+def _smallest(forecast: EffectForecast, own: Sequence[int], factor: float) -> str:
+    smallest, seen = forecast.smallest[own] * factor, forecast.seen[own]
+    if not seen.any():
+        return "[red]cannot be seen[/]" if np.any(forecast.shift[own]) else "[dim]does nothing[/]"
+    least, most = _number(float(smallest[seen].min())), _number(float(smallest[seen].max()))
+    text = least if least == most else f"{least} - {most}"
+    return text if seen.all() else f"{text} [red]({int(seen.sum())}/{seen.size})[/]"
+
+
+def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
+    """Return what the worst parameter that is not seen does to the states, a line for each kind of state."""
+    hidden = np.flatnonzero(~forecast.seen.all(axis=1))
+    # A gyro whose own parameter is seen is not corrupted unnoticed; a shared one is unseen by all or none.
+    sigmas = np.where(forecast.seen[:, :, None], 0.0, np.abs(forecast.shift_sigmas))
+    if not len(hidden) or sigmas.max() < _MARKED:
+        return []
+    worst = int(hidden[np.argmax(sigmas[hidden].max(axis=(1, 2)))])
+    parameter = forecast.effect.parameters[worst]
+    unit, factor = _UNITS[parameter.unit]
+    others = int(np.sum(sigmas[hidden].max(axis=(1, 2)) >= _MARKED)) - 1
+    more = f" (and {others} more of its parameters)" if others > 0 else ""
+    size = f"{_number(parameter.largest * factor)} {unit}"
+    lines = [
+        f"[bold]{words(forecast.effect.name)}[/], {parameter.name}, {size}{more}; "
+        f"needed to see it: {forecast.effect.shown_by}"
+    ]
+    for state, (name, state_unit, scale) in enumerate(STATE_UNITS):
+        parts = [
+            f"{gyro.name} {_signed(shift * scale)} ({sigma:.0f})"
+            for gyro, shift, sigma in zip(
+                found.gyros, forecast.shift[worst, :, state], sigmas[worst, :, state], strict=True
+            )
+            if sigma >= _MARKED
+        ]
+        if parts:
+            lines.append(f"  {name} of {', '.join(parts)} {state_unit}")
+    return lines
+
+
+def _signed(value: float) -> str:
+    return f"{'-' if value < 0 else '+'}{_number(abs(value))}"
+
+
+def _number(value: float) -> str:
+    """Return three digits without an exponent."""
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    digits = max(2 - math.floor(math.log10(abs(value))), 0)
+    return f"{value:.{min(digits, 6)}f}"

@@ -1,0 +1,183 @@
+"""What a person sees in the terminal: the table of states, the verdict; and the JSON for machines."""
+
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from drivers.packaged import packaged_toml
+from estimator.calibration.values import Calibration, GyroCalibration
+from estimator.estimation.repeatability import Repeatability
+from estimator.geometry.noise import NoiseFound
+from estimator.observations.rests import RestNoise
+from station.errors import EXIT_USAGE
+from station.render.rich_table import rich_table
+from station.render.terminal import print_rendered, stdout
+from station.run.outcome import Outcome, Verdict
+from station.run.snapshot import by_state
+from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, STATE_UNITS
+
+_BUDGET_WORDS = packaged_toml("station.views", "budget.toml")["terminal"]
+_SIGMA_HEADS = tuple(f"{name} ({unit})" for name, unit, _ in STATE_UNITS)
+_SCALES = np.array([factor for _, _, factor in STATE_UNITS])
+
+
+def print_calibration(calibration: Calibration) -> None:
+    """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from."""
+    from estimator.tracing.investigation import Value
+    from station.render.investigation_printed import human, words
+
+    nis = f"mean NIS {calibration.nis_mean:.3f} per degree of freedom (1 = the filter's sigmas are true), "
+    values = {
+        "calibration": calibration,
+        "figures": STATE_FIGURES,
+        "degrees": math.degrees,
+        "words": words,
+        "human": lambda value, sd, unit: human(Value(value, sd, unit)),
+        "budget": _budget(calibration),
+        "noise": _noise([gyro.noise for gyro in calibration.gyros if gyro.noise is not None]),
+        "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
+        "nis": nis if np.isfinite(calibration.nis_mean) else "",
+    }
+    print_rendered(stdout(), "station.render", "calibration.rich", values)
+
+
+def _budget(calibration: Calibration) -> Table | None:
+    """Return where the sigmas come from: noise and the table's own uncertainty, rms over the gyros."""
+    budgets = [{c.name: c.u for c in gyro.budget} for gyro in calibration.gyros]
+    names = list(budgets[0]) if budgets else []
+    if len(names) < 2 or any(list(budget) != names for budget in budgets):
+        return None
+    lines = {_BUDGET_WORDS.get(name, name): np.array([budget[name] for budget in budgets]) for name in names}
+    lines["combined"] = np.array([gyro.sd for gyro in calibration.gyros])
+    rows = [(name, *map(_size, np.sqrt(np.mean(u**2, axis=0)) * _SCALES)) for name, u in lines.items()]
+    return rich_table("Uncertainty budget, rms over the gyros", ("source", *_SIGMA_HEADS), "lr", rows)
+
+
+def _noise(found: Sequence[NoiseFound]) -> Mapping[str, str] | None:
+    """Return the mean noise of the gyros that was found, None if it was of none."""
+    if not found:
+        return None
+    return {
+        "arw": f"{math.degrees(np.mean([n.mean.arw for n in found])):.3g}",
+        "instability": f"{math.degrees(np.mean([n.instability_below for n in found])) * 3600:.2g}",
+        "walk": f"{math.degrees(np.mean([n.walk_below for n in found])) * 3600 * 60:.2g}",
+    }
+
+
+def _rest(rests: Sequence[RestNoise]) -> Mapping[str, str] | None:
+    """Return the mean noise of the gyros at rest alone, with where their mean Allan deviation is least."""
+    if not rests:
+        return None
+    shortest = min(rests, key=lambda rest: len(rest.tau_s))
+    mean = np.mean([rest.deviation_rps[: len(shortest.tau_s)] for rest in rests], axis=0)
+    least = int(np.argmin(mean))
+    return {
+        "span_s": f"{np.mean([rest.span_s for rest in rests]):.0f}",
+        "arw": f"{math.degrees(np.mean([rest.noise.arw for rest in rests])):.3g}",
+        "lowest": f"{math.degrees(mean[least]) * 3600:.2g} deg/h at {shortest.tau_s[least]:.0f} s",
+    }
+
+
+def print_repeatability(repeats: Sequence[Repeatability], device: str) -> None:
+    """Print how the states of a device scatter over its runs, beside the scatter that their sigmas promise."""
+    if not repeats:
+        return
+    rows, differing = [], []
+    for gyro in repeats:
+        pairs = zip(gyro.scatter * _SCALES, gyro.expected * _SCALES, gyro.differs, strict=True)
+        rows.append((gyro.name, *(f"{_size(s)} ({_size(e)}){' !' if d else ''}" for s, e, d in pairs)))
+        between = zip(STATE_UNITS, map(_size, gyro.between * _SCALES), gyro.differs, strict=True)
+        differing += [(gyro.name, state, size) for state, size, differs in between if differs]
+    scatter = rich_table(None, ("gyro", *_SIGMA_HEADS), "lr", rows)
+    values = {"repeats": repeats, "device": device, "scatter": scatter, "differing": differing}
+    print_rendered(stdout(), "station.render", "repeatability.rich", values)
+
+
+def repeatability_object(repeats: Sequence[Repeatability]) -> list[dict[str, Any]]:
+    """Return the repeatability as what --json prints: by gyro the runs and, by state, the figures in SI."""
+    return [
+        {
+            "name": gyro.name,
+            "runs": gyro.runs,
+            **{key: by_state(getattr(gyro, key)) for key in ("mean", "scatter", "expected", "between", "differs")},
+        }
+        for gyro in repeats
+    ]
+
+
+def _size(value: float) -> str:
+    return "< 0.01" if value < 0.01 else f"{value:.2g}" if value < 10 else f"{value:.0f}"
+
+
+def print_verdict(verdict: Verdict, recording: Path) -> None:
+    """Print how it ended, why, and where the recording is."""
+    console = stdout()
+    console.print(f"[{OUTCOME_STYLES[verdict.outcome]}]{verdict.outcome}[/]  {verdict.reason}", highlight=False)
+    console.print(f"recording: {recording}", highlight=False, soft_wrap=True)
+
+
+def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:
+    """Say on stderr why there is no result, and as JSON an empty one; return the exit code."""
+    print(f"station: {reason}", file=sys.stderr)
+    if as_json:
+        print(json.dumps(empty_object(reason, outcome and str(outcome), recording)))
+    return outcome.exit_code if outcome else EXIT_USAGE
+
+
+def empty_object(reason: str, outcome: str | None = None, recording: str | None = None) -> dict[str, Any]:
+    """Return what --json prints when there is no result."""
+    empty: dict[str, Any] = {"outcome": outcome, "reason": reason, "recording": recording}
+    return {**empty, "gyros": [], "nis_mean": None, "samples": 0, "lost": 0}
+
+
+def result_object(verdict: Verdict, recording: str, calibration: Calibration | None) -> dict[str, Any]:
+    """Return the result as what --json prints."""
+    gyros = [
+        {
+            "name": gyro.name,
+            **by_state(gyro.states),
+            "sd": by_state(gyro.sd),
+            "budget": {c.name: by_state(c.u) for c in gyro.budget},
+            "noise": gyro.noise
+            and {
+                "arw_rps_rthz": gyro.noise.mean.arw,
+                "instability_rps": gyro.noise.mean.instability,
+                "instability_below_rps": gyro.noise.instability_below,
+                "walk_rps_rts": gyro.noise.mean.walk,
+                "walk_below_rps_rts": gyro.noise.walk_below,
+            },
+            **({"effects": _effects_object(gyro)} if gyro.effects else {}),
+        }
+        for gyro in (calibration.gyros if calibration else ())
+    ]
+    nis = calibration.nis_mean if calibration and np.isfinite(calibration.nis_mean) else None
+    return {
+        "outcome": str(verdict.outcome),
+        "reason": verdict.reason,
+        "recording": recording,
+        "gyros": gyros,
+        "nis_mean": nis,
+        "samples": calibration.samples if calibration else 0,
+        "lost": calibration.lost if calibration else 0,
+        "holds_for": calibration.holds_for if calibration else "",
+        "doubts": list(calibration.doubts) if calibration else [],
+        "excluded": {e.name: e.reason for e in calibration.excluded} if calibration else {},
+        "parity": {
+            c.name: {"rms_sigma": c.rms_sigma, "worst_sigma": c.worst_sigma, "suspect": c.suspect}
+            for c in (calibration.parity if calibration else ())
+        },
+    }
+
+
+def _effects_object(gyro: GyroCalibration) -> dict[str, dict[str, list[float | str]]]:
+    """Return by effect and parameter the value, its standard deviation and its unit."""
+    found: dict[str, dict[str, list[float | str]]] = {}
+    for value in gyro.effects:
+        found.setdefault(value.effect, {})[value.parameter] = [value.value, value.sd, value.unit]
+    return found

@@ -1,0 +1,99 @@
+"""How far long work is, on stderr: a bar in a terminal, a few lines elsewhere, nothing when quiet."""
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
+
+from station.run.snapshot import Snapshot
+from station.views.figures import clock, number
+
+_REFRESH_S = 0.1  # of the wall's clock: a person watches, however fast the loop's clock runs
+
+
+class Bar:
+    """A bar of one task."""
+
+    _EVERY = 0.1
+    """Without a terminal: one line each tenth of the work."""
+
+    def __init__(
+        self,
+        quiet: bool,
+        *columns: ProgressColumn,
+        begins: str,
+        total: float = 1.0,
+        auto_refresh: bool = True,
+        **fields: Any,
+    ) -> None:
+        """``begins`` describes the task at first, ``fields`` are what its columns show beside that."""
+        self._quiet, self._refresh = quiet, not auto_refresh
+        self._console = Console(stderr=True)
+        self._bar: Progress | None = None
+        self._shown_share = 0.0
+        if not quiet and self._console.is_terminal:
+            self._bar = Progress(*columns, console=self._console, auto_refresh=auto_refresh)
+            self._task = self._bar.add_task(begins, total=total, **fields)
+
+    def __enter__(self) -> Self:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.refresh()
+            self._bar.stop()
+
+    def _tell(self, line: str, share: float, due: bool | None = None, **told: Any) -> None:
+        """Show in the bar what is ``told``; print the line where there is none and it is due, by default by share."""
+        if self._bar is not None:
+            self._bar.update(self._task, refresh=self._refresh, **told)
+        elif not self._quiet and (share - self._shown_share >= self._EVERY if due is None else due):
+            self._shown_share = share
+            self._console.print(line, highlight=False)
+
+
+class RunProgress(Bar):
+    """Progress of a run."""
+
+    def __init__(self, quiet: bool) -> None:
+        """Show nothing if quiet."""
+        columns = (TextColumn("{task.description:<18}"), BarColumn(), TextColumn("{task.fields[detail]}"))
+        super().__init__(quiet, *columns, begins="connecting", auto_refresh=False, detail="")
+        self._shown_at = 0.0
+        self._shown_share = -1.0
+
+    def show(self, look: Callable[[], Snapshot]) -> None:
+        """Show where the run is, not more often than a person can read; ``look`` is asked only then."""
+        now = time.monotonic()
+        if self._quiet or now - self._shown_at < _REFRESH_S:
+            return
+        self._shown_at = now
+        snapshot = look()
+        detail = (
+            f"{clock(snapshot.remaining_s)} left   {snapshot.samples} samples, {snapshot.lost} lost   "
+            f"NIS {number(snapshot.nis_mean, 2)}"
+        )
+        line = f"{snapshot.share:4.0%}  {snapshot.doing:<18} {detail}"
+        self._tell(line, snapshot.share, description=snapshot.doing, completed=snapshot.share, detail=detail)
+
+
+class TracingProgress(Bar):
+    """Progress of an investigation."""
+
+    _EVERY = 0.25
+
+    def __init__(self, quiet: bool) -> None:
+        """Show nothing if quiet."""
+        columns = (TextColumn("{task.percentage:>3.0f} %"), BarColumn(), TextColumn("{task.description}"))
+        super().__init__(quiet, *columns, begins="tracing")
+
+    def show(self, share: float, text: str) -> None:
+        """Show how much is done, 0 to 1, and what is being done."""
+        self._tell(f"{share:4.0%}  {text}", share, completed=share, description=text)

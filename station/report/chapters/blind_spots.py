@@ -1,0 +1,65 @@
+"""What the run could not see."""
+
+import numpy as np
+from markupsafe import Markup
+
+from estimator.effects.effect import Effect
+from estimator.planning.planning import EffectForecast
+from estimator.tracing.investigation import Value
+from station.render.investigation_printed import human
+from station.render.plan_printed import combination
+from station.report.chapters.unseen import MARKED, Unseen, by_state
+from station.report.figures import SYMBOLS, Unit, figure, significant, typographic
+from station.report.recorded import Recorded
+
+_ABSURD = 10.0  # times the largest plausible size: an effect that would have to be larger cannot be seen
+
+
+def temperatures(recorded: Recorded) -> tuple[float, float] | None:
+    """Return within which temperatures the results were found, in degC; None if they were not recorded."""
+    of_all = (data.temperature_c for data in recorded.recording.sources.values())
+    known = [t[np.isfinite(t)] for t in of_all if t is not None and np.isfinite(t).any()]
+    return (min(float(t.min()) for t in known), max(float(t.max()) for t in known)) if known else None
+
+
+def largest_rps(recorded: Recorded) -> float:
+    """Return the largest output of the gyros, rad/s."""
+    rates = (data.rate_rps for data in recorded.recording.sources.values())
+    return max(float(np.abs(rate[np.isfinite(rate)]).max(initial=0.0)) for rate in rates)
+
+
+def lacking(recorded: Recorded, unseen: Unseen) -> list[str]:
+    """Return by gyro the combinations of its states that the motion does not show."""
+    gyros = [gyro for gyro in unseen.forecast.gyros if len(gyro.unseen)]
+    return [f"{recorded.label(g.source, g.name)}: {'; '.join(map(combination, g.unseen))}" for g in gyros]
+
+
+def hidden(unseen: Unseen) -> list[tuple[EffectForecast, list[tuple[Markup, float]]]]:
+    """Return the effects that the motion does not show, the worst first, each with the states that it moves unnoticed.
+
+    Those come with their shifts in sigmas.
+    """
+    shifts = by_state(unseen.forecast)
+    effects = [effect for effect in unseen.forecast.effects if not effect.seen.all()]
+    effects.sort(key=lambda effect: -float(shifts[effect.effect.name].max()))
+    pairs = [list(zip(SYMBOLS, shifts[effect.effect.name].tolist(), strict=True)) for effect in effects]
+    marked = ([(symbol, size) for symbol, size in moved if size >= MARKED] for moved in pairs)
+    return list(zip(effects, marked, strict=True))
+
+
+def visible(unseen: Unseen) -> list[EffectForecast]:
+    """Return the effects that the motion shows."""
+    return [effect for effect in unseen.forecast.effects if effect.seen.all()]
+
+
+def smallest(effect: EffectForecast) -> str:
+    """Return the smallest size of an effect that is shown, of its parameters and the gyros the worst."""
+    worst = float(effect.smallest.max())
+    return "∞" if not worst < _ABSURD * float(effect.largest.max()) else size(effect.effect, worst)
+
+
+def size(effect: Effect, value: float) -> Markup:
+    """Return a size of an effect to two digits."""
+    unit = effect.parameters[0].unit
+    number, _, name = human(Value(value, 0.0, unit)).partition(" ")
+    return figure(value, Unit(unit, 1.0), typographic(f"{significant(float(number), 2)} {name}"))

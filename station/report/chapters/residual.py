@@ -1,0 +1,69 @@
+"""What an investigation traced in the residual."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from station.render.investigation_printed import probability, words
+from station.report.figures import COVERAGE, worded
+from station.report.pictures import Picture, residual_picture
+from station.report.recorded import Recorded
+from station.report.traced import Traced
+
+
+def file_names(paths: Sequence[str]) -> str:
+    """Return the names of files."""
+    return ", ".join(Path(path).name for path in paths)
+
+
+def is_among(recorded: Recorded, what: Mapping[str, Any]) -> bool:
+    """Return whether an investigation was made with a recording."""
+    return recorded.path.name in {Path(path).name for key in ("recordings", "verification") for path in what[key]}
+
+
+def residual_pictures(traced: Traced) -> list[Picture]:
+    """Return the residual of each gyro before and after."""
+    return [residual_picture(residual, traced.spectra.get(residual.gyro)) for residual in traced.residuals]
+
+
+def added_rows(added: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, Markup, str]]:
+    """Return the effects that were traced: name, parameter, value with its expanded uncertainty, probability."""
+    return [
+        (
+            words(effect["effect"]),
+            name,
+            worded(_number(value), COVERAGE * _number(sd), unit),
+            probability(_number(effect["probability"])),
+        )
+        for effect in added
+        for name, (value, sd, unit) in effect["parameters"].items()
+    ]
+
+
+def findings(what: Mapping[str, Any]) -> list[str]:
+    """Return what else an investigation says, in sentences."""
+    said = []
+    for rivals in what["rivals"]:
+        how = "These recordings cannot tell apart" if len(rivals) > 1 else "These recordings do not prove"
+        said.append(f"{how}: {' or '.join(map(words, rivals))}.")
+    unexplained = what["unexplained"]
+    if unexplained:
+        said.append(
+            f"Unexplained: {unexplained['share']:.0%} of the power of what is left depends on "
+            f"{unexplained['depends_on']}, and no effect of the catalogue explains it."
+        )
+    return [*said, *(sentence(note) for note in what["notes"])]
+
+
+def _number(value: float | None) -> float:
+    """Return a number of JSON, in which null stands for what is not known."""
+    return math.nan if value is None else float(value)
+
+
+def sentence(text: str) -> str:
+    """Return a text as a sentence, nothing if it is empty."""
+    text = text.strip()
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}" if text else ""

@@ -1,0 +1,78 @@
+"""What was found: states with their uncertainties, the comparison with the limits, the budget."""
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from markupsafe import Markup
+
+from drivers.packaged import packaged_toml
+from estimator.calibration.budget import TYPE_A, Contribution
+from estimator.calibration.values import Calibration
+from station.render.investigation_printed import words
+from station.report.figures import COVERAGE, STATES, figure, plain, worded
+from station.report.recorded import Recorded
+from station.report.standing import Line, Standing
+from station.report.traced import Traced
+
+_NEXT_TO_NOTHING = 0.01  # ppm, deg/h, urad
+_SOURCES = packaged_toml("station.views", "budget.toml")["report"]
+
+
+def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:
+    """Return by how many of their sigmas an investigation moved the states, the largest."""
+    labelled = [(gyro, recorded.label(gyro.source, gyro.name)) for gyro in found.gyros]
+    moved = [
+        np.abs(traced.states[traced.names.index(label)] - gyro.states) / gyro.sd
+        for gyro, label in labelled
+        if label in traced.names
+    ]
+    return float(np.max(moved, initial=0.0))
+
+
+def effect_values(recorded: Recorded, found: Calibration) -> list[list[str]]:
+    """Return the effects of the error model that were estimated beside the states: what, of which gyro, the value."""
+    rows = []
+    for column, effect in enumerate(found.gyros[0].effects):
+        for i, gyro in enumerate(found.gyros[:1] if effect.shared else found.gyros):
+            value = gyro.effects[column]
+            who = "all gyros" if effect.shared else recorded.label(gyro.source, gyro.name)
+            shown = worded(value.value, COVERAGE * value.sd, value.unit, f"calibration/effects[{i},{column}]")
+            rows.append([f"{words(effect.effect)}, {effect.parameter}", who, shown])
+    return rows
+
+
+def limits_by_gyro(standing: Standing) -> Mapping[str, list[tuple[Line | None, Line | None]]]:
+    """Return by gyro the limits of each quantity, and of its standard uncertainty."""
+    quantities: dict[tuple[str, str, str], dict[bool, Line]] = {}
+    for line in standing.lines:
+        quantities.setdefault((line.gyro, line.what, line.note), {})[line.of_u] = line
+    gyros: dict[str, list[tuple[Line | None, Line | None]]] = {}
+    for (gyro, _, _), lines in quantities.items():
+        gyros.setdefault(gyro, []).append((lines.get(False), lines.get(True)))
+    return gyros
+
+
+def has_type_b(found: Calibration) -> bool:
+    """Return whether a line of the budget is no scatter of the data."""
+    return any(line.name not in TYPE_A for gyro in found.gyros for line in gyro.budget)
+
+
+def source_words(line: Contribution) -> str:
+    """Return what a line of the budget is called."""
+    return str(_SOURCES.get(line.name, line.name))
+
+
+def shares(line: Contribution, source: str) -> list[Markup]:
+    """Return a line of the budget, state by state; what is next to nothing is said to be so."""
+    return [
+        figure(u, unit, "< 0.01", source % s)
+        if u * unit.factor < _NEXT_TO_NOTHING
+        else plain(float(u), unit, 2, source % s)
+        for s, (u, (_, unit)) in enumerate(zip(line.u, STATES, strict=True))
+    ]
+
+
+def sigmas(sd: Iterable[float], source: str) -> list[Markup]:
+    """Return the combined standard uncertainties of the states of a gyro; ``source`` has %d for the state."""
+    pairs = zip(sd, STATES, strict=True)
+    return [plain(float(value), unit, 2, source % s) for s, (value, (_, unit)) in enumerate(pairs)]

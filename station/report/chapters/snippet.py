@@ -1,0 +1,116 @@
+"""A few lines of Python that apply a correction to arrays of samples.
+
+They undo what ``estimator.calibration.compensation`` undoes, in its order. ``station export`` writes the same for
+one sample after the other.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+
+from drivers.types import Floats
+from estimator.calibration.compensation import MOST_ITERATIONS, TOLERANCE_RPS, Acts, HeldEffect
+from estimator.effects.conditions import SLOPE_S
+from estimator.effects.constructed import LAST_SHARE, REFERENCE_C
+from estimator.geometry.kinematics import GRAVITY_MPS2
+from station.exports.law_text import law_terms
+from station.exports.terms import FORMULAS
+from station.render.template import rendered
+from station.report.chapters.correction import Correction
+
+_WARMTH = f"(t - {REFERENCE_C:g})"
+_STEPS = "np.maximum(np.diff(t_s, prepend=t_s[:1]), 0)"
+_WARMING = f"(t - follow(t, {SLOPE_S:g} / ({SLOPE_S:g} + {_STEPS}), np.inf)) / {SLOPE_S:g}"
+_FORCE = f"(np.asarray(accel_mps2) / {GRAVITY_MPS2})"
+_PARTS = {"warmth": _WARMTH, "warming": _WARMING, "force": _FORCE}
+_VARIABLES: Mapping[str, str] = {
+    "u": "u",
+    **{f"w{axis}": f"w[:, [{r}]]" for r, axis in enumerate("xyz")},
+    "speed": "np.linalg.norm(w, axis=1, keepdims=True)",
+    "a": "(slope(w, t_s) @ SENSE_AXES.T)",
+    "jolt": "np.linalg.norm(slope(w, t_s), axis=1, keepdims=True)",
+    "T": _WARMTH,
+    "Tdot": f"({_WARMING})",
+    "t": "(since - since[0])",
+    **{f"g{axis}": f"{_FORCE}[:, [{r}]]" for r, axis in enumerate("xyz")},
+    "gs": f"({_FORCE} @ SENSE_AXES.T)",
+}
+"""The variables of laws, (N, n) or (N, 1)."""
+_NEEDS: Mapping[str, str] = {"temperature_c": r"\bt\b", "accel_mps2": "accel_mps2", "t_s": r"\bt_s\b|since"}
+"""The arguments beside the outputs, and what needs them in the code of the effects."""
+_U = re.compile(r"\bu\b")
+_ACTS = (Acts.LAG, Acts.ADDED, Acts.RATE, Acts.MOTION)
+_ARGUMENTS = {
+    "temperature_c": "temperature_c (N,) in degC",
+    "accel_mps2": "accel_mps2 (N, 3), specific force in body axes, m/s2",
+    "t_s": "t_s (N,), instants in s",
+}
+
+
+def snippet(correction: Correction, origin: str) -> str:
+    """Return Python that turns outputs (N, n) into body rates (N, 3), rad/s; ``origin`` becomes its first comment."""
+    lag, added, of_the_rate, of_motion = (list(_of(correction, acts)) for acts in _ACTS)
+    code = "\n".join([*lag, *added, *of_the_rate, *of_motion])
+    values = {
+        "origin": origin,
+        "axes_only": correction.axes_only,
+        "gyros": correction.compensation.array.names,
+        "tables": _tables(correction, code),
+        "code": code,
+        "lag": lag,
+        "added": added,
+        "of_the_rate": of_the_rate,
+        "of_motion": of_motion,
+        "motion_uses_u": any(_U.search(term) for term in of_motion),
+        "needs": [argument for argument, names in _NEEDS.items() if re.search(names, code)],
+        "arguments": _ARGUMENTS,
+        "warms_up": any(effect.name == "warm_up" for effect in correction.held),
+        "share": f"{LAST_SHARE:g}",
+        "iterations": MOST_ITERATIONS,
+        "tolerance": TOLERANCE_RPS,
+    }
+    return rendered("station.report", "snippet.jinja", values)
+
+
+def _of(correction: Correction, acts: Acts) -> Iterator[str]:
+    """Yield the expressions of the effects that act like this."""
+    for effect in correction.held:
+        if effect.acts is acts:
+            table, tau = _constant(correction, effect), effect.known.settings.get("time_constant_s")
+            law = law_terms(effect.known.law, _VARIABLES, _called) if effect.known.law else []
+            terms = " + ".join(f"{table}[:, {n}] * {term}" for n, term in enumerate(law))
+            yield f"({terms})" if terms else FORMULAS[effect.name]["numpy"].format(a=table, tau=tau, **_PARTS)
+
+
+def _called(name: str, inner: str, constant: str) -> str:
+    """Return the call of a function of laws, on arrays."""
+    if name == "pow":
+        return f"({inner} ** {constant})"
+    if name == "lag":
+        return f"follow({inner}, np.exp(-{_STEPS} / {constant}), np.inf)"
+    if name == "play":
+        return f"follow({inner}, np.ones(len(left)), 0.5 * {constant})"
+    return f"last({inner}, {constant or None})" if name == "last" else f"np.{name}({inner})"
+
+
+def _tables(correction: Correction, code: str) -> dict[str, Floats]:
+    """Return the numbers by the names that they have in the code."""
+    compensation = correction.compensation
+    tables = {"BIAS_RPS": compensation.bias_rps}
+    if correction.axes_only:
+        tables["GAIN"] = 1 - compensation.states[:, 0]
+    else:
+        tables["SENSITIVITY"] = compensation.sensitivity
+    if "SENSE_AXES" in code or _U.search(code) or any(effect.acts is Acts.RATE for effect in correction.held):
+        tables["SENSE_AXES"] = compensation.array.p
+    for effect in correction.held:
+        values = effect.values
+        if effect.name == "acceleration_sensitivity":  # about the tilt axes of each gyro; here about x, y, z
+            values = values[:, [0]] * compensation.array.j + values[:, [1]] * compensation.array.k
+        tables[_constant(correction, effect)] = values
+    return tables
+
+
+def _constant(correction: Correction, effect: HeldEffect) -> str:
+    if effect.known.law:
+        return f"LAW_{correction.held.index(effect) + 1}"
+    return "".join(c if c.isalnum() else "_" for c in effect.known.called).upper()

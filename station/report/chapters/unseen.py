@@ -1,0 +1,162 @@
+"""What a run could not see: its motion as it was driven, and what such a motion shows."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.types import Floats
+from estimator.calibration.values import Calibration
+from estimator.effects.catalogue import catalogue
+from estimator.geometry.noise import NoiseModel
+from estimator.observations.rests import REST_RPS
+from estimator.planning.planning import Forecast, PlannedDevice, forecast
+from estimator.recordings.recording import ImuData
+from estimator.recordings.reference import TableReadings
+from station.render.investigation_printed import words
+from station.report.recorded import Recorded, Step
+from station.scripts.planned import planned_motion
+from station.scripts.script import Rest, Rotate, Script
+from station.scripts.script import Step as ScriptStep
+
+_PERIOD_S = 0.1
+_MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser steps
+_PLATEAU = 0.9  # of the largest rate: above it an axis is taken to be at its steady rate
+_FINEST_DEG = 0.01  # to which rates and turns of a script are told from the readings of the table
+_SHORTEST_RAMP_S = 0.05
+_OF_THE_TABLE = frozenset({"table_axes", "table_rate"})
+MARKED = 1.0
+"""Shifts of the states below so many sigmas are not worth a word."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unseen:
+    """The script as it was driven, and what its motion shows of the gyros and of the effects of the catalogue.
+
+    ``budgeted`` are effects of the table that the uncertainty budget holds, at the size that is stated of the table.
+    ``site_known``: Earth rate is in the model, so that only an error of it can be hidden.
+    """
+
+    script: Script
+    forecast: Forecast
+    budgeted: frozenset[str]
+    site_known: bool
+
+    @property
+    def unnoticed(self) -> list[str]:
+        """Effects that could move a state by more than its sigma without being seen or budgeted, the worst first."""
+        largest = {name: float(shift.max()) for name, shift in by_state(self.forecast).items()}
+        found = [name for name, size in largest.items() if size >= MARKED and name not in self.budgeted]
+        return sorted(found, key=lambda name: -largest[name])
+
+    @property
+    def unnoticed_words(self) -> list[str]:
+        """What people call these."""
+        return [self.words(effect) for effect in self.unnoticed]
+
+    def words(self, effect: str) -> str:
+        """Return what people call an effect."""
+        return "wrong Earth rate" if effect == "earth_rate" and self.site_known else words(effect)
+
+
+def unseen_of(recorded: Recorded) -> Unseen | None:
+    """Return what a run on a table could not see; None where no steps are known."""
+    reference, found = recorded.recording.reference, recorded.calibration
+    if not isinstance(reference, TableReadings) or not recorded.steps or found is None:
+        return None
+    script = driven_script(reference, recorded.steps, recorded.text("script") or "script")
+    if script is None:
+        return None
+    period_s = max(_PERIOD_S, script.duration_s / _MOST_ROWS)
+    motion = planned_motion(script, reference.gimbals, period_s)
+    conditions = motion.conditions(_temperature(recorded, motion.t_s), recorded.recording.site)
+    devices = [
+        PlannedDevice(source, data.array, _noise(found, source, data), data.prior)
+        for source, data in recorded.recording.sources.items()
+    ]
+    known = _known_effects(found)
+    effects = [e for e in catalogue(motion.gimbals, script.duration_s) if e.name not in known]
+    budgeted = _OF_THE_TABLE if reference.uncertainty is not None else frozenset[str]()
+    return Unseen(script, forecast(conditions, devices, effects), budgeted, recorded.recording.site is not None)
+
+
+def driven_script(table: TableReadings, steps: Sequence[Step], name: str) -> Script | None:
+    """Return the script that readings of a table say was driven, None if they say of no step that anything moved.
+
+    Rates and turns are told to 0.01 deg: finer differences are those of the readings.
+    """
+    found: list[ScriptStep] = []
+    for step in steps:
+        found += driven_step(table, step)
+    return Script(name, tuple(found)) if any(isinstance(step, Rotate) for step in found) else None
+
+
+def driven_step(table: TableReadings, step: Step) -> list[ScriptStep]:
+    """Return what was driven in one step: a turn and the rest after it, or a rest; nothing if it took no time."""
+    duration_s = (step.end_ns - step.start_ns) * 1e-9
+    inside = (table.t_ns >= step.start_ns) & (table.t_ns <= step.end_ns)
+    if duration_s <= 0:
+        return []
+    t_s, rate, angle = table.t_ns[inside] * 1e-9, table.rate_rps[inside], table.angle_rad[inside]
+    column = int(np.argmax(np.abs(rate).max(axis=0, initial=0.0)))
+    largest = float(np.abs(rate[:, column]).max(initial=0.0))
+    if len(t_s) < 4 or largest < 10 * REST_RPS:
+        return [Rest(duration_s, step.label)]
+    steady = np.abs(rate[:, column]) > _PLATEAU * largest
+    peak = abs(_rounded(float(np.median(rate[steady, column]))))
+    turn = _rounded(float(angle[-1, column] - angle[0, column]))
+    # Of a trapezoid, the integrals of the rate and of its square tell the length of a ramp.
+    square = float(np.trapezoid(rate[:, column] ** 2, t_s))
+    if not peak or not turn:
+        return [Rest(duration_s, step.label)]  # there and back, or read too seldom to say
+    way_s = abs(turn) / peak
+    ramp_s = min(max(3 * (way_s - square / peak**2), _SHORTEST_RAMP_S), 0.999 * way_s)
+    moving_s = way_s + ramp_s
+    rotated = Rotate(table.gimbals[column], float(np.copysign(peak, turn)), moving_s, peak / ramp_s, step.label)
+    if way_s <= _SHORTEST_RAMP_S:
+        return [Rest(duration_s, step.label)]
+    rest_s = duration_s - moving_s
+    return [rotated, Rest(rest_s, step.label)] if rest_s > _PERIOD_S else [rotated]
+
+
+def _rounded(angle_rad: float) -> float:
+    return float(np.radians(round(np.degrees(angle_rad) / _FINEST_DEG) * _FINEST_DEG))
+
+
+def _temperature(recorded: Recorded, t_s: Floats) -> Floats | None:
+    """Return the mean temperature of the sources at times since the start; None if one of them has none."""
+    courses = []
+    for data in recorded.recording.sources.values():
+        if data.temperature_c is None or not np.isfinite(data.temperature_c).any():
+            return None
+        known = np.isfinite(data.temperature_c)
+        since_s = (data.t_ns[known] - recorded.start_ns) * 1e-9
+        courses.append(np.interp(t_s, since_s, data.temperature_c[known]))
+    return np.asarray(np.mean(courses, axis=0))
+
+
+def _noise(found: Calibration, source: str, data: ImuData) -> NoiseModel:
+    """Return the mean noise of the gyros of a source as found, else what the data sheet says."""
+    own = [gyro for gyro in found.gyros if gyro.source == source]
+    models = [gyro.noise.mean for gyro in own if gyro.noise is not None]
+    if models:
+        means = (float(np.mean([getattr(m, key) for m in models])) for key in ("arw", "instability", "walk"))
+        return NoiseModel(*means)
+    if data.noise is not None or not own:
+        return data.noise or NoiseModel(1e-4)
+    period_s = float(np.median(np.diff(data.t_ns))) * 1e-9
+    return NoiseModel(float(np.mean([gyro.noise_rps for gyro in own])) * float(np.sqrt(period_s)))
+
+
+def _known_effects(found: Calibration) -> frozenset[str]:
+    """Return the effects that the calibration holds already."""
+    return frozenset(value.effect.split()[0] for gyro in found.gyros for value in gyro.effects)
+
+
+def by_state(found: Forecast) -> Mapping[str, Floats]:
+    """Return by effect the largest shift of each state (4,), in sigmas, that it makes without being seen."""
+    shifts = {}
+    for effect in found.effects:
+        hidden = np.where(effect.seen[:, :, None], 0.0, np.abs(effect.shift_sigmas))
+        shifts[effect.effect.name] = hidden.max(axis=(0, 1), initial=0.0)
+    return shifts

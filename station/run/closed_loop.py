@@ -1,0 +1,61 @@
+"""What a loop on the bench has come to: its runs, its investigations, its table time."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from estimator.tracing.investigation import Investigation
+from station.run.outcome import Verdict
+from station.run.session import Result
+from station.scripts.next_script import NextScript
+from station.scripts.script import Script
+
+CALIBRATION, EXPLORATION, VERIFICATION, NEXT = "calibration", "exploration", "verification", "next"
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """One run of the loop: what it was for, how it ended, the table time that it took."""
+
+    purpose: str
+    script: Script
+    result: Result
+    table_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Round:
+    """One investigation, after so many runs, and the script that would settle what it leaves open."""
+
+    runs: int
+    found: Investigation
+    following: NextScript | None
+    script_file: Path | None
+
+
+@dataclass(slots=True, eq=False)
+class Loop:
+    """All that a loop has come to so far.
+
+    ``ended`` says why it went no further; ``stopped`` is the verdict of a run that did not come to its end.
+    """
+
+    folder: Path
+    budget_s: float
+    runs: list[Driven] = field(default_factory=list)
+    rounds: list[Round] = field(default_factory=list)
+    ended: str = ""
+    stopped: Verdict | None = None
+
+    @property
+    def used_s(self) -> float:
+        """Table time used."""
+        return sum(run.table_s for run in self.runs)
+
+    @property
+    def left_s(self) -> float:
+        """Table time left."""
+        return self.budget_s - self.used_s
+
+    def recordings(self, *, judging: bool) -> list[Path]:
+        """Return the recordings that judge, or those that are fitted."""
+        return [run.result.recording for run in self.runs if (run.purpose == VERIFICATION) is judging]

@@ -1,0 +1,114 @@
+"""When a run has shown enough: every sigma that the bench requires reached, and the residual clean."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from drivers.types import Floats
+from estimator.calibration.budget import table_budget
+from estimator.estimation.noise_evidence import TooShort, joint_estimate, run_of_blocks
+from estimator.geometry.model import decode
+from estimator.observations.blocks import Blocks
+from estimator.recordings.recording import ImuData
+from estimator.recordings.reference import TableReadings
+from station.bench.bench import Bench, Limits
+from station.bench.imu import ImuConfig
+from station.errors import UsageError
+from station.run.live import RECENT_S, LiveEstimate, LiveSource
+
+_LOOK_EVERY_S = 1.0
+_CONFIRM_EVERY_S = 5.0  # an estimate under coloured noise takes a host a third of a second
+_ENOUGH = 0.9  # of a limit: the samples of the last seconds may raise what is found of the noise
+_NO_STAMPS = np.empty(0, dtype=np.int64)
+_IN_A_ROW = 2  # so many confirmations: an estimate that is looked at often dips below its limit by chance
+
+
+def required_sigmas(limits: Limits) -> Floats:
+    """Return the sigmas (4,) that a bench requires, infinite where it requires none."""
+    return np.array([limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad])
+
+
+def check_early_end(bench: Bench) -> None:
+    """See that the bench says what is enough; UsageError if it does not."""
+    if not np.isfinite(required_sigmas(bench.limits)).any():
+        raise UsageError(
+            "--end-early: the bench requires no sigmas, so none could be enough; "
+            "give sd_scale_factor_error, sd_bias or sd_misalignment in [limits]"
+        )
+
+
+class EarlyEnd:
+    """Watches the live estimate; the sigmas that count are confirmed under coloured noise."""
+
+    def __init__(self, bench: Bench, configs: Mapping[str, ImuConfig], live: LiveEstimate, time_scale: float) -> None:
+        """``configs`` are the devices by the name of each of their sources."""
+        self._bench, self._configs, self._live, self._time_scale = bench, dict(configs), live, time_scale
+        self._required = required_sigmas(bench.limits)
+        live.keep_blocks()
+
+    async def wait(self) -> str:
+        """Return once enough has been seen, in words."""
+        loop = asyncio.get_running_loop()
+        confirmed = 0
+        while True:
+            await asyncio.sleep(_LOOK_EVERY_S)
+            if not self._seems_enough():
+                confirmed = 0
+                continue
+            # In a thread: while a real table turns, its readings must not wait for an estimate.
+            share = await loop.run_in_executor(None, self._largest_share())
+            confirmed = confirmed + 1 if share <= _ENOUGH else 0
+            if confirmed >= _IN_A_ROW:
+                return (
+                    f"every required sigma is reached, the largest is {share:.0%} of its limit; mean NIS "
+                    f"{self._live.nis_mean:.3f}, {self._live.nis_recent:.3f} in the last {RECENT_S:g} s"
+                )
+            # The host's time counts: it has the same work to do at every scale.
+            await asyncio.sleep(_CONFIRM_EVERY_S * self._time_scale)
+
+    def _seems_enough(self) -> bool:
+        """Return whether the live filters, which know white noise only, have reached all, and the residual is clean."""
+        sources = self._live.sources.values()
+        if not all(source.history.t_ns for source in sources):
+            return False
+        reached = all((source.decoded()[1] <= self._required).all() for source in sources)
+        limits = self._bench.limits
+        both = (self._live.nis_mean, self._live.nis_recent)
+        return reached and all(limits.nis_low <= nis <= limits.nis_high for nis in both)
+
+    def _largest_share(self) -> Callable[[], float]:
+        """Return what finds the largest sigma of now as a share of its limit; it does not touch the run any more."""
+        sources = {name: (source, source.blocks()) for name, source in self._live.sources.items()}
+        readings = self._live.readings(self._bench.table.uncertainty)
+        return lambda: max(self._share(sources, readings, device) for device in self._devices())
+
+    def _devices(self) -> list[str]:
+        return list(dict.fromkeys(config.name for config in self._configs.values()))
+
+    def _share(self, sources: Mapping[str, tuple[LiveSource, Blocks]], readings: TableReadings, device: str) -> float:
+        """Return the largest sigma of a device as a share of its limit, as ``calibrate`` finds it."""
+        own = [pair for name, pair in sources.items() if self._configs[name].name == device]
+        config = next(config for config in self._configs.values() if config.name == device)
+        runs = []
+        for number, (source, blocks) in enumerate(own):
+            named = replace(source.array, names=tuple(f"{number} {name}" for name in source.array.names))
+            data = ImuData(named, _NO_STAMPS, np.empty((0, len(named))), prior=source.prior)
+            runs.append(run_of_blocks(device, data, blocks, readings))
+        try:
+            found = joint_estimate(runs, (), config.noise)
+        except TooShort:
+            return np.inf
+        share = 0.0
+        for number, run in enumerate(found.runs):
+            gyros = found.gyros_of(number)
+            arw = found.arw[gyros.start : gyros.stop]
+            tables = table_budget(readings, self._bench.site, run.array, run.prior, arw)
+            for g, table in zip(gyros, tables, strict=True):
+                whole = found.covariances[g] + sum(line.covariance for line in table)
+                sd = np.sqrt(np.diag(decode(found.means[g], whole)[1]))
+                share = max(share, float((sd / self._required).max()))
+        return share

@@ -1,0 +1,59 @@
+"""The estimate at the end of a run: from the recorded samples, beside what the live filter came to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from estimator.calibration.calibration_file import write_calibration
+from estimator.calibration.error_model import ErrorModel
+from estimator.calibration.values import Calibration
+from estimator.estimation.calibrate import calibrate
+from estimator.estimation.sample_columns import white_solution
+from estimator.recordings.recording import Recording, read_recording, write_results, write_source_attributes
+from station.run.live import LiveEstimate
+from station.run.sources import SourceReport
+
+
+def final_estimate(
+    path: Path,
+    live: LiveEstimate,
+    model: ErrorModel | None,
+    excluded: frozenset[str] | None,
+    reports: Mapping[str, SourceReport],
+) -> tuple[Calibration, float, dict[str, SourceReport]]:
+    """Return the batch estimate from a closed recording, how far the live filter is from it, and fuller reports.
+
+    ``excluded`` as for ``calibrate``. Results are written into the recording, and the live estimate is finished.
+    EstimatorError if the samples do not suffice.
+    """
+    recording = read_recording(path, trusted=True)
+    found = calibrate(recording, innovations=False, model=model, excluded=excluded)
+    calibration = replace(found, nis_mean=live.nis_mean, notes=(*found.notes, *live.notes))
+    agreement = _agreement(recording, live)
+    fuller = {name: replace(reports[name], offset=calibration.offsets.get(name)) for name in live.sources}
+    write_source_attributes(path, {name: report.attributes() for name, report in fuller.items()})
+    write_calibration(path, calibration, {"live_batch_difference_sigma": agreement})
+    for name, source in live.sources.items():
+        h = source.history
+        innovation = {"t_ns": h.t_ns, "nis": h.nis, "dof": h.dof, "normalised": h.normalised}
+        estimate = {"t_ns": h.state_t_ns, "states": h.states, "sd": h.sd}
+        write_results(path, f"innovation/{name}", {k: np.array(v) for k, v in innovation.items()}, {})
+        write_results(path, f"estimate/{name}", {k: np.array(v) for k, v in estimate.items()}, {})
+    return calibration, agreement, fuller
+
+
+def _agreement(recording: Recording, live: LiveEstimate) -> float:
+    """Return the largest difference between live filter and batch estimate, in sigmas, under the same noise."""
+    largest = 0.0
+    for name, source in live.sources.items():
+        taken_off = source.history.t_ns, source.history.offset_s
+        about = source.effects, source.prior, source.noise_rps, source.offset_sd_s, taken_off
+        batch = white_solution(recording, recording.sources[name], *about)
+        x, _ = source.filter.state()
+        sd = np.sqrt(np.diagonal(batch.covariance, axis1=1, axis2=2))
+        largest = max(largest, float(np.abs((x - batch.x) / sd).max()))
+    return largest

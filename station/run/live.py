@@ -1,0 +1,305 @@
+"""The estimate while the run goes on: samples wait for the table's readings, then feed the live filters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.types import Floats, ImuBlock, Stamps
+from estimator.estimation.filter import LiveFilter
+from estimator.estimation.sample_columns import SampleColumns
+from estimator.geometry.array import SensorArray
+from estimator.geometry.kinematics import Site
+from estimator.geometry.model import Prior, decode
+from estimator.observations.blocks import Blocks, BlockSums
+from estimator.observations.rows import BLOCK_S
+from estimator.observations.timing import expected_sd_s
+from estimator.recordings.reference import BodyRates, TableReadings, TableUncertainty
+from station.run.table_watch import TableRow
+
+RECENT_S = 30.0
+"""What ``nis_recent`` and ``whiteness`` look back on, seconds."""
+
+_KEEP_EVERY = 5  # states are kept every so many-th block
+_ROWS_AT_ONCE = 20  # table readings are taken in by handfuls: a second at 20 Hz
+_RECENT_BLOCKS = round(RECENT_S / BLOCK_S)
+_MARGIN_NS = 100_000_000  # samples may turn out to be so much later than their stamps
+_LARGEST_S = 0.15  # of offsets that are taken off
+_SETTLED_S, _MOST_STEPS = 1e-4, 4
+_FEWEST_PAIRS = 20  # of blocks, for a correlation that says anything
+
+
+@dataclass(slots=True, eq=False)
+class History:
+    """What one filter said as it went: innovations by block, states and sigmas once a second.
+
+    ``offset_s`` is what was taken off the stamps of each block, whose last is at ``t_ns``.
+    """
+
+    t_ns: list[int] = field(default_factory=list)
+    offset_s: list[float] = field(default_factory=list)
+    nis: list[float] = field(default_factory=list)
+    dof: list[int] = field(default_factory=list)
+    normalised: list[Floats] = field(default_factory=list)
+    state_t_ns: list[int] = field(default_factory=list)
+    states: list[Floats] = field(default_factory=list)
+    sd: list[Floats] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recent:
+    """What one filter said in the last half minute, and where its states are now.
+
+    ``nis`` and ``dof`` are sums over the blocks; ``by_gyro`` (m,) is the mean square of each gyro's normalised
+    innovation; ``products`` sums those of each block with those of the block before (``pairs`` of them), ``squares``
+    what they are to be compared with. ``states`` and ``sd`` (m, 4) are decoded.
+    """
+
+    nis: float
+    dof: int
+    by_gyro: Floats
+    products: float
+    squares: float
+    pairs: int
+    states: Floats
+    sd: Floats
+
+
+class LiveSource:
+    """One source: samples not yet used, its filter, what the filter said."""
+
+    def __init__(
+        self,
+        array: SensorArray,
+        rate_hz: float,
+        noise_rps: float,
+        prior: Prior,
+        effects: SampleColumns | None = None,
+        timing_s: float = 0.0,
+    ) -> None:
+        """``noise_rps`` is the data sheet's white noise of one sample; ``effects`` are those of an error model.
+
+        ``timing_s`` is what the table states of the timing of its readings.
+        """
+        self.array = array
+        self.prior = prior
+        self.noise_rps = np.full(len(array), noise_rps)
+        self.effects = effects if effects is not None and effects.count else None
+        self.notes = effects.notes if effects is not None else ()
+        self.offset_sd_s = 0.0 if effects is not None and effects.holds_delay else expected_sd_s(timing_s)
+        further = self.effects.count if self.effects else 0
+        self.filter = LiveFilter(array, self.noise_rps, prior, further, self.offset_sd_s)
+        self._offset_s = 0.0  # what is taken off the stamps
+        self.history = History()
+        self._rows = max(round(BLOCK_S * rate_hz), 1)
+        self._period_s = 1 / rate_hz
+        self._keeps_blocks = False
+        self._sums: BlockSums | None = None
+        self._t: Stamps = np.empty(0, dtype=np.int64)
+        self._y: Floats = np.empty((0, len(array)))
+        self._temperature_c: Floats = np.empty(0)
+        self._new: list[ImuBlock] = []
+        self._recent: Recent | None = None
+        self._recent_at = -1
+
+    def add(self, block: ImuBlock) -> None:
+        """Take in samples."""
+        self._new.append(block)
+
+    def advance(self, rates: BodyRates, *, everything: bool = False) -> None:
+        """Use the samples that the table's readings cover, in whole blocks, at the end also the last part."""
+        self._take_new()
+        early = int(np.searchsorted(self._t, rates.starts_ns, side="left"))
+        until_ns = rates.final_until_ns if everything else rates.final_until_ns - _MARGIN_NS
+        ready = int(np.searchsorted(self._t, until_ns, side="right"))
+        whole = ready if everything else early + max(ready - early, 0) // self._rows * self._rows
+        for start in range(early, whole, self._rows):
+            self._update(rates, slice(start, min(start + self._rows, whole)))
+        start = max(whole, early)
+        if start:
+            self._t, self._y = self._t[start:], self._y[start:]
+            self._temperature_c = self._temperature_c[start:]
+
+    def decoded(self) -> tuple[Floats, Floats]:
+        """Return the states (m, 4) and their sigmas."""
+        x, p = self.filter.state()
+        pairs = [decode(xi, pi) for xi, pi in zip(x, p, strict=True)]
+        return np.array([s for s, _ in pairs]), np.array([np.sqrt(np.diag(c)) for _, c in pairs])
+
+    def recent(self) -> Recent:
+        """Return what the filter said lately; worked out once for each handful of blocks."""
+        count = len(self.history.t_ns)
+        if self._recent is None or self._recent_at != count:
+            self._recent, self._recent_at = self._work_out_recent(), count
+        return self._recent
+
+    def _work_out_recent(self) -> Recent:
+        last = slice(-_RECENT_BLOCKS, None)
+        states, sd = self.decoded()
+        x = np.array(self.history.normalised[last]).reshape(-1, len(self.array))
+        return Recent(
+            nis=sum(self.history.nis[last]),
+            dof=sum(self.history.dof[last]),
+            by_gyro=np.asarray((x**2).mean(axis=0)) if len(x) else np.full(len(self.array), np.nan),
+            products=float((x[1:] * x[:-1]).sum()),
+            squares=float((x[1:] ** 2).sum() + (x[:-1] ** 2).sum()) / 2,
+            pairs=x[1:].size,
+            states=states,
+            sd=sd,
+        )
+
+    def keep_blocks(self) -> None:
+        """Sum the rows by block from now on, for estimates under coloured noise."""
+        self._keeps_blocks = True
+
+    def blocks(self) -> Blocks:
+        """Return the blocks of the rows used so far; none before the first, or if they are not kept."""
+        return (self._sums or BlockSums(len(self.array), 0, BLOCK_S, self._period_s)).blocks()
+
+    def _sum(self, rates: BodyRates, part: slice) -> None:
+        self._sums = self._sums or BlockSums(len(self.array), rates.starts_ns, BLOCK_S, self._period_s)
+        t_ns, y = self._t[part], self._y[part]
+        w = rates.at(rates.earlier(t_ns, self._offset_s))
+        known = np.isfinite(w).all(axis=1)
+        self._sums.add(t_ns[known], w[known], y[known] - w[known] @ self.array.p.T)
+
+    def _take_new(self) -> None:
+        """Join what has come; samples that the device calls invalid (NaN) are left out."""
+        if not self._new:
+            return
+        t_ns = np.concatenate([block.t_ns for block in self._new])
+        rate = np.vstack([block.rate_rps for block in self._new])
+        good = np.isfinite(rate).all(axis=1)
+        temperature = np.concatenate([block.temperature_c for block in self._new])
+        self._temperature_c = np.concatenate([self._temperature_c, temperature[good]])
+        self._new.clear()
+        self._t = np.concatenate([self._t, t_ns[good]])
+        self._y = np.vstack([self._y, rate[good]])
+
+    def _update(self, rates: BodyRates, part: slice) -> None:
+        block = self._block(rates, part)
+        for _ in range(_MOST_STEPS):
+            # A ramp may tell that the offset is another than was taken off: then it is looked at again with that.
+            if block is None or block[3] is None:
+                break
+            found = float(np.clip(self.filter.tried(*block), -_LARGEST_S, _LARGEST_S))
+            if abs(found - self._offset_s) < _SETTLED_S:
+                break
+            self._offset_s = found
+            block = self._block(rates, part)
+        if block is None:
+            return
+        innovation = self.filter.update(*block)
+        history = self.history
+        history.t_ns.append(int(self._t[part.stop - 1]))
+        history.offset_s.append(block[4])
+        history.nis.append(innovation.nis)
+        history.dof.append(innovation.dof)
+        history.normalised.append(innovation.normalised)
+        if len(history.t_ns) % _KEEP_EVERY == 0:
+            states, sd = self.decoded()
+            history.state_t_ns.append(history.t_ns[-1])
+            history.states.append(states)
+            history.sd.append(sd)
+        if self._keeps_blocks:
+            self._sum(rates, part)
+
+    def _block(
+        self, rates: BodyRates, part: slice
+    ) -> tuple[Floats, Floats, Floats | None, Floats | None, float] | None:
+        """Return what the filter takes of some samples, None if nothing is known of them."""
+        t_ns, y, further = rates.earlier(self._t[part], self._offset_s), self._y[part], None
+        w, wdot = rates.at(t_ns), rates.angular_acceleration_at(t_ns)
+        if self.effects is not None:
+            further, expected = self.effects.at(rates, t_ns, self._temperature_c[part])
+            y = y - expected
+        known = np.isfinite(w).all(axis=1) & np.isfinite(y).all(axis=1)  # not so: temperatures still to come
+        if wdot is not None:
+            known &= np.isfinite(wdot).all(axis=1)
+        if not known.any():
+            return None
+        chosen = [None if part is None else part[known] for part in (further, wdot)]
+        return w[known], y[known], chosen[0], chosen[1], self._offset_s
+
+
+class LiveEstimate:
+    """All sources of a run on one table."""
+
+    def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
+        """Start without sources."""
+        self.rates = BodyRates(gimbals, site)
+        self.sources: dict[str, LiveSource] = {}
+        self._rows: list[TableRow] = []
+        self._gimbals = gimbals
+        self._kept_rows: list[TableRow] | None = None
+
+    def keep_blocks(self) -> None:
+        """Keep from now on what estimates under coloured noise need: sums of rows by block, readings of the table."""
+        self._kept_rows = []
+        for source in self.sources.values():
+            source.keep_blocks()
+
+    def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
+        """Return the readings of the table that have been kept."""
+        t_ns, angle_rad, rate_rps, half_width_ns = _columns(self._kept_rows or [])
+        return TableReadings(t_ns, angle_rad, rate_rps, self._gimbals, uncertainty, half_width_ns)
+
+    def add_row(self, row: TableRow) -> None:
+        """Take in one row of table readings; now and then use the samples that they cover."""
+        self._rows.append(row)
+        if self._kept_rows is not None:
+            self._kept_rows.append(row)
+        if len(self._rows) >= _ROWS_AT_ONCE:
+            self._take_rows()
+            for source in self.sources.values():
+                source.advance(self.rates)
+
+    def finish(self) -> None:
+        """Use what is left."""
+        self._take_rows()
+        self.rates.finish()
+        for source in self.sources.values():
+            source.advance(self.rates, everything=True)
+
+    def _take_rows(self) -> None:
+        if self._rows:
+            self.rates.add(*_columns(self._rows))
+            self._rows.clear()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Which effects of an error model the live estimate goes without, each once."""
+        return tuple(dict.fromkeys(note for s in self.sources.values() for note in s.notes))
+
+    @property
+    def nis_mean(self) -> float:
+        """Mean normalised innovation squared per degree of freedom over all sources."""
+        total = sum(s.filter.nis_sum for s in self.sources.values())
+        dof = sum(s.filter.nis_dof for s in self.sources.values())
+        return total / dof if dof else float("nan")
+
+    @property
+    def nis_recent(self) -> float:
+        """Mean normalised innovation squared per degree of freedom over the last half minute of all sources."""
+        recent = [source.recent() for source in self.sources.values()]
+        dof = sum(r.dof for r in recent)
+        return sum(r.nis for r in recent) / dof if dof else float("nan")
+
+    @property
+    def whiteness(self) -> float:
+        """Correlation of normalised innovations with those of the block before, over the last half minute.
+
+        0 for a filter that is right, within 1 / sqrt(pairs of blocks); NaN before there are enough.
+        """
+        recent = [source.recent() for source in self.sources.values()]
+        squares = sum(r.squares for r in recent)
+        if sum(r.pairs for r in recent) < _FEWEST_PAIRS or not squares:
+            return float("nan")
+        return sum(r.products for r in recent) / squares
+
+
+def _columns(rows: list[TableRow]) -> tuple[Stamps, Floats, Floats, Stamps]:
+    t_ns, angle_rad, rate_rps, half_width_ns = zip(*rows, strict=True)
+    stamps = np.array(t_ns, dtype=np.int64), np.array(half_width_ns, dtype=np.int64)
+    return stamps[0], np.array(angle_rad), np.array(rate_rps), stamps[1]

@@ -1,0 +1,175 @@
+"""What a screen may look at while a run goes on: one frozen value, also as JSON.
+
+All figures in SI units; NaN where nothing is known, null in JSON.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, is_dataclass
+from enum import StrEnum
+from functools import cache
+from typing import Any, get_args, get_origin, get_type_hints
+
+from estimator.geometry.model import STATES
+
+AFTER_THIS_STEP, PAUSED = "after this step", "paused"
+"""Words of ``Snapshot.paused``, beside ""."""
+
+
+class Phase(StrEnum):
+    """Where a run is; the label of a step is another matter, and may be any text."""
+
+    CONNECTING = "connecting"
+    ENABLING = "enabling"
+    HOMING = "homing"
+    RUNNING = "running"
+    STOPPING = "coming to rest"
+    ESTIMATING = "estimating"
+
+
+class EventKind(StrEnum):
+    """What an event is about; its text is for people."""
+
+    SCRIPT = "script"
+    LINK = "link"
+    NOTE = "note"
+    AT_REST = "at rest"
+    NOT_AT_REST = "not seen at rest"
+    TERMINAL = "terminal"
+
+
+@dataclass(frozen=True, slots=True)
+class AxisSnapshot:
+    """One axis of the table: the last readback, and the rate that the script asks for now.
+
+    ``state``: "at rest", "turning", what is done to the table before the script ("connecting", "enabling", "homing"),
+    or its fault in its own words.
+    """
+
+    name: str
+    angle_rad: float
+    rate_rps: float
+    setpoint_rps: float
+    state: str
+
+
+@dataclass(frozen=True, slots=True)
+class GyroSnapshot:
+    """One gyro as the live filter sees it now.
+
+    ``values`` (k, b_rps, sigma_j_rad, sigma_k_rad) and their standard deviations ``sds``; ``nis``: mean square of
+    its normalised innovations of the last half minute, 1 for a filter that is right.
+    """
+
+    name: str
+    source: str
+    values: tuple[float, ...]
+    sds: tuple[float, ...]
+    nis: float
+
+
+@dataclass(frozen=True, slots=True)
+class SourceSnapshot:
+    """One source: its counts, its rate over the last two seconds, how late and how unevenly its samples come.
+
+    ``latency_s`` from the instant of a sample to its arrival, without the least delay, which cannot be known;
+    ``jitter_s`` what arrivals scatter, rms; ``link``: "ok", "reopening" or "silent".
+    """
+
+    name: str
+    device: str
+    rate_hz: float
+    samples: int
+    lost: int
+    repeated: int
+    late: int
+    corrupt: int
+    latency_s: float
+    jitter_s: float
+    temperature_c: float
+    link: str
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """State of a run at one instant; times in seconds of the loop's clock. ``label``: of the step under way, or "".
+
+    ``nis_mean`` per degree of freedom over the whole run, ``nis_recent`` over the last half minute; ``whiteness``:
+    correlation of the innovations with those of the block before, 0 for a good filter. ``paused``: "",
+    ``AFTER_THIS_STEP`` or ``PAUSED``.
+    """
+
+    phase: Phase
+    label: str
+    elapsed_s: float
+    remaining_s: float
+    samples: int
+    lost: int
+    nis_mean: float
+    nis_recent: float = math.nan
+    whiteness: float = math.nan
+    paused: str = ""
+    axes: tuple[AxisSnapshot, ...] = ()
+    sources: tuple[SourceSnapshot, ...] = ()
+    gyros: tuple[GyroSnapshot, ...] = ()
+
+    @property
+    def doing(self) -> str:
+        """What is under way, in words: the step's label while the script runs."""
+        return self.label or self.phase
+
+    @property
+    def share(self) -> float:
+        """How much of the run is done, 0 to 1."""
+        return self.elapsed_s / max(self.elapsed_s + self.remaining_s, 1e-9)
+
+
+def json_object(value: Any) -> Any:
+    """Return dataclasses, dicts, sequences, arrays and numbers as what JSON can hold: null for what is not finite."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: json_object(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_object(item) for item in value]
+    if hasattr(value, "tolist"):
+        return json_object(value.tolist())
+    if is_dataclass(value):  # dataclasses.asdict copies all that it meets, and costs four times as much
+        return {name: json_object(getattr(value, name)) for name in value.__dataclass_fields__}
+    return value
+
+
+def named(value: Any, names: Iterable[str]) -> dict[str, Any]:
+    """Return some attributes of a value by their names."""
+    return {name: getattr(value, name) for name in names}
+
+
+def by_state(values: Any) -> dict[str, Any]:
+    """Return what there is of each state (4,) by the state's name, as JSON can hold it."""
+    return dict(zip(STATES, json_object(values), strict=True))
+
+
+def snapshot_of(found: Mapping[str, Any]) -> Snapshot:
+    """Return the snapshot of an object; what it holds beside the fields is passed over.
+
+    KeyError, TypeError or ValueError if it is none.
+    """
+    snapshot: Snapshot = of_type(Snapshot, found)
+    return snapshot
+
+
+def of_type(kind: Any, value: Any) -> Any:
+    """Return a value of JSON as what a field of this type holds; null is a number that is not known."""
+    if get_origin(kind) is tuple:
+        return tuple(of_type(get_args(kind)[0], item) for item in value)
+    if types := _types_of(kind):
+        return kind(**{name: of_type(types[name], value[name]) for name in types})
+    return math.nan if kind is float and value is None else kind(value)
+
+
+@cache
+def _types_of(kind: Any) -> dict[str, Any]:
+    """Return the types of the fields of a dataclass, nothing of another type."""
+    return get_type_hints(kind) if is_dataclass(kind) else {}

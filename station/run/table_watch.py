@@ -1,0 +1,195 @@
+"""Reads the table regularly, puts its readings on common instants, and watches over its condition."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+from collections import deque
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.errors import DeviceFault, LinkLost
+from drivers.protocols import Turntable
+from drivers.types import AxisState, Floats
+from station.run.uncommanded import MotionGuard
+
+_STATUS_EVERY = 5  # condition is asked for in every so many-th reading
+_STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops that hears nothing
+_IDLE_S = 0.4  # so often each axis is looked at that has not been told to turn: it may do so by itself
+
+
+_STRAIGHT_RPS = math.radians(0.02)  # by which mean rates may bend where a ramp's corner is not
+
+
+class TableRow(NamedTuple):
+    """Angles and rates (axes,) at one instant, which may be off by the half width of the round trips."""
+
+    t_ns: int
+    angle_rad: Floats
+    rate_rps: Floats
+    half_width_ns: int
+
+
+class Aligner:
+    """Turns readings of single axes, each at its own instant, into rows at one instant.
+
+    An angle is carried to the row's instant, that of the fastest axis' rate, by the rate, a rate by interpolation
+    between readings. A row is given
+    when the rates around it are known: one reading later, or as many as a rate that is a mean lags behind. Around
+    the corners of ramps a mean rate is not the rate: such rows are left out.
+    """
+
+    def __init__(self, axes: tuple[str, ...]) -> None:
+        """Columns are ordered as ``axes``."""
+        self._axes = axes
+        self._readings: deque[dict[str, AxisState]] = deque()
+        self._next = 0  # index of the reading whose row is given next
+
+    def add(self, states: Mapping[str, AxisState]) -> list[TableRow]:
+        """Take in one reading of all axes; return the rows that are known now."""
+        self._readings.append(dict(states))
+        if len(self._readings) > 1 and self._at_ns(-1) <= self._at_ns(-2):
+            self._readings.pop()  # its instant is of another axis than that of the reading before
+            return []
+        rows = []
+        while self._next < len(self._readings) - 1 and self._rates_reach(self._next):
+            rows += self._row(self._next)
+            self._next += 1
+        self._forget()
+        return rows
+
+    def last(self) -> list[TableRow]:
+        """Return the rows of the readings that are left, when no other will come."""
+        return [row for index in range(self._next, len(self._readings)) for row in self._row(index)]
+
+    def _at_ns(self, index: int) -> int:
+        states = self._readings[index].values()
+        if any(state.rate_window_ns for state in states):
+            return sum(state.angle_t_ns for state in states) // len(states)
+        # A rate may bend between two readings, so the axis that is or was the fastest is to need no interpolation.
+        before = self._readings[max(index % len(self._readings) - 1, 0)]
+        now = self._readings[index]
+        return now[max(now, key=lambda axis: max(abs(now[axis].rate_rps), abs(before[axis].rate_rps)))].rate_t_ns
+
+    def _rates_reach(self, index: int) -> bool:
+        """Return whether rates up to the row's instant, and half the time that they are means of, are known."""
+        window = max(state.rate_window_ns for state in self._readings[index].values())
+        if not window:
+            return True
+        return min(state.rate_t_ns for state in self._readings[-1].values()) >= self._at_ns(index) + window // 2
+
+    def _row(self, index: int) -> list[TableRow]:
+        """Return the row of a reading, or nothing where its rates are not known."""
+        at_ns = self._at_ns(index)
+        angles = np.empty(len(self._axes))
+        rates = np.empty(len(self._axes))
+        for column, axis in enumerate(self._axes):
+            state = self._readings[index][axis]
+            times = np.array([r[axis].rate_t_ns - at_ns for r in self._readings], dtype=np.float64)
+            series = np.array([r[axis].rate_rps for r in self._readings])
+            if state.rate_window_ns and _bent(times, series, state.rate_window_ns):
+                return []
+            rates[column] = np.interp(0.0, times, series)
+            between_ns = at_ns - state.angle_t_ns
+            rate = rates[column] if state.rate_window_ns else np.interp(-0.5 * between_ns, times, series)
+            angles[column] = state.angle_rad + rate * between_ns * 1e-9
+        half_width_ns = max(state.half_width_ns for state in self._readings[index].values())
+        return [TableRow(at_ns, angles, rates, half_width_ns)]
+
+    def _forget(self) -> None:
+        """Keep the readings whose rates rows to come still need."""
+        window = max(state.rate_window_ns for state in self._readings[-1].values())
+        oldest_ns = self._at_ns(self._next) - 2 * window
+        while self._next > 2 and all(state.rate_t_ns < oldest_ns or not window for state in self._readings[0].values()):
+            self._readings.popleft()
+            self._next -= 1
+
+
+def _bent(times_ns: Floats, rates: Floats, window_ns: int) -> bool:
+    """Return whether mean rates within the window about 0 are no straight line: a ramp began or ended there."""
+    near = np.abs(times_ns) <= window_ns
+    if np.count_nonzero(near) < 3:
+        return False
+    t, rate = times_ns[near] / window_ns, rates[near]
+    line = np.polynomial.Polynomial.fit(t, rate, 1)
+    return bool(np.abs(rate - line(t)).max() > _STRAIGHT_RPS)
+
+
+async def watch_table(
+    table: Turntable,
+    axes: tuple[str, ...],
+    rate_hz: Callable[[], float],
+    driven_axis: Callable[[], str | None],
+    guard: MotionGuard,
+    on_row: Callable[[TableRow], None],
+    on_lost: Callable[[LinkLost], Awaitable[None]],
+) -> None:
+    """Read until cancelled; DeviceFault when an axis goes to fault, leaves operation or turns by itself.
+
+    ``rate_hz`` says how often it is to be read now; a slow link gives what it can. ``on_lost`` opens a link again that
+    was lost, or raises.
+
+    An axis that is driven or turns is read every time. Of the others the one is read that was not for the longest
+    time, if that is 0.4 s, so that a slow bus has its time for what turns: what has not been told to move is still
+    there, or is seen to move within a second.
+    """
+    loop = asyncio.get_running_loop()
+    states = {axis: await table.read(axis) for axis in axes}
+    aligner = Aligner(axes)
+    due_s = loop.time()
+    counter = itertools.count()
+    checked_s, read_s = dict.fromkeys(axes, due_s), dict.fromkeys(axes, due_s)
+    turned: set[str] = set()
+
+    async def read_once() -> None:
+        count = next(counter)
+        busy = [a for a in axes if a == driven_axis() or states[a].rate_rps != 0.0 or a in turned]
+        oldest = min((a for a in axes if a not in busy), key=lambda a: read_s[a], default=None)
+        if oldest is not None and (not busy or loop.time() - read_s[oldest] >= _IDLE_S):
+            busy.append(oldest)
+        read_s.update(dict.fromkeys(busy, loop.time()))
+        # An angle may be of before the stop that the rate is of: read once more.
+        turned.clear()
+        turned.update(axis for axis in busy if states[axis].rate_rps != 0.0)
+        states.update({axis: await table.read(axis) for axis in busy})
+        for axis in busy:
+            await guard.look(axis, states[axis])
+        now_ns = states[busy[0]].angle_t_ns
+        for axis in axes:
+            if axis not in busy:
+                states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns, half_width_ns=0)
+        for row in aligner.add(states):
+            on_row(row)
+        for axis in axes:
+            if (count + 1) % _STATUS_EVERY == 0 or loop.time() - checked_s[axis] >= _STATUS_AT_LATEST_S:
+                await check_axes(table, (axis,))
+                checked_s[axis] = loop.time()
+
+    try:
+        while True:
+            try:
+                await read_once()
+            except LinkLost as error:
+                await on_lost(error)
+                await check_axes(table, axes)
+            due_s = max(due_s + 1 / rate_hz(), loop.time())
+            await asyncio.sleep(due_s - loop.time())
+    finally:
+        for row in aligner.last():
+            on_row(row)
+
+
+async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
+    """See that every axis is in operation; DeviceFault if one is not."""
+    for axis in axes:
+        status = await table.status(axis)
+        if status.fault:
+            raise DeviceFault("table", status.fault)
+        if not status.enabled:
+            raise DeviceFault(
+                "table", f"axis {axis} has left operation by itself (now {status.text}): its watchdog or an interlock"
+            )

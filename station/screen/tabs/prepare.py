@@ -1,0 +1,314 @@
+"""Prepare: bench and what answers, script and its plan, operator and device; START once everything is green."""
+
+import asyncio
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any, ClassVar
+
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.binding import Binding
+from textual.containers import Container, Horizontal, Vertical
+from textual.widgets import Button, Input, Label, Static
+
+from station.screen.base import Field, StationScreen
+from station.screen.choices import Choices
+from station.screen.figures import columns, headed, templated, titled
+from station.screen.link import sessions_on
+from station.screen.live_run import LiveRun
+from station.screen.programs import Answer, ask
+from station.screen.tabs.prospects import Prospect, look_ahead, matches
+from station.views.figures import STATE_UNITS, clock, number
+
+_FIELDS = (
+    ("bench", "Bench file", "built-in twins"),
+    ("script", "Script file", "the 360 s script"),
+    ("operator", "Operator", "your name"),
+    ("serial", "Device serial no.", "of the device under test"),
+)
+_DOTS = {"OK": "bold green", "WRONG": "bold red", "WAIT": "bold yellow"}
+
+
+class PrepareScreen(StationScreen):
+    """What a run needs before it may start."""
+
+    MODE = "prepare"
+    BINDINGS: ClassVar = [
+        Binding("f6", "look_again", "Check again", key_display="F6"),
+        Binding("f7", "start", "START", key_display="F7"),
+        # Before the field sees it: what is typed, or scanned, right after it then goes to the next field.
+        Binding("enter", "enter", priority=True, show=False),
+    ]
+
+    def __init__(self) -> None:
+        """Nothing has been asked yet."""
+        super().__init__()
+        self._prospect: Prospect | None = None
+        self._check: Answer | None = None
+        self._plan: Answer | None = None
+        self._checking = ""
+        self._run_before: LiveRun | None = None
+
+    def body(self) -> ComposeResult:
+        """Yield what is entered and what is missing; check and plan."""
+        with Container(id="columns"):
+            with Vertical(id="entries"):
+                for name, words, placeholder in _FIELDS:
+                    with Horizontal(classes="field"):
+                        yield Label(words)
+                        yield Field(id=name, placeholder=placeholder)
+                yield Static(id="ready", markup=False, classes="block")
+                yield Static(id="limits", markup=False, classes="block")
+            with Vertical(id="answers"):
+                yield Static(id="check", markup=False, classes="block")
+                yield Static(id="plan", markup=False, classes="block")
+
+    def row_below(self) -> ComposeResult:
+        """Yield START and whether it would do something."""
+        with Horizontal(id="start-row"):
+            yield Button("START  F7", id="start", compact=True, disabled=True)
+            yield Static(id="summary", markup=False)
+
+    def on_mount(self) -> None:
+        """Fill in what is known; ask bench and script once the first picture is out."""
+        choices = self.station.choices
+        for name, *_ in _FIELDS:
+            with self.prevent(Input.Changed):
+                self.query_one(f"#{name}", Input).value = getattr(choices, name)
+        self._show()
+        self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
+
+    def prepare(self, script: str) -> None:
+        """Set another script, and look again."""
+        self.query_one("#script", Input).value = script
+        self.action_look_again()
+
+    def on_input_changed(self, event: Input.Changed) -> None:
+        """Take over what was typed; bench and script are looked at when they are complete."""
+        if event.input.id in ("operator", "serial"):
+            self._take_over()
+            self._show()
+        else:
+            self._prospect = None
+            self._show()
+
+    def action_enter(self) -> None:
+        """Go to the next field, or press what has the focus; bench and script are then looked at."""
+        at = self.focused
+        if isinstance(at, Button):
+            at.press()
+        elif isinstance(at, Input):
+            self.focus_next()
+
+    def on_input_blurred(self, event: Input.Blurred) -> None:
+        """Look at bench and script when they are left."""
+        if event.input.id in ("bench", "script") and self._prospect is None:
+            self.action_look_again()
+
+    def on_button_pressed(self, event: Button.Pressed) -> None:
+        """Start."""
+        if event.button.id == "start":
+            self.action_start()
+
+    def on_resize(self, event: Any) -> None:
+        """Draw the motion as wide as there is room."""
+        super().on_resize(event)
+        self.call_after_refresh(self._show)
+
+    def on_screen_resume(self) -> None:
+        """Ask bench and script once the first picture is out, and again when a session has ended since."""
+        ended = self.station.shown is not self._run_before and not self.station.busy
+        if self._prospect is None or ended:
+            self.call_after_refresh(self.action_look_again)
+        self._show()
+
+    def action_look_again(self) -> None:
+        """Read bench and script, ask the devices, plan; what was asked before is given up."""
+        self._take_over()
+        self._prospect = self._check = self._plan = None
+        self._checking = ""
+        self._run_before = self.station.shown
+        self._show()
+        self.work(partial(self._look, self.station.choices), "look")
+
+    def action_start(self) -> None:
+        """Start the run, if nothing stands against it."""
+        if self.small:  # nobody starts what cannot be seen
+            return
+        self._take_over()
+        obstacles = self._obstacles()
+        if obstacles or self._prospect is None:
+            self.notify("; ".join(text for _, text in obstacles), title="Not started", severity="warning", markup=False)
+            self._show()
+        else:
+            self.station.start_run(self._prospect)
+
+    async def _look(self, choices: Choices) -> None:
+        found = await asyncio.to_thread(look_ahead, choices)
+        self._prospect = found
+        self._recall(found)
+        self._show()
+        if found.bench_wrong:
+            return
+        await asyncio.gather(self._look_at_devices(choices, found), self._look_at_plan(choices, found))
+
+    async def _look_at_devices(self, choices: Choices, found: Prospect) -> None:
+        others = await sessions_on(found.bench, choices.bench)
+        if others or self.station.busy:  # a port that two programs read loses samples of both
+            self._checking = "a session runs on this bench: its devices are not asked (F6 asks again)"
+            self._show()
+            return
+        self._checking = ""
+        self._check = await ask(choices.check_arguments(found.all_twins), self._tell)
+        self._suggest(self._check)
+        self._show()
+
+    async def _look_at_plan(self, choices: Choices, found: Prospect) -> None:
+        if not found.script_wrong:
+            self._plan = await ask(choices.plan_arguments())
+            self._show()
+
+    def _tell(self, line: str) -> None:
+        self._checking = line
+        self._show()
+
+    def _recall(self, found: Prospect) -> None:
+        """Fill in the serial number that this bench had last, if none was entered."""
+        field = self.query_one("#serial", Input)
+        if not field.value and found.bench:
+            field.value = self.station.remembered.serials.get(found.bench, "")
+
+    def _suggest(self, check: Answer) -> None:
+        """Fill in the serial number that the one device under test tells of itself, if none was entered."""
+        field = self.query_one("#serial", Input)
+        told = [str(device["identity"].get("serial") or "") for device in check.found.get("devices", [])[1:]]
+        if field.value or len(told) != 1 or not told[0] or self._prospect is None:
+            return
+        if matches(self._prospect.serial_pattern, told[0]):
+            field.value = told[0]
+
+    def _take_over(self) -> None:
+        """Take over what stands in the fields."""
+        entered: dict[str, Any] = {name: self.query_one(f"#{name}", Input).value.strip() for name, *_ in _FIELDS}
+        self.station.choices = replace(self.station.choices, **entered)
+
+    def _obstacles(self) -> list[tuple[str, str]]:
+        """Return what stands against a start: WRONG or WAIT, and what to do."""
+        found: list[tuple[str, str]] = []
+        prospect, choices = self._prospect, self.station.choices
+        if self.station.busy:
+            found.append(("WAIT", "a session runs: F3 shows it"))
+        for name, text, pattern in (
+            ("operator", choices.operator, prospect and prospect.operator_pattern),
+            ("device serial number", choices.serial, prospect and prospect.serial_pattern),
+        ):
+            if not text:
+                found.append(("WRONG", f"{name}: enter it"))
+            elif pattern and not matches(pattern, text):
+                found.append(("WRONG", f"{name} {text!r} is not as the bench file wants it: {pattern}"))
+        if prospect is None:
+            found.append(("WAIT", "bench and script are being read (Enter)"))
+            return found
+        wrong = prospect.bench_wrong, prospect.script_wrong, prospect.folder_wrong
+        found += [("WRONG", text) for text in wrong if text]
+        if not prospect.bench_wrong and not self.station.busy:
+            found += self._device_obstacles()
+        if not prospect.bench_wrong and not prospect.script_wrong:
+            if self._plan is None:
+                found.append(("WAIT", "the plan is being made"))
+            elif not self._plan.found.get("gyros"):
+                found.append(("WRONG", f"plan: {self._plan.reason}"))
+        return found
+
+    def _device_obstacles(self) -> list[tuple[str, str]]:
+        if self._check is None:
+            return [("WAIT", self._checking or "the devices are being asked")]
+        devices = self._check.found.get("devices")
+        if devices is None:
+            return [("WRONG", f"check: {self._check.reason}")]
+        return [("WRONG", f"{d['device']}: {wrong}") for d in devices for wrong in d["wrong"]]
+
+    def _show(self) -> None:
+        if not self.is_mounted:
+            return
+        obstacles = self._obstacles()
+        self.query_one("#start", Button).disabled = bool(obstacles)
+        self.query_one("#summary", Static).update(_summary(obstacles))
+        lines = [Text.assemble((f"{kind:5} ", _DOTS[kind]), text) for kind, text in obstacles]
+        lines += [Text.assemble(("NOTE  ", "bold yellow"), text) for text in self._warnings()]
+        self.query_one("#ready", Static).update(titled("Before START", lines or [Text("nothing is missing", "green")]))
+        prospect = self._prospect
+        limits: tuple[str, ...] = ()
+        if prospect is not None and not prospect.bench_wrong:
+            limits = prospect.limits or ("none: every run that comes to its end passes",)
+        self.query_one("#limits", Static).update(titled("Limits of the bench", [Text(line) for line in limits]))
+        values = {"title": self._bench_title(), "check": self._check, "checking": self._checking}
+        self.query_one("#check", Static).update(templated("check.rich", {**values, "degrees": _degrees}))
+        width = max(self.query_one("#plan").size.width, 40)
+        self.query_one("#plan", Static).update(titled(*_plan_lines(prospect, self._plan, width)))
+
+    def _bench_title(self) -> str:
+        return (
+            f"Devices of {self._prospect.bench}" if self._prospect is not None and self._prospect.bench else "Devices"
+        )
+
+    def _warnings(self) -> list[str]:
+        plan = self._plan.found if self._plan is not None else {}
+        missed = [gyro["name"] for gyro in plan.get("gyros", []) if not gyro["reached"]]
+        if not missed:
+            return []
+        return [
+            f"this script does not reach the sigmas that the bench requires ({', '.join(missed)}): it will end FAIL"
+        ]
+
+
+def _summary(obstacles: list[tuple[str, str]]) -> Text:
+    if not obstacles:
+        return Text.assemble(("READY", "bold green"), "  the table will move")
+    first = next((o for o in obstacles if o[0] == "WRONG"), obstacles[0])
+    more = f"  (and {len(obstacles) - 1} more)" if len(obstacles) > 1 else ""
+    return Text.assemble(("NOT READY", "bold red" if first[0] == "WRONG" else "bold yellow"), f"  {first[1]}{more}")
+
+
+def _degrees(angle_rad: float) -> str:
+    return number(math.degrees(angle_rad), 3)
+
+
+def _plan_lines(prospect: Prospect | None, plan: Answer | None, width: int) -> tuple[str, list[Text]]:
+    if prospect is None:
+        return "Script", []
+    if prospect.script_wrong or prospect.motion is None:
+        return "Script", [
+            Text.assemble(("WRONG ", _DOTS["WRONG"]), prospect.script_wrong)
+        ] if prospect.script_wrong else []
+    from station.scripts.axis_profile import profile_lines  # loaded by now, in the thread that read the script
+
+    title = f"Script {prospect.script}: {clock(prospect.duration_s)} min"
+    lines = [Text(line, no_wrap=True) for line in profile_lines(prospect.motion, width)]
+    if plan is None:
+        return title, [*lines, Text.assemble(("WAIT  ", _DOTS["WAIT"]), "sigmas are being predicted")]
+    gyros = plan.found.get("gyros")
+    if not gyros:
+        return title, [*lines, Text.assemble(("WRONG ", _DOTS["WRONG"]), plan.reason)]
+    rows = [
+        ["predicted", *(f"{name} {unit}" for name, unit, _ in STATE_UNITS)],
+        *(_sizes(g["name"], g["sd"]) for g in gyros),
+    ]
+    required = plan.found.get("required") or {}
+    if any(value is not None for value in required.values()):
+        rows.append(_sizes("required", required))
+    texts = headed(columns(rows, gap=" "))
+    for text, gyro in zip(texts[1:], gyros, strict=False):
+        if not gyro["reached"]:
+            text.stylize("yellow")
+    return title, [*lines, Text(""), *texts]
+
+
+def _sizes(name: str, by_state: Mapping[str, float | None]) -> list[str]:
+    """Return a name and the sigmas of the four states, a dash for what is not there."""
+    cells = [
+        None if v is None else v * factor for v, (_, _, factor) in zip(by_state.values(), STATE_UNITS, strict=True)
+    ]
+    return [name, *("-" if v is None else f"{v:.3g}" if v < 1000 else f"{v:.0f}" for v in cells)]

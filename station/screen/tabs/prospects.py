@@ -1,0 +1,121 @@
+"""What a bench file and a script say before anything is asked of a device: names, patterns, limits, the motion."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shutil
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from station.views.figures import STATE_FIGURES, STATE_UNITS
+
+if TYPE_CHECKING:
+    from station.bench.bench import Limits
+    from station.screen.choices import Choices
+    from station.scripts.planned import PlannedMotion
+
+_LEAST_FREE_BYTES = 10_000_000  # the 360 s script with four gyros of 100 Hz takes 6 MB
+
+ANYTHING = r".*\S.*"
+"""Pattern of operators and serial numbers where the bench file gives none: something must be entered."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prospect:
+    """A bench and a script that belong together, or what is wrong with either."""
+
+    bench: str = ""
+    bench_wrong: str = ""
+    operator_pattern: str = ANYTHING
+    serial_pattern: str = ANYTHING
+    all_twins: bool = False
+    limits: tuple[str, ...] = ()
+    script: str = ""
+    script_wrong: str = ""
+    duration_s: float = math.nan
+    motion: PlannedMotion | None = None
+    folder_wrong: str = ""
+
+
+def look_ahead(choices: Choices) -> Prospect:
+    """Read bench and script, and see to the folder; not for the thread that paints: it loads numpy, a disk may hang."""
+    found = _read(choices.bench, choices.script, choices.device_options)
+    return replace(found, folder_wrong=folder_trouble(choices.folder))
+
+
+def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) -> Prospect:
+    """Read bench and script, empty paths meaning the built-in ones."""
+    from station.bench.bench import load_bench
+    from station.errors import ScriptError, UsageError
+    from station.opening import needs_only_memory, with_links
+    from station.scripts.planned import planned_motion
+    from station.scripts.script import check, load_script, paper_script
+
+    devices = [word for option, word in pairwise(device_options) if option == "--device"]
+    try:
+        bench = with_links(load_bench(Path(bench_path) if bench_path else None), {}, devices)
+    except UsageError as error:
+        return Prospect(bench_wrong=str(error))
+    found = Prospect(
+        bench=bench.name,
+        operator_pattern=bench.operator_pattern or ANYTHING,
+        serial_pattern=bench.serial_pattern or ANYTHING,
+        all_twins=needs_only_memory(bench),
+        limits=limit_lines(bench.limits),
+    )
+    try:
+        script = load_script(Path(script_path)) if script_path else paper_script()
+        script = check(script, bench.table.limits)
+    except ScriptError as error:
+        return replace(found, script_wrong=str(error))
+    motion = planned_motion(script, bench.table.gimbals)
+    return replace(found, script=script.name, duration_s=script.duration_s, motion=motion)
+
+
+def limit_lines(limits: Limits) -> tuple[str, ...]:
+    """Return the limits that mean PASS, a line each; those that are not given are left out."""
+    names = ("|k|", "|b|", "|sigma_j|, |sigma_k|")
+    sizes, sds = (limits.k, limits.b_rps, limits.sigma_rad), (limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad)
+    lines = []
+    for name, most, most_sd, state, (_, sd_unit, sd_factor) in zip(
+        names, sizes, sds, STATE_FIGURES[:3], STATE_UNITS[:3], strict=True
+    ):
+        parts = [f"{name} up to {most * state.factor:g} {state.unit}"] if math.isfinite(most) else []
+        parts += [f"its sigma up to {most_sd * sd_factor:g} {sd_unit}"] if math.isfinite(most_sd) else []
+        if parts:
+            lines.append(", ".join(parts) if math.isfinite(most) else f"sigma of {name.strip('|')}: {parts[0]}")
+    if limits.nis_low > 0 or math.isfinite(limits.nis_high):
+        lines.append(f"mean NIS {limits.nis_low:g} to {limits.nis_high:g}")
+    if limits.lost < 1:
+        lines.append(f"samples lost up to {limits.lost * 100:g} %")
+    return tuple(lines)
+
+
+def matches(pattern: str, text: str) -> bool:
+    """Return whether all of a text is as the pattern says; a pattern that is none lets everything pass."""
+    try:
+        return re.fullmatch(pattern, text) is not None
+    except re.error:
+        return True
+
+
+def folder_trouble(folder: Path) -> str:
+    """Return why recordings cannot be written into a folder, empty if they can."""
+    there = folder
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    if not there.is_dir():
+        return f"{there} is a file: choose another folder with --folder"
+    if not os.access(there, os.W_OK | os.X_OK):
+        return f"{there.absolute()} cannot be written: choose another folder with --folder"
+    free = shutil.disk_usage(there).free
+    if free < _LEAST_FREE_BYTES:
+        return (
+            f"the disk of {there.absolute()} is all but full ({free / 1e6:.1f} MB left): make room, or choose another "
+            "folder with --folder"
+        )
+    return ""

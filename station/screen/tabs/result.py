@@ -1,0 +1,358 @@
+"""Result: the verdict, the states, what changed since the last calibration, what the model lacks, and what to do."""
+
+import asyncio
+import math
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.containers import Horizontal
+from textual.widgets import Button, Static
+
+from station.atomic_write import free_path
+from station.screen.archive.archive import Entry, GyroEntry, Whole, last_before
+from station.screen.archive.reader_process import INVESTIGATION
+from station.screen.base import StationScreen
+from station.screen.dialogs import AskDialog, ChooseDialog
+from station.screen.figures import columns, headed, state_heads, templated, titled
+from station.screen.live_run import Trend
+from station.screen.plots import gyro_plots
+from station.screen.programs import ask
+from station.screen.tabs.investigated import investigation_lines
+from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
+
+_MANY_SIGMAS = 3.0
+_REASONS = 4
+_MOST_OFFERED = 20
+_NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
+_NAMED = {"operator": "operator", "script": "script", "station": "bench"}
+"""What identifies a run beside its device, and what it is called."""
+_BUTTONS = (
+    ("accept", "Accept  A"),
+    ("investigate", "Investigate  I"),
+    ("repeat", "Repeat  R"),
+    ("next", "Drive next script  D"),
+)
+
+
+class ResultScreen(StationScreen):
+    """One recording and what it says."""
+
+    MODE = "result"
+    BINDINGS: ClassVar = [
+        ("a", "accept", "Accept"),
+        ("i", "investigate", "Investigate"),
+        ("r", "repeat", "Repeat"),
+        ("d", "next", "Drive next script"),
+        ("right", "gyro(1)", "Next gyro"),
+        ("left", "gyro(-1)", "Previous gyro"),
+    ]
+
+    def __init__(self) -> None:
+        """Nothing is open yet."""
+        super().__init__()
+        self._path: Path | None = None
+        self._whole: Whole | None = None
+        self._same: list[Entry] = []
+        self._found: Mapping[str, Any] = {}
+        self._model_lines: Sequence[Text] = ()
+        self._busy = ""
+        self._said = ""
+        self._gyro = 0
+
+    def body(self) -> ComposeResult:
+        """Yield the blocks."""
+        for name in ("verdict", "states", "change", "model", "curves", "record"):
+            yield Static(id=name, markup=False, classes="block")
+
+    def row_below(self) -> ComposeResult:
+        """Yield what can be done."""
+        with Horizontal(id="actions", classes="buttons"):
+            for name, words in _BUTTONS:
+                yield Button(words, id=name, compact=True, disabled=True)
+
+    def on_mount(self) -> None:
+        """Show that nothing is open, or what was opened before the screen was there."""
+        self._show()
+
+    def open(self, path: Path, *, fresh: bool = False) -> None:
+        """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
+        self._path, self._whole, self._same, self._found = path, None, [], {}
+        self._busy, self._said, self._gyro = "reading", "", 0
+        self._show()
+        self.work(partial(self._read, path, fresh), "read")
+
+    def on_resize(self, event: Any) -> None:
+        """Draw the curves as wide as there is room."""
+        super().on_resize(event)
+        self.call_after_refresh(self._show)
+
+    def on_button_pressed(self, event: Button.Pressed) -> None:
+        """Do what the button says."""
+        getattr(self, f"action_{event.button.id}")()
+
+    async def _read(self, path: Path, fresh: bool) -> None:
+        whole = await self.station.archive.read(path)
+        self._whole, self._busy = whole, ""
+        await self._take_investigation(whole.found.get("investigation") or {})
+        entry = whole.entry
+        if fresh and entry.texts.get("outcome") == "FAIL" and entry.gyros:
+            self._look_for_cause([])
+        self._same = [e async for e in self.station.archive.entries(path.parent) if entry.same_calibrated(e)]
+        self._show()
+
+    async def _take_investigation(self, found: Mapping[str, Any]) -> None:
+        self._found = found
+        lines = await asyncio.to_thread(investigation_lines, found) if found else []
+        self._model_lines = lines
+        self._show()
+
+    def action_investigate(self) -> None:
+        """Look for what the model lacks; ask by which run that is to be judged, if there are others of the device."""
+        if not self._may("investigate"):
+            return
+        if not self._same:
+            self._look_for_cause([])
+            return
+        lines = [(_NONE, "this run itself, step by step (cross-validation)")]
+        if len(self._same) > 1:
+            lines.append((_ALL, f"all {len(self._same)} other runs of this device together"))
+        lines += [(str(n), _run_words(entry)) for n, entry in enumerate(self._same[:_MOST_OFFERED])]
+        self.app.push_screen(ChooseDialog("By what is a cause to be judged that is found?", lines), self._judged_by)
+
+    def _judged_by(self, chosen: str | None) -> None:
+        if chosen is not None and not self._obstacle("investigate"):
+            runs = {_NONE: [], _ALL: self._same}.get(chosen)
+            self._look_for_cause([self._same[int(chosen)]] if runs is None else runs)
+
+    def _look_for_cause(self, judging: Sequence[Entry]) -> None:
+        """Investigate in a process of its own; ``judging`` are the runs that verify what is found."""
+        if self._path is not None:
+            self._busy = "looking for what the model lacks"
+            self._show()
+            self.work(partial(self._investigate, self._path, [entry.path for entry in judging]), "investigate")
+
+    async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
+        kept, script = await asyncio.to_thread(
+            lambda: (
+                free_path(path.with_name(f"{path.stem}{INVESTIGATION}.h5")),
+                free_path(path.with_name(f"{path.stem}-next.toml")),
+            )
+        )
+        verify = ["--verify", *map(str, judging)] if judging else []
+        files = ["--output", str(kept), "--next-script", str(script)]
+        answer = await ask(["investigate", str(path), *verify, "--json", *files], self._tell)
+        if path != self._path:
+            return
+        self._busy = ""
+        self._said = "" if answer.found.get("verdict") else f"no verdict: {answer.reason}"
+        await self._take_investigation(answer.found)
+
+    def _tell(self, line: str) -> None:
+        self._busy = f"looking for what the model lacks: {line}"
+        self._show()
+
+    def action_accept(self) -> None:
+        """Ask whether to accept, then record who did and write the certificate."""
+        if not self._may("accept") or self._whole is None:
+            return
+        operator = self.station.choices.operator
+        question = f"Accept the calibration of {self._whole.entry.device or 'this device'} as {operator}?"
+        answers = [("no", "Back"), ("yes", "Accept and write the certificate")]
+        self.app.push_screen(AskDialog(question, answers), self._accepted)
+
+    def _accepted(self, answer: str | None) -> None:
+        if answer == "yes" and self._path is not None:
+            self._busy = "writing the certificate"
+            self._show()
+            self.work(partial(self._certify, self._path), "accept")
+
+    async def _certify(self, path: Path) -> None:
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        wrong = await self.station.archive.accept(
+            path, {"accepted_by": self.station.choices.operator, "accepted_utc": now}
+        )
+        if wrong:
+            said = f"NOT ACCEPTED: {wrong}"
+        else:
+            certificate = await asyncio.to_thread(free_path, path.with_suffix(".html"))
+            answer = await ask(["report", str(path), "--output", str(certificate)])
+            said = f"accepted; certificate: {certificate}"
+            if answer.code:
+                said = f"accepted, but NO CERTIFICATE: {answer.reason}"
+        whole = await self.station.archive.read(path)
+        if path == self._path:
+            self._busy, self._said, self._whole = "", said, whole
+            self._show()
+
+    def action_repeat(self) -> None:
+        """Prepare the same run again."""
+        if self._may("repeat"):
+            self.station.prepare(None)
+
+    def action_next(self) -> None:
+        """Prepare a run of the script that the investigation asks for."""
+        if self._may("next"):
+            self.station.prepare(str(self._found["next_script"]))
+
+    def action_gyro(self, step: int) -> None:
+        """Show the curves of another gyro."""
+        self._gyro += step
+        self._show()
+
+    def _may(self, what: str) -> bool:
+        """Return whether something can be done, and say why not."""
+        obstacle = self._obstacle(what)
+        if obstacle:
+            self.notify(obstacle, severity="warning", markup=False)
+        return not obstacle
+
+    def _obstacle(self, what: str) -> str:
+        """Return why something cannot be done, empty if it can."""
+        entry = self._whole.entry if self._whole is not None else None
+        if entry is None or entry.wrong:
+            return "no recording is open"
+        if self._busy:
+            return f"wait: {self._busy}"
+        if what == "accept":
+            return self._not_to_accept(entry)
+        if what == "investigate":
+            return "" if entry.gyros else "there is no calibration in this recording"
+        if what == "next" and not self._found.get("next_script"):
+            return "no investigation has asked for another script (I investigates)"
+        return "a session runs: F3 shows it" if self.station.busy else ""
+
+    def _not_to_accept(self, entry: Entry) -> str:
+        outcome = entry.texts.get("outcome", "")
+        if outcome not in ("PASS", "ESTIMATED"):
+            return f"only a PASS can be accepted, this is {outcome or 'without an outcome'}: repeat it, or investigate"
+        if entry.texts.get("accepted_by"):
+            return f"it was accepted by {entry.texts['accepted_by']}"
+        return "" if self.station.choices.operator else "accepting needs an operator: F2, enter the name"
+
+    def on_screen_resume(self) -> None:
+        """Open what a run has left in the meantime; show what may be done now."""
+        fresh = self.station.take_fresh()
+        if fresh is not None:
+            self.open(fresh, fresh=True)
+        self._show()
+
+    def _show(self) -> None:
+        if not self.is_mounted:
+            return
+        for name, _ in _BUTTONS:
+            self.query_one(f"#{name}", Button).disabled = bool(self._obstacle(name))
+        whole = self._whole
+        self._block("verdict", _verdict(self._path, whole, self._busy, self._said))
+        if whole is None or whole.entry.wrong:
+            for name in ("states", "change", "model", "curves", "record"):
+                self._block(name, None)
+            return
+        gyros = whole.entry.gyros
+        self._block("states", titled("States and their sigmas", state_lines(gyros)) if gyros else None)
+        self._block("change", _change(whole.entry, last_before(whole.entry, self._same)) if gyros else None)
+        lines = self._model_lines or [Text("I looks for what the four states lack", "dim")]
+        self._block("model", titled("Investigation", lines) if gyros else None)
+        self._block("curves", self._curves(whole))
+        self._block("record", _record(whole))
+
+    def _block(self, name: str, text: Text | None) -> None:
+        block = self.query_one(f"#{name}", Static)
+        block.display = text is not None
+        block.update(text or "")
+
+    def _curves(self, whole: Whole) -> Text | None:
+        curves = whole.found.get("curves") or {}
+        if not curves:
+            return None
+        name = list(curves)[self._gyro % len(curves)]
+        width = max(self.query_one("#body").size.width - 2, 76)
+        return Text("\n").join(gyro_plots(name, _trend(curves[name]), width))
+
+
+def state_lines(gyros: Sequence[GyroEntry]) -> list[Text]:
+    """Return the states with their sigmas, a line a gyro below a heading."""
+    rows = state_heads("gyro")
+    for gyro in gyros:
+        pairs = zip(STATE_FIGURES, gyro.states, gyro.sds, strict=True)
+        cells = [(s.text(value).rjust(s.width), s.text(sd).rjust(s.width - 1)) for s, value, sd in pairs]
+        rows.append([gyro.name, *(cell for pair in cells for cell in pair)])
+    return headed(columns(rows, gap=" "), 2)
+
+
+def _change(entry: Entry, last: Entry | None) -> Text:
+    title = "Change since the last calibration of this device"
+    if last is None:
+        return titled(title, [Text("none of it in this folder", "dim")])
+    before = {(gyro.source, gyro.name): gyro for gyro in last.gyros}
+    rows = state_heads("gyro", "sigmas")
+    marked = []
+    for gyro in entry.gyros:
+        old = before.get((gyro.source, gyro.name))
+        if old is None:
+            continue
+        cells, far = [gyro.name], False
+        for state, new_value, new_sd, value, sd in zip(
+            STATE_FIGURES, gyro.states, gyro.sds, old.states, old.sds, strict=True
+        ):
+            delta, sigma = new_value - value, math.hypot(new_sd, sd)
+            ratio = delta / sigma if sigma > 0 else math.nan
+            far = far or abs(ratio) > _MANY_SIGMAS
+            cells += [state.text(delta, signed=True), number(ratio, 1, signed=True)]
+        rows.append(cells)
+        marked.append(far)
+    lines = headed(columns(rows, gap=" "), 2)
+    for line, far in zip(lines[2:], marked, strict=True):
+        if far:
+            line.stylize("yellow")
+    if any(marked):
+        lines.append(Text(f"yellow: a state moved by more than {_MANY_SIGMAS:g} of its sigmas", "dim"))
+    return titled(f"{title}, {last.when} ({last.path.name})", lines)
+
+
+def _verdict(path: Path | None, whole: Whole | None, busy: str, said: str) -> Text:
+    if path is None:
+        return Text("No run has ended yet. F5 opens a recording, F2 prepares a run.")
+    entry = whole.entry if whole is not None else None
+    known = {"device": entry.device} | {key: entry.texts.get(key, "") for key in _NAMED} if entry is not None else {}
+    values = {
+        "entry": entry,
+        "path": path,
+        "busy": busy,
+        "said": said,
+        "style": OUTCOME_STYLES.get(entry.texts.get("outcome", ""), "bold") if entry is not None else "",
+        "short": _short,
+        "named": [f"{_NAMED.get(key, key)} {text}" for key, text in known.items() if text],
+    }
+    return templated("verdict.rich", values)
+
+
+def _run_words(entry: Entry) -> str:
+    return f"{entry.when}  {entry.texts.get('outcome', ''):7} {entry.texts.get('script', '')}  {entry.path.name}"
+
+
+def _short(reason: str) -> str:
+    """Return a reason cut to the first things it names; all of it is in the record below."""
+    parts = reason.split("; ")
+    more = len(parts) - _REASONS
+    return reason if more <= 0 else f"{'; '.join(parts[:_REASONS])}; and {more} more, see the record below"
+
+
+def _record(whole: Whole) -> Text:
+    reasons = whole.entry.texts.get("reason", "").split("; ")
+    values = {
+        "found": whole.found,
+        "reasons": reasons if len(reasons) > _REASONS else [],
+        "nis": number(whole.found.get("nis_mean"), 3),
+    }
+    return templated("record.rich", values)
+
+
+def _trend(curve: Mapping[str, Any]) -> Trend:
+    states = [tuple(math.nan if v is None else v for v in row) for row in curve["states"]]
+    sds = [tuple(math.nan if v is None else v for v in row) for row in curve["sd"]]
+    return Trend(list(curve["t_s"]), states, sds)

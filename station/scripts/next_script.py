@@ -1,0 +1,295 @@
+"""The script that tells rivals apart: of those that the table can do, the one predicted to settle it soonest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise, permutations
+
+import numpy as np
+
+from drivers.types import AxisLimits, Floats
+from estimator.effects.catalogue import catalogue
+from estimator.effects.conditions import Conditions
+from estimator.effects.drift import warm_up
+from estimator.effects.effect import Effect
+from estimator.estimation.runs.run import Run
+from estimator.geometry.array import SensorArray
+from estimator.geometry.kinematics import Site
+from estimator.geometry.model import Prior, regressor_maps
+from estimator.geometry.noise import NoiseModel
+from estimator.planning.planning import weighed
+from station.scripts.loop_scripts import candidates
+from station.scripts.planned import planned_motion
+from station.scripts.script import Script, is_possible
+
+SETTLED = 0.95
+"""Posterior probability at which one of two rivals counts as found, and the predicted chance that is good enough."""
+_LOG_ODDS = math.log(SETTLED / (1 - SETTLED))
+_PERIOD_S = 0.05
+_PAUSE_S = 15.0  # between runs: homing, closing and opening
+_TAUS_S = (20.0, 60.0, 180.0, 540.0)  # a warm-up's time constant is free: together these copy any
+_RETURNS_RPS = math.radians(5 / 3600)  # to within this a bias is back in another run
+_LEAST_EVIDENCE = 3.0
+_NOTHING = "nothing"  # the rival of an effect that has no other
+_HOPELESS = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class NextScript:
+    """A script, the probability that it settles the matter, and the rivals that it is for."""
+
+    script: Script
+    probability: float
+    rivals: tuple[tuple[str, ...], ...]
+
+    @property
+    def hopeful(self) -> bool:
+        """Whether driving it is worth the time."""
+        return self.probability >= _HOPELESS
+
+    def words(self) -> str:
+        """Return it in one line."""
+        aims = [f"{', '.join(own)} apart" if len(own) > 1 else f"{own[0]} from noise" for own in self.rivals]
+        aim = ", ".join(aims).replace("_", " ")
+        text = f"{self.script.name}, {self.script.duration_s:.0f} s: tells {aim} with probability "
+        text += f"{min(self.probability, 0.99):.0%}"
+        return text if self.hopeful else f"nothing that this table can do is likely to help; the best is {text}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Past:
+    """One source of one recording: what its gyros went through, and how they are."""
+
+    source: str
+    device: str
+    conditions: Conditions
+    array: SensorArray
+    noise: NoiseModel
+    prior: Prior
+
+    @classmethod
+    def of(cls, run: Run) -> Past:
+        """Return it for a run; noise that no data sheet states is taken from the samples."""
+        data, noise = run.data, run.data.noise
+        if noise is None:
+            steps = np.diff(data.rate_rps, axis=0)
+            noise = NoiseModel(float(np.sqrt(np.median(steps**2) / 0.455 / 2 * run.period_s)))
+        every = max(round(_PERIOD_S / run.grid.period_s), 1)
+        return cls(run.source, data.device, run.grid.rows(slice(None, None, every)), run.array, noise, run.prior)
+
+
+def next_script(
+    rivals: Sequence[Sequence[str]],
+    evidence: Mapping[str, float],
+    past: Sequence[Past],
+    limits: Mapping[str, AxisLimits],
+    gimbals: Sequence[str],
+    site: Site | None,
+    *,
+    judging: Sequence[Past] = (),
+    most_s: float = math.inf,
+) -> NextScript | None:
+    """Return the best script for sets of effects of which each is a rival of the others, None if there is none.
+
+    ``past`` is what was fitted, ``judging`` what only verified; ``evidence`` is the log evidence of each effect in
+    both, which tells how large it would have to be. An effect without a rival is to be told from nothing. A script must
+    be over within ``most_s``. A rival is told from another when the log of their odds is beyond that of 0.95. Its mean
+    is half the squared misfit, in sigmas, that the other leaves of what the one would do, and what the other's greater
+    freedom costs it.
+    """
+    names = {name for own in rivals for name in own}
+    effects = _effects(names, gimbals, past)
+    sets = list(dict.fromkeys(known for own in rivals if (known := tuple(n for n in own if n in effects))))
+    if not sets or not past:
+        return None
+    contests = [(own if len(own) > 1 else (*own, _NOTHING)) for own in sets]
+    effects[_NOTHING] = []
+    origin_s = _origin_s([*past, *judging])
+    before = _Grams.of(past, effects, origin_s)
+    shown = before + _Grams.of(judging, effects, origin_s)
+    sizes = {name: _size(shown, name, evidence.get(name, 0.0)) for name in effects}
+    best: NextScript | None = None
+    possible = [script for script in candidates(limits, gimbals) if is_possible(script, limits)]
+    for script in sorted(possible, key=lambda script: script.duration_s):
+        if script.duration_s > most_s:
+            break
+        after = before + _Grams.of(_foreseen(script, [*past, *judging], gimbals, site), effects, origin_s)
+        probability = min(_settled(own, before, after, sizes) for own in contests)
+        if best is None or probability > best.probability + 0.01:
+            best = NextScript(script, probability, tuple(sets))
+        if probability >= SETTLED:
+            break
+    return best
+
+
+def _effects(names: set[str], gimbals: Sequence[str], past: Sequence[Past]) -> dict[str, list[Effect]]:
+    """Return what stands for each effect that is known and that these recordings can hold."""
+    offers = frozenset[str].intersection(*(p.conditions.offers for p in past)) if past else frozenset[str]()
+    span_s = max((float(p.conditions.t_s[-1] - p.conditions.t_s[0]) for p in past), default=1.0)
+    found: dict[str, list[Effect]] = {}
+    for effect in catalogue(gimbals, span_s):
+        for name in {effect.name, effect.name.rstrip("0123456789").rstrip("_")} & names:  # harmonics of every order
+            if effect.needs <= offers:
+                found.setdefault(name, []).append(effect)
+    if "warm_up" in found:
+        found["warm_up"] = [warm_up(tau_s) for tau_s in _TAUS_S]
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grams:
+    """Information (g) on [four states | parameters] of every gyro, each scaled by what is plausible.
+
+    ``own`` gives the columns of each effect, ``shared`` those that all gyros have in common.
+    """
+
+    matrices: Mapping[tuple[str, str], Floats]
+    own: Mapping[str, slice]
+    shared: frozenset[str]
+
+    @classmethod
+    def of(cls, runs: Sequence[Past], effects: Mapping[str, Sequence[Effect]], origin_s: float | None) -> _Grams:
+        matrices: dict[tuple[str, str], Floats] = {}
+        counts = [sum(len(e.parameters) for e in group) for group in effects.values()]
+        edges = np.cumsum([4, *counts]).tolist()
+        own = {name: slice(a, b) for name, (a, b) in zip(effects, pairwise(edges), strict=True)}
+        for run in runs:
+            c = run.conditions
+            seen, keep = _since(c, c.t_s[0] if origin_s is None else origin_s)
+            states = np.column_stack([np.ones(len(c.t_s)), c.w_rps])
+            for gyro, gyro_map in enumerate(regressor_maps(run.array)):
+                columns = [states @ (gyro_map.T * np.sqrt(run.prior.variances()))]
+                for group in effects.values():
+                    for effect in group:
+                        largest = np.array([parameter.largest for parameter in effect.parameters])
+                        columns.append(effect.columns(seen, run.array, gyro)[keep] * largest)
+                gram = weighed(np.hstack(columns), c.t_s, c.period_s, run.noise)
+                key = run.device, run.array.names[gyro]
+                matrices[key] = matrices.get(key, 0.0) + _with_own_bias(gram, _RETURNS_RPS / run.prior.b_rps)
+        shared = frozenset(name for name, group in effects.items() if group and group[0].shared)
+        return cls(matrices, own, shared)
+
+    def __add__(self, other: _Grams) -> _Grams:
+        """Return what both show together."""
+        matrices = {key: matrix + other.matrices.get(key, 0.0) for key, matrix in self.matrices.items()}
+        return replace(self, matrices=matrices)
+
+    def beside_states(self, names: Sequence[str]) -> tuple[Floats, list[Floats]]:
+        """Return the information on the parameters of these effects beside the states, and which belong to each.
+
+        An effect that is not shared has parameters for every gyro.
+        """
+        gyros = len(self.matrices)
+        spread = [1 if name in self.shared else gyros for name in names]
+        widths = [self.own[name].stop - self.own[name].start for name in names]
+        edges = np.cumsum([0, *(s * w for s, w in zip(spread, widths, strict=True))])
+        total = np.zeros((edges[-1], edges[-1]))
+        for number, matrix in enumerate(self.matrices.values()):
+            wanted = np.concatenate([np.arange(self.own[name].start, self.own[name].stop) for name in names])
+            cross = matrix[:4][:, wanted]
+            left = matrix[np.ix_(wanted, wanted)] - cross.T @ np.linalg.solve(matrix[:4, :4] + np.eye(4), cross)
+            at = np.concatenate(
+                [
+                    edge + (0 if s == 1 else number * w) + np.arange(w)
+                    for edge, s, w in zip(edges[:-1], spread, widths, strict=True)
+                ]
+            )
+            total[np.ix_(at, at)] += left
+        return total, [np.arange(a, b) for a, b in pairwise(edges.tolist())]
+
+
+def _size(shown: _Grams, name: str, evidence: float) -> float:
+    """Return how large an effect is by its log evidence, as a share of the squares of its largest plausible size."""
+    total, _ = shown.beside_states([name])
+    return float(min(2 * max(evidence, _LEAST_EVIDENCE) / max(np.trace(total), 1e-12), 1.0))
+
+
+def _settled(names: Sequence[str], before: _Grams, after: _Grams, sizes: Mapping[str, float]) -> float:
+    """Return the probability that the true one of these is told from all others, each as likely to be it.
+
+    Nothing is not among the likely: an effect that is looked for in vain is settled, too.
+    """
+    chances = dict.fromkeys((name for name in names if name != _NOTHING), 1.0)
+    for true, other in permutations(names, 2):
+        if true == _NOTHING:
+            continue
+        (seen, spared), (new_seen, new_spared) = _apart(before, true, other), _apart(after, true, other)
+        chances[true] = min(chances[true], _told(sizes[true] * (new_seen - seen), new_spared - spared))
+    return float(np.mean(list(chances.values())))
+
+
+def _apart(grams: _Grams, true: str, other: str) -> tuple[float, float]:
+    """Return the squared misfit that the other leaves of the true one at its largest plausible size, and more.
+
+    The second number is the log of how much more freedom the other has: a model that could have explained more is the
+    less probable.
+    """
+    total, (a, b) = grams.beside_states((true, other))
+    own, others, cross = total[np.ix_(a, a)], total[np.ix_(b, b)] + np.eye(len(b)), total[np.ix_(b, a)]
+    copied = cross.T @ np.linalg.solve(others, cross)
+    freedom = np.linalg.slogdet(others)[1] - np.linalg.slogdet(own + np.eye(len(a)))[1]
+    return float(np.trace(own - copied)), 0.5 * float(freedom)
+
+
+def _told(gained: float, spared: float) -> float:
+    """Return the chance that log odds are beyond what settles: normal about half of ``gained``, their variance."""
+    mean = 0.5 * gained + spared - _LOG_ODDS
+    return 0.5 * math.erfc(-mean / math.sqrt(2 * max(gained, 1e-9)))
+
+
+def _origin_s(past: Sequence[Past]) -> float | None:
+    """Return when it all began, None if the recordings do not follow each other on one clock."""
+    spans: dict[str, list[tuple[float, float]]] = {}
+    for p in past:
+        spans.setdefault(p.source, []).append((float(p.conditions.t_s[0]), float(p.conditions.t_s[-1])))
+    for own in spans.values():
+        own.sort()
+        if any(later[0] < earlier[1] for earlier, later in pairwise(own)):
+            return None
+    return min(span[0] for own in spans.values() for span in own)
+
+
+def _foreseen(script: Script, past: Sequence[Past], gimbals: Sequence[str], site: Site | None) -> list[Past]:
+    """Return what each source would go through; its temperature goes on as it went."""
+    planned = planned_motion(script, gimbals, _PERIOD_S)
+    runs = []
+    for source in dict.fromkeys(p.source for p in past):
+        own = [p for p in past if p.source == source]  # a source that was cut in two has parts of other names
+        last = max(own, key=lambda p: float(p.conditions.t_s[-1]))
+        motion = replace(planned, t_s=planned.t_s + (float(last.conditions.t_s[-1]) + _PAUSE_S))
+        conditions = motion.conditions(_temperature(last.conditions, motion.t_s), site)
+        runs.append(replace(last, conditions=conditions))
+    return runs
+
+
+def _temperature(last: Conditions, t_s: Floats) -> Floats | None:
+    """Return the temperature to come: the exponential that fits what was, of some time constant."""
+    if last.temperature_c is None:
+        return None
+    since, target = last.t_s - last.t_s[-1], last.temperature_c
+    fits = []
+    for tau_s in np.geomspace(60.0, 3600.0, 13):
+        design = np.column_stack([np.ones(len(since)), np.exp(-since / tau_s)])
+        solution, *_ = np.linalg.lstsq(design, target, rcond=None)
+        fits.append((float(np.sum((target - design @ solution) ** 2)), tau_s, solution))
+    _, tau_s, (end, swing) = min(fits, key=lambda fit: fit[0])
+    return np.asarray(end + swing * np.exp(-(t_s - last.t_s[-1]) / tau_s))
+
+
+def _with_own_bias(gram: Floats, share: float) -> Floats:
+    """Return the information of a run whose bias differs from other runs' by such a share of its prior."""
+    bias = gram[:, 1]
+    return np.asarray(gram - np.outer(bias, bias) * (share**2 / (1 + share**2 * bias[1])))
+
+
+def _since(conditions: Conditions, origin_s: float) -> tuple[Conditions, slice]:
+    """Return conditions that begin at an origin, for laws of time since then, and which of their rows are the given."""
+    if origin_s >= float(conditions.t_s[0]) - conditions.period_s:
+        return conditions, slice(None)
+    rows = np.concatenate([[0, 0], np.arange(len(conditions.t_s))])
+    begun = conditions.rows(rows)
+    t_s = begun.t_s.copy()
+    t_s[:2] = origin_s, origin_s + conditions.period_s
+    return replace(begun, t_s=t_s), slice(2, None)

@@ -1,0 +1,95 @@
+"""What a script will show on a bench, before anything moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.types import Flags, Floats
+from estimator.calibration.budget import table_budget
+from estimator.effects.catalogue import catalogue
+from estimator.effects.effect import Effect
+from estimator.effects.thermal import REFERENCE_C
+from estimator.planning.planning import Forecast, PlannedDevice, forecast
+from station.bench.bench import Bench
+from station.scripts.planned import PlannedMotion, planned_motion
+from station.scripts.script import Script, check, rounded
+
+TEMPERATURE_RISE_K = 8.0
+WARMING_TIME_S = 1200.0
+"""Time constant of the assumed warming: of a table's chamber and its electronics, over after an hour."""
+_PERIOD_S = 0.05
+_MOST_ROWS = 72_000  # an hour of them; longer scripts are looked at in coarser steps
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A script on a bench, its motion and its forecast.
+
+    ``table_sd`` (gyros, 4) is what the table's own stated uncertainty adds to the sigmas of the states, ``required``
+    (4,) the sigmas that the bench asks for, infinite where it asks for none. ``temperature_rise_k`` is assumed.
+    ``rounded`` tells, in words, accelerations that the controller makes less of.
+    """
+
+    script: Script
+    bench: Bench
+    motion: PlannedMotion
+    forecast: Forecast
+    table_sd: Floats
+    required: Floats
+    temperature_rise_k: float
+    rounded: tuple[str, ...] = ()
+
+    @property
+    def sd(self) -> Floats:
+        """Predicted sigmas of the states (gyros, 4), the table's uncertainty included."""
+        return np.asarray(np.hypot(np.array([gyro.sd for gyro in self.forecast.gyros]), self.table_sd))
+
+    @property
+    def reached(self) -> Flags:
+        """Whether each sigma (gyros, 4) is within what the bench asks for."""
+        return np.asarray(self.sd <= self.required)
+
+
+def make_plan(
+    script: Script,
+    bench: Bench,
+    *,
+    temperature_rise_k: float = TEMPERATURE_RISE_K,
+    effects: tuple[Effect, ...] | None = None,
+) -> Plan:
+    """Return the plan for the used devices of a bench; by default of all effects of the catalogue.
+
+    Raises ScriptError if the table cannot do the script.
+    """
+    asked, script = script, check(script, bench.table.limits)
+    motion = planned_motion(script, bench.table.gimbals, max(_PERIOD_S, script.duration_s / _MOST_ROWS))
+    temperature_c = REFERENCE_C - temperature_rise_k * np.expm1(-motion.t_s / WARMING_TIME_S)
+    conditions = motion.conditions(temperature_c, bench.site)
+    devices = [PlannedDevice(imu.name, imu.array, imu.noise, imu.prior) for imu in bench.imus if imu.used]
+    if effects is None:
+        effects = catalogue(motion.gimbals, script.duration_s)
+    limits = bench.limits
+    return Plan(
+        script,
+        bench,
+        motion,
+        forecast(conditions, devices, effects),
+        _table_sd(motion, bench, devices),
+        np.array([limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad]),
+        temperature_rise_k,
+        tuple(rounded(asked, script)),
+    )
+
+
+def _table_sd(motion: PlannedMotion, bench: Bench, devices: list[PlannedDevice]) -> Floats:
+    readings = motion.readings(bench.table.uncertainty)
+    variances = [
+        np.sum([np.diag(part.covariance) for part in parts], axis=0) if parts else np.zeros(4)
+        for device in devices
+        for parts in table_budget(
+            readings, bench.site, device.array, device.prior, np.full(len(device.array), device.noise.arw)
+        )
+    ]
+    return np.asarray(np.sqrt(np.array(variances)))

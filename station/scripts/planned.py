@@ -1,0 +1,89 @@
+"""The motion that a script asks for: angle, rate and acceleration of every axis, before anything moves."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.types import Floats
+from estimator.effects.conditions import Conditions
+from estimator.geometry.kinematics import Site
+from estimator.recordings.reference import TableReadings, TableUncertainty
+from station.scripts.script import Move, Rest, Rotate, Script
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedMotion:
+    """Instants ``t_s`` (N,); angles, rates and accelerations (N, g) of the ``gimbals``, outermost first."""
+
+    t_s: Floats
+    angle_rad: Floats
+    rate_rps: Floats
+    acceleration_rps2: Floats
+    gimbals: tuple[str, ...]
+
+    def conditions(self, temperature_c: Floats | None, site: Site | None) -> Conditions:
+        """Return what gyros on the innermost axis go through, at this temperature (N,), None if it is not known."""
+        return Conditions.on_table(
+            self.t_s,
+            self.angle_rad,
+            self.rate_rps,
+            self.acceleration_rps2,
+            self.gimbals,
+            temperature_c=temperature_c,
+            site=site,
+        )
+
+    def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
+        """Return what a table of this uncertainty will have read."""
+        t_ns = np.round(self.t_s * 1e9).astype(np.int64)
+        return TableReadings(t_ns, self.angle_rad, self.rate_rps, self.gimbals, uncertainty)
+
+
+def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.05) -> PlannedMotion:
+    """Return the motion at the middle of each period, as the sequencer has a table at home carry the script out.
+
+    There are two instants at the least. The script must be one that the table can do (``script.check``).
+    """
+    axes = tuple(gimbals)
+    count = max(math.ceil(script.duration_s / period_s - 1e-9), 2)
+    t_s = np.asarray((np.arange(count) + 0.5) * period_s, dtype=np.float64)
+    angle, rate, acceleration = np.zeros((3, count, len(axes)))
+    at_s = 0.0
+    here = dict.fromkeys(axes, 0.0)
+    for step, duration_s in zip(script.steps, script.durations_s(), strict=True):
+        if not isinstance(step, Rest):
+            column = axes.index(step.axis)
+            target = _target(step, here[step.axis])
+            way, speed, push = _trapezoid(t_s - at_s, target - here[step.axis], step)
+            angle[:, column] += way
+            rate[:, column] += speed
+            acceleration[:, column] += push
+            here[step.axis] = target
+        at_s += duration_s
+    return PlannedMotion(t_s, angle, rate, acceleration, axes)
+
+
+def _target(step: Move | Rotate, here_rad: float) -> float:
+    return step.angle_rad if isinstance(step, Move) else here_rad + step.turn_rad
+
+
+def _trapezoid(since_s: Floats, way_rad: float, step: Move | Rotate) -> tuple[Floats, Floats, Floats]:
+    """Return way, rate and acceleration (N,) at times since the move began, before and after it too."""
+    limit = step.acceleration_rps2
+    peak = min(abs(step.rate_rps), math.sqrt(abs(way_rad) * limit))
+    if peak == 0.0:
+        return np.zeros_like(since_s), np.zeros_like(since_s), np.zeros_like(since_s)
+    ramp_s = peak / limit
+    end_s = abs(way_rad) / peak + ramp_s
+    since, left = np.maximum(since_s, 0.0), np.maximum(end_s - since_s, 0.0)
+    up, down = since < np.minimum(ramp_s, end_s / 2), left < np.minimum(ramp_s, end_s / 2)
+    sign = math.copysign(1.0, way_rad)
+    # From whichever end is nearer: the last ramp then ends on the target, whatever the sum of the digits.
+    way = np.where(
+        up, 0.5 * limit * since**2, np.where(down, abs(way_rad) - 0.5 * limit * left**2, peak * (since - 0.5 * ramp_s))
+    )
+    rate = np.where(up, limit * since, np.where(down, limit * left, peak))
+    push = np.where(up & (since > 0), limit, np.where(down & (left > 0), -limit, 0.0))
+    return sign * way, sign * rate, sign * push

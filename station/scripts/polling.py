@@ -1,0 +1,42 @@
+"""How often the table is read: so often that each ramp is seen, and what a link is too slow for."""
+
+from __future__ import annotations
+
+import math
+
+from station.scripts.script import Move, Rest, Script
+
+_READINGS_A_RAMP = 20
+_FEWEST = 3  # readings that tell a ramp's slope
+MARGIN_S = 0.1
+"""By which a ramp may come earlier or later than it is planned."""
+
+
+def ramp_s(rate_rps: float, acceleration_rps2: float, way_rad: float) -> float:
+    """Return how long a ramp of a move takes, which may be too short to reach its rate."""
+    return min(abs(rate_rps) / acceleration_rps2, math.sqrt(abs(way_rad) / acceleration_rps2))
+
+
+def wanted_hz(length_s: float) -> float:
+    """Return how often the table should be read during a ramp of this length."""
+    return _READINGS_A_RAMP / length_s if length_s > 0 else 0.0
+
+
+def too_steep(script: Script, read_s: float) -> list[str]:
+    """Return, in words, the ramps that are over before a table that takes so long to read has been read enough."""
+    angles: dict[str, float] = {}
+    steep: dict[str, float] = {}
+    for step in script.steps:
+        if isinstance(step, Rest):
+            continue
+        here = angles.get(step.axis, 0.0)
+        target = step.angle_rad if isinstance(step, Move) else here + step.turn_rad
+        length_s = ramp_s(step.rate_rps, step.acceleration_rps2, target - here)
+        if 0 < length_s < _FEWEST * read_s:
+            steep[step.label] = length_s
+        angles[step.axis] = target
+    return [
+        f"a ramp of step {label!r} takes {length_s:.2g} s and a reading of the table {read_s:.2g} s: the rate is not "
+        "known there, and ramps tell when samples are taken; accelerate more slowly, or use a faster link"
+        for label, length_s in steep.items()
+    ]

@@ -1,0 +1,210 @@
+"""Scripts: what the table is to do, as data that can be checked and drawn before anything moves."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from drivers.types import AxisLimits
+from station.errors import ScriptError
+from station.schema.quantities import parse
+from station.schema.tables import Table
+
+_DEG = math.pi / 180
+_ROUNDING_RAD = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """Stand still."""
+
+    duration_s: float
+    label: str = "rest"
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Go to an angle from home and stop there."""
+
+    axis: str
+    angle_rad: float
+    rate_rps: float
+    acceleration_rps2: float
+    label: str
+
+
+@dataclass(frozen=True, slots=True)
+class Rotate:
+    """Turn at a rate for a time, both ramps included; negative rates turn backwards."""
+
+    axis: str
+    rate_rps: float
+    duration_s: float
+    acceleration_rps2: float
+    label: str
+
+    @property
+    def turn_rad(self) -> float:
+        """Angle that the trapezoid covers."""
+        return self.rate_rps * (self.duration_s - abs(self.rate_rps) / self.acceleration_rps2)
+
+
+Step = Rest | Move | Rotate
+
+
+@dataclass(frozen=True, slots=True)
+class Script:
+    """A name and steps in order."""
+
+    name: str
+    steps: tuple[Step, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Planned time of all steps."""
+        return sum(self.durations_s())
+
+    def durations_s(self) -> list[float]:
+        """Return the planned time of each step."""
+        angles: dict[str, float] = {}
+        durations = []
+        for step in self.steps:
+            if isinstance(step, Move):
+                way = abs(step.angle_rad - angles.get(step.axis, 0.0))
+                durations.append(_trapezoid_s(way, step.rate_rps, step.acceleration_rps2))
+                angles[step.axis] = step.angle_rad
+            else:
+                durations.append(step.duration_s)
+                if isinstance(step, Rotate):
+                    angles[step.axis] = angles.get(step.axis, 0.0) + step.turn_rad
+        return durations
+
+
+def paper_script() -> Script:
+    """Return the paper's 360 s script with real ramps: each axis turns four times in 75 s and ends home."""
+    rate, acceleration = 20 * _DEG, 20 / 3 * _DEG
+    turns = tuple(Rotate(axis, rate, 75.0, acceleration, f"{axis} at 20 deg/s") for axis in "xyz")
+    return Script("paper-360s", (Rest(67.5, "rest before"), *turns, Rest(67.5, "rest after")))
+
+
+def load_script(path: Path) -> Script:
+    """Read a script from TOML; ScriptError with the line of what is wrong."""
+    table = Table.load(path, ScriptError)
+    name = table.string("name", path.stem)
+    steps = [_read_step(step) for step in table.tables("step")]
+    table.done()
+    if not steps:
+        raise ScriptError(f'{path}: no [[step]] in it; a step is kind = "rest", "move" or "rotate"')
+    return Script(name, tuple(steps))
+
+
+def check(script: Script, limits: Mapping[str, AxisLimits]) -> Script:
+    """Return the script as the table does it: turns of the same angle, with the accelerations that a controller has.
+
+    ScriptError names the first step that the table cannot do, and the limit.
+    """
+    driven: list[Step] = []
+    angles = dict.fromkeys(limits, 0.0)
+    for number, step in enumerate(script.steps, 1):
+        where = f"script {script.name}, step {number} ({step.label})"
+        if isinstance(step, Rest):
+            if not 0 < step.duration_s < math.inf:
+                raise ScriptError(f"{where}: a rest of {step.duration_s:g} s; give a time above zero")
+            driven.append(step)
+            continue
+        if step.axis not in limits:
+            raise ScriptError(f"{where}: the table has no axis {step.axis}, only {', '.join(limits)}")
+        limit = limits[step.axis]
+        if step.rate_rps == 0 or step.acceleration_rps2 <= 0:
+            raise ScriptError(f"{where}: rate and acceleration must not be zero")
+        if abs(step.rate_rps) > limit.rate_rps * (1 + 1e-9):
+            raise ScriptError(
+                f"{where}: {abs(step.rate_rps) / _DEG:g} deg/s is beyond axis {step.axis}'s limit of "
+                f"{limit.rate_rps / _DEG:g} deg/s"
+            )
+        if step.acceleration_rps2 > limit.acceleration_rps2 * (1 + 1e-9):
+            raise ScriptError(
+                f"{where}: {step.acceleration_rps2 / _DEG:g} deg/s2 is beyond axis {step.axis}'s limit of "
+                f"{limit.acceleration_rps2 / _DEG:g} deg/s2"
+            )
+        if isinstance(step, Rotate) and step.duration_s <= 2 * abs(step.rate_rps) / step.acceleration_rps2:
+            raise ScriptError(
+                f"{where}: {step.duration_s:g} s is not enough for the two ramps of "
+                f"{abs(step.rate_rps) / step.acceleration_rps2:g} s; make it longer or the ramps steeper"
+            )
+        angles[step.axis] = step.angle_rad if isinstance(step, Move) else angles[step.axis] + step.turn_rad
+        low, high = limit.travel_rad or (-math.inf, math.inf)
+        if not low - _ROUNDING_RAD <= angles[step.axis] <= high + _ROUNDING_RAD:
+            raise ScriptError(
+                f"{where}: it takes axis {step.axis} to {angles[step.axis] / _DEG:g} deg from home, beyond its travel "
+                f"of {low / _DEG:g} to {high / _DEG:g} deg"
+            )
+        driven.append(_driven(step, limit, where))
+    return Script(script.name, tuple(driven))
+
+
+def rounded(asked: Script, driven: Script) -> list[str]:
+    """Return, in words, which accelerations of a script the controller makes less of, and what that comes to."""
+    ramps = {
+        f"axis {a.axis} at {a.acceleration_rps2 / _DEG:.3g} deg/s2 does {d.acceleration_rps2 / _DEG:.3g}"
+        for a, d in zip(asked.steps, driven.steps, strict=True)
+        if not isinstance(a, Rest) and not isinstance(d, Rest) and d.acceleration_rps2 < 0.99 * a.acceleration_rps2
+    }
+    if not ramps:
+        return []
+    return [
+        f"{', '.join(sorted(ramps))}: the controller has accelerations in steps; the script takes "
+        f"{driven.duration_s:.0f} s in place of {asked.duration_s:.0f}"
+    ]
+
+
+def _driven(step: Move | Rotate, limit: AxisLimits, where: str) -> Move | Rotate:
+    """Return a step with the acceleration that the controller makes of it; ScriptError if it has none so small."""
+    quantum = limit.acceleration_step_rps2
+    if not quantum:
+        return step
+    if quantum > limit.acceleration_rps2:
+        raise ScriptError(
+            f"{where}: the controller's smallest acceleration of axis {step.axis} is {quantum / _DEG:g} deg/s2, beyond "
+            f"the axis' limit of {limit.acceleration_rps2 / _DEG:g} deg/s2"
+        )
+    acceleration = max(math.floor(step.acceleration_rps2 / quantum * (1 + 1e-9)), 1) * quantum
+    if isinstance(step, Move):
+        return replace(step, acceleration_rps2=acceleration)
+    duration_s = abs(step.turn_rad / step.rate_rps) + abs(step.rate_rps) / acceleration
+    return replace(step, acceleration_rps2=acceleration, duration_s=duration_s)
+
+
+def is_possible(script: Script, limits: Mapping[str, AxisLimits]) -> bool:
+    """Return whether the table can do every step."""
+    try:
+        check(script, limits)
+    except ScriptError:
+        return False
+    return True
+
+
+def _read_step(table: Table) -> Step:
+    kind = table.string("kind", one_of=("rest", "move", "rotate"))
+    step: Step
+    if kind == "rest":
+        step = Rest(table.quantity("duration", "time"), table.string("label", "rest"))
+    else:
+        axis = table.string("axis", one_of=("x", "y", "z"))
+        rate = table.quantity("rate", "rate")
+        acceleration = table.quantity("acceleration", "acceleration", parse("20 deg/s2", "acceleration"))
+        if kind == "move":
+            angle = table.quantity("angle", "angle")
+            label = table.string("label", f"{axis} to {angle / _DEG:g} deg")
+            step = Move(axis, angle, abs(rate), acceleration, label)
+        else:
+            duration = table.quantity("duration", "time")
+            label = table.string("label", f"{axis} at {rate / _DEG:g} deg/s")
+            step = Rotate(axis, rate, duration, acceleration, label)
+    table.done()
+    return step
+
+
+def _trapezoid_s(way_rad: float, rate_rps: float, acceleration_rps2: float) -> float:
+    peak = min(abs(rate_rps), math.sqrt(way_rad * acceleration_rps2))
+    return way_rad / peak + peak / acceleration_rps2 if peak > 0 else 0.0

@@ -1,0 +1,69 @@
+"""Figures as people read them: states in everyday units, durations as a clock has them, a dash for the unknown."""
+
+import math
+from dataclasses import dataclass
+
+from drivers.packaged import packaged_toml
+
+UNKNOWN = "-"
+OUTCOME_STYLES = {
+    "PASS": "bold green",
+    "ESTIMATED": "bold blue",
+    "FAIL": "bold red",
+    "ABORTED": "bold yellow",
+    "FAULT": "bold red",
+}
+"""Colours of outcomes; the word always stands there too."""
+FINDING_STYLES = {
+    "nothing to add": "bold green",
+    "added": "bold green",
+    "added in part": "bold yellow",
+    "cannot tell": "bold yellow",
+    "unexplained": "bold red",
+}
+"""Colours of what an investigation comes to."""
+
+
+@dataclass(frozen=True, slots=True)
+class StateUnit:
+    """How a state is shown: its name, its unit, the factor from SI, digits after the point, room for its digits."""
+
+    name: str
+    unit: str
+    factor: float
+    digits: int
+    width: int
+
+    def text(self, value: float, *, signed: bool = False) -> str:
+        """Return a value in SI as digits in the unit."""
+        return number(value * self.factor, self.digits, signed=signed)
+
+
+def effect_units(purpose: str) -> dict[str, tuple[str, float]]:
+    """Return by SI unit what people read in its place, and the factor; ``purpose`` is "traced" or "planned"."""
+    return {si: (shown, times * math.degrees(1) ** power) for si, (shown, times, power, *_) in _UNITS[purpose].items()}
+
+
+_UNITS = packaged_toml("station.views", "units.toml")
+STATE_FIGURES = tuple(
+    StateUnit(state, *shown, *_UNITS["states"][state][3:]) for state, shown in effect_units("states").items()
+)
+"""The four states in order, in the units of the printed calibration."""
+STATE_UNITS = tuple((state, *shown) for state, shown in effect_units("sigmas").items())
+"""Name, unit and factor from SI of each state, for their sigmas."""
+
+
+def number(value: float | None, digits: int, *, signed: bool = False) -> str:
+    """Return a number with so many digits after the point, or a dash."""
+    if value is None or not math.isfinite(value):
+        return UNKNOWN
+    text = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
+    return text.lstrip("+-") if float(text) == 0 and not signed else text
+
+
+def clock(seconds: float) -> str:
+    """Return a duration as minutes and seconds."""
+    if not math.isfinite(seconds):
+        return UNKNOWN
+    whole = max(round(seconds), 0)
+    return f"{whole // 60}:{whole % 60:02d}"
