@@ -131,7 +131,8 @@ def _parameters(effect: dict[str, Any]) -> list[str]:
         lines = [f"{len(sizes)} of {sizes[0][1]} each"]
     else:
         lines = [f"{name} {size}" for name, size in sizes]
-    return lines + [f"{free['name']} from the data" for free in effect["non_linear"]]
+    free = ", ".join(one["name"] for one in effect["non_linear"])
+    return [*lines, f"found in the data: {free}"] if free else lines
 
 
 def _keys(section: str) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import runpy
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,7 @@ READMES = {ROOT / "README.md": 8000} | {ROOT / package / "README.md": 4500 for p
 
 
 @pytest.fixture
-def generator(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    monkeypatch.setattr(sys, "path", [str(ROOT), *sys.path])
+def generator() -> dict[str, Any]:
     return runpy.run_path(str(ROOT / "docs/generate.py"))
 
 
