@@ -14,6 +14,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ _PICTURES = {"run.svg": "test_a_run[80x24].svg", "run-wide.svg": "test_a_run[150
 _BLOCK = re.compile(r"(?<=<!-- generated: )([a-z_]+)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
+@cache
 def packaged(name: str) -> dict[str, Any]:
     """Return the one TOML file of a name in the packages."""
     (path,) = (p for package in ("station", "drivers") for p in (ROOT / package).rglob(name))
