@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foreign_logs import (
+    CSV,
     EARTH_DPS,
+    GYRO,
     POSES,
+    RATE,
     SHAPES,
     broken_log,
     gyro_encoder_angle,
@@ -30,21 +33,7 @@ from estimator.recording import ImuData, Recording, read_recording, write_record
 from estimator.reference import RateReadings, TableReadings
 from station.captures import PROTOCOLS
 
-TRIAD = """\
-[device]
-name = "triad"
-[file]
-format = "csv"
-[time]
-rate_hz = 100
-[gyro]
-columns = ["gx", "gy", "gz"]
-unit = "deg/s"
-[reference]
-kind = "rate"
-columns = ["rx", "ry", "rz"]
-unit = "deg/s"
-"""
+TRIAD = CSV + "[time]\nrate_hz = 100\n" + GYRO + RATE
 
 COUNTING = """\
 [device]
