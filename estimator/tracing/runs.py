@@ -457,7 +457,9 @@ def _conditions(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floa
     if by_turns(reference):
         return _conditions_by_turns(recording, data, grid_s, w_rps, steps, temperature)
     assert isinstance(reference, TableReadings)
-    angle, rate, acceleration = _gimbals(reference, grid_s)
+    rates, grid_ns = BodyRates.of(reference, recording.site), np.round(grid_s * 1e9).astype(np.int64)
+    angle, rate = rates.gimbals_at(grid_ns)
+    acceleration = rates.accelerations_at(grid_ns)
     return Conditions.on_table(
         grid_s, angle, rate, acceleration, reference.gimbals, temperature_c=temperature, site=recording.site
     )
@@ -492,11 +494,6 @@ def _temperature(data: ImuData, grid_s: Floats) -> Floats | None:
     known = np.isfinite(data.temperature_c)
     t_s = np.asarray(data.t_ns[known] * 1e-9, dtype=np.float64)
     return _smooth_temperature(t_s, data.temperature_c[known], grid_s)
-
-
-def _gimbals(reference: TableReadings, grid_s: Floats) -> tuple[Floats, Floats, Floats]:
-    rates, grid_ns = BodyRates.of(reference, None), np.round(grid_s * 1e9).astype(np.int64)
-    return *rates.gimbals_at(grid_ns), rates.accelerations_at(grid_ns)
 
 
 def _smooth_temperature(t_s: Floats, temperature_c: Floats, grid_s: Floats) -> Floats:
