@@ -22,7 +22,8 @@ from estimator.repeatability import repeatability
 from estimator.results import write_calibration
 from estimator.stored_calibration import read_calibration
 from estimator.tracing.candidates import Candidate, candidates_of
-from estimator.tracing.investigate import fit_known, investigate
+from estimator.tracing.investigate import fit_known
+from estimator.tracing.investigation import Investigation
 from estimator.tracing.runs import runs_of
 from sims.hidden import Hidden
 from station.loop_scripts import exploration_script
@@ -44,13 +45,12 @@ def simulated(script: Script, seed: int, sizes: list[float] | None, **more: Any)
     return simulate(script, {"array": device}, seed, site=SITE, hidden=Hidden.of(tables) if tables else None)
 
 
-@pytest.fixture(scope="module")
-def model() -> ErrorModel:
+@pytest.fixture
+def model(asymmetry: tuple[Investigation, ErrorModel]) -> ErrorModel:
     """What an investigation of the first device says of its type."""
-    found = investigate([simulated(paper_script(), 1, FIRST), simulated(exploration_script(), 2, FIRST)])
-    assert found.model is not None
+    found, model = asymmetry
     assert [added.effect for added in found.added] == ["scale_asymmetry"]
-    return ErrorModel.of(found.model)
+    return model
 
 
 def test_the_typical_size_is_that_of_the_gyros_that_were_looked_at(model: ErrorModel) -> None:

@@ -111,7 +111,6 @@ def test_a_bias_that_lags_the_temperature_has_the_lag_and_the_sizes_that_it_has(
 def test_what_does_not_lower_the_error_on_the_verification_run_is_taken_back() -> None:
     calibration, exploration, _ = recordings_of(Case(("scale_asymmetry",), 1.0, 4))
     without = recordings_of(Case((), 1.0, 4))[2]
-    assert [a.effect for a in investigate([calibration, exploration]).added] == ["scale_asymmetry"]
     found = investigate([calibration, exploration], [without])
     assert not found.added
     assert found.taken_back == ("scale_asymmetry",)

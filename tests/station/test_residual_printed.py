@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 import pytest
 
+from estimator.error_model import ErrorModel
 from estimator.tracing.dependence import Dependence
-from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Investigation
 from estimator.tracing.origin import Origin, Split
 from estimator.tracing.residual import GyroResidual, Residual, Spectrum
@@ -19,15 +19,12 @@ from station.investigation_file import write_investigation
 from station.investigation_pictures import draw_investigation
 from station.investigation_printed import investigation_object, print_investigation
 from station.residual_printed import origin_line
-from station.studies.detection import Case, recordings_of
 from station.terminal import stdout
 
 
-@pytest.fixture(scope="module")
-def found() -> Investigation:
-    """Return what comes of recordings with an asymmetry."""
-    calibration, exploration, verification = recordings_of(Case(("scale_asymmetry",), 1.0, 4))
-    return investigate([calibration, exploration], [verification])
+@pytest.fixture
+def found(asymmetry: tuple[Investigation, ErrorModel]) -> Investigation:
+    return asymmetry[0]
 
 
 def left(nis: float, *depends_on: tuple[str, float], origin: Origin = Origin.NOISE, spare: int = 1) -> Residual:
