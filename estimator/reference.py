@@ -29,6 +29,7 @@ _RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
 _SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must leave a rate within a ramp known
 _NEAR_NS = 1_000_000  # so near on both sides a change of rate is looked for
 _TERMS = 8  # of the sums a gimbal
+_MADE: WeakKeyDictionary[TableReadings, dict[Site | None, BodyRates]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,9 +247,8 @@ class BodyRates:
             ramp = fitted(t_s, angle, rate, self._read_half_s.all[part], first, last)
             if ramp is not None:
                 corners = times[low] + np.round(ramp.t_s * 1e9).astype(np.int64)
-                found.append(
-                    (column, corners, replace(ramp, reading_rps=ramp.reading_rps[self._taken - low : stop - low]))
-                )
+                reading_rps = ramp.reading_rps[self._taken - low : stop - low]
+                found.append((column, corners, replace(ramp, reading_rps=reading_rps)))
         return found
 
     def _append(self, start: int, stop: int, ramps: list[tuple[int, Stamps, Ramp]]) -> None:
@@ -415,9 +415,6 @@ class BodyRates:
         corner_s = self._corner_s.all[start:stop]
         doubt_s = np.where(np.isfinite(corner_s), corner_s, doubt_s * np.sqrt(share / 3))
         return np.asarray((change / step_s * doubt_s <= _SURE_RPS).all(axis=1))
-
-
-_MADE: WeakKeyDictionary[TableReadings, dict[Site | None, BodyRates]] = WeakKeyDictionary()
 
 
 def rates_from_attitude(readings: AttitudeReadings) -> RateReadings:

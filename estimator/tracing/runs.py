@@ -458,11 +458,8 @@ def _conditions(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floa
         return _conditions_by_turns(recording, data, grid_s, w_rps, steps, temperature)
     assert isinstance(reference, TableReadings)
     rates, grid_ns = BodyRates.of(reference, recording.site), np.round(grid_s * 1e9).astype(np.int64)
-    angle, rate = rates.gimbals_at(grid_ns)
-    acceleration = rates.accelerations_at(grid_ns)
-    return Conditions.on_table(
-        grid_s, angle, rate, acceleration, reference.gimbals, temperature_c=temperature, site=recording.site
-    )
+    motion = *rates.gimbals_at(grid_ns), rates.accelerations_at(grid_ns)
+    return Conditions.on_table(grid_s, *motion, reference.gimbals, temperature_c=temperature, site=recording.site)
 
 
 def _conditions_by_turns(
