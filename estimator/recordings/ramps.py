@@ -103,8 +103,8 @@ def fitted(
         return None
     # A reading outside the ramp tells of the rate as far as its instant does not lie within.
     share = np.where((t_s > p[0]) & (t_s < p[k - 1]), 0.0, _RATE_SD_RPS**2 / doubt**2)
-    at = _model(p, p[:k])
-    return Ramp(p[:k], at[0], p[-1] * at[1], told + share * (rate_rps - told), float(np.sqrt(variance.max())))
+    angle, rate = _turned(p, p[:k])
+    return Ramp(p[:k], angle, p[-1] * rate, told + share * (rate_rps - told), float(np.sqrt(variance.max())))
 
 
 def _weighed(
@@ -117,8 +117,8 @@ def _weighed(
     angle, rate, slopes = _model(p, t_s)
     off = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate])
     # Angle and rate are asked for one after the other: the first may be off by half widths of both.
-    beside = [_model(p, t_s + way * half_width_s) for way in (-2, 2)]
-    may = np.max([np.abs(np.concatenate([a - angle, p[-1] * (r - rate)])) for a, r, _ in beside], axis=0)
+    beside = [_turned(p, t_s + way * half_width_s) for way in (-2, 2)]
+    may = np.max([np.abs(np.concatenate([a - angle, p[-1] * (r - rate)])) for a, r in beside], axis=0)
     known = np.repeat([_ANGLE_SD_RAD, _RATE_SD_RPS], len(t_s))
     excess = np.minimum(np.abs(off), may)
     share = min(float(np.sum(excess**2) / max(np.sum(may**2), 1e-30)), 1 / 3)
@@ -152,18 +152,26 @@ def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: i
     return np.concatenate([corners, [before, after], [angle_rad[first] - before * (t_s[first] - corners[0])], [1.0]])
 
 
-def _model(p: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return angles and rates (n,) of a ramp at instants, and the slopes (2 n, parameters) of both.
+def _turned(p: Floats, t_s: Floats) -> tuple[Floats, Floats]:
+    """Return angles and rates (n,) of a ramp at instants.
 
     ``p``: corners, rates at them, angle at the first corner, scale of the rate readings.
     """
     k = len(p) // 2 - 1
-    corners, rates, angle0, scale = p[:k], p[k : 2 * k], p[2 * k], p[-1]
-    n = len(t_s)
-    rate = np.interp(t_s, corners, rates)
-    slope_of = np.diff(rates) / np.diff(corners)
-    angle = angle0 + rates[0] * np.minimum(t_s - corners[0], 0.0) + rates[-1] * np.maximum(t_s - corners[-1], 0.0)
-    d_angle, d_rate = np.zeros((n, len(p))), np.zeros((n, len(p)))
+    corners, rates = p[:k], p[k : 2 * k]
+    angle = p[2 * k] + rates[0] * np.minimum(t_s - corners[0], 0.0) + rates[-1] * np.maximum(t_s - corners[-1], 0.0)
+    for i, slope in enumerate((np.diff(rates) / np.diff(corners)).tolist()):
+        since = np.clip(t_s - corners[i], 0.0, corners[i + 1] - corners[i])
+        angle = angle + rates[i] * since + 0.5 * slope * since**2
+    return angle, np.interp(t_s, corners, rates)
+
+
+def _model(p: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the same and the slopes (2 n, parameters) of both."""
+    k = len(p) // 2 - 1
+    corners, rates, scale = p[:k], p[k : 2 * k], p[-1]
+    angle, rate = _turned(p, t_s)
+    d_angle, d_rate = np.zeros((len(t_s), len(p))), np.zeros((len(t_s), len(p)))
     d_angle[:, 2 * k] = 1.0
     d_angle[:, k] += np.minimum(t_s - corners[0], 0.0)
     d_angle[:, 0] -= rates[0] * (t_s < corners[0])
@@ -171,12 +179,11 @@ def _model(p: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats]:
     d_angle[:, k - 1] -= rates[-1] * (t_s > corners[-1])
     d_rate[:, k] += t_s < corners[0]
     d_rate[:, 2 * k - 1] += t_s >= corners[-1]
-    for i, slope in enumerate(slope_of.tolist()):
+    for i, slope in enumerate((np.diff(rates) / np.diff(corners)).tolist()):
         a, length = corners[i], corners[i + 1] - corners[i]
         since = np.clip(t_s - a, 0.0, length)
         x = since / length
         inside = (t_s >= a) & (t_s < corners[i + 1])
-        angle = angle + rates[i] * since + 0.5 * slope * since**2
         # Rate within: rates[i] (1 - x) + rates[i + 1] x, with x = (t - a) / length.
         d_rate[inside, k + i] += (1 - x)[inside]
         d_rate[inside, k + i + 1] += x[inside]
