@@ -31,7 +31,9 @@ _SCALE_SD = 0.05  # of a drive's rate readback
 _LEAST_RPS = 0.0175  # nor are smaller ones
 _QUIET = 2  # intervals without change that end a ramp
 _FEWEST = 3  # readings of steady rate on either side
-_ROUNDS, _STEPS = 3, 8
+_ROUNDS, _STEPS = 4, 8
+_TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corner
+_INWARD = 0.02  # of a ramp
 _FITS = 3.0  # sigmas rms; what fits worse is no ramp
 
 
@@ -87,8 +89,9 @@ def fitted(
     prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
     p, sd = start, np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
     most = np.maximum(sd, [0.0, _RATE_SHARE * float(np.ptp(rate_rps))])
+    readings = t_s, angle_rad, rate_rps, half_width_s
     for step in range(_ROUNDS * _STEPS):
-        residual, jacobian, _, _ = _weighed(p, t_s, angle_rad, rate_rps, half_width_s, sd)
+        residual, jacobian, _, _ = _weighed(p, *readings, sd, _TAIL if step >= _STEPS else np.inf)
         information = jacobian.T @ jacobian + np.diag(prior**2)
         if step and step % _STEPS == 0:
             # What angles and rates are known to is seen in how they scatter, less what the fit took of that.
@@ -102,11 +105,16 @@ def fitted(
         p = p + moved * min(1.0, 0.5 * shortest / max(np.abs(moved[:k]).max(), 1e-12))
         if not np.all(np.diff(p[:k]) > 0):
             return None
-    residual, _, told, doubt = _weighed(p, t_s, angle_rad, rate_rps, half_width_s, sd)
+    off = _weighed(p, *readings, most, np.inf)[0] ** 2
     near = np.tile((t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9), 2)
-    worst = max(float(np.mean(residual**2)), float(np.mean(residual[near] ** 2)))
-    if not worst < _FITS**2:
+    if not max(float(np.mean(off)), float(np.mean(off[near]))) < _FITS**2:
         return None
+    residual, _, told, doubt = _weighed(p, *readings, sd, _TAIL)
+    # A reading at a corner tells nothing of a shorter ramp, whatever its slopes say of a longer one.
+    shorter = p.copy()
+    shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1])
+    slopes = _weighed(shorter, *readings, sd, np.inf)[1]
+    information = slopes.T @ slopes + np.diag(prior**2)
     variance = np.diag(np.linalg.inv(information))[:k] * max(float(np.mean(residual**2)), 1.0)
     if not np.all(variance > 0):  # readings too coarse to keep its corners apart
         return None
@@ -117,12 +125,12 @@ def fitted(
 
 
 def _weighed(
-    p: Floats, t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats, sd: Floats
+    p: Floats, t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats, sd: Floats, tail: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the rates by it (n,), and their sigmas.
 
     A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that. ``sd`` (2,) are
-    of angles and rates whose instants are known.
+    of angles and rates whose instants are known; ``tail`` degrees of freedom their distribution has (Student's t).
     """
     angle, rate, slopes = _model(p, t_s)
     off = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate])
@@ -133,6 +141,8 @@ def _weighed(
     excess = np.minimum(np.abs(off), may)
     share = min(float(np.sum(excess**2) / max(np.sum(may**2), 1e-30)), 1 / 3)
     doubt = np.hypot(known, np.maximum(excess, may * np.sqrt(share)))
+    if np.isfinite(tail):
+        doubt *= np.sqrt((tail + (off / doubt) ** 2) / (tail + 1))
     return off / doubt, slopes / doubt[:, None], p[-1] * rate, doubt[len(t_s) :]
 
 
