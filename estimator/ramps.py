@@ -113,13 +113,13 @@ def fitted(
     # A reading at a corner tells nothing of a shorter ramp, whatever its slopes say of a longer one.
     shorter = p.copy()
     shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1])
-    slopes = _weighed(shorter, *readings, sd, np.inf)[1]
+    slopes = _model(shorter, t_s)[2] / doubt[:, None]
     information = slopes.T @ slopes + np.diag(prior**2)
     variance = np.diag(np.linalg.inv(information))[:k] * max(float(np.mean(residual**2)), 1.0)
     if not np.all(variance > 0):  # readings too coarse to keep its corners apart
         return None
     # A reading outside the ramp tells how far the rate is from steady, as far as it is known better than that.
-    share = np.where((t_s > p[0]) & (t_s < p[k - 1]), 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt**2))
+    share = np.where((t_s > p[0]) & (t_s < p[k - 1]), 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt[len(t_s) :] ** 2))
     at = _model(p, p[:k])
     return Ramp(p[:k], at[0], p[-1] * at[1], told + share * (rate_rps - told), float(np.sqrt(variance.max())))
 
@@ -127,7 +127,7 @@ def fitted(
 def _weighed(
     p: Floats, t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats, sd: Floats, tail: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the rates by it (n,), and their sigmas.
+    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the rates by it (n,), and the sigmas (2 n,).
 
     A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that. ``sd`` (2,) are
     of angles and rates whose instants are known; ``tail`` degrees of freedom their distribution has (Student's t).
@@ -143,7 +143,7 @@ def _weighed(
     doubt = np.hypot(known, np.maximum(excess, may * np.sqrt(share)))
     if np.isfinite(tail):
         doubt *= np.sqrt((tail + (off / doubt) ** 2) / (tail + 1))
-    return off / doubt, slopes / doubt[:, None], p[-1] * rate, doubt[len(t_s) :]
+    return off / doubt, slopes / doubt[:, None], p[-1] * rate, doubt
 
 
 def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:

@@ -23,6 +23,7 @@ _IDLE_S = 0.4  # so often each axis is looked at that has not been told to turn:
 
 
 _STRAIGHT_RPS = math.radians(0.02)  # by which mean rates may bend where a ramp's corner is not
+_FEWEST = 3  # readings that tell it
 
 
 class TableRow(NamedTuple):
@@ -111,11 +112,10 @@ class Aligner:
 
 def _bent(times_ns: Floats, rates: Floats, window_ns: int) -> bool:
     """Return whether mean rates within the window about 0 are no straight line: a ramp began or ended there."""
-    near = np.abs(times_ns) <= 0.5 * window_ns
-    if np.count_nonzero(near) < 3:
-        near = np.abs(times_ns) <= window_ns
-    if np.count_nonzero(near) < 3:
+    if len(times_ns) < _FEWEST:
         return False
+    away_ns = np.abs(times_ns)
+    near = away_ns <= max(0.5 * window_ns, np.sort(away_ns)[_FEWEST - 1])
     t, rate = times_ns[near] / window_ns, rates[near]
     line = np.polynomial.Polynomial.fit(t, rate, 1)
     return bool(np.abs(rate - line(t)).max() > _STRAIGHT_RPS)
