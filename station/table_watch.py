@@ -41,7 +41,7 @@ class Aligner:
     An angle is carried to the row's instant, that of the fastest axis' rate, by the rate, a rate by interpolation
     between readings. A row is given
     when the rates around it are known: one reading later, or as many as a rate that is a mean lags behind. Around
-    the corners of ramps a mean rate is not the rate: there it is that of the angles over half of the time.
+    the corners of ramps a mean rate is not the rate: there it is the slope of the angles over half of that time.
     """
 
     def __init__(self, axes: tuple[str, ...]) -> None:
@@ -58,14 +58,14 @@ class Aligner:
             return []
         rows = []
         while self._next < len(self._readings) - 1 and self._rates_reach(self._next):
-            rows.append(self._row(self._next))
+            rows += self._row(self._next)
             self._next += 1
         self._forget()
         return rows
 
     def last(self) -> list[TableRow]:
         """Return the rows of the readings that are left, when no other will come."""
-        return [self._row(index) for index in range(self._next, len(self._readings))]
+        return [row for index in range(self._next, len(self._readings)) for row in self._row(index)]
 
     def _at_ns(self, index: int) -> int:
         # A rate may bend between two readings, so the axis that is or was the fastest is to need no interpolation.
@@ -81,7 +81,8 @@ class Aligner:
             return True
         return min(state.rate_t_ns for state in self._readings[-1].values()) >= self._at_ns(index) + window // 2
 
-    def _row(self, index: int) -> TableRow:
+    def _row(self, index: int) -> list[TableRow]:
+        """Return the row of a reading, or nothing where its rates are not known."""
         at_ns = self._at_ns(index)
         angles = np.empty(len(self._axes))
         rates = np.empty(len(self._axes))
@@ -92,14 +93,16 @@ class Aligner:
             rates[column] = np.interp(0.0, times, series)
             if state.rate_window_ns and _bent(times, series, state.rate_window_ns):
                 read_ns = np.array([r[axis].angle_t_ns - at_ns for r in self._readings], dtype=np.float64)
-                ends_ns = np.clip(np.array([-0.25, 0.25]) * state.rate_window_ns, read_ns[0], read_ns[-1])
+                if read_ns[0] > -0.25 * state.rate_window_ns:
+                    return []  # it may still tell of what was before the first reading
+                ends_ns = np.minimum(np.array([-0.25, 0.25]) * state.rate_window_ns, read_ns[-1])
                 angle_rad = np.interp(ends_ns, read_ns, [r[axis].angle_rad for r in self._readings])
                 rates[column] = np.diff(angle_rad)[0] / (np.diff(ends_ns)[0] * 1e-9)
             between_ns = at_ns - state.angle_t_ns
             rate = rates[column] if state.rate_window_ns else np.interp(-0.5 * between_ns, times, series)
             angles[column] = state.angle_rad + rate * between_ns * 1e-9
         half_width_ns = max(state.half_width_ns for state in self._readings[index].values())
-        return TableRow(at_ns, angles, rates, half_width_ns)
+        return [TableRow(at_ns, angles, rates, half_width_ns)]
 
     def _forget(self) -> None:
         """Keep the readings whose rates rows to come still need."""
