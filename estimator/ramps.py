@@ -26,7 +26,6 @@ LEAST_RPS2 = 0.02
 
 _ANGLE_SD_RAD, _RATE_SD_RPS = 1e-4, 3e-4  # of readings whose instants are known, before their scatter has told
 _LEAST_SD = 1e-6  # rad and rad/s: nothing is read better
-_RATE_SHARE = 0.005  # of a change of rate: a rate readback that is off by more is none
 _SCALE_SD = 0.05  # of a drive's rate readback
 _LEAST_RPS = 0.0175  # nor are smaller ones
 _QUIET = 2  # intervals without change that end a ramp
@@ -88,7 +87,7 @@ def fitted(
     prior = np.full(len(start), 1e-6)
     prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
     p, sd = start, np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
-    most = np.maximum(sd, [0.0, _RATE_SHARE * float(np.ptp(rate_rps))])
+    most = sd
     readings = t_s, angle_rad, rate_rps, half_width_s
     for step in range(_ROUNDS * _STEPS):
         residual, jacobian, _, _ = _weighed(p, *readings, sd, _TAIL if step >= _STEPS else np.inf)
@@ -127,7 +126,7 @@ def fitted(
 def _weighed(
     p: Floats, t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats, sd: Floats, tail: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the rates by it (n,), and the sigmas (2 n,).
+    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the rates by it (n,), the sigmas (2 n,).
 
     A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that. ``sd`` (2,) are
     of angles and rates whose instants are known; ``tail`` degrees of freedom their distribution has (Student's t).

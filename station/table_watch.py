@@ -23,7 +23,6 @@ _IDLE_S = 0.4  # so often each axis is looked at that has not been told to turn:
 
 
 _STRAIGHT_RPS = math.radians(0.02)  # by which mean rates may bend where a ramp's corner is not
-_FEWEST = 3  # readings that tell it
 
 
 class TableRow(NamedTuple):
@@ -41,7 +40,7 @@ class Aligner:
     An angle is carried to the row's instant, that of the fastest axis' rate, by the rate, a rate by interpolation
     between readings. A row is given
     when the rates around it are known: one reading later, or as many as a rate that is a mean lags behind. Around
-    the corners of ramps a mean rate is not the rate: there it is the slope of the angles over half of that time.
+    the corners of ramps a mean rate is not the rate: such rows are left out.
     """
 
     def __init__(self, axes: tuple[str, ...]) -> None:
@@ -68,11 +67,13 @@ class Aligner:
         return [row for index in range(self._next, len(self._readings)) for row in self._row(index)]
 
     def _at_ns(self, index: int) -> int:
+        states = self._readings[index].values()
+        if any(state.rate_window_ns for state in states):
+            return sum(state.angle_t_ns for state in states) // len(states)
         # A rate may bend between two readings, so the axis that is or was the fastest is to need no interpolation.
         before = self._readings[max(index % len(self._readings) - 1, 0)]
         now = self._readings[index]
-        state = now[max(now, key=lambda axis: max(abs(now[axis].rate_rps), abs(before[axis].rate_rps)))]
-        return state.angle_t_ns if state.rate_window_ns else state.rate_t_ns
+        return now[max(now, key=lambda axis: max(abs(now[axis].rate_rps), abs(before[axis].rate_rps)))].rate_t_ns
 
     def _rates_reach(self, index: int) -> bool:
         """Return whether rates up to the row's instant, and half the time that they are means of, are known."""
@@ -90,14 +91,9 @@ class Aligner:
             state = self._readings[index][axis]
             times = np.array([r[axis].rate_t_ns - at_ns for r in self._readings], dtype=np.float64)
             series = np.array([r[axis].rate_rps for r in self._readings])
-            rates[column] = np.interp(0.0, times, series)
             if state.rate_window_ns and _bent(times, series, state.rate_window_ns):
-                read_ns = np.array([r[axis].angle_t_ns - at_ns for r in self._readings], dtype=np.float64)
-                if read_ns[0] > -0.25 * state.rate_window_ns:
-                    return []  # it may still tell of what was before the first reading
-                ends_ns = np.minimum(np.array([-0.25, 0.25]) * state.rate_window_ns, read_ns[-1])
-                angle_rad = np.interp(ends_ns, read_ns, [r[axis].angle_rad for r in self._readings])
-                rates[column] = np.diff(angle_rad)[0] / (np.diff(ends_ns)[0] * 1e-9)
+                return []
+            rates[column] = np.interp(0.0, times, series)
             between_ns = at_ns - state.angle_t_ns
             rate = rates[column] if state.rate_window_ns else np.interp(-0.5 * between_ns, times, series)
             angles[column] = state.angle_rad + rate * between_ns * 1e-9
@@ -115,10 +111,9 @@ class Aligner:
 
 def _bent(times_ns: Floats, rates: Floats, window_ns: int) -> bool:
     """Return whether mean rates within the window about 0 are no straight line: a ramp began or ended there."""
-    if len(times_ns) < _FEWEST:
+    near = np.abs(times_ns) <= window_ns
+    if np.count_nonzero(near) < 3:
         return False
-    away_ns = np.abs(times_ns)
-    near = away_ns <= max(0.5 * window_ns, np.sort(away_ns)[_FEWEST - 1])
     t, rate = times_ns[near] / window_ns, rates[near]
     line = np.polynomial.Polynomial.fit(t, rate, 1)
     return bool(np.abs(rate - line(t)).max() > _STRAIGHT_RPS)
