@@ -219,6 +219,9 @@ class BodyRates:
             elif not is_ramp(self._read_rate.all[max(start - 1, 0) : stop]) and (seen or everything):
                 self._append(taken, stop, [])
             elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9)):
+                # What was read soon after, or is a mean, may still hold something of the ramp.
+                after = changes[stop : int(np.searchsorted(times, times[stop - 1] + hold_ns))]
+                stop += int(np.argmax(after)) if after.any() else len(after)
                 self._append(taken, stop, self._ramps(start, stop) if len(self._times) else [])
             else:
                 return
