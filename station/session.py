@@ -43,7 +43,7 @@ from station.signals import heeded_signals
 from station.snapshot import EventKind, Phase, Snapshot
 from station.sources import SourceReport
 from station.table_watch import TableRow, check_axes, watch_table
-from station.uncommanded import MotionGuard
+from station.uncommanded import MotionGuard, watch_homing
 
 _log = logging.getLogger(__name__)
 
@@ -272,10 +272,12 @@ class Session:
             services.append(self._serve(group, self._watch_silence()))
             if self._options.reset_fault:
                 await table.reset_fault()
+            watch_home = self._serve(group, watch_homing(table))
             self._phase = Phase.ENABLING
             await table.enable()
             self._phase = Phase.HOMING
             await table.home()
+            watch_home.cancel()
             await check_axes(table, axes)
             loop = asyncio.get_running_loop()
             began_s = loop.time()
