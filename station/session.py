@@ -50,6 +50,7 @@ _log = logging.getLogger(__name__)
 _FLUSH_S = 0.2  # what a killed station loses, at most, beyond what was on its way
 _FLUSH_SIMULATED_S = 2.0  # a simulated second lasts milliseconds
 _SYNC_S = 0.5
+_SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
 _LATE_S = 0.03  # of the host, after which a computer may be why a run fails
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
@@ -480,8 +481,11 @@ class Session:
     def _causes(self) -> list[str]:
         """Return what may have made a run fail beside its gyros: samples at other instants, a late computer."""
         late = f"this computer did not keep up: the run waited for it for up to {self._late_s * 1e3:.0f} ms"
+        took_s = 2e-9 * self._half_width_ns
+        slow = f"the table took up to {took_s * 1e3:.0f} ms to answer: when it was where is known no better"
         found = [report.mistimed for report in self._reports.values()]
-        return [cause for cause in (*found, late if self._late_s > _LATE_S else "") if cause]
+        found += [slow] * (took_s > _SLOW_S) + [late] * (self._late_s > _LATE_S)
+        return [cause for cause in found if cause]
 
     async def _close(self) -> None:
         """Close all links, and the recording."""
