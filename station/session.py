@@ -438,8 +438,8 @@ class Session:
             trouble = f"it did not come to rest by a controlled stop ({trouble})"
             if aborted:
                 trouble = f"the table was not seen to come to rest ({aborted}): use the emergency stop"
+        off = await self._tried(self._open.table.disable())  # also what heeds nothing else: it may then coast
         if not trouble or not aborted:
-            off = await self._tried(self._open.table.disable())
             trouble = trouble or (off and f"the table is at rest, but its power may be on ({off})")
             self._event(EventKind.AT_REST, "table at rest")
         if trouble:
