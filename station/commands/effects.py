@@ -9,10 +9,10 @@ from rich.markup import escape
 from estimator.effects.effect import Parameter
 from estimator.effects.entries import Entry, entries
 from estimator.tracing.investigation import Value
-from station.render.investigation_printed import human, words
 from station.render.rich_table import rich_table
 from station.render.terminal import stdout
 from station.run.outcome import Outcome
+from station.views.words import human, words
 
 
 def command_effects(arguments: argparse.Namespace) -> int:

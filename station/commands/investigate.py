@@ -23,9 +23,9 @@ from station.commands.calibrate import recordings_of
 from station.commands.improve import write_script
 from station.errors import UsageError
 from station.exports.investigation_file import check_new_file, write_investigation
-from station.render.investigation_pictures import draw_investigation
 from station.render.investigation_printed import exit_code_of, investigation_object, print_investigation
 from station.render.progress import TracingProgress
+from station.report.residual_picture import draw_investigation
 from station.schema.tables import Table
 from station.scripts.next_script import NextScript, Past, next_script
 from station.studies.pictures import check_picture

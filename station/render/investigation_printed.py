@@ -1,6 +1,5 @@
 """An investigation as a person reads it, and as --json gives it."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, astuple
 from pathlib import Path
@@ -10,18 +9,16 @@ from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 
-from estimator.effects.constructed import readable
-from estimator.tracing.investigation import Added, Finding, GyroErrors, Investigation, ModelStep, Value
+from estimator.tracing.investigation import Added, Finding, GyroErrors, Investigation, ModelStep
 from station.render.residual_printed import residual_object, residual_tables
 from station.render.rich_table import rich_table
 from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
 from station.run.snapshot import by_state, json_object, named
 from station.scripts.next_script import NextScript
-from station.views.figures import FINDING_STYLES, effect_units
+from station.views.figures import FINDING_STYLES
+from station.views.words import dph, human, probability, words
 
-_DEG = 180 / math.pi
-_UNITS = effect_units("traced")
 _ADDED = ("effect", "constructed", "expression", "gyros", "probability", "parameters", "out_of_sample", "same")
 """What --json says of an effect that was added."""
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
@@ -91,34 +88,6 @@ def _constructed_line(added: Added) -> str:
     return f"CONSTRUCTED: {said}; not in the catalogue"
 
 
-def words(name: str) -> str:
-    """Return the name of an effect as people say it; "a + b" for several."""
-    return readable(name)
-
-
-def probability(share: float) -> str:
-    """Return a probability that is never rounded to certainty."""
-    if share > 0.999:
-        return "above 99.9 %"
-    return "below 0.1 %" if share < 0.001 else f"{share * 100:.1f} %"
-
-
-def human(value: Value) -> str:
-    """Return a value and its standard deviation in a unit for people, to two digits of the latter."""
-    unit, factor = _unit(value)
-    number, sd = value.value * factor, value.sd * factor
-    if not math.isfinite(sd) or sd <= 0:
-        return f"{number:.4g} {unit}".rstrip()
-    digits = max(1 - math.floor(math.log10(sd)), 0)
-    return f"{number:.{digits}f} ± {sd:.{digits}f} {unit}".rstrip()
-
-
-def _unit(value: Value) -> tuple[str, float]:
-    if value.unit == "s":  # delays are milliseconds, time constants of a warm-up are not
-        return ("ms", 1e3) if abs(value.value) < 0.5 else ("s", 1.0)
-    return _UNITS.get(value.unit, (value.unit, 1.0))
-
-
 def _models(models: Sequence[ModelStep]) -> Table:
     """Return one row a model: what it added, its evidence, its error."""
     rows = [
@@ -136,12 +105,6 @@ def _models(models: Sequence[ModelStep]) -> Table:
     )
     table.columns[0].overflow = "fold"
     return table
-
-
-def dph(rate_rps: float) -> str:
-    """Return a rate in deg/h with three digits."""
-    value = rate_rps * _DEG * 3600
-    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 def investigation_object(

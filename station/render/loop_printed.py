@@ -4,9 +4,10 @@ from typing import Any
 
 from rich.markup import escape
 
-from station.render.investigation_printed import dph, investigation_object, print_investigation, verdict_lines
+from station.render.investigation_printed import investigation_object, print_investigation, verdict_lines
 from station.render.terminal import print_rendered, stdout
 from station.run.closed_loop import Loop, Round
+from station.views.words import dph
 
 
 def print_loop(loop: Loop) -> None:

@@ -13,13 +13,13 @@ from drivers.types import Flags, Floats
 from estimator.effects.catalogue import TONE_HZ
 from estimator.effects.thermal import REFERENCE_C
 from estimator.planning.planning import ALIKE, EffectForecast, Forecast
-from station.render.investigation_printed import words
 from station.render.rich_table import rich_table
 from station.render.terminal import print_rendered
 from station.scripts.axis_profile import profile_lines
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
 from station.views.figures import STATE_UNITS, effect_units
+from station.views.words import words
 
 _UNITS = effect_units("planned")
 _MARKED = 1.0  # shifts of the states below so many of their sigmas are not worth a word

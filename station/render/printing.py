@@ -30,7 +30,7 @@ _SCALES = np.array([factor for _, _, factor in STATE_UNITS])
 def print_calibration(calibration: Calibration) -> None:
     """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from."""
     from estimator.tracing.investigation import Value
-    from station.render.investigation_printed import human, words
+    from station.views.words import human, words
 
     nis = f"mean NIS {calibration.nis_mean:.3f} per degree of freedom (1 = the filter's sigmas are true), "
     values = {

@@ -11,8 +11,8 @@ from markupsafe import Markup
 from drivers.packaged import packaged_toml
 from estimator.calibration.error_model import Size
 from estimator.tracing.investigation import Value
-from station.render.investigation_printed import human
 from station.views.figures import STATE_UNITS
+from station.views.words import human
 
 COVERAGE = 2.0
 """Coverage factor of expanded uncertainties: about 95 % of a normal distribution."""

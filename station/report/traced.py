@@ -14,38 +14,16 @@ from drivers.types import Floats
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import RecordingError
 from estimator.recordings.safe_open import probe
-from station.render.investigation_printed import words
+from estimator.tracing.investigation import ResidualView
 from station.report.recorded import Recorded, labels_of, plain
+from station.views.residuals import Spectra, judged_views
+from station.views.words import words
 
 if TYPE_CHECKING:
     from h5py import Group
 
 
 _ALL = "all gyros"  # under this name an error model keeps what was found of a shared effect
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Residual:
-    """Residual of one gyro over a run, means over blocks (b,), rad/s; ``noise_rps`` is the white noise of one."""
-
-    run: str
-    gyro: str
-    verification: bool
-    t_s: Floats
-    rate_rps: Floats
-    before_rps: Floats
-    after_rps: Floats
-    noise_rps: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Spectrum:
-    """One-sided densities (f,) of the residual of a gyro, (rad/s)^2/Hz."""
-
-    frequency_hz: Floats
-    before: Floats
-    after: Floats
-    noise: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +39,8 @@ class Traced:
     names: tuple[str, ...]
     states: Floats
     model: ErrorModel | None
-    residuals: tuple[Residual, ...]
-    spectra: Mapping[str, Spectrum]
+    residuals: tuple[ResidualView, ...]
+    spectra: Mapping[str, Spectra]
 
     @property
     def added(self) -> bool:
@@ -128,8 +106,7 @@ def _read(path: Path, group: Group) -> Traced:
         model = ErrorModel.parse(str(plain(group["error_model"][()])), str(path))
     runs = group.get("residual", {})
     residuals = [_residual(run, gyro, part) for run, gyros in runs.items() for gyro, part in gyros.items()]
-    judging = [residual for residual in residuals if residual.verification] or residuals
-    ordered = [r for name in names for r in judging if r.gyro == name and r.run == judging[0].run]
+    judged = judged_views(residuals)
     spectra = group.get("spectrum_verification") or group.get("spectrum") or {}
     return Traced(
         path,
@@ -137,18 +114,16 @@ def _read(path: Path, group: Group) -> Traced:
         names,
         states,
         model,
-        tuple(ordered),
+        tuple(view for name in names for view in judged if view.gyro == name),
         {name: _spectrum(part) for name, part in spectra.items()},
     )
 
 
-def _residual(run: str, gyro: str, part: Group) -> Residual:
-    columns = (part[key][()].astype(np.float64) for key in ("t_s", "rate_rps", "before_rps", "after_rps"))
-    t_s, rate, before, after = columns
-    return Residual(
-        run, gyro, bool(part.attrs["verification"]), t_s, rate, before, after, float(part.attrs["noise_rps"])
-    )
+def _residual(run: str, gyro: str, part: Group) -> ResidualView:
+    columns = {key: values[()].astype(np.float64) for key, values in part.items()}
+    judges, noise_rps = bool(part.attrs["verification"]), float(part.attrs["noise_rps"])
+    return ResidualView(run, gyro, judges, noise_rps=noise_rps, **{"temperature_c": None, **columns})
 
 
-def _spectrum(part: Group) -> Spectrum:
-    return Spectrum(*(part[key][()].astype(np.float64) for key in ("frequency_hz", "before", "after", "noise")))
+def _spectrum(part: Group) -> Spectra:
+    return Spectra(*(part[key][()].astype(np.float64) for key in ("frequency_hz", "before", "after", "noise")))

@@ -34,11 +34,12 @@ from sims.physics.hidden import Hidden
 from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
 from station.opening import DeviceTruth, simulate
-from station.render.investigation_printed import human, investigation_object, print_investigation, probability
+from station.render.investigation_printed import investigation_object, print_investigation
 from station.render.terminal import stdout
 from station.scripts.loop_scripts import candidates, exploration_script, there_and_back, verification_script
 from station.scripts.next_script import NextScript, Past, next_script
 from station.scripts.script import Rest, Script, check, load_script, paper_script
+from station.views.words import human, probability
 
 DEG = np.pi / 180
 ASYMMETRY = {"scale_asymmetry": {"size": ["2000 ppm", "-2000 ppm", "1500 ppm", "2000 ppm"]}}

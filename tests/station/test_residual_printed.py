@@ -16,10 +16,10 @@ from estimator.tracing.residuals.dependence import Dependence
 from estimator.tracing.residuals.origin import Origin, Split
 from estimator.tracing.residuals.residual import GyroResidual, Residual, Spectrum
 from station.exports.investigation_file import write_investigation
-from station.render.investigation_pictures import draw_investigation
 from station.render.investigation_printed import investigation_object, print_investigation
 from station.render.residual_printed import origin_line
 from station.render.terminal import stdout
+from station.report.residual_picture import draw_investigation
 from station.studies.detection import Case, recordings_of
 
 

@@ -6,11 +6,11 @@ from markupsafe import Markup
 from estimator.effects.effect import Effect
 from estimator.planning.planning import EffectForecast
 from estimator.tracing.investigation import Value
-from station.render.investigation_printed import human
 from station.render.plan_printed import combination
 from station.report.chapters.unseen import MARKED, Unseen, by_state
 from station.report.figures import SYMBOLS, Unit, figure, significant, typographic
 from station.report.recorded import Recorded
+from station.views.words import human
 
 _ABSURD = 10.0  # times the largest plausible size: an effect that would have to be larger cannot be seen
 

@@ -7,11 +7,12 @@ from typing import Any
 
 from markupsafe import Markup
 
-from station.render.investigation_printed import probability, words
 from station.report.figures import COVERAGE, worded
-from station.report.pictures import Picture, residual_picture
+from station.report.pictures import Picture
 from station.report.recorded import Recorded
+from station.report.residual_picture import residual_picture
 from station.report.traced import Traced
+from station.views.words import probability, words
 
 
 def file_names(paths: Sequence[str]) -> str:

@@ -8,11 +8,11 @@ from markupsafe import Markup
 from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A, Contribution
 from estimator.calibration.values import Calibration
-from station.render.investigation_printed import words
 from station.report.figures import COVERAGE, STATES, figure, plain, worded
 from station.report.recorded import Recorded
 from station.report.standing import Line, Standing
 from station.report.traced import Traced
+from station.views.words import words
 
 _NEXT_TO_NOTHING = 0.01  # ppm, deg/h, urad
 _SOURCES = packaged_toml("station.views", "budget.toml")["report"]

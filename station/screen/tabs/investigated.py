@@ -17,7 +17,7 @@ def investigation_lines(found: Mapping[str, Any]) -> list[Text]:
 
     Loads the words of the printed investigation, which takes a moment: not for the thread that paints.
     """
-    from station.render.investigation_printed import probability, words
+    from station.views.words import probability, words
 
     verdict = str(found.get("verdict") or "no verdict")
     values = {
@@ -54,7 +54,7 @@ def _errors(found: Mapping[str, Any]) -> list[str]:
 
 def _value(value: float | None, sd: float | None, unit: str) -> str:
     from estimator.tracing.investigation import Value
-    from station.render.investigation_printed import human
+    from station.views.words import human
 
     return human(Value(math.nan if value is None else value, math.nan if sd is None else sd, unit))
 
