@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.errors import GeometryError, RecordingError
+from estimator.errors import GeometryError, RecordingError, first_line
 from estimator.geometry.array import SensorArray, sensor_array
 from estimator.geometry.kinematics import Site, check_gimbals
 from estimator.geometry.model import Prior
@@ -108,7 +108,7 @@ class RecordingWriter:
                     raise self._full()
                 self._file = h5py.File(path, "x")
             except (OSError, ValueError) as error:
-                raise RecordingError(f"cannot create {path}: {_first_line(error)}") from None
+                raise RecordingError(f"cannot create {path}: {first_line(error)}") from None
             undone.pop_all()
         self._pending: dict[str, list[Mapping[str, NDArray[Any]]]] = {}
         self._datasets: dict[str, Any] = {}
@@ -294,7 +294,7 @@ def _told_of(path: Path) -> Iterator[None]:
         yield
     except (OSError, RuntimeError) as error:  # HDF5 has both
         number = getattr(error, "errno", None)
-        why = os.strerror(number) if number else _first_line(error)
+        why = os.strerror(number) if number else first_line(error)
         raise RecordingError(f"{path} cannot be written: {why}") from None
 
 
@@ -309,13 +309,13 @@ def read_recording(path: Path, *, trusted: bool = False) -> Recording:
         with h5py.File(path, "r") as file:
             return _read(path, file)
     except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {_first_line(error)}") from None
+        raise RecordingError(f"{path} cannot be read: {first_line(error)}") from None
     except (AttributeError, TypeError, ValueError, KeyError) as error:  # a file made by hand can hold anything
-        raise RecordingError(f"{path} is not laid out as a recording: {_first_line(error)}") from None
+        raise RecordingError(f"{path} is not laid out as a recording: {first_line(error)}") from None
 
 
 def _read(path: Path, file: Any) -> Recording:
-    attributes = {key: _plain(value) for key, value in file.attrs.items()}
+    attributes = {key: plain(value) for key, value in file.attrs.items()}
     if attributes.get("format") != FORMAT:
         raise RecordingError(
             f'{path} is an HDF5 file, but no recording: it lacks the attribute format = "{FORMAT}"; '
@@ -347,7 +347,7 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
         raise RecordingError(f"{where} has no sense axes p")
     names = group.attrs.get("names")
     m = rate.shape[1]
-    labels = [str(_plain(x)) for x in names] if names is not None else None
+    labels = [str(plain(x)) for x in names] if names is not None else None
     if labels is None:
         labels = [name] if m == 1 else [f"{name}{i + 1}" for i in range(m)]
     try:
@@ -367,7 +367,7 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
     optional = {key: values[: len(t_ns)] for key, values in optional.items()}
     prior = Prior(*(float(v) for v in group.attrs["prior"])) if "prior" in group.attrs else Prior()
     noise = NoiseModel(*(float(v) for v in group.attrs["noise"])) if "noise" in group.attrs else None
-    device = str(_plain(group.attrs.get("device", "")))
+    device = str(plain(group.attrs.get("device", "")))
     lost = int(group.attrs.get("lost", 0))
     return ImuData(array, t_ns, rate, lost=lost, prior=prior, noise=noise, device=device, **cast(Any, optional))
 
@@ -380,8 +380,8 @@ def _axes(group: Any, key: str) -> Floats | None:
 def _read_reference(path: Path, file: Any) -> Reference:
     if "table" in file:
         where, group = f"{path}: /table", file["table"]
-        axes = [str(_plain(a)) for a in group.attrs.get("axes", [])]
-        gimbals = check_gimbals([str(_plain(a)) for a in group.attrs.get("gimbals", axes)])
+        axes = [str(plain(a)) for a in group.attrs.get("axes", [])]
+        gimbals = check_gimbals([str(plain(a)) for a in group.attrs.get("gimbals", axes)])
         if sorted(axes) != sorted(gimbals):
             raise RecordingError(f"{where}: attribute axes {axes} does not name the gimbals {list(gimbals)}")
         if "t_ns" not in group:
@@ -466,11 +466,8 @@ def _replace_group(file: Any, path: str, datasets: Mapping[str, Any], attributes
         _create(group, name, np.asarray(values), growing=False)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return a value from an HDF5 file as Python's own: text, number, or array."""
     if isinstance(value, bytes):
         return value.decode(errors="replace")
     return value.item() if isinstance(value, np.generic) else value
-
-
-def _first_line(error: BaseException) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -6,16 +6,18 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drivers.types import Floats
 from estimator.calibration.error_model import ErrorModel
-from estimator.errors import RecordingError
+from estimator.errors import RecordingError, first_line
+from estimator.recordings.recording import plain
 from estimator.recordings.safe_open import probe
 from estimator.tracing.investigation import ResidualView
-from station.report.recorded import Recorded, labels_of, plain
+from station.report.recorded import Recorded, labels_of
+from station.views.investigation import InvestigationView
 from station.views.residuals import Spectra, judged_views
 from station.views.words import words
 
@@ -35,7 +37,7 @@ class Traced:
     """
 
     path: Path
-    what: Mapping[str, Any]
+    what: InvestigationView
     names: tuple[str, ...]
     states: Floats
     model: ErrorModel | None
@@ -73,7 +75,7 @@ def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
                 )
             traced = _read(where, file["investigation"])
     except (OSError, AttributeError, TypeError, ValueError, KeyError, IndexError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        reason = first_line(error)
         raise RecordingError(f"{where}: its investigation cannot be read ({reason}): investigate again") from None
     ours = set(labels_of(recorded.recording).values())
     if not set(traced.names) <= ours:

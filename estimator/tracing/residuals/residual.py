@@ -22,8 +22,9 @@ _LAGS = 20
 _BANDS_A_DECADE = 5
 _FEWEST_IN_BAND = 4
 _FEWEST_BLOCKS = 10
-_BY_CHANCE = 1e-4  # what white noise shows less often than this is not white
 _BEYOND = 4.0  # sigmas
+BY_CHANCE = 1e-4
+"""What white noise shows less often than this is not white."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +59,7 @@ class GyroResidual:
     @property
     def white(self) -> bool:
         """Whether it passes for white noise."""
-        return self.white_p >= _BY_CHANCE
+        return self.white_p >= BY_CHANCE
 
     @property
     def clean(self) -> bool:

@@ -5,7 +5,6 @@ from markupsafe import Markup
 
 from estimator.effects.effect import Effect
 from estimator.planning.planning import EffectForecast
-from estimator.tracing.investigation import Value
 from station.render.plan_printed import combination
 from station.report.chapters.unseen import MARKED, Unseen, by_state
 from station.report.figures import SYMBOLS, Unit, figure, significant, typographic
@@ -61,5 +60,5 @@ def smallest(effect: EffectForecast) -> str:
 def size(effect: Effect, value: float) -> Markup:
     """Return a size of an effect to two digits."""
     unit = effect.parameters[0].unit
-    number, _, name = human(Value(value, 0.0, unit)).partition(" ")
+    number, _, name = human(value, 0.0, unit).partition(" ")
     return figure(value, Unit(unit, 1.0), typographic(f"{significant(float(number), 2)} {name}"))

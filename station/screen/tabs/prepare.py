@@ -20,7 +20,7 @@ from station.screen.link import sessions_on
 from station.screen.live_run import LiveRun
 from station.screen.programs import Answer, ask
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
-from station.views.figures import STATE_UNITS, clock, number
+from station.views.figures import STATE_UNITS, clock, number, three_digits
 
 _FIELDS = (
     ("bench", "Bench file", "built-in twins"),
@@ -308,7 +308,5 @@ def _plan_lines(prospect: Prospect | None, plan: Answer | None, width: int) -> t
 
 def _sizes(name: str, by_state: Mapping[str, float | None]) -> list[str]:
     """Return a name and the sigmas of the four states, a dash for what is not there."""
-    cells = [
-        None if v is None else v * factor for v, (_, _, factor) in zip(by_state.values(), STATE_UNITS, strict=True)
-    ]
-    return [name, *("-" if v is None else f"{v:.3g}" if v < 1000 else f"{v:.0f}" for v in cells)]
+    pairs = zip(by_state.values(), STATE_UNITS, strict=True)
+    return [name, *(three_digits(None if v is None else v * factor) for v, (_, _, factor) in pairs)]
