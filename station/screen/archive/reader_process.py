@@ -1,13 +1,12 @@
 """A process that reads recordings for the screen: a damaged HDF5 file can hang or kill its reader, not the screen.
 
-Requests are lines of JSON on stdin, {"do": "entry" | "whole" | "accept", "path": ...}; each is answered by one line.
+Requests are {"do": "entry" | "whole" | "accept", "path": ...}.
 """
 
 import json
 import math
 import os
 import shutil
-import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -17,9 +16,8 @@ import h5py
 
 from estimator.errors import RecordingError, first_line
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION, plain, write_attributes
+from station.screen.archive.archive import INVESTIGATION
 
-INVESTIGATION = "-investigation"
-"""What is added to the name of a recording for the file of its investigation."""
 _MOST_POINTS = 400
 _TEXTS = (
     "station",
@@ -36,15 +34,12 @@ _TEXTS = (
 )
 
 
-def main() -> None:
-    """Answer requests until stdin ends."""
-    for line in sys.stdin:
-        request = json.loads(line)
-        try:
-            answer = _answer(request)
-        except Exception as error:  # whatever a file made by hand holds, the next one is to be read
-            answer = {"wrong": f"it cannot be read, it is damaged or not whole ({first_line(error)})"}
-        print(json.dumps(answer), flush=True)
+def answer(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is asked for, or why that cannot be."""
+    try:
+        return _answer(request)
+    except Exception as error:  # whatever a file made by hand holds, the next one is to be read
+        return {"wrong": f"it cannot be read, it is damaged or not whole ({first_line(error)})"}
 
 
 def _answer(request: Mapping[str, Any]) -> dict[str, Any]:
@@ -164,7 +159,3 @@ def _rows(values: Any) -> list[list[float | None]]:
 def _number(value: Any) -> float | None:
     found = float(value)
     return found if math.isfinite(found) else None
-
-
-if __name__ == "__main__":
-    main()

@@ -15,8 +15,7 @@ from textual.containers import Horizontal
 from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
-from station.screen.archive.archive import Entry, GyroEntry, Whole, last_before
-from station.screen.archive.reader_process import INVESTIGATION
+from station.screen.archive.archive import INVESTIGATION, Entry, GyroEntry, Whole, last_before
 from station.screen.base import StationScreen
 from station.screen.dialogs import AskDialog, ChooseDialog
 from station.screen.figures import columns, headed, state_cells, state_heads, templated, titled
