@@ -27,9 +27,7 @@ from estimator.observations.rows import sample_noise, table_rows, turn_rows
 from estimator.observations.turned import REST_RPS, Turned, by_turns
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import AttitudeReadings, BodyRates, Poses, TableReadings, Turns
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
+from estimator.types import Floats
 
 BLOCK_S = 0.2
 """Shortest block: ramps of half a second still show their shape."""

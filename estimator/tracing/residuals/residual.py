@@ -15,8 +15,7 @@ from estimator.estimation.spectra import Stretch, cosines
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.residuals.dependence import Dependence, Group, Regressors, dependences
 from estimator.tracing.residuals.origin import WHITE_DOUBT, Origin, Split, shape_of, split_of
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 _LAGS = 20
 _BANDS_A_DECADE = 5
