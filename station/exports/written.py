@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import yaml
@@ -42,9 +43,20 @@ def json_text(value: Mapping[str, object]) -> str:
 
 
 def yaml_text(value: Mapping[str, object]) -> str:
-    """Return values that JSON holds as YAML 1.1, rows of numbers in one line; UsageError as ``json_text``."""
+    """Return values that JSON holds as YAML 1.1 and 1.2, rows of numbers in one line; UsageError as ``json_text``."""
     held = json.loads(json_text(value))  # no two places of it are one object, which YAML would write as an alias
-    return str(yaml.safe_dump(held, default_flow_style=None, sort_keys=False, allow_unicode=True, width=1e9))
+    return str(yaml.dump(held, Dumper=_Dumper, default_flow_style=None, sort_keys=False, allow_unicode=True, width=1e9))
+
+
+class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
+    """Quotes texts that begin like a number: 1e5 is a text in YAML 1.1, and a number in YAML 1.2."""
+
+    def represent_str(self, text: str) -> Any:
+        """Return the node of a text."""
+        return self.represent_scalar("tag:yaml.org,2002:str", text, style='"' if text[:1] in "+-.0123456789" else None)
+
+
+_Dumper.add_representer(str, _Dumper.represent_str)
 
 
 def lines_of(reasons: Mapping[str, str]) -> list[str]:
