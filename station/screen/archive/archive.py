@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import math
-import multiprocessing
-import os
+import subprocess
+import sys
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -13,13 +14,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from pebble import ProcessExpired, ProcessPool
-
-from station.campaigns.worker_pool import end_with_parent
 from station.run.snapshot import of_type
 
 _LIMIT_S = 10.0
 _WRITE_LIMIT_S = 120.0
+_MOST_BYTES = 64 * 1024 * 1024
 INVESTIGATION = "-investigation"
 """What is added to the name of a recording for the file of its investigation."""
 
@@ -98,7 +97,8 @@ class Archive:
 
     def __init__(self) -> None:
         """Nothing is started yet."""
-        self._pool: ProcessPool | None = None
+        self._process: asyncio.subprocess.Process | None = None
+        self._turn = asyncio.Lock()
         self._known: dict[tuple[Path, float, int], Entry] = {}
 
     async def entries(self, folder: Path) -> AsyncIterator[Entry]:
@@ -123,42 +123,55 @@ class Archive:
         """Write who accepted a recording into it; return what went wrong, empty if nothing did."""
         found = await self._ask("accept", path, _WRITE_LIMIT_S, attributes=dict(attributes))
         if found.get("wrong"):
-            await self.close()  # HDF5 does not get over a write that failed
+            async with self._turn:  # HDF5 does not get over a write that failed
+                await self.close()
         return str(found.get("wrong", ""))
 
     async def close(self) -> None:
         """End the process that reads."""
-        pool, self._pool = self._pool, None
-        if pool is not None:
-            pool.stop()  # type: ignore[no-untyped-call]
-            await asyncio.to_thread(pool.join)
+        if self._process is not None and self._process.returncode is None:
+            with suppress(ProcessLookupError):
+                self._process.kill()
+            await self._process.wait()
+        self._process = None
 
     async def _ask(self, what: str, path: Path, limit_s: float = _LIMIT_S, **more: Any) -> dict[str, Any]:
-        if self._pool is None:
-            spawn = multiprocessing.get_context("spawn")
-            self._pool = ProcessPool(1, context=spawn, initializer=_begin)
-        request = {"do": what, "path": str(path), **more}
-        try:
-            return await asyncio.wrap_future(self._pool.schedule(_answer, args=(request,), timeout=limit_s))
-        except TimeoutError:
-            return {"wrong": f"it is damaged, or its disk hangs: no end within {limit_s:g} s"}
-        except ProcessExpired:
-            return {"wrong": "it is damaged: the HDF5 library failed on it"}
+        async with self._turn:
+            try:
+                async with asyncio.timeout(limit_s):
+                    line = await self._exchange(json.dumps({"do": what, "path": str(path), **more}))
+            except TimeoutError:
+                await self.close()
+                return {"wrong": f"it is damaged, or its disk hangs: no end within {limit_s:g} s"}
+            except asyncio.CancelledError:
+                await self.close()  # else the next question would be given this one's answer
+                raise
+            except OSError:
+                line = b""
+            if not line:
+                await self.close()
+                return {"wrong": "it is damaged: the HDF5 library failed on it"}
+            found = json.loads(line)
+            return found if isinstance(found, dict) else {}
 
-
-def _begin() -> None:
-    """Begin the process that reads: the terminal is the screen's, Ctrl-C too."""
-    os.setsid()
-    nowhere = os.open(os.devnull, os.O_RDWR)
-    for stream in range(3):
-        os.dup2(nowhere, stream)
-    end_with_parent()
-
-
-def _answer(request: Mapping[str, Any]) -> dict[str, Any]:
-    from station.screen.archive.reader_process import answer  # loads HDF5, which the screen does without
-
-    return answer(request)
+    async def _exchange(self, request: str) -> bytes:
+        if self._process is None:
+            self._process = await asyncio.create_subprocess_exec(
+                sys.executable,
+                "-m",
+                "station.screen.archive.reader_process",
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                limit=_MOST_BYTES,
+                start_new_session=True,
+            )
+        process = self._process
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(request.encode() + b"\n")
+        await process.stdin.drain()
+        return await process.stdout.readline()
 
 
 def last_before(entry: Entry, others: Sequence[Entry]) -> Entry | None:

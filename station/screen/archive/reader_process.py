@@ -1,12 +1,13 @@
 """A process that reads recordings for the screen: a damaged HDF5 file can hang or kill its reader, not the screen.
 
-Requests are {"do": "entry" | "whole" | "accept", "path": ...}.
+Requests are lines of JSON on stdin, {"do": "entry" | "whole" | "accept", "path": ...}; each is answered by one line.
 """
 
 import json
 import math
 import os
 import shutil
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -34,12 +35,15 @@ _TEXTS = (
 )
 
 
-def answer(request: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is asked for, or why that cannot be."""
-    try:
-        return _answer(request)
-    except Exception as error:  # whatever a file made by hand holds, the next one is to be read
-        return {"wrong": f"it cannot be read, it is damaged or not whole ({first_line(error)})"}
+def main() -> None:
+    """Answer requests until stdin ends."""
+    for line in sys.stdin:
+        request = json.loads(line)
+        try:
+            answer = _answer(request)
+        except Exception as error:  # whatever a file made by hand holds, the next one is to be read
+            answer = {"wrong": f"it cannot be read, it is damaged or not whole ({first_line(error)})"}
+        print(json.dumps(answer), flush=True)
 
 
 def _answer(request: Mapping[str, Any]) -> dict[str, Any]:
@@ -159,3 +163,7 @@ def _rows(values: Any) -> list[list[float | None]]:
 def _number(value: Any) -> float | None:
     found = float(value)
     return found if math.isfinite(found) else None
+
+
+if __name__ == "__main__":
+    main()
