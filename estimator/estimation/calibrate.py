@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.calibration.budget import TYPE_A, Contribution, table_budget
 from estimator.calibration.error_model import ErrorModel
@@ -27,8 +26,7 @@ from estimator.observations.rows import BLOCK_S, row_length_s, sample_noise, sou
 from estimator.observations.timing import TimeOffset
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, RateReadings, TableReadings, Turns
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 _BLOCK_ROWS = 4  # fewer samples do not tell their scatter
 _EXCESS = 2.0  # mean square from which on it is told

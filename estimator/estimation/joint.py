@@ -10,7 +10,6 @@ from itertools import pairwise
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.calibration.budget import UNSEEN, Contribution
 from estimator.calibration.error_model import ErrorModel, KnownEffect, ModelError
@@ -27,8 +26,8 @@ from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS,
 from estimator.observations.timing import TimeOffset, expected_sd_s
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
+from estimator.types import Floats
 
-Floats = NDArray[np.float64]
 Sources = Sequence[tuple[str, ImuData]]
 
 EFFECTS = "effects"

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.errors import GeometryError, RecordingError
+from estimator.errors import GeometryError, RecordingError, first_line
 from estimator.geometry.array import sensor_array
 from estimator.geometry.kinematics import Site, check_gimbals
 from estimator.geometry.model import Prior
@@ -26,7 +26,7 @@ from estimator.recordings.reference import (
     Turns,
 )
 from estimator.recordings.safe_open import probe
-from estimator.recordings.writing import first_line, plain
+from estimator.recordings.writing import plain
 from estimator.types import Floats
 
 

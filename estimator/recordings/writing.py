@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.errors import RecordingError
+from estimator.errors import RecordingError, first_line
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION, ImuData, Recording
@@ -285,10 +285,7 @@ def _replace_group(file: Any, path: str, datasets: Mapping[str, Any], attributes
 
 
 def plain(value: Any) -> Any:
+    """Return a value from an HDF5 file as Python's own: text, number, or array."""
     if isinstance(value, bytes):
         return value.decode(errors="replace")
     return value.item() if isinstance(value, np.generic) else value
-
-
-def first_line(error: BaseException) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -6,7 +6,6 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.effects.catalogue import HARMONICS, catalogue
 from estimator.effects.conditions import Conditions
@@ -21,8 +20,7 @@ from estimator.estimation.runs.run import Run
 from estimator.estimation.undeclared import WITHIN_TURNS
 from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, into_body
 from estimator.observations.turned import by_turns
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 _BY_ITSELF = frozenset({"warm_up", "bias_step", "tone", "table_rate", "latency", "bandwidth"})
 """Effects of the catalogue that are looked for in a way of their own, and one that passes for scale factor errors."""

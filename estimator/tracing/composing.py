@@ -9,14 +9,11 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.effects.constructed import constructed
 from estimator.effects.effect import Effect
 from estimator.estimation.runs.run import Run
 from estimator.tracing.candidates import Candidate
-
-Floats = NDArray[np.float64]
 
 _LARGEST_RPS = float(np.radians(0.5))
 _RARE = -3.0  # log expectation of a law without a name beside the catalogue's

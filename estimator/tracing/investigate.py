@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.effects.constructed import NAME, in_words
 from estimator.errors import InvestigationError
@@ -36,8 +35,8 @@ from estimator.tracing.judging.verification import Judged, Truth, drawn, judge, 
 from estimator.tracing.open_world import SIZES_RPS, OpenWorld
 from estimator.tracing.residuals.residual import Residual, residuals
 from estimator.tracing.search import CERTAIN, Choice, Found, Search
+from estimator.types import Floats
 
-Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _SURPRISED = 8.0

@@ -21,8 +21,7 @@ from estimator.tracing.open_world import OpenWorld
 from estimator.tracing.scan import Scan, at
 from estimator.tracing.tones.peaks import highest
 from estimator.tracing.tones.tones import TONE, ToneFit, ToneFound, find_tone, fit_tone, without_tone
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 CERTAIN = 0.95
 """Posterior probability from which an effect counts as found."""

@@ -35,6 +35,16 @@ class Limits:
     lost: float
 
     @property
+    def sizes(self) -> tuple[float, ...]:
+        """Largest sizes of the four states, infinite where none is given."""
+        return self.k, self.b_rps, self.sigma_rad, self.sigma_rad
+
+    @property
+    def sds(self) -> tuple[float, ...]:
+        """Largest sigmas of the four states, likewise."""
+        return self.sd_k, self.sd_b_rps, self.sd_sigma_rad, self.sd_sigma_rad
+
+    @property
     def stated(self) -> bool:
         """Whether there is anything to judge by."""
         least = (self.nis_low, 1 - self.lost)
@@ -87,7 +97,7 @@ class Bench:
 
 def default_bench_text() -> str:
     """Return the bench file that ships with the station."""
-    return packaged_text("station.bench", "default_bench.toml")
+    return packaged_text("station.bench.bench", "default_bench.toml")
 
 
 def load_bench(path: Path | None) -> Bench:

@@ -8,11 +8,10 @@ from rich.markup import escape
 
 from estimator.effects.effect import Parameter
 from estimator.effects.entries import Entry, entries
-from estimator.tracing.investigation import Value
-from station.render.investigation_printed import human, words
 from station.render.rich_table import rich_table
 from station.render.terminal import stdout
 from station.run.outcome import Outcome
+from station.views.words import human, words
 
 
 def command_effects(arguments: argparse.Namespace) -> int:
@@ -47,11 +46,11 @@ def _parameters(entry: Entry) -> list[str]:
 
 
 def _largest(parameter: Parameter) -> str:
-    return "all of it" if parameter.unit == "1" and parameter.largest == 1 else human(_value(parameter))
-
-
-def _value(parameter: Parameter) -> Value:
-    return Value(parameter.largest, 0.0, parameter.unit)
+    return (
+        "all of it"
+        if parameter.unit == "1" and parameter.largest == 1
+        else human(parameter.largest, 0.0, parameter.unit)
+    )
 
 
 def _needs(entry: Entry) -> str:

@@ -24,16 +24,17 @@ from station.commands.calibrate import recordings_of
 from station.commands.improve import write_script
 from station.errors import UsageError
 from station.exports.investigation_file import check_new_file, write_investigation
-from station.render.investigation_pictures import draw_investigation
-from station.render.investigation_printed import exit_code_of, investigation_object, print_investigation
+from station.render.investigation_printed import exit_code_of, print_investigation
 from station.render.progress import TracingProgress
+from station.report.residual_picture import draw_investigation
 from station.schema.tables import Table
 from station.scripts.next_script import NextScript, Past, next_script
 from station.studies.pictures import check_picture
+from station.views.investigation import investigation_view
 
 _NEXT_FILE = "next-script.toml"
 _MOST_RIVALS = 4  # of what stays unexplained, so many suspects are told apart
-_SUSPECTS = packaged_toml("station.commands", "suspects.toml")
+_SUSPECTS = packaged_toml("station.commands.common", "suspects.toml")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,7 @@ def command_investigate(arguments: argparse.Namespace) -> int:
         script_file = script_file or free_path(Path(_NEXT_FILE))
         write_next(script_file, following, limits)
     written = None if following is None else script_file
-    what = investigation_object(found, written, fitted, judging)
+    what = investigation_view(found, written, fitted, judging)
     if model is not None:
         write_investigation(model, found, what)
     if picture is not None:

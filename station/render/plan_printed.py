@@ -13,15 +13,14 @@ from drivers.types import Flags, Floats
 from estimator.effects.catalogue import TONE_HZ
 from estimator.effects.thermal import REFERENCE_C
 from estimator.planning.planning import ALIKE, EffectForecast, Forecast
-from station.render.investigation_printed import words
 from station.render.rich_table import rich_table
 from station.render.terminal import print_rendered
 from station.scripts.axis_profile import profile_lines
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
-from station.views.figures import STATE_UNITS, effect_units
+from station.views.figures import EFFECT_UNITS, STATE_UNITS
+from station.views.words import words
 
-_UNITS = effect_units("planned")
 _MARKED = 1.0  # shifts of the states below so many of their sigmas are not worth a word
 
 
@@ -93,7 +92,7 @@ def _effects(found: Forecast) -> Table:
     for forecast in found.effects:
         for unit in dict.fromkeys(parameter.unit for parameter in forecast.effect.parameters):
             own = [i for i, parameter in enumerate(forecast.effect.parameters) if parameter.unit == unit]
-            shown, factor = _UNITS[unit]
+            shown, factor = EFFECT_UNITS[unit]
             largest = _number(float(forecast.largest[own].max()) * factor)
             table.add_row(words(forecast.effect.name), _smallest(forecast, own, factor), largest, shown)
     return table
@@ -117,7 +116,7 @@ def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
         return []
     worst = int(hidden[np.argmax(sigmas[hidden].max(axis=(1, 2)))])
     parameter = forecast.effect.parameters[worst]
-    unit, factor = _UNITS[parameter.unit]
+    unit, factor = EFFECT_UNITS[parameter.unit]
     others = int(np.sum(sigmas[hidden].max(axis=(1, 2)) >= _MARKED)) - 1
     more = f" (and {others} more of its parameters)" if others > 0 else ""
     size = f"{_number(parameter.largest * factor)} {unit}"

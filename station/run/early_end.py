@@ -8,14 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.types import Floats
 from estimator.calibration.budget import table_budget
 from estimator.estimation.noise_evidence import TooShort, joint_estimate, run_of_blocks
 from estimator.geometry.model import decode
 from estimator.observations.blocks import Blocks
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import TableReadings, TableUncertainty
-from station.bench.bench import Bench, Limits
+from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
 from station.errors import UsageError
 from station.run.live import RECENT_S, LiveEstimate, LiveSource
@@ -27,14 +26,9 @@ _NO_STAMPS = np.empty(0, dtype=np.int64)
 _IN_A_ROW = 2  # so many confirmations: an estimate that is looked at often dips below its limit by chance
 
 
-def required_sigmas(limits: Limits) -> Floats:
-    """Return the sigmas (4,) that a bench requires, infinite where it requires none."""
-    return np.array([limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad])
-
-
 def check_early_end(bench: Bench) -> None:
     """See that the bench says what is enough; UsageError if it does not."""
-    if not np.isfinite(required_sigmas(bench.limits)).any():
+    if not np.isfinite(bench.limits.sds).any():
         raise UsageError(
             "--end-early: the bench requires no sigmas, so none could be enough; "
             "give sd_scale_factor_error, sd_bias or sd_misalignment in [limits]"
@@ -47,7 +41,7 @@ class EarlyEnd:
     def __init__(self, bench: Bench, configs: Mapping[str, ImuConfig], live: LiveEstimate, time_scale: float) -> None:
         """``configs`` are the devices by the name of each of their sources."""
         self._bench, self._configs, self._live, self._time_scale = bench, dict(configs), live, time_scale
-        self._required = required_sigmas(bench.limits)
+        self._required = np.array(bench.limits.sds)
         live.keep_blocks()
 
     async def wait(self) -> str:

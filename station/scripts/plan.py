@@ -70,14 +70,13 @@ def make_plan(
     devices = [PlannedDevice(imu.name, imu.array, imu.noise, imu.prior) for imu in bench.imus if imu.used]
     if effects is None:
         effects = catalogue(motion.gimbals, script.duration_s)
-    limits = bench.limits
     return Plan(
         script,
         bench,
         motion,
         forecast(conditions, devices, effects),
         _table_sd(motion, bench, devices),
-        np.array([limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad]),
+        np.array(bench.limits.sds),
         temperature_rise_k,
         tuple(rounded(asked, script)),
     )

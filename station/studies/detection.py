@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.packaged import packaged_toml
+from drivers.types import Floats
 from estimator.estimation.runs.making import runs_of
 from estimator.geometry.array import tetrahedron
 from estimator.geometry.kinematics import Site
@@ -24,8 +24,6 @@ from station.campaigns.campaigns import Failure, run_all
 from station.opening import DeviceTruth, Hidden, simulate
 from station.scripts.loop_scripts import exploration_script, verification_script
 from station.scripts.script import Script, paper_script
-
-Floats = NDArray[np.float64]
 
 RISE_C = 8.0
 SITE = Site(math.pi / 4, 0.0)

@@ -31,6 +31,7 @@ from estimator.recordings.writing import write_recording
 from station.cli import main
 from station.exports.exported import Exported, exported_of
 from station.exports.formats import FORMATS
+from station.exports.written import yaml_text
 
 SAMPLES = 400
 PERIOD_S = 0.01
@@ -606,3 +607,8 @@ def test_whatever_the_locale_the_file_is_utf_8(record: Record) -> None:
     done = station("export", path, "--format", "yaml")
     assert done.returncode == 0
     assert "Müller" in done.stdout
+
+
+def test_a_text_that_looks_like_a_number_stays_a_text_in_every_version_of_yaml() -> None:
+    text = yaml_text({"serial": "1e5", "device": "yes", "rows": [[1.0, 1e-9]]})
+    assert text == "serial: \"1e5\"\ndevice: 'yes'\nrows:\n- [1.0, 1.0e-09]\n"

@@ -15,7 +15,7 @@ from estimator.effects.thermal import thermal_bias, thermal_scale
 from estimator.errors import InvestigationError
 from estimator.estimation.runs.growth import weighed
 from estimator.estimation.runs.measured import even_grid, means_by_samples, means_by_turns
-from estimator.estimation.runs.run import BLOCK_S, FEWEST_TURNS, Floats, Run
+from estimator.estimation.runs.run import BLOCK_S, FEWEST_TURNS, Run
 from estimator.estimation.runs.surroundings import GRID_S, conditions_of, force_at, temperature_at
 from estimator.geometry.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2
 from estimator.observations.defects.faults import Fault, held_samples, saturations, split_faulty, without_stuck
@@ -24,6 +24,7 @@ from estimator.observations.rows import sample_noise, turn_rows
 from estimator.observations.turned import Turned, by_turns
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
+from estimator.types import Floats
 
 _FEWEST_BLOCKS = 40
 _TILTED = 0.02  # rad by which the direction up differs between poses

@@ -9,12 +9,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.estimation.runs.run import BLOCK_S, Floats
+from estimator.estimation.runs.run import BLOCK_S
 from estimator.observations.blocks import BlockSums
 from estimator.observations.rows import table_rows
 from estimator.observations.turned import Turned
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import BodyRates, TableReadings
+from estimator.types import Floats
 
 _FINE_S = 0.005  # samples closer than this are taken together where the rate of before is looked up
 _GAP_S = 5.0  # a longer gap ends a stretch: what the noise did meanwhile is not known

@@ -16,9 +16,8 @@ from estimator.geometry.model import Prior, regressor_maps
 from estimator.observations.turned import REST_RPS
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, Turns
+from estimator.types import Floats
 
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 BLOCK_S = 0.2
 """Shortest block: ramps of half a second still show their shape."""
 FEWEST_TURNS = 12

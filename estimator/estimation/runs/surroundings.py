@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.effects.conditions import Conditions
-from estimator.estimation.runs.run import Floats
 from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, specific_force
 from estimator.observations.turned import Turned, by_turns
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import AttitudeReadings, BodyRates, TableReadings
+from estimator.types import Floats
 
 GRID_S = 0.02  # instants at which conditions are worked out, within blocks
 _JUMP, _JUMP_C = 8.0, 0.5  # sigmas, degC

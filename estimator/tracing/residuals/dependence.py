@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from estimator.estimation.runs.run import Run
 from estimator.tracing.candidates import candidates_of
+from estimator.types import Floats
 
-Floats = NDArray[np.float64]
 Columns = NDArray[np.intp]
 
 _VARIABLES = ("time", "rate", "direction", "angle", "acceleration", "temperature", "gravity")

@@ -6,7 +6,6 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.effects.dynamics import tone
 from estimator.estimation.evidence import SCALES, log_mean
@@ -14,8 +13,7 @@ from estimator.estimation.runs.run import Run
 from estimator.estimation.runs.tone_columns import Samples
 from estimator.observations.turned import by_turns
 from estimator.tracing.tones.peaks import highest
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 TONE = "tone"
 """What a tone is called."""

@@ -13,11 +13,11 @@ from estimator.observations.rests import REST_RPS
 from estimator.planning.planning import Forecast, PlannedDevice, forecast
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import TableReadings
-from station.render.investigation_printed import words
 from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
 from station.scripts.script import Rest, Rotate, Script
 from station.scripts.script import Step as ScriptStep
+from station.views.words import words
 
 _PERIOD_S = 0.1
 _MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser steps
