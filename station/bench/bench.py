@@ -97,7 +97,7 @@ class Bench:
 
 def default_bench_text() -> str:
     """Return the bench file that ships with the station."""
-    return packaged_text("station.bench.bench", "default_bench.toml")
+    return packaged_text("station.bench", "default_bench.toml")
 
 
 def load_bench(path: Path | None) -> Bench:

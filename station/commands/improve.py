@@ -239,7 +239,7 @@ def script_text(script: Script, origin: str) -> str:
     """Return a script as TOML that ``station.scripts.script.load_script`` reads; ``origin`` is its first comment."""
     steps = zip((_KINDS[type(step)] for step in script.steps), script.steps, script.durations_s(), strict=True)
     values = {"origin": origin, "script": script, "steps": steps, "degrees": math.degrees}
-    return rendered("station.commands.common", "script.toml", values)
+    return rendered("station.commands", "script.toml", values)
 
 
 def write_script(path: Path, script: Script, origin: str) -> None:

@@ -34,7 +34,7 @@ from station.views.investigation import investigation_view
 
 _NEXT_FILE = "next-script.toml"
 _MOST_RIVALS = 4  # of what stays unexplained, so many suspects are told apart
-_SUSPECTS = packaged_toml("station.commands.common", "suspects.toml")
+_SUSPECTS = packaged_toml("station.commands", "suspects.toml")
 
 
 @dataclass(frozen=True, slots=True)
