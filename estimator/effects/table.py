@@ -4,76 +4,62 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.effects.conditions import Conditions
-from estimator.effects.effect import Axes, Effect, Parameter
+from estimator.effects.conditions import Axes, Conditions
+from estimator.effects.effect import Parameter, Record, Regressors, Setting, Settings
 from estimator.geometry.kinematics import AXES, into_body
 from estimator.types import Floats
 
+HARMONICS = (1, 2, 4)
+"""Orders of the table's angles that bearings, balance and magnets make."""
+_OF_THE_TABLE = "it is an error of the table, not of the gyros"
 
-def table_harmonic(gimbals: Sequence[str], order: int, of: Sequence[str] | None = None) -> Effect:
-    """Return wobble or magnetic pick-up: cosine and sine of ``order`` times the angle of axes, a gyro its own.
 
-    ``of`` names the axes, by default all ``gimbals``.
-
-    Up to 0.05 deg/s: 0.5 gauss at 0.1 deg/s/gauss.
-    """
+def _turning(settings: Settings) -> Regressors:
+    """Return the columns of cosine and sine of ``order`` times the angle of an ``axis``, by default of all."""
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        turned = order * conditions.angle_rad[:, chosen]
+        names = conditions.gimbals
+        chosen = [names.index(str(settings["axis"]))] if "axis" in settings else list(range(len(names)))
+        turned = int(settings["order"]) * conditions.angle_rad[:, chosen]
         return np.stack([np.cos(turned), np.sin(turned)], axis=2)  # (N, g, 2), in the order of the parameters
 
-    largest = float(np.radians(0.05))
-    names = list(gimbals if of is None else of)
-    chosen = [list(gimbals).index(axis) for axis in names]
-    return Effect(
-        f"table_harmonic_{order}",
-        tuple(Parameter(f"{part} of {axis}", "rad/s", largest) for axis in names for part in ("cosine", "sine")),
-        shared=False,
-        shown_by="full turns about each axis",
-        confused_with=("g_sensitivity", "earth_rate") if order == 1 else (),
-        regressors=columns,
-        needs=frozenset({"gimbals"}),
-    )
+    return columns
 
 
-def table_axes(gimbals: Sequence[str]) -> Effect:
-    """Return axes that are not at right angles: each inner axis tilted towards the two others, up to 1 mrad.
+def _waves_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ...]:
+    names = [f"{settings['order']} {settings['axis']}"] if "axis" in settings else gimbals
+    largest = float(np.radians(0.05))  # 0.5 gauss at 0.1 deg/s/gauss
+    return tuple(Parameter(f"{part} of {name}", "rad/s", largest) for name in names for part in ("cosine", "sine"))
+
+
+def _tilting(settings: Settings) -> Regressors:
+    """Return the columns of each inner axis tilted towards the two others.
 
     The outermost axis defines the base. With a small rotation d that takes an axis to where it is, R' becomes
     (1 + d x) R' (1 - d x), and the error of the body rate w becomes R' error + d x w - R' (d x (w before)).
     """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
+        gimbals = conditions.gimbals
         tilts = [
             _tilted(conditions, inner, d) @ axes.p for inner in range(1, len(gimbals)) for d in _tilts(gimbals[inner])
         ]
         return np.stack(tilts, axis=1) if tilts else np.empty((len(conditions.t_s), 0))
 
-    parameters = [Parameter(f"{axis} towards {other}", "rad", 1e-3) for axis in gimbals[1:] for other in _others(axis)]
-    return Effect(
-        "table_axes",
-        tuple(parameters),
-        shared=True,
-        shown_by="turns about an axis with the axes within it at different angles; another mounting",
-        confused_with=(),
-        regressors=columns,
-        needs=frozenset({"gimbals"}),
-    )
+    return columns
 
 
-def table_rate(gimbals: Sequence[str]) -> Effect:
-    """Return rates of the table that are larger than reported, by a share for each axis, up to 1000 ppm."""
-    return Effect(
-        "table_rate",
-        tuple(Parameter(f"of {axis}", "1", 1e-3) for axis in gimbals),
-        shared=True,
-        shown_by="another table, counted turns",
-        confused_with=(),
-        regressors=lambda conditions, axes: np.stack(
-            [_rate_of(conditions, column) @ axes.p for column in range(len(gimbals))], axis=1
-        ),
-        needs=frozenset({"gimbals"}),
-    )
+def _tilts_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ...]:
+    return tuple(Parameter(f"{axis} towards {other}", "rad", 1e-3) for axis in gimbals[1:] for other in _others(axis))
+
+
+def _faster(settings: Settings) -> Regressors:
+    """Return the part of the rate about the sense axis that each axis of the table makes."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        return np.stack([_rate_of(conditions, g) @ axes.p for g in range(len(conditions.gimbals))], axis=1)
+
+    return columns
 
 
 def _others(axis: str) -> tuple[str, str]:
@@ -109,3 +95,52 @@ def _rate_of(conditions: Conditions, column: int) -> Floats:
     part = np.zeros_like(conditions.w_rps)
     part[:, AXES.index(conditions.gimbals[column])] = conditions.rate_rps[:, column]
     return into_body(part, conditions.angle_rad[:, column + 1 :], conditions.gimbals[column + 1 :])
+
+
+RECORDS = (
+    TABLE_HARMONIC := Record(  # wobble or magnetic pick-up, a gyro its own
+        name="table_harmonic",
+        label="table_harmonic_{order}",
+        parameters=_waves_of,
+        regressors=_turning,
+        formula="cosine and sine of a multiple of an angle of the table",
+        shown_by="full turns about each axis",
+        confused_with=lambda settings: ("g_sensitivity", "earth_rate") if settings["order"] == 1 else (),
+        settings=(
+            Setting("order", "", "1", read=lambda key, value: int(value)),
+            Setting("axis", "", "", read=lambda key, value: str(value)),
+        ),
+        depends_on="angle",
+        suspected_of=("angle",),
+        needs=frozenset({"gimbals"}),
+        searched=False,
+        listed=lambda duration_s: tuple({"order": order} for order in HARMONICS),
+        left_out="it goes round with an axis of the table: away from that table it is not there",
+        of_encoders=True,
+        any_phase=True,
+    ),
+    TABLE_AXES := Record(  # axes that are not at right angles
+        name="table_axes",
+        parameters=_tilts_of,
+        regressors=_tilting,
+        formula="rate that a tilt of an axis of the table makes",
+        shared=True,
+        shown_by="turns about an axis with the axes within it at different angles; another mounting",
+        depends_on="angle",
+        needs=frozenset({"gimbals"}),
+        left_out=_OF_THE_TABLE,
+        of_table=True,
+    ),
+    TABLE_RATE := Record(  # rates of the table that are larger than reported, by a share for each axis
+        name="table_rate",
+        parameters=lambda gimbals, settings: tuple(Parameter(f"of {axis}", "1", 1e-3) for axis in gimbals),
+        regressors=_faster,
+        formula="part of the rate that an axis of the table makes",
+        shared=True,
+        shown_by="another table, counted turns",
+        needs=frozenset({"gimbals"}),
+        searched=False,  # it passes for scale factor errors
+        left_out=_OF_THE_TABLE,
+        of_table=True,
+    ),
+)

@@ -10,30 +10,31 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.packaged import packaged_toml
 from drivers.types import Floats
-from estimator.calibration.compensation import ADDED, OF_THE_RATE, Acts, Compensation, HeldEffect
-from estimator.effects.constructed import NAME as CONSTRUCTED
+from estimator.calibration.compensation import Compensation
+from estimator.effects.effect import Acts
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.exports.law_text import law_terms
 from station.exports.written import number
 
-FORMULAS: Mapping[str, Mapping[str, str]] = packaged_toml("station.exports", "effects.toml")
-"""What each effect adds to the outputs: as ``html``, ``numpy``, ``scalar`` expression, and its ``unit``."""
+AXIS_TABLES = ("axis", "axis_j", "axis_k")
+"""Names of the tables of sense and tilt axes."""
 _SIZE = "sqrt({0}[0] * {0}[0] + {0}[1] * {0}[1] + {0}[2] * {0}[2])"
-_ALONG = "({{axis}}[i][0] * {0}[0] + {{axis}}[i][1] * {0}[1] + {{axis}}[i][2] * {0}[2])"
+_ALONG = "({{{1}}}[i][0] * {0}[0] + {{{1}}}[i][1] * {0}[1] + {{{1}}}[i][2] * {0}[2])"
 _VARIABLES: Mapping[str, str] = {
     "u": "u",
     **{f"w{axis}": f"w[{r}]" for r, axis in enumerate("xyz")},
     "speed": _SIZE.format("w"),
-    "a": _ALONG.format("wdot"),
+    **{name: _ALONG.format("wdot", axis) for name, axis in zip(("a", "aj", "ak"), AXIS_TABLES, strict=True)},
     "jolt": _SIZE.format("wdot"),
     "T": "warmth",
     "Tdot": "slope",
     "t": "time_s",
     **{f"g{axis}": f"(accel[{r}] / {number(GRAVITY_MPS2)})" for r, axis in enumerate("xyz")},
-    "gs": f"({_ALONG.format('accel')} / {number(GRAVITY_MPS2)})",
+    "gs": f"({_ALONG.format('accel', 'axis')} / {number(GRAVITY_MPS2)})",
 }
+_MAY_FAIL = re.compile(r"(?!fabs)\b[a-z0-9]+\(|/ \(")
+"""What may be no number: functions, quotients by what is measured; products are infinite at the worst."""
 _PLACES = {"lag": 1, "play": 1, "last": 2}
 """Numbers that each function with memory keeps for a gyro."""
 
@@ -100,17 +101,16 @@ class Terms:
 def terms_of(compensation: Compensation) -> Terms:
     """Return the terms of a compensation."""
     terms, places = [], 0
-    order = (*ADDED, *OF_THE_RATE)
     for place, held in enumerate(compensation.effects):
         twice = any(other.name == held.name for other in compensation.effects[:place])
         table = f"{held.name}_{place}" if twice else held.name
-        if held.name == CONSTRUCTED:
-            expression, places = _of_law(held.known.law, places)
-            values = held.values if held.values.shape[1] > 1 else held.values[:, 0]
-            terms.append(Term(held.known.called, table, values, FORMULAS[CONSTRUCTED]["unit"], expression, held.acts))
-        else:
-            terms.append(_term(compensation, held, table))
-    terms.sort(key=lambda term: order.index(term.effect) if term.effect in order else len(order))
+        expression, law = "", held.known.law
+        if law:
+            expression, places = _of_law(law, places)
+        unit = ", ".join(dict.fromkeys(size.unit for size in held.known.sizes))
+        called, of = held.known.called, law or held.known.record.formula
+        values = held.values if held.values.shape[1] > 1 else held.values[:, 0]
+        terms.append(Term(called if of in called else f"{called} ({of})", table, values, unit, expression, held.acts))
     slope = any("slope" in term.expression for term in terms)
     return Terms(tuple(terms), places + slope)
 
@@ -129,17 +129,5 @@ def _of_law(law: str, places: int) -> tuple[str, int]:
 
     written = law_terms(law, _VARIABLES, call)
     column = "[{}]" if len(written) > 1 else ""
-    return " + ".join(f"{{table}}[i]{column.format(n)} * {{value}}{term})" for n, term in enumerate(written)), places
-
-
-def _term(compensation: Compensation, held: HeldEffect, table: str) -> Term:
-    values = held.values[:, 0]
-    if held.name == "g_sensitivity":
-        values = held.values / GRAVITY_MPS2
-    elif held.name == "acceleration_sensitivity":
-        axes = compensation.array
-        values = held.values[:, [0]] * axes.j + held.values[:, [1]] * axes.k
-    expression = FORMULAS[held.name]["scalar"]
-    if held.name == "warm_up":
-        expression = expression.replace("{tau_s}", number(float(held.known.settings["time_constant_s"])))
-    return Term(held.name, table, values, FORMULAS[held.name]["unit"], expression, held.acts)
+    guarded = ["{value}" + term + ")" if _MAY_FAIL.search(term) else term for term in written]
+    return " + ".join(f"{{table}}[i]{column.format(n)} * {term}" for n, term in enumerate(guarded)), places

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from drivers.types import Flags, Floats
-from estimator.effects.catalogue import TONE_HZ
-from estimator.effects.thermal import REFERENCE_C
+from estimator.effects.conditions import REFERENCE_C
+from estimator.effects.disturbances import TONE_HZ
 from estimator.planning.planning import ALIKE, EffectForecast, Forecast
 from station.render.investigation_printed import words
 from station.render.rich_table import rich_table
@@ -123,7 +123,7 @@ def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
     size = f"{_number(parameter.largest * factor)} {unit}"
     lines = [
         f"[bold]{words(forecast.effect.name)}[/], {parameter.name}, {size}{more}; "
-        f"needed to see it: {forecast.effect.shown_by}"
+        f"needed to see it: {forecast.effect.record.shown_by}"
     ]
     for state, (name, state_unit, scale) in enumerate(STATE_UNITS):
         parts = [

@@ -105,7 +105,8 @@ def searched(kind: str) -> dict[str, Any]:
     return {
         "candidates": {
             c.name: [c.called, c.log_prior, c.theta, None if c.start is None else c.start.tolist(), c.range_log, c.unit,
-                     c.beside, c.likelier, c.by_size, c.run is not None, [p.name for p in c.effect.parameters]]
+                     c.beside, c.likelier, c.by_size, c.run is not None, len(c.effect.parameters),
+                     "" if c.depends_on else [p.name for p in c.effect.parameters]]
             for c in candidates
         },
         "left out": left_out,

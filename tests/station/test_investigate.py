@@ -13,7 +13,7 @@ import pytest
 from support import SITE, TABLE_1
 
 import station.commands.investigate
-from estimator.effects.constructed import in_words
+from estimator.effects.law import in_words
 from estimator.estimation.runs.run import runs_of
 from estimator.geometry.array import tetrahedron
 from estimator.recordings.recording import Recording, write_recording
