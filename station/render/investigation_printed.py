@@ -18,10 +18,9 @@ from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
 from station.run.snapshot import by_state, json_object, named
 from station.scripts.next_script import NextScript
-from station.views.figures import FINDING_STYLES, effect_units
+from station.views.figures import FINDING_STYLES, shown_unit
 
 _DEG = 180 / math.pi
-_UNITS = effect_units("traced")
 _ADDED = ("effect", "constructed", "expression", "gyros", "probability", "parameters", "out_of_sample", "same")
 """What --json says of an effect that was added."""
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
@@ -114,9 +113,9 @@ def human(value: Value) -> str:
 
 
 def _unit(value: Value) -> tuple[str, float]:
-    if value.unit == "s":  # delays are milliseconds, time constants of a warm-up are not
-        return ("ms", 1e3) if abs(value.value) < 0.5 else ("s", 1.0)
-    return _UNITS.get(value.unit, (value.unit, 1.0))
+    if value.unit == "s" and abs(value.value) >= 0.5:  # delays are milliseconds, time constants of a warm-up are not
+        return "s", 1.0
+    return shown_unit(value.unit)
 
 
 def _models(models: Sequence[ModelStep]) -> Table:

@@ -19,9 +19,8 @@ from station.render.terminal import print_rendered
 from station.scripts.axis_profile import profile_lines
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
-from station.views.figures import STATE_UNITS, effect_units
+from station.views.figures import STATE_UNITS, shown_unit
 
-_UNITS = effect_units("planned")
 _MARKED = 1.0  # shifts of the states below so many of their sigmas are not worth a word
 
 
@@ -93,7 +92,7 @@ def _effects(found: Forecast) -> Table:
     for forecast in found.effects:
         for unit in dict.fromkeys(parameter.unit for parameter in forecast.effect.parameters):
             own = [i for i, parameter in enumerate(forecast.effect.parameters) if parameter.unit == unit]
-            shown, factor = _UNITS[unit]
+            shown, factor = shown_unit(unit)
             largest = _number(float(forecast.largest[own].max()) * factor)
             table.add_row(words(forecast.effect.name), _smallest(forecast, own, factor), largest, shown)
     return table
@@ -117,7 +116,7 @@ def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
         return []
     worst = int(hidden[np.argmax(sigmas[hidden].max(axis=(1, 2)))])
     parameter = forecast.effect.parameters[worst]
-    unit, factor = _UNITS[parameter.unit]
+    unit, factor = shown_unit(parameter.unit)
     others = int(np.sum(sigmas[hidden].max(axis=(1, 2)) >= _MARKED)) - 1
     more = f" (and {others} more of its parameters)" if others > 0 else ""
     size = f"{_number(parameter.largest * factor)} {unit}"
@@ -147,4 +146,4 @@ def _number(value: float) -> str:
     if value == 0 or not math.isfinite(value):
         return f"{value:g}"
     digits = max(2 - math.floor(math.log10(abs(value))), 0)
-    return f"{value:.{min(digits, 6)}f}"
+    return f"{value:.{min(digits, 9)}f}"

@@ -39,17 +39,25 @@ class StateUnit:
         return number(value * self.factor, self.digits, signed=signed)
 
 
-def effect_units(purpose: str) -> dict[str, tuple[str, float]]:
-    """Return by SI unit what people read in its place, and the factor; ``purpose`` is "traced" or "planned"."""
-    return {si: (shown, times * math.degrees(1) ** power) for si, (shown, times, power, *_) in _UNITS[purpose].items()}
+def _units(what: str) -> dict[str, tuple[str, float]]:
+    return {si: (shown, times * math.degrees(1) ** power) for si, (shown, times, power, *_) in _UNITS[what].items()}
+
+
+def shown_unit(si: str) -> tuple[str, float]:
+    """Return what people read in the place of the SI unit of an effect, and the factor."""
+    from estimator.effects.catalogue import records
+
+    own = (record.display[si] for record in records() if si in record.display)
+    return _EFFECTS.get(si) or next(own, (si, 1.0))
 
 
 _UNITS = packaged_toml("station.views", "units.toml")
+_EFFECTS = _units("effects")
 STATE_FIGURES = tuple(
-    StateUnit(state, *shown, *_UNITS["states"][state][3:]) for state, shown in effect_units("states").items()
+    StateUnit(state, *shown, *_UNITS["states"][state][3:]) for state, shown in _units("states").items()
 )
 """The four states in order, in the units of the printed calibration."""
-STATE_UNITS = tuple((state, *shown) for state, shown in effect_units("sigmas").items())
+STATE_UNITS = tuple((state, *shown) for state, shown in _units("sigmas").items())
 """Name, unit and factor from SI of each state, for their sigmas."""
 
 
