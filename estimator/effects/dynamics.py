@@ -1,11 +1,9 @@
 """Effects of changing rates: delay, limited bandwidth, angular acceleration."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from estimator.effects.conditions import Axes, Conditions
-from estimator.effects.effect import Acts, Effect, Odds, Parameter, Record, Regressors, Settings
+from estimator.effects.effect import Effect, Regressors, Settings, family
 from estimator.types import Floats
 
 LAG_S = 0.004
@@ -47,53 +45,11 @@ def _lagging(settings: Settings) -> Regressors:
     return columns
 
 
-RECORDS = (
-    LATENCY := Record(  # a delay of the gyros' stamps against the table's
-        name="latency",
-        parameters=(Parameter("delay", "s", 0.02),),
-        regressors=_late,
-        formula="-delay*a",
-        shared=True,
-        shown_by="ramps",
-        confused_with=("acceleration_sensitivity", "bandwidth"),
-        depends_on="acceleration",
-        suspected_of=("acceleration",),
-        searched=False,
-        acts=Acts.STAMPS,
-        within_turns=True,
-    ),
-    BANDWIDTH := Record(  # each gyro its own; largest: 10 Hz, 16 ms
-        name="bandwidth",
-        parameters=(Parameter("time constant", "s", 1 / (2 * np.pi * 10.0)),),
-        regressors=_lagging,
-        formula="-dy/dt",
-        shown_by="steep ramps, sines",
-        confused_with=("latency", "acceleration_sensitivity"),
-        suspected_of=("acceleration",),
-        odds=Odds(-1.5),
-        searched=False,
-        acts=Acts.LAG,
-        not_live="needs the second derivative of the rate",
-        within_turns=True,
-    ),
-    ACCELERATION_SENSITIVITY := Record(  # about the tilt axes; about the sense axis it looks like latency
-        name="acceleration_sensitivity",
-        parameters=(Parameter("about j", "s", 2e-3), Parameter("about k", "s", 2e-3)),
-        law="aj; ak",
-        shown_by="ramps about axes across the sense axis",
-        confused_with=("latency",),
-        depends_on="acceleration",
-        suspected_of=("acceleration",),
-        within_turns=True,
-    ),
-    REFERENCE_LAG := replace(
-        LATENCY,
-        name="reference_lag",
-        listed=lambda duration_s: (),
-        depends_on="",
-        suspected_of=(),
-        not_kept="it is the reference that lags, not the gyros",
-    ),
+RECORDS = LATENCY, BANDWIDTH, ACCELERATION_SENSITIVITY, REFERENCE_LAG = family(
+    "dynamics",
+    latency={"regressors": _late},
+    bandwidth={"regressors": _lagging},
+    reference_lag={"regressors": _late},
 )
 
 

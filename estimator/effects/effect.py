@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -265,3 +267,34 @@ class Effect:
 def _none(settings: Settings) -> Regressors:
     """Return the columns of what is no law: none."""
     return lambda conditions, axes: np.empty((len(conditions.t_s), 0))
+
+
+def family(name: str, /, **coded: dict[str, Any]) -> tuple[Record, ...]:
+    """Return the effects that the file of a family lists, NAME.toml; ``coded`` is by effect what only code can say."""
+    tables = tomllib.loads(files("estimator.effects").joinpath(f"{name}.toml").read_text(encoding="utf-8"))
+    found = []
+    for effect, facts in tables.items():
+        read = {key: _READ[key](value) if key in _READ else value for key, value in facts.items()}
+        found.append(Record(name=effect, **read | coded.get(effect, {})))
+    return tuple(found)
+
+
+def _parameter(name: str, unit: str, largest: float, angle: str = "") -> Parameter:
+    return Parameter(name, unit, float(np.radians(largest)) if angle == "deg" else largest)
+
+
+def _setting(key: str, text: str = "{}", **more: Any) -> Setting:
+    return Setting(key=key, text=text.format, **more)
+
+
+_READ: Mapping[str, Callable[[Any], Any]] = {
+    "parameters": lambda rows: tuple(_parameter(*row) for row in rows),
+    "settings": lambda rows: tuple(_setting(**row) for row in rows),
+    "odds": lambda odds: Odds(**odds),
+    "needs": frozenset,
+    "kind": Kind,
+    "acts": lambda name: Acts[name],
+    "listed": lambda rows: lambda duration_s: tuple(rows),
+    "assumed": lambda rows: lambda first_s, last_s: rows,
+    **dict.fromkeys(("confused_with", "suspected_of"), tuple),
+}

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimator.effects.conditions import Axes, Conditions
-from estimator.effects.effect import Parameter, Record, Regressors, Setting, Settings
+from estimator.effects.effect import Parameter, Regressors, Setting, Settings, family
 from estimator.geometry.kinematics import AXES, into_body
 from estimator.types import Floats
 
-HARMONICS = (1, 2, 4)
-"""Orders of the table's angles that bearings, balance and magnets make."""
-_OF_THE_TABLE = "it is an error of the table, not of the gyros"
+
+def _text(key: str, value: object) -> str:
+    return str(value)
 
 
 def _turning(settings: Settings) -> Regressors:
@@ -62,6 +62,10 @@ def _faster(settings: Settings) -> Regressors:
     return columns
 
 
+def _shares_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ...]:
+    return tuple(Parameter(f"of {axis}", "1", 1e-3) for axis in gimbals)
+
+
 def _others(axis: str) -> tuple[str, str]:
     a = AXES.index(axis)
     return AXES[(a + 1) % 3], AXES[(a + 2) % 3]
@@ -97,50 +101,16 @@ def _rate_of(conditions: Conditions, column: int) -> Floats:
     return into_body(part, conditions.angle_rad[:, column + 1 :], conditions.gimbals[column + 1 :])
 
 
-RECORDS = (
-    TABLE_HARMONIC := Record(  # wobble or magnetic pick-up, a gyro its own
-        name="table_harmonic",
-        label="table_harmonic_{order}",
-        parameters=_waves_of,
-        regressors=_turning,
-        formula="cosine and sine of a multiple of an angle of the table",
-        shown_by="full turns about each axis",
-        confused_with=lambda settings: ("g_sensitivity", "earth_rate") if settings["order"] == 1 else (),
-        settings=(
-            Setting("order", "", "1", read=lambda key, value: int(value)),
-            Setting("axis", "", "", read=lambda key, value: str(value)),
-        ),
-        depends_on="angle",
-        suspected_of=("angle",),
-        needs=frozenset({"gimbals"}),
-        searched=False,
-        listed=lambda duration_s: tuple({"order": order} for order in HARMONICS),
-        left_out="it goes round with an axis of the table: away from that table it is not there",
-        of_encoders=True,
-        any_phase=True,
-    ),
-    TABLE_AXES := Record(  # axes that are not at right angles
-        name="table_axes",
-        parameters=_tilts_of,
-        regressors=_tilting,
-        formula="rate that a tilt of an axis of the table makes",
-        shared=True,
-        shown_by="turns about an axis with the axes within it at different angles; another mounting",
-        depends_on="angle",
-        needs=frozenset({"gimbals"}),
-        left_out=_OF_THE_TABLE,
-        of_table=True,
-    ),
-    TABLE_RATE := Record(  # rates of the table that are larger than reported, by a share for each axis
-        name="table_rate",
-        parameters=lambda gimbals, settings: tuple(Parameter(f"of {axis}", "1", 1e-3) for axis in gimbals),
-        regressors=_faster,
-        formula="part of the rate that an axis of the table makes",
-        shared=True,
-        shown_by="another table, counted turns",
-        needs=frozenset({"gimbals"}),
-        searched=False,  # it passes for scale factor errors
-        left_out=_OF_THE_TABLE,
-        of_table=True,
-    ),
+RECORDS = TABLE_HARMONIC, TABLE_AXES, TABLE_RATE = family(
+    "table",
+    table_harmonic={
+        "parameters": _waves_of,
+        "regressors": _turning,
+        "settings": (Setting("order", "", "1", read=lambda key, n: int(n)), Setting("axis", "", "", read=_text)),
+        "confused_with": lambda settings: ("g_sensitivity", "earth_rate") if settings["order"] == 1 else (),
+    },
+    table_axes={"parameters": _tilts_of, "regressors": _tilting},
+    table_rate={"parameters": _shares_of, "regressors": _faster},
 )
+HARMONICS = tuple(int(settings["order"]) for settings in TABLE_HARMONIC.listed(0.0))
+"""Orders of the table's angles that are looked for."""

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from drivers.types import Flags, Floats
 from estimator.effects.conditions import REFERENCE_C
-from estimator.effects.disturbances import TONE_HZ
+from estimator.effects.disturbances import TONE
 from estimator.planning.planning import ALIKE, EffectForecast, Forecast
 from station.render.investigation_printed import words
 from station.render.rich_table import rich_table
@@ -43,7 +43,7 @@ def print_plan(plan: Plan, console: Console) -> None:
         "alike": ALIKE,
         "reference_c": REFERENCE_C,
         "warming_time_s": WARMING_TIME_S,
-        "tone_hz": TONE_HZ,
+        "tone_hz": TONE.listed(0.0)[0]["frequency_hz"],
     }
     print_rendered(console, "station.render", "plan.rich", values)
 
