@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 from importlib.metadata import entry_points
 
-from estimator.effects import disturbances, drift, dynamics, scale, site, table, thermal
+from estimator.effects import GROUP, disturbances, drift, dynamics, scale, site, table, thermal
 from estimator.effects.constructed import CONSTRUCTED
 from estimator.effects.effect import Effect, EffectError, Kind, Record
 
-GROUP = "turntable_station.effects"
-"""Entry points of packages that bring effects of their own: each names a record, or several in a sequence."""
 _FAMILIES = (site, thermal, drift, scale, dynamics, table, disturbances)
-_BY_NAME: dict[str, Record] = {}
+_BUILT_IN = {r.name: r for r in (*(record for family in _FAMILIES for record in family.RECORDS), CONSTRUCTED)}
+_BY_NAME = dict(_BUILT_IN)
 
 
 def records() -> tuple[Record, ...]:
@@ -24,15 +23,15 @@ def record_of(name: str) -> Record | None:
 
 
 def register(*effects: Record) -> None:
-    """Make effects known to everything that the station does; EffectError for one that is damaged or there already."""
+    """Make effects known to everything that the station does, in the place of others of their names from outside.
+
+    Raises EffectError for one that is damaged, or has the name of a built-in one.
+    """
     for record in effects:
         record.check()
-        if _BY_NAME.get(record.name, record) is not record:
+        if record.name in _BUILT_IN:
             raise EffectError(f"there is an effect {record.name} already: give yours another name")
         _BY_NAME[record.name] = record
-
-
-register(*(record for family in _FAMILIES for record in family.RECORDS), CONSTRUCTED)
 
 
 def load_entry_points() -> list[str]:

@@ -9,8 +9,10 @@ one law are separated by semicolons, each with a coefficient of its own. Memory 
 
 import ast
 import re
+import tomllib
 from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -25,27 +27,11 @@ _MOST_CHARACTERS = 200
 _CHARACTERS = re.compile(r"[A-Za-z0-9_.+\-*/(),; ]*")  # no comments, no line ends: laws stand in source code
 
 VARIABLES: Mapping[str, tuple[str, str, str]] = {
-    "u": ("rate", "rad/s", "rate about the sense axis"),
-    "wx": ("rate", "rad/s", "rate about body x"),
-    "wy": ("rate", "rad/s", "rate about body y"),
-    "wz": ("rate", "rad/s", "rate about body z"),
-    "speed": ("rate", "rad/s", "size of the rate"),
-    "a": ("acceleration", "rad/s2", "angular acceleration about the sense axis"),
-    "aj": ("acceleration", "rad/s2", "angular acceleration about the tilt axis j"),
-    "ak": ("acceleration", "rad/s2", "angular acceleration about the tilt axis k"),
-    "jolt": ("acceleration", "rad/s2", "size of the angular acceleration"),
-    "T": ("temperature", "K", "temperature above 25 degC"),
-    "Tdot": ("temperature", "K/s", "slope of the temperature"),
-    "t": ("time", "s", "time since the start"),
-    "gx": ("gravity", "g", "specific force along body x"),
-    "gy": ("gravity", "g", "specific force along body y"),
-    "gz": ("gravity", "g", "specific force along body z"),
-    "gs": ("gravity", "g", "specific force along the sense axis"),
-    **{f"angle_{axis}": ("angle", "rad", f"angle of axis {axis}") for axis in AXES},
-    **{f"rate_{axis}": ("rate", "rad/s", f"rate of axis {axis}") for axis in AXES},
-    **{
-        f"u_{axis}": ("rate", "rad/s", f"part of the rate about the sense axis that axis {axis} makes") for axis in AXES
-    },
+    name.format(axis=axis): (depends, unit, words.format(axis=axis))
+    for name, (depends, unit, words) in tomllib.loads(
+        files("estimator.effects").joinpath("law.toml").read_text(encoding="utf-8")
+    ).items()
+    for axis in (AXES if "{axis}" in name else AXES[:1])
 }
 """What a law may name: what it depends on, its unit, and what it is."""
 _NEEDS = {"temperature": "temperature", "gravity": "specific force", "angle": "gimbals"}

@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from drivers.packaged import packaged_toml
 from drivers.types import Floats
 from estimator.calibration.compensation import Compensation
 from estimator.effects.effect import Acts
@@ -19,20 +20,9 @@ from station.exports.written import number
 
 AXIS_TABLES = ("axis", "axis_j", "axis_k")
 """Names of the tables of sense and tilt axes."""
-_SIZE = "sqrt({0}[0] * {0}[0] + {0}[1] * {0}[1] + {0}[2] * {0}[2])"
-_ALONG = "({{{1}}}[i][0] * {0}[0] + {{{1}}}[i][1] * {0}[1] + {{{1}}}[i][2] * {0}[2])"
-_VARIABLES: Mapping[str, str] = {
-    "u": "u",
-    **{f"w{axis}": f"w[{r}]" for r, axis in enumerate("xyz")},
-    "speed": _SIZE.format("w"),
-    **{name: _ALONG.format("wdot", axis) for name, axis in zip(("a", "aj", "ak"), AXIS_TABLES, strict=True)},
-    "jolt": _SIZE.format("wdot"),
-    "T": "warmth",
-    "Tdot": "slope",
-    "t": "time_s",
-    **{f"g{axis}": f"(accel[{r}] / {number(GRAVITY_MPS2)})" for r, axis in enumerate("xyz")},
-    "gs": f"({_ALONG.format('accel', 'axis')} / {number(GRAVITY_MPS2)})",
-}
+VARIABLES: Mapping[str, Mapping[str, str]] = packaged_toml("station.exports", "variables.toml")
+"""What the variables of laws are called: in "scalar" code for gyro ``i`` of one sample, in numpy for "rows" of them."""
+_SCALAR = {name: text.replace("GRAVITY", number(GRAVITY_MPS2)) for name, text in VARIABLES["scalar"].items()}
 _MAY_FAIL = re.compile(r"(?!fabs)\b[a-z0-9]+\(|/ \(")
 """What may be no number: functions, quotients by what is measured; products are infinite at the worst."""
 _PLACES = {"lag": 1, "play": 1, "last": 2}
@@ -127,7 +117,7 @@ def _of_law(law: str, places: int) -> tuple[str, int]:
         told = {"lag": f"exp(-step / {constant}), 1e300", "play": f"1.0, 0.5 * {constant}"}.get(name, constant or "0.0")
         return f"{{{'last' if name == 'last' else 'follow'}}}{place}, i, {inner}, {told})"
 
-    written = law_terms(law, _VARIABLES, call)
+    written = law_terms(law, _SCALAR, call)
     column = "[{}]" if len(written) > 1 else ""
     guarded = ["{value}" + term + ")" if _MAY_FAIL.search(term) else term for term in written]
     return " + ".join(f"{{table}}[i]{column.format(n)} * {term}" for n, term in enumerate(guarded)), places

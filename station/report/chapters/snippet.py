@@ -15,26 +15,15 @@ from estimator.effects.effect import Acts
 from estimator.effects.law import LAST_SHARE
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.exports.law_text import law_terms
+from station.exports.terms import VARIABLES
 from station.render.template import rendered
 from station.report.chapters.correction import Correction
 
-_WARMTH = f"(t - {REFERENCE_C:g})"
 _STEPS = "np.maximum(np.diff(t_s, prepend=t_s[:1]), 0)"
-_WARMING = f"(t - follow(t, {SLOPE_S:g} / ({SLOPE_S:g} + {_STEPS}), np.inf)) / {SLOPE_S:g}"
-_FORCE = f"(np.asarray(accel_mps2) / {GRAVITY_MPS2})"
-_VARIABLES: Mapping[str, str] = {
-    "u": "u",
-    **{f"w{axis}": f"w[:, [{r}]]" for r, axis in enumerate("xyz")},
-    "speed": "np.linalg.norm(w, axis=1, keepdims=True)",
-    **{a: f"(slope(w, t_s) @ {axes}.T)" for a, axes in (("a", "SENSE_AXES"), ("aj", "AXES_J"), ("ak", "AXES_K"))},
-    "jolt": "np.linalg.norm(slope(w, t_s), axis=1, keepdims=True)",
-    "T": _WARMTH,
-    "Tdot": f"({_WARMING})",
-    "t": "since",
-    **{f"g{axis}": f"{_FORCE}[:, [{r}]]" for r, axis in enumerate("xyz")},
-    "gs": f"({_FORCE} @ SENSE_AXES.T)",
+_NUMBERS = {"GRAVITY": str(GRAVITY_MPS2), "REFERENCE": f"{REFERENCE_C:g}", "SLOPE": f"{SLOPE_S:g}"}
+_ROWS = {
+    name: re.sub("|".join(_NUMBERS), lambda found: _NUMBERS[found[0]], text) for name, text in VARIABLES["rows"].items()
 }
-"""The variables of laws, (N, n) or (N, 1)."""
 _NEEDS: Mapping[str, str] = {"temperature_c": r"\bt\b", "accel_mps2": "accel_mps2", "t_s": r"\bt_s\b|since"}
 """The arguments beside the outputs, and what needs them in the code of the effects."""
 _U = re.compile(r"\bu\b")
@@ -76,7 +65,7 @@ def _of(correction: Correction, acts: Acts) -> Iterator[str]:
     for effect in correction.held:
         if effect.acts is acts:
             table, law = _constant(correction, effect), effect.known.law
-            terms = law_terms(law, _VARIABLES, _called) if law else ["slope(left, t_s)"]  # a lag of the output
+            terms = law_terms(law, _ROWS, _called) if law else ["slope(left, t_s)"]  # a lag of the output
             yield f"({' + '.join(f'{table}[:, {n}] * {term}' for n, term in enumerate(terms))})"
 
 
