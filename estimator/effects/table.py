@@ -6,6 +6,7 @@ import numpy as np
 
 from estimator.effects.conditions import Axes, Conditions
 from estimator.effects.effect import Parameter, Regressors, Setting, Settings, family
+from estimator.effects.law import columns_of
 from estimator.geometry.kinematics import AXES, into_body
 from estimator.types import Floats
 
@@ -18,10 +19,9 @@ def _turning(settings: Settings) -> Regressors:
     """Return the columns of cosine and sine of ``order`` times the angle of an ``axis``, by default of all."""
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        names = conditions.gimbals
-        chosen = [names.index(str(settings["axis"]))] if "axis" in settings else list(range(len(names)))
-        turned = int(settings["order"]) * conditions.angle_rad[:, chosen]
-        return np.stack([np.cos(turned), np.sin(turned)], axis=2)  # (N, g, 2), in the order of the parameters
+        names = [settings["axis"]] if "axis" in settings else conditions.gimbals
+        waves = (f"{part}({settings['order']}*angle_{name})" for name in names for part in ("cos", "sin"))
+        return columns_of("; ".join(waves), conditions, axes)
 
     return columns
 
@@ -57,7 +57,7 @@ def _faster(settings: Settings) -> Regressors:
     """Return the part of the rate about the sense axis that each axis of the table makes."""
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return np.stack([_rate_of(conditions, g) @ axes.p for g in range(len(conditions.gimbals))], axis=1)
+        return columns_of("; ".join(f"u_{axis}" for axis in conditions.gimbals), conditions, axes)
 
     return columns
 
@@ -92,13 +92,6 @@ def _tilted(conditions: Conditions, inner: int, d: Floats) -> Floats:
         if column == inner:
             error = np.cross(d, v) - into_body(before, angle, axis)
     return error
-
-
-def _rate_of(conditions: Conditions, column: int) -> Floats:
-    """Return the part of the body rate (N, 3) that one gimbal makes."""
-    part = np.zeros_like(conditions.w_rps)
-    part[:, AXES.index(conditions.gimbals[column])] = conditions.rate_rps[:, column]
-    return into_body(part, conditions.angle_rad[:, column + 1 :], conditions.gimbals[column + 1 :])
 
 
 RECORDS = TABLE_HARMONIC, TABLE_AXES, TABLE_RATE = family(

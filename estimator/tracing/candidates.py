@@ -19,14 +19,12 @@ from estimator.effects.law import last_sign, of_each_gyro
 from estimator.effects.site import EARTH_RATE, EARTH_RATE_UPWARD
 from estimator.effects.table import HARMONICS, TABLE_HARMONIC
 from estimator.estimation.runs.run import Run
-from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, into_body
 from estimator.observations.turned import by_turns
 
 Floats = NDArray[np.float64]
 
 _OTHER_ORDERS = (3, 5, 6)
-_OF_ANGLES = replace(TABLE_HARMONIC, name="angle", label="", confused_with=())
-_PICKED_UP = float(np.radians(0.5))
+_PICKED_UP, _AROUND = float(np.radians(0.5)), float(np.radians(0.05))  # largest sizes without a name, rad/s
 _STEPS = 100  # instants in a run at which a step is looked for first
 _LAGS_S = (15.0, 40.0, 120.0)
 
@@ -282,20 +280,22 @@ def _general(offers: frozenset[str], gimbals: tuple[str, ...], count: int) -> li
     if "temperature" in offers:
         kinds.append(("temperature", _own("temperature", _of_temperature, 4)))
     if "specific force" in offers:
-        kinds.append(("gravity", _own("gravity", _of_gravity, 5)))
+        kinds.append(("gravity", _law("gravity", "gx*gy; gy*gz; gz*gx; gx*gx - gy*gy; gz*gz")))
     if gimbals:
-        kinds.append(("direction", _own("direction of the axes", _of_axis_direction, len(gimbals))))
+        of_axes = "; ".join(f"last(rate_{axis})" for axis in gimbals)
+        kinds.append(("direction", _law("direction of the axes", of_axes)))
     found = [
         Candidate(f"general: {effect.name}", effect, -np.log(count) - np.log(3 * len(kinds)), depends_on=kind)
         for kind, effect in kinds
     ]
     angles: list[tuple[str, Effect]] = []
-    for axis_number, axis in enumerate(gimbals):
+    for axis in gimbals:
         for order in _OTHER_ORDERS:
-            waves = TABLE_HARMONIC.effect(gimbals, order=order, axis=axis)
-            angles.append((f"angle {order} {axis}", replace(waves, record=_OF_ANGLES)))
-        for order in range(1, 7):
-            angles.append((f"encoder {order} {axis}", _encoder(gimbals, axis_number, order)))
+            law = f"cos({order}*angle_{axis}); sin({order}*angle_{axis})"
+            angles.append((f"angle {order} {axis}", _law("angle", law, _AROUND)))
+        for order in range(1, 7):  # errors of the angle reading: the reported rate is wrong in proportion to the rate
+            law = f"u_{axis}*cos({order}*angle_{axis}); u_{axis}*sin({order}*angle_{axis})"
+            angles.append((f"encoder {order} {axis}", _law("angle", law, 0.01, shared=True)))
     prior = -np.log(count) - np.log(3 * max(len(angles), 1))
     return found + [Candidate(f"general: {name}", effect, prior, depends_on="angle") for name, effect in angles]
 
@@ -305,19 +305,9 @@ def _own(name: str, columns: Callable[[Conditions, Axes], Floats], count: int) -
     return Record(name=name, parameters=parameters, regressors=lambda settings: columns).effect()
 
 
-def _encoder(gimbals: tuple[str, ...], column: int, order: int) -> Effect:
-    """Return an error of the table's angle reading: it makes the reported rate wrong in proportion to the rate."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        unit = np.zeros((len(conditions.t_s), 3))
-        unit[:, AXES.index(gimbals[column])] = conditions.rate_rps[:, column]
-        part = into_body(unit, conditions.angle_rad[:, column + 1 :], gimbals[column + 1 :]) @ axes.p
-        turned = order * conditions.angle_rad[:, column]
-        return np.column_stack([part * np.cos(turned), part * np.sin(turned)])
-
-    parameters = tuple(Parameter(part, "1", 0.01) for part in ("cosine", "sine"))
-    own = replace(_OF_ANGLES, parameters=parameters, shared=True, regressors=lambda settings: columns)
-    return own.effect()
+def _law(name: str, law: str, largest: float = _PICKED_UP, *, shared: bool = False) -> Effect:
+    parameters = tuple(Parameter(str(n + 1), "rad/s", largest) for n in range(law.count(";") + 1))
+    return Record(name=name, parameters=parameters, law=law, shared=shared).effect()
 
 
 def _rate(conditions: Conditions, axes: Axes) -> tuple[Floats, float]:
@@ -336,10 +326,6 @@ def _of_direction(conditions: Conditions, axes: Axes) -> Floats:
     u, top = _rate(conditions, axes)
     last = last_sign(u)
     return np.column_stack([last, last * (np.abs(u) < 0.02 * top)])
-
-
-def _of_axis_direction(conditions: Conditions, axes: Axes) -> Floats:
-    return np.column_stack([last_sign(column) for column in conditions.rate_rps.T])
 
 
 def _of_acceleration(conditions: Conditions, axes: Axes) -> Floats:
@@ -368,9 +354,3 @@ def _of_temperature(conditions: Conditions, axes: Axes) -> Floats:
         slow, _ = lfilter([1 - keep], [1, -keep], rise - rise[0], zi=[0.0])
         lags.append((slow - (rise - rise[0])) / 10)
     return np.column_stack([*lags, (rise / 20) ** 3])
-
-
-def _of_gravity(conditions: Conditions, axes: Axes) -> Floats:
-    f = conditions.specific_force_mps2 / GRAVITY_MPS2
-    x, y, z = f.T
-    return np.column_stack([x * y, y * z, z * x, x * x - y * y, z * z])
