@@ -39,22 +39,16 @@ class CompensationError(EstimatorError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldEffect:
-    """An effect that is undone: ``values`` (n, p) are its parameters on each gyro, in the SI units of the catalogue."""
+    """An effect that is undone, and how it ``acts``; ``values`` (n, p) are its parameters on each gyro, in SI units."""
 
     known: KnownEffect
     values: Floats
+    acts: Acts
 
     @property
     def name(self) -> str:
         """Name in the catalogue; that of laws is "constructed"."""
         return self.known.name
-
-    @property
-    def acts(self) -> Acts:
-        """How it comes into the output."""
-        acts = self.known.effect(()).acts
-        assert acts is not None, self.name
-        return acts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +91,7 @@ class Compensation:
             elif acts is None:
                 raise CompensationError(f"the calibration has the effect {called}, which this version cannot undo")
             else:
-                effects.append(HeldEffect(effect, values))
+                effects.append(HeldEffect(effect, values, acts))
         return cls(_joined(gyros, arrays), np.array([g.states for g in gyros]), tuple(effects), delay_s, left_out)
 
     @property

@@ -24,9 +24,8 @@ def _instants(first_s: float, last_s: float) -> list[Settings]:
     return [{"at_s": at_s} for at_s in np.linspace(first_s, last_s, _STEPS + 2)[1:-1].tolist()]
 
 
-_FROM_CHIP_TO_HOUSING = float(np.log(3600.0 / 5.0))
 _TIME_CONSTANT = Setting(
-    "time_constant_s", "time constant", "s", "{:g} s".format, grid=_taus_s, range_log=_FROM_CHIP_TO_HOUSING
+    "time_constant_s", "time constant", "s", "{:g} s".format, grid=_taus_s, range_log=float(np.log(3600.0 / 5.0))
 )
 RECORDS = BIAS_DRIFT, WARM_UP, BIAS_STEP = family(
     "drift",

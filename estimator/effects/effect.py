@@ -34,6 +34,10 @@ _UNSTEADY = frozenset({"lag", "play", "last", "sign", "sqrt", "/"})
 _IMPLAUSIBLE = 2.0  # of the largest plausible size: larger, it is something else
 
 
+def _none(conditions: Conditions, axes: Axes) -> Floats:
+    return np.empty((len(conditions.t_s), 0))
+
+
 class EffectError(EstimatorError):
     """A record that is none: the message says what it lacks."""
 
@@ -190,7 +194,7 @@ class Record:
         own = self.parameters if isinstance(self.parameters, tuple) else self.parameters(gimbals, settings)
         law = self.law.format(**settings) if settings else self.law
         needs = self.needs
-        columns = (self.regressors or _none)(settings)
+        columns = self.regressors(settings) if self.regressors else _none
         if law:
             needs |= needs_of(law)
             columns = partial(columns_of, law)
@@ -262,11 +266,6 @@ class Effect:
         if not kinds & {"rate", "acceleration"}:
             return Acts.ADDED
         return Acts.MOTION if "acceleration" in kinds or "Tdot" in names or functions & _UNSTEADY else Acts.RATE
-
-
-def _none(settings: Settings) -> Regressors:
-    """Return the columns of what is no law: none."""
-    return lambda conditions, axes: np.empty((len(conditions.t_s), 0))
 
 
 def family(name: str, /, **coded: dict[str, Any]) -> tuple[Record, ...]:

@@ -11,10 +11,6 @@ from estimator.geometry.kinematics import AXES, into_body
 from estimator.types import Floats
 
 
-def _text(key: str, value: object) -> str:
-    return str(value)
-
-
 def _turning(settings: Settings) -> Regressors:
     """Return the columns of cosine and sine of ``order`` times the angle of an ``axis``, by default of all."""
 
@@ -99,11 +95,12 @@ RECORDS = TABLE_HARMONIC, TABLE_AXES, TABLE_RATE = family(
     table_harmonic={
         "parameters": _waves_of,
         "regressors": _turning,
-        "settings": (Setting("order", "", "1", read=lambda key, n: int(n)), Setting("axis", "", "", read=_text)),
+        "settings": (
+            Setting("order", "", "1", read=lambda key, n: int(n)),
+            Setting("axis", "", "", read=lambda key, axis: str(axis)),
+        ),
         "confused_with": lambda settings: ("g_sensitivity", "earth_rate") if settings["order"] == 1 else (),
     },
     table_axes={"parameters": _tilts_of, "regressors": _tilting},
     table_rate={"parameters": _shares_of, "regressors": _faster},
 )
-HARMONICS = tuple(int(settings["order"]) for settings in TABLE_HARMONIC.listed(0.0))
-"""Orders of the table's angles that are looked for."""

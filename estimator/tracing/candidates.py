@@ -17,7 +17,7 @@ from estimator.effects.dynamics import BANDWIDTH, LAG_S, LATENCY, late
 from estimator.effects.effect import Effect, Kind, Parameter, Record, Settings
 from estimator.effects.law import last_sign, of_each_gyro
 from estimator.effects.site import EARTH_RATE, EARTH_RATE_UPWARD
-from estimator.effects.table import HARMONICS, TABLE_HARMONIC
+from estimator.effects.table import TABLE_HARMONIC
 from estimator.estimation.runs.run import Run
 from estimator.observations.turned import by_turns
 
@@ -171,7 +171,7 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
         found.append(by_size(SAMPLE_HOLD.name, lambda delay_s: SAMPLE_HOLD.effect(delay_s=delay_s), np.zeros(1)))
     of_grid = [record for record in known if record.grid is not None]
     found += [_scanned(record, gimbals, span_s) for record in of_grid if record is not WARM_UP]
-    for order in HARMONICS:
+    for order in (settings["order"] for settings in TABLE_HARMONIC.listed(span_s)):
         for axis in gimbals:
             effect = TABLE_HARMONIC.effect(gimbals, order=order, axis=axis)
             name = f"{TABLE_HARMONIC.name} {order} {axis}"
@@ -192,20 +192,16 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
             found.append(
                 Candidate(
                     f"{BIAS_STEP.name} {run.order}",
-                    _step_at(float(times[len(times) // 2])),
+                    BIAS_STEP.effect(at_s=float(times[len(times) // 2])),
                     0.0,
                     theta=float(times[len(times) // 2]),
-                    of=_step_at,
+                    of=lambda at_s: BIAS_STEP.effect(at_s=at_s),
                     start=times,
                     run=run.order,
                     log_tries=float(np.log(len(times))),
                 )
             )
     return found
-
-
-def _step_at(at_s: float) -> Effect:
-    return BIAS_STEP.effect(at_s=at_s)
 
 
 def _going_on(tau_s: float, began_s: float) -> Effect:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.effects.disturbances import TONE
-from estimator.effects.effect import Effect
 from estimator.errors import InvestigationError
 from estimator.estimation.evidence import SCALES, Base, Evidence, Term
 from estimator.estimation.runs.run import Run
@@ -385,10 +384,10 @@ class Search:
         self._scored.clear()
         candidate = Candidate(
             f"{TONE.name} {tone.frequency_hz:.4f} Hz",
-            _tone_at(tone.frequency_hz),
+            TONE.effect(frequency_hz=tone.frequency_hz),
             0.0,
             theta=tone.frequency_hz,
-            of=_tone_at,
+            of=lambda frequency_hz: TONE.effect(frequency_hz=frequency_hz),
             unit="Hz",
         )
         self._tones.append(Choice(candidate, Term(candidate.name, (), False), probability, (TONE.name,), tone=fit))
@@ -419,7 +418,7 @@ class Search:
         for name, score in options.items():
             if name == TONE.name:
                 assert tone is not None
-                candidate = Candidate(TONE.name, _tone_at(tone.frequency_hz), 0.0)
+                candidate = Candidate(TONE.name, TONE.effect(frequency_hz=tone.frequency_hz), 0.0)
             else:
                 candidate = self._known[name][0]
             listed.append((candidate, score - bare, float(np.exp(score - total))))
@@ -621,10 +620,6 @@ class Search:
                 continue
             renewed.append(self._tuned(candidate, scan))
         self.add(renewed)
-
-
-def _tone_at(frequency_hz: float) -> Effect:
-    return TONE.effect(frequency_hz=frequency_hz)
 
 
 def _one_of_many(candidate: Candidate) -> bool:

@@ -3,11 +3,12 @@
 import argparse
 import json
 from dataclasses import asdict, replace
+from typing import Any
 
 from rich.markup import escape
 
 from estimator.effects.catalogue import everything
-from estimator.effects.effect import Effect, Kind, Parameter
+from estimator.effects.effect import Effect, Kind
 from estimator.tracing.investigation import Value
 from station.render.investigation_printed import human, words
 from station.render.rich_table import rich_table
@@ -17,67 +18,53 @@ from station.run.outcome import Outcome
 
 def command_effects(arguments: argparse.Namespace) -> int:
     """Print the catalogue of effects; always 0."""
-    listed = everything()
+    listed = [_object(effect) for effect in everything()]
     if arguments.json:
-        print(json.dumps([_object(effect) for effect in listed]))
+        print(json.dumps(listed))
         return Outcome.PASS.exit_code
     heads = ("effect", "parameters, up to", "shown by", "looks like")
     table = rich_table("Effects that an investigation looks for", heads, fold=True)
-    for effect in listed:
-        record = effect.record
-        name = escape(words(effect.name)) + ("" if record.kind is Kind.LAW else f"\n[dim]{record.kind}[/]")
+    for one in listed:
+        kind = "" if one["kind"] == Kind.LAW else f"\n[dim]{one['kind']}[/]"
+        shared = "\n[dim]shared by all gyros[/]" if one["shared"] else ""
+        needs = f"; needs {' and '.join(one['needs'])}" if one["needs"] else ""
         table.add_row(
-            name + ("\n[dim]shared by all gyros[/]" if effect.shared else ""),
-            escape("\n".join(_parameters(effect))),
-            escape(record.shown_by + _needs(effect)),
-            escape(", ".join(map(words, effect.confused_with))),
+            escape(words(one["effect"])) + kind + shared,
+            escape("\n".join(_parameters(one))),
+            escape(one["shown_by"] + needs),
+            escape(", ".join(map(words, one["confused_with"]))),
         )
         table.add_section()
     stdout().print(table)
     return Outcome.PASS.exit_code
 
 
-def _free(effect: Effect) -> list[tuple[str, str]]:
-    """Return name and unit of what is looked for in the data beside the parameters."""
-    return [(setting.name, setting.unit) for setting in effect.record.settings if setting.name]
-
-
-def _sized(effect: Effect) -> list[Parameter]:
-    """Return the parameters, without the value that names state of what is looked for."""
-    if effect.record.kind is not Kind.LAW or not _free(effect):
-        return list(effect.parameters)
-    return [replace(p, name=p.name.split(" at ")[0] if " at " in p.name else "size") for p in effect.parameters]
-
-
-def _parameters(effect: Effect) -> list[str]:
-    lines = [f"{p.name} {_largest(p)}" for p in _sized(effect)]
-    sizes = {_largest(p) for p in effect.parameters}
-    if len(lines) > 2 and len(sizes) == 1:
-        lines = [f"{len(lines)} of {sizes.pop()} each"]
-    if _free(effect):
-        lines.append(", ".join(name for name, _ in _free(effect)) + ": found from the data")
+def _parameters(one: dict[str, Any]) -> list[str]:
+    sizes = [_largest(**parameter) for parameter in one["parameters"]]
+    lines = [f"{p['name']} {size}" for p, size in zip(one["parameters"], sizes, strict=True)]
+    if len(lines) > 2 and len(set(sizes)) == 1:
+        lines = [f"{len(lines)} of {sizes[0]} each"]
+    if one["non_linear"]:
+        lines.append(", ".join(free["name"] for free in one["non_linear"]) + ": found from the data")
     return lines
 
 
-def _largest(parameter: Parameter) -> str:
-    return "all of it" if parameter.unit == "1" and parameter.largest == 1 else human(_value(parameter))
+def _largest(name: str, unit: str, largest: float) -> str:
+    return "all of it" if unit == "1" and largest == 1 else human(Value(largest, 0.0, unit))
 
 
-def _value(parameter: Parameter) -> Value:
-    return Value(parameter.largest, 0.0, parameter.unit)
-
-
-def _needs(effect: Effect) -> str:
-    return f"; needs {' and '.join(sorted(effect.needs))}" if effect.needs else ""
-
-
-def _object(effect: Effect) -> dict[str, object]:
-    record = effect.record
+def _object(effect: Effect) -> dict[str, Any]:
+    """Return an effect as --json prints it, names of parameters without the value of what is looked for."""
+    record, parameters = effect.record, effect.parameters
+    free = [{"name": setting.name, "unit": setting.unit} for setting in record.settings if setting.name]
+    names = [p.name.split(" at ")[0] if " at " in p.name else "size" for p in parameters]
+    if record.kind is not Kind.LAW or not free:
+        names = [p.name for p in parameters]
     return {
         "effect": effect.name,
         "kind": str(record.kind),
-        "parameters": [asdict(p) for p in _sized(effect)],
-        "non_linear": [{"name": name, "unit": unit} for name, unit in _free(effect)],
+        "parameters": [asdict(replace(p, name=name)) for p, name in zip(parameters, names, strict=True)],
+        "non_linear": free,
         "shared": effect.shared,
         "shown_by": record.shown_by,
         "confused_with": list(effect.confused_with),

@@ -1,9 +1,7 @@
 """The correction as terms that C and Python write nearly alike: tables of numbers, an expression over gyro ``i``.
 
-Names that expressions use: ``warmth`` is the temperature above the reference, ``slope`` its smoothed rate of change,
-``time_s`` the time since the state was reset, ``u`` the rate about the nominal sense axis, ``accel`` the specific
-force, ``w`` the body rate, ``wdot`` its rate of change, ``step`` the time since the sample before. What the languages
-write differently stands in braces: names of tables, helpers that laws call.
+What the languages write differently stands in braces: names of tables, helpers that laws call. Names are those of
+``variables.toml``, and ``step``, the time since the sample before.
 """
 
 import re

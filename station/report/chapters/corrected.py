@@ -1,14 +1,14 @@
 """What the chapter on the correction shows of effects: formulas, letters, numbers."""
 
-import ast
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from estimator.calibration.compensation import HeldEffect
 from estimator.effects.conditions import SLOPE_S
 from estimator.effects.constructed import CONSTRUCTED
-from estimator.effects.law import VARIABLES, parsed, variables_of
+from estimator.effects.law import VARIABLES, variables_of
 from station.report.chapters.correction import Correction
 from station.report.figures import ONE, figure
 from station.report.recorded import Recorded
@@ -29,35 +29,34 @@ def gains(one: Correction, gyro: int) -> list[Markup]:
 def formula_of(effect: HeldEffect) -> Markup:
     """Return what an effect adds to the outputs, with a factor a for each of its terms."""
     known = effect.known
-    if known.record is CONSTRUCTED:
-        terms = [Markup("<code>{}</code>").format(term.strip()) for term in known.law.split(";")]
-    else:
-        terms = [_typeset(tree) for tree in parsed(known.law)] if known.law else [Markup.escape(known.record.formula)]
-    subs = [Markup("<sub>{}</sub>").format(n) if len(terms) > 1 else "" for n in range(1, len(terms) + 1)]
-    factors = (Markup("<var>a</var>{} {}").format(*pair) for pair in zip(subs, terms, strict=True))
-    return Markup(" + ").join(factors)
+    shown = "<code>{}</code>" if known.record is CONSTRUCTED else "{}"
+    terms = [term.strip() for term in (known.law or str(escape(known.record.formula))).split(";")]
+    if known.law and known.record is not CONSTRUCTED:
+        terms = list(map(_typeset, terms))
+    subs = [f"<sub>{n}</sub>" if len(terms) > 1 else "" for n in range(1, len(terms) + 1)]
+    return Markup(" + ".join(f"<var>a</var>{sub} {shown.format(term)}" for sub, term in zip(subs, terms, strict=True)))
 
 
-def _typeset(node: ast.expr) -> Markup:
-    match node:
-        case ast.Name(id="Tdot"):
-            return Markup("d<var>T</var>/d<var>t</var>")
-        case ast.Name(id=name):
-            return Markup("<var>{}</var><sub>{}</sub>").format(name[0], name[1:].lstrip("_"))
-        case ast.UnaryOp(operand=operand):
-            return Markup("−{}").format(_typeset(operand))
-        case ast.BinOp(left=left, op=ast.Pow(), right=right):
-            return Markup("{}<sup>{}</sup>").format(_typeset(left), ast.unparse(right))
-        case ast.BinOp(left=left, op=op, right=right):
-            shown = {ast.Add: "({} + {})", ast.Sub: "({} − {})", ast.Div: "{} / {}"}.get(type(op), "{} {}")
-            return Markup(shown).format(_typeset(left), _typeset(right))
-        case ast.Call(func=ast.Name(id="abs"), args=[inner]):
-            return Markup("|{}|").format(_typeset(inner))
-        case ast.Call(func=ast.Name(id="expm1"), args=[inner]):
-            return Markup("(exp({}) − 1)").format(_typeset(inner))
-        case ast.Call(func=ast.Name(id=name), args=arguments):
-            return Markup("{}({})").format(name, Markup(", ").join(map(_typeset, arguments)))
-    return Markup.escape(ast.unparse(node))
+_SIGNS: Mapping[str, str | Callable[[re.Match[str]], str]] = {
+    r"-expm1\((.*)\)": r"(1 - exp(\1))",
+    r"abs\(([^()]*)\)": r"|\1|",
+    r" ?\*\* ?(\w+)": r"<sup>\1</sup>",
+    r" ?\* ?": " ",
+    "-": "−",
+    r"\bTdot\b": "dT/dt",
+    rf"\b({'|'.join(map(re.escape, VARIABLES))})\b": lambda found: _letter(found[1]),
+}
+
+
+def _typeset(law: str) -> str:
+    """Return a law, which holds no sign that HTML knows, as mathematics."""
+    for pattern, sign in _SIGNS.items():
+        law = re.sub(pattern, sign, law)
+    return law
+
+
+def _letter(name: str) -> str:
+    return f"<var>{name[0]}</var>" + (f"<sub>{name[1:].lstrip('_')}</sub>" if name[1:] else "")
 
 
 _MORE = {
