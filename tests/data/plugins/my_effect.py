@@ -1,7 +1,8 @@
 """An effect of one's own, as a file: a bias that keeps the direction of the last turn, as a sticking proof mass does.
 
 The law makes all the rest: what is looked for in recordings, what a plan tells, what is undone by the exports to C and
-Python, and the formula in the report. ``u`` is the rate about the sense axis; docs/ lists the other variables.
+Python, and the formula in the report. ``u`` is the rate about the sense axis; ``estimator/effects/law.toml`` lists all
+variables.
 """
 
 import math
