@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from estimator.calibration.values import Calibration
 from estimator.geometry.model import STATES
-from estimator.recordings.recording import write_results
+from estimator.recordings.writing import write_results
 
 
 def write_calibration(path: Path, calibration: Calibration, attributes: dict[str, object] | None = None) -> None:

@@ -19,7 +19,8 @@ from estimator.effects.constructed import readable
 from estimator.effects.dynamics import LATENCY
 from estimator.effects.effect import Acts
 from estimator.estimation.noise_evidence import Joint, Law, TooShort, expected_of, joint_estimate
-from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes, run_of
+from estimator.estimation.runs.making import run_of
+from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes
 from estimator.estimation.spectra import Z
 from estimator.estimation.undeclared import undeclared_laws
 from estimator.geometry.noise import NoiseFound

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.observations.defects.odd_samples import without_odd
-from estimator.recordings.recording import ImuData, columns_of
+from estimator.recordings.recording import ImuData
+from estimator.recordings.writing import columns_of
 from estimator.types import Flags, Floats, runs_of
 
 _RUN_S = 0.25  # equal extreme values for longer than this are a limit, not a coincidence

@@ -12,7 +12,8 @@ from estimator.effects.law import in_words
 from estimator.errors import InvestigationError
 from estimator.estimation.evidence import Evidence, Posterior, Term
 from estimator.estimation.repeatability import between_runs
-from estimator.estimation.runs.run import BLOCK_S, Run, growth_notes, runs_of, same_devices
+from estimator.estimation.runs.making import runs_of
+from estimator.estimation.runs.run import BLOCK_S, Run, growth_notes, same_devices
 from estimator.estimation.spectra import GyroSpectra, NoiseShapes, gyro_spectra
 from estimator.geometry.model import STATES, decode
 from estimator.observations.defects.faults import Fault

@@ -19,7 +19,8 @@ from estimator.calibration.values import Calibration
 from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import Repeatability, repeatability, same_device
-from estimator.recordings.recording import Recording, read_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Recording
 from station.bench.bench import Bench, load_bench, read_excluded, read_limits
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError

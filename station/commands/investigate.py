@@ -12,8 +12,9 @@ import numpy as np
 
 from drivers.types import AxisLimits
 from estimator.effects.catalogue import records
-from estimator.estimation.runs.run import runs_of
-from estimator.recordings.recording import Recording, read_recording
+from estimator.estimation.runs.making import runs_of
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Recording
 from estimator.recordings.reference import TableReadings
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Finding, Investigation

@@ -14,7 +14,8 @@ from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.stored_calibration import read_calibration
 from estimator.calibration.values import Calibration, GyroCalibration
 from estimator.errors import EstimatorError, RecordingError
-from estimator.recordings.recording import Recording, read_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Recording
 from station.errors import UsageError
 from station.exports.hashes import file_sha256
 from station.run.outcome import Outcome

@@ -14,7 +14,8 @@ from drivers.types import Floats, Stamps
 from estimator.calibration.stored_calibration import read_calibration
 from estimator.calibration.values import Calibration
 from estimator.errors import RecordingError
-from estimator.recordings.recording import Recording, read_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Recording
 from station.run.outcome import Outcome
 
 if TYPE_CHECKING:

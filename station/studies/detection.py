@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.packaged import packaged_toml
 from estimator.effects.site import EARTH_RATE
-from estimator.estimation.runs.run import runs_of
+from estimator.estimation.runs.making import runs_of
 from estimator.geometry.array import tetrahedron
 from estimator.geometry.kinematics import Site
 from estimator.recordings.recording import Recording

@@ -24,8 +24,9 @@ from estimator.geometry.array import SensorArray, tetrahedron, tetrahedron_as_pr
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior, decode
 from estimator.observations.rows import BLOCK_S, block_rows, observations
-from estimator.recordings.recording import ImuData, Recording, write_recording, write_results
+from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings
+from estimator.recordings.writing import write_recording, write_results
 from station.campaigns.campaigns import Failure, run_all
 from station.errors import UsageError
 from station.opening.simulate import DeviceTruth, simulate

@@ -21,7 +21,8 @@ from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import EffectValue, GyroCalibration
 from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import Conditions
-from estimator.estimation.runs.run import Run, run_of, runs_of
+from estimator.estimation.runs.making import run_of, runs_of
+from estimator.estimation.runs.run import Run
 from estimator.estimation.undeclared import undeclared_laws
 from estimator.geometry.array import tetrahedron, triad
 from estimator.geometry.kinematics import Site

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from estimator.errors import RecordingError
-from estimator.recordings.recording import RecordingWriter, write_attributes, write_results
 from estimator.recordings.safe_open import probe
+from estimator.recordings.writing import RecordingWriter, write_attributes, write_results
 
 IN_A_SMALL_DISK = ["unshare", "--map-root-user", "--mount", "sh", "-c"]
 

@@ -16,17 +16,10 @@ from estimator.errors import RecordingError
 from estimator.geometry.array import sensor_array, tetrahedron, triad
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior
-from estimator.recordings.recording import (
-    FORMAT_VERSION,
-    ImuData,
-    Recording,
-    RecordingWriter,
-    read_recording,
-    write_attributes,
-    write_recording,
-    write_results,
-)
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import FORMAT_VERSION, ImuData, Recording
 from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings, Turns
+from estimator.recordings.writing import RecordingWriter, write_attributes, write_recording, write_results
 from station.bench.bench import default_bench_text
 from station.cli import main
 

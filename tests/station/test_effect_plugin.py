@@ -18,7 +18,8 @@ from estimator.calibration.stored_calibration import read_calibration
 from estimator.effects import catalogue
 from estimator.effects.effect import EffectError, Parameter, Record
 from estimator.geometry.array import tetrahedron
-from estimator.recordings.recording import read_recording, write_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.writing import write_recording
 from sims.physics.hidden import Hidden
 from station.cli import main
 from station.opening import DeviceTruth, simulate

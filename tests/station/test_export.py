@@ -25,8 +25,9 @@ from estimator.calibration.values import Calibration, EffectValue, GyroCalibrati
 from estimator.effects.catalogue import everything
 from estimator.geometry.array import SensorArray, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.geometry.noise import NoiseFound, NoiseModel
-from estimator.recordings.recording import ImuData, Recording, write_recording
+from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import TableReadings
+from estimator.recordings.writing import write_recording
 from station.cli import main
 from station.exports.exported import Exported, exported_of
 from station.exports.formats import FORMATS

@@ -18,7 +18,7 @@ from faults import BENCHES
 from test_run import bench_file, events
 
 import station
-from estimator.recordings.recording import read_recording
+from estimator.recordings.reading import read_recording
 from station.bench.bench import load_bench
 from station.cli import main
 from station.opening import open_bench

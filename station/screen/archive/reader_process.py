@@ -70,7 +70,7 @@ def _accept(path: Path, attributes: Mapping[str, str]) -> dict[str, Any]:
     A write that fails within HDF5 leaves a file that cannot be opened any more.
     """
     from estimator.errors import RecordingError
-    from estimator.recordings.recording import write_attributes
+    from estimator.recordings.writing import write_attributes
 
     path = path.resolve()  # a link to a recording stays one
     copy = path.with_name(f".{path.name}.{os.getpid()}.part")

@@ -16,9 +16,9 @@ from textual.widgets import Button, Input, Label, Static
 from station.screen.base import Field, StationScreen
 from station.screen.choices import Choices
 from station.screen.figures import columns, headed, templated, titled
-from station.screen.link import sessions_on
-from station.screen.live_run import LiveRun
-from station.screen.programs import Answer, ask
+from station.screen.sessions.link import sessions_on
+from station.screen.sessions.live_run import LiveRun
+from station.screen.sessions.programs import Answer, ask
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
 from station.views.figures import STATE_UNITS, clock, number
 

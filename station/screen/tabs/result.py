@@ -19,9 +19,9 @@ from station.screen.archive.reader_process import INVESTIGATION
 from station.screen.base import StationScreen
 from station.screen.dialogs import AskDialog, ChooseDialog
 from station.screen.figures import columns, headed, state_heads, templated, titled
-from station.screen.live_run import Trend
 from station.screen.plots import gyro_plots
-from station.screen.programs import ask
+from station.screen.sessions.live_run import Trend
+from station.screen.sessions.programs import ask
 from station.screen.tabs.investigated import investigation_lines
 from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
 

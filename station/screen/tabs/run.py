@@ -16,8 +16,8 @@ from station.run.snapshot import PAUSED, Snapshot
 from station.screen.bars import SILENCE_S, Lines, StopBar
 from station.screen.base import Field, StationDialog, StationScreen
 from station.screen.figures import columns, headed, state_heads
-from station.screen.live_run import LiveRun, Stage, Trend
 from station.screen.plots import bar, gyro_plots
+from station.screen.sessions.live_run import LiveRun, Stage, Trend
 from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, clock, number
 
 PLOT_PERIOD_S = 1.0

@@ -20,7 +20,7 @@ from station.screen.app import StationApp
 from station.screen.bars import STOP_KEY, StopBar
 from station.screen.choices import Choices
 from station.screen.dialogs import ChooseDialog
-from station.screen.live_run import LiveRun, Stage
+from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.tabs.prospects import Prospect
 
 PROSPECT = Prospect(bench="built-in twins", all_twins=True)

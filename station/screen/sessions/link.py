@@ -11,8 +11,8 @@ from pathlib import Path
 
 from station.errors import UsageError
 from station.remote.attaching import RemoteSession, running_sessions
-from station.screen.live_run import LiveRun, Stage
-from station.screen.programs import SessionProcess
+from station.screen.sessions.live_run import LiveRun, Stage
+from station.screen.sessions.programs import SessionProcess
 
 _LOOK_S = 0.1
 _AGAIN_S = 1.0
