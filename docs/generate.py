@@ -119,12 +119,10 @@ def effects() -> str:
 
 
 def _parameters(effect: dict[str, Any]) -> list[str]:
-    units = packaged("units.toml")["traced"]
+    units = packaged("units.toml")["effects"]
     sizes = []
     for parameter in effect["parameters"]:
         unit, factor, power = units.get(parameter["unit"], (parameter["unit"], 1, 0))
-        if parameter["unit"] == "s":
-            unit, factor = "ms", 1e3
         size = f"{parameter['largest'] * factor * math.degrees(1) ** power:.4g} {unit}"
         sizes.append(
             (parameter["name"], "all of it" if parameter["unit"] == "1" and parameter["largest"] == 1 else size)
