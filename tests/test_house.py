@@ -16,7 +16,6 @@ LONG_FILES = {
 }
 LONG_FUNCTIONS = {  # mathematics and tables: in parts they would be harder to check
     "estimator/estimation/calibrate.py: calibrate",
-    "estimator/tracing/candidates.py: _catalogue",
     "estimator/tracing/investigate.py: _conclude",
     "estimator/tracing/judging/verification.py: judge",
     "station/run/table_watch.py: watch_table",

@@ -96,7 +96,7 @@ def fitted(
             # What angles and rates are known to is seen in how they scatter, less what the fit took of that.
             taken = np.sum(jacobian @ np.linalg.inv(information) * jacobian, axis=1)
             squares, freedom = (one.reshape(2, -1).sum(axis=1) for one in (residual**2, 1 - taken))
-            sd = np.clip(sd * np.sqrt(squares / freedom), _LEAST_SD, most)
+            sd = np.clip(sd * np.sqrt(squares / np.maximum(freedom, 1e-9)), _LEAST_SD, most)
             continue
         pull = prior**2 * (start - p)
         moved = np.linalg.solve(information, jacobian.T @ residual + pull)

@@ -10,7 +10,8 @@ from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 from drivers.packaged import packaged_text
-from estimator.effects.entries import Kind, entries
+from estimator.effects.catalogue import records
+from estimator.effects.effect import Kind
 from estimator.geometry.kinematics import Site
 from station.bench.imu import ImuConfig, read_imu
 from station.bench.table import TableConfig, read_table
@@ -161,7 +162,7 @@ def read_excluded(text: str) -> frozenset[str] | None:
 def _excluded(table: Table) -> frozenset[str] | None:
     which = table.string("effects", "all", one_of=("all", "none"))
     excluded = frozenset(table.strings("excluded")) if table.has("excluded") else frozenset[str]()
-    laws = dict.fromkeys(e.name.rstrip("_0123456789") for e in entries() if e.kind is Kind.LAW)  # harmonics together
+    laws = [record.name for record in records() if record.kind is Kind.LAW and record.listed(1.0)]
     for unknown in sorted(excluded - set(laws)):
         raise table.fail("excluded", f"{unknown!r} is none of {', '.join(laws)}")
     table.done()

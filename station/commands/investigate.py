@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.packaged import packaged_toml
 from drivers.types import AxisLimits
+from estimator.effects.catalogue import records
 from estimator.estimation.runs.making import runs_of
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
@@ -34,7 +34,6 @@ from station.views.investigation import investigation_view
 
 _NEXT_FILE = "next-script.toml"
 _MOST_RIVALS = 4  # of what stays unexplained, so many suspects are told apart
-_SUSPECTS = packaged_toml("station.commands", "suspects.toml")
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +164,10 @@ def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
 
 def _suspects(found: Investigation) -> tuple[str, ...]:
     """Return what may lie behind something unexplained: effects of its kind, else those that would explain most."""
-    if found.unexplained is not None and found.unexplained.depends_on in _SUSPECTS:
-        return tuple(_SUSPECTS[found.unexplained.depends_on])
+    variable = "" if found.unexplained is None else found.unexplained.depends_on
+    of_its_kind = [record for record in records() if variable in record.suspected_of]
+    if of_its_kind:  # those that mainly depend on it first
+        return tuple(r.name for r in sorted(of_its_kind, key=lambda record: record.depends_on not in ("", variable)))
     ranked = sorted(found.suspects, key=lambda suspect: -suspect.log_evidence)
     return tuple(suspect.effect for suspect in ranked[:_MOST_RIVALS])
 

@@ -84,7 +84,7 @@ def _effect(forecast: EffectForecast, found: Forecast) -> dict[str, Any]:
     return {
         "name": forecast.effect.name,
         "shared": forecast.effect.shared,
-        "shown_by": forecast.effect.shown_by,
+        "shown_by": forecast.effect.record.shown_by,
         "parameters": [
             {
                 "name": parameter.name,

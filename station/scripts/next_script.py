@@ -12,7 +12,7 @@ import numpy as np
 from drivers.types import AxisLimits, Floats
 from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import Conditions
-from estimator.effects.drift import warm_up
+from estimator.effects.drift import WARM_UP
 from estimator.effects.effect import Effect
 from estimator.estimation.runs.run import Run
 from estimator.geometry.array import SensorArray
@@ -130,11 +130,11 @@ def _effects(names: set[str], gimbals: Sequence[str], past: Sequence[Past]) -> d
     span_s = max((float(p.conditions.t_s[-1] - p.conditions.t_s[0]) for p in past), default=1.0)
     found: dict[str, list[Effect]] = {}
     for effect in catalogue(gimbals, span_s):
-        for name in {effect.name, effect.name.rstrip("0123456789").rstrip("_")} & names:  # harmonics of every order
+        for name in {effect.name, effect.record.name} & names:  # harmonics of every order
             if effect.needs <= offers:
                 found.setdefault(name, []).append(effect)
-    if "warm_up" in found:
-        found["warm_up"] = [warm_up(tau_s) for tau_s in _TAUS_S]
+    if WARM_UP.name in found:
+        found[WARM_UP.name] = [WARM_UP.effect(time_constant_s=tau_s) for tau_s in _TAUS_S]
     return found
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from drivers.types import Flags, Floats
 from estimator.calibration.budget import table_budget
 from estimator.effects.catalogue import catalogue
+from estimator.effects.conditions import REFERENCE_C
 from estimator.effects.effect import Effect
-from estimator.effects.thermal import REFERENCE_C
 from estimator.planning.planning import Forecast, PlannedDevice, forecast
 from station.bench.bench import Bench
 from station.scripts.planned import PlannedMotion, planned_motion

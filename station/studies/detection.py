@@ -13,6 +13,7 @@ import numpy as np
 
 from drivers.packaged import packaged_toml
 from drivers.types import Floats
+from estimator.effects.site import EARTH_RATE
 from estimator.estimation.runs.making import runs_of
 from estimator.geometry.array import tetrahedron
 from estimator.geometry.kinematics import Site
@@ -94,6 +95,10 @@ def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "expo
         match given:
             case [value, unit]:
                 return [f"{one:.9g} {unit}" for one in each(value)]
+            case {"positive": value, "unit": unit}:
+                return [f"{abs(one):.9g} {unit}" for one in each(value)]
+            case {"any_of": values}:
+                return str(random.choice(list(values)))
             case {"common": value, "unit": unit}:
                 return f"{value * size * random.uniform(0.5, 1.5):.9g} {unit}"
             case {"scaled": value, "unit": unit}:
@@ -105,24 +110,18 @@ def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "expo
         return given
 
     for effect in effects:
-        match effect:
-            case "table_harmonic":
+        match _GIVEN["sizes"][effect]:
+            case {"turned": value, "unit": unit}:
                 axis, order = random.choice(list(AXES)), int(random.choice([1, 2, 4]))
                 turned = random.uniform(0, 2 * math.pi, 4)
                 tables[effect] = {
                     "axis": str(axis),
                     "order": order,
-                    "cosine": [f"{0.02 * size * math.cos(a):.9g} deg/s" for a in turned],
-                    "sine": [f"{0.02 * size * math.sin(a):.9g} deg/s" for a in turned],
+                    "cosine": [f"{value * size * math.cos(a):.9g} {unit}" for a in turned],
+                    "sine": [f"{value * size * math.sin(a):.9g} {unit}" for a in turned],
                 }
-            case "bandwidth":
-                tables[effect] = {"time_constant": [f"{abs(one):.9g} ms" for one in each(6)]}
-            case "encoder_eccentricity":
-                tables[effect] = {"size": f"{0.02 * size:.9g} deg", "order": 3, "axis": str(random.choice(list(AXES)))}
-            case "earth_rate" | "nothing":
-                pass
-            case _:
-                tables[effect] = {key: drawn(value) for key, value in _GIVEN["sizes"][effect].items()}
+            case {**parts} if parts:
+                tables[effect] = {key: drawn(value) for key, value in parts.items()}
     return Hidden.of(tables)
 
 
@@ -148,7 +147,7 @@ def _record(case: Case, script: Script, number: int, quiet: bool = False) -> Rec
     )
     hidden = hidden_of(case.effects, case.size, case.seed, case.shape)
     made = simulate(script, {"array": device}, 10 * case.seed + number, site=SITE, hidden=hidden)
-    return replace(made, site=None) if "earth_rate" in case.effects else made
+    return replace(made, site=None) if EARTH_RATE.name in case.effects else made
 
 
 def end_of(case: Case) -> Ended:

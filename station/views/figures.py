@@ -44,9 +44,16 @@ def _units(kind: str) -> dict[str, tuple[str, float]]:
     return {key: (shown, times * math.degrees(1) ** power) for key, (shown, times, power, *_) in _TABLES[kind].items()}
 
 
+def shown_unit(si: str) -> tuple[str, float]:
+    """Return what people read in the place of the SI unit of an effect, and the factor."""
+    from estimator.effects.catalogue import records
+
+    own = (record.display[si] for record in records() if si in record.display)
+    return _EFFECTS.get(si) or next(own, (si, 1.0))
+
+
 _TABLES = packaged_toml("station.views", "units.toml")
-EFFECT_UNITS = _units("effects")
-"""Unit and factor by the SI unit of an effect's parameter."""
+_EFFECTS = _units("effects")
 STATE_FIGURES = tuple(
     StateUnit(state, *shown, *_TABLES["states"][state][3:]) for state, shown in _units("states").items()
 )

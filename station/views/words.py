@@ -3,7 +3,7 @@
 import math
 
 from estimator.effects.constructed import readable
-from station.views.figures import EFFECT_UNITS, UNKNOWN, three_digits
+from station.views.figures import UNKNOWN, shown_unit, three_digits
 
 
 def words(name: str) -> str:
@@ -35,7 +35,7 @@ def human(value: float | None, sd: float | None, unit: str) -> str:
 def _unit(value: float, unit: str) -> tuple[str, float]:
     if unit == "s" and abs(value) >= 0.5:  # delays are milliseconds, time constants of a warm-up are not
         return unit, 1.0
-    return EFFECT_UNITS.get(unit, (unit, 1.0))
+    return shown_unit(unit)
 
 
 def dph(rate_rps: float | None) -> str:

@@ -5,25 +5,24 @@ from numpy.typing import NDArray
 
 from estimator.calibration.compensation import (
     MOST_ITERATIONS,
-    OF_THE_PAST,
     TOLERANCE_RPS,
-    Acts,
     Compensation,
     CompensationError,
 )
 from estimator.effects.conditions import Conditions
-from estimator.effects.constructed import functions_of, variables_of
+from estimator.effects.effect import Acts
+from estimator.effects.law import functions_of, variables_of
 
 Floats = NDArray[np.float64]
-_TIMED = frozenset({"warm_up", "thermal_gradient", *OF_THE_PAST, "lag", "t", "Tdot", "a", "jolt"})
+_TIMED = frozenset({"lag", "t", "Tdot", "a", "aj", "ak", "jolt"})
 
 
 def needs_of(of: Compensation) -> frozenset[str]:
     """What samples must come with: "temperature", "specific force", "time"."""
     needed = set().union(*(effect.known.effect(()).needs for effect in of.effects))
     laws = [held.known.law for held in of.effects if held.known.law]
-    told = {held.name for held in of.effects}.union(*map(functions_of, laws), *map(variables_of, laws))
-    if told & _TIMED:
+    told = set[str]().union(*map(functions_of, laws), *map(variables_of, laws))
+    if told & _TIMED or any(held.acts is Acts.LAG for held in of.effects):
         needed.add("time")
     return frozenset(needed)
 

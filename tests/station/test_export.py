@@ -22,7 +22,7 @@ from estimator.calibration.calibration_file import write_calibration
 from estimator.calibration.compensation import Compensation
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
 from estimator.calibration.values import Calibration, EffectValue, GyroCalibration
-from estimator.effects.entries import entries
+from estimator.effects.catalogue import everything
 from estimator.geometry.array import SensorArray, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.recordings.recording import ImuData, Recording
@@ -127,7 +127,7 @@ def record(tmp_path: Path) -> Record:
 
 
 def _model(sizes: dict[str, tuple[float, ...]]) -> ErrorModel:
-    listed = {entry.name.removesuffix("_1"): entry for entry in entries() if entry.parameters}
+    listed = {entry.name.removesuffix("_1"): entry for entry in everything() if entry.parameters}
     effects = []
     for called, values in sizes.items():
         name, _, law = called.partition(" ")

@@ -13,7 +13,7 @@ import pytest
 from support import ASYMMETRY, SITE, tetrahedron_recording, three_recordings
 
 import station.commands.investigate
-from estimator.effects.constructed import in_words
+from estimator.effects.law import in_words
 from estimator.estimation.runs.making import runs_of
 from estimator.recordings.recording import Recording
 from estimator.recordings.writing import write_recording

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from estimator.effects.conditions import Conditions
-from estimator.effects.scale import scale_asymmetry, scale_cubic, scale_quadratic
-from estimator.effects.thermal import thermal_bias, thermal_scale
+from estimator.effects.disturbances import SAMPLE_HOLD
+from estimator.effects.scale import SCALE_ASYMMETRY, SCALE_CUBIC, SCALE_QUADRATIC
+from estimator.effects.thermal import THERMAL_BIAS, THERMAL_SCALE
 from estimator.errors import InvestigationError
 from estimator.estimation.runs.growth import weighed
 from estimator.estimation.runs.measured import even_grid, means_by_samples, means_by_turns
@@ -51,7 +52,7 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
         held = held_samples(data) if fine else 1
         if held > 1:
             values = (("samples", float(held), "1"), ("delay", _hold_delay_s(data, held), "s"))
-            faults += [Fault("sample_hold", name, values) for name in data.array.names]
+            faults += [Fault(SAMPLE_HOLD.name, name, values) for name in data.array.names]
         elif fine:
             data, stuck = without_stuck(data)
             faults += stuck
@@ -220,8 +221,9 @@ def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData
 
 def _more_than_stated(run: Run) -> float:
     """Return how many times as wrong as stated turns are, at least 1, by what no law of scale or temperature fits."""
-    effects = [scale_asymmetry(), scale_quadratic(), scale_cubic()]
-    effects += [thermal_scale(), thermal_bias()] if run.grid.temperature_c is not None else []
+    known = [SCALE_ASYMMETRY, SCALE_QUADRATIC, SCALE_CUBIC]
+    known += [THERMAL_SCALE, THERMAL_BIAS] if run.grid.temperature_c is not None else []
+    effects = [record.effect() for record in known]
     squares = freedom = 0.0
     for i, states in enumerate(run.state_columns()):
         columns = np.hstack([states, *(run.columns(effect, i) for effect in effects)]) * run.weight[:, None]

@@ -11,6 +11,7 @@ kalibr_common/ConfigReader.py).
 import numpy as np
 
 from drivers.types import Floats
+from estimator.effects.site import G_SENSITIVITY
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.errors import UsageError
 from station.exports.exported import Exported
@@ -45,9 +46,9 @@ def write_kalibr(exported: Exported) -> Written:
     Raises UsageError for gyros that are not three, or form a left-handed triad.
     """
     as_triad(exported, "Kalibr")
-    constants, dropped = exported.compensation.simplified(("g_sensitivity",), exported.seen.temperature_c[1])
+    constants, dropped = exported.compensation.simplified((G_SENSITIVITY.name,), exported.seen.temperature_c[1])
     m, c = _lower_and_rotation(constants.sensitivity)
-    felt = constants.held("g_sensitivity")
+    felt = constants.held(G_SENSITIVITY.name)
     per_force = np.zeros((3, 3)) if felt is None else felt / GRAVITY_MPS2
     bias = ", ".join(number(-b) for b in constants.bias_rps)
     not_held = [
