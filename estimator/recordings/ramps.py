@@ -91,15 +91,14 @@ def fitted(
     readings = t_s, angle_rad, rate_rps, half_width_s
     for step in range(_ROUNDS * _STEPS):
         residual, jacobian, _, _ = _weighed(p, *readings, sd, _TAIL if step >= _STEPS else np.inf)
-        information = jacobian.T @ jacobian + np.diag(prior**2)
+        rows = np.vstack([jacobian, np.diag(prior)])  # their products may be singular in floating point
         if step and step % _STEPS == 0:
             # What angles and rates are known to is seen in how they scatter, less what the fit took of that.
-            taken = np.sum(jacobian @ np.linalg.inv(information) * jacobian, axis=1)
+            taken = np.sum(np.linalg.qr(rows)[0][: len(jacobian)] ** 2, axis=1)
             squares, freedom = (one.reshape(2, -1).sum(axis=1) for one in (residual**2, 1 - taken))
             sd = np.clip(sd * np.sqrt(squares / np.maximum(freedom, 1e-9)), _LEAST_SD, most)
             continue
-        pull = prior**2 * (start - p)
-        moved = np.linalg.solve(information, jacobian.T @ residual + pull)
+        moved = np.linalg.lstsq(rows, np.concatenate([residual, prior * (start - p)]), rcond=None)[0]
         shortest = float(np.diff(p[:k]).min())
         p = p + moved * min(1.0, 0.5 * shortest / max(np.abs(moved[:k]).max(), 1e-12))
         if not np.all(np.diff(p[:k]) > 0):
@@ -113,9 +112,9 @@ def fitted(
     shorter = p.copy()
     shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1])
     slopes = _model(shorter, t_s)[2] / doubt[:, None]
-    information = slopes.T @ slopes + np.diag(prior**2)
-    variance = np.diag(np.linalg.inv(information))[:k] * max(float(np.mean(residual**2)), 1.0)
-    if not np.all(variance > 0):  # readings too coarse to keep its corners apart
+    factor = np.linalg.qr(np.vstack([slopes, np.diag(prior)]), mode="r")
+    variance = np.sum(np.linalg.inv(factor) ** 2, axis=1)[:k] * max(float(np.mean(residual**2)), 1.0)
+    if not np.all(np.isfinite(variance)):  # readings too coarse to keep its corners apart
         return None
     # A reading outside the ramp tells how far the rate is from steady, as far as it is known better than that.
     share = np.where((t_s > p[0]) & (t_s < p[k - 1]), 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt[len(t_s) :] ** 2))
