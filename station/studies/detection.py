@@ -183,16 +183,6 @@ def true_error(model: Augmented, clean: Recording) -> float:
     return float(np.sqrt(np.mean(np.square(left))))
 
 
-def run_cases(
-    cases: Sequence[Case], *, scheduler: str | None = None, workers: int | None = None, quiet: bool = False
-) -> tuple[list[Ended], tuple[Failure, ...]]:
-    """Return what came of each case, and the cases that failed."""
-    ended, failures = run_all(
-        end_of, cases, label="cases", scheduler=scheduler, workers=workers, quiet=quiet, name_of=str
-    )
-    return [e for e in ended if e is not None], tuple(failures)
-
-
 @dataclass(frozen=True, slots=True)
 class Summary:
     """All seeds of one line of the study: shares of them, means over those named exactly; NaN where there are none.
@@ -251,15 +241,16 @@ def _drawn(count: int, seed: int) -> tuple[str, ...]:
 
 
 def run_study(groups: Sequence[str], sizes: Sequence[float], seeds: int, **where: Any) -> DetectionStudy:
-    """Return what was found in every case. ``where`` is that of ``run_cases``."""
+    """Return what was found in every case. ``where`` is that of ``run_all``."""
     lines = cases_of(groups, sizes, seeds)
-    ended, failures = run_cases([case for cases in lines.values() for case in cases], **where)
+    made, failures = run_all(end_of, [case for cases in lines.values() for case in cases], label="cases", **where)
+    ended = [e for e in made if e is not None]
     by_case = {e.case: e for e in ended}
     summaries = [
         _summary(name, size, [by_case[case] for case in cases if case in by_case])
         for (name, size), cases in lines.items()
     ]
-    return DetectionStudy(tuple(s for s in summaries if s.seeds), tuple(ended), failures)
+    return DetectionStudy(tuple(s for s in summaries if s.seeds), tuple(ended), tuple(failures))
 
 
 def _right(ended: Ended) -> bool:
