@@ -144,7 +144,7 @@ def _read_reference(path: Path, file: Any) -> Reference:
     if "reference" not in file:
         raise RecordingError(f"{path} has neither /table nor /reference: nothing says how the body turned")
     where, group = f"{path}: /reference", file["reference"]
-    kind = next((kind for mark, kind in _REFERENCES.items() if mark in group), AttitudeReadings)
+    kind: Any = next((kind for mark, kind in _REFERENCES.items() if mark in group), AttitudeReadings)
     missing = {"sd_rad"} - set(group) if kind is Turns else set()
     values = {f.name: _column(where, group, f.name) for f in fields(kind) if f.name not in missing}
     reference: Reference = kind(**values, **{name: np.zeros(len(values["turn_rad"])) for name in missing})

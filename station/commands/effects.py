@@ -47,11 +47,8 @@ def _parameters(entry: Entry) -> list[str]:
 
 
 def _largest(parameter: Parameter) -> str:
-    return "all of it" if parameter.unit == "1" and parameter.largest == 1 else human(_value(parameter))
-
-
-def _value(parameter: Parameter) -> Value:
-    return Value(parameter.largest, 0.0, parameter.unit)
+    value = Value(parameter.largest, 0.0, parameter.unit)
+    return "all of it" if parameter.unit == "1" and parameter.largest == 1 else human(value)
 
 
 def _needs(entry: Entry) -> str:

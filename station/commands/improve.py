@@ -25,6 +25,7 @@ from station.bench.imu import ImuConfig
 from station.errors import UsageError
 from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
+from station.run.early_end import required_sigmas
 from station.run.outcome import Outcome
 from station.run.snapshot import by_state
 from station.schema.quantities import QuantityError, parse
@@ -159,9 +160,7 @@ def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Want
         raise UsageError('--margin must be from "0 %" to below "100 %", --rest "1 s" or more')
     columns = _columns(arguments.states)
     if arguments.sigmas == "bench":
-        limits = bench.limits
-        row = np.array([limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad])
-        sd = np.tile(row, (sum(len(imu.array) for imu in _used(bench)), 1))
+        sd = np.tile(required_sigmas(bench.limits), (sum(len(imu.array) for imu in _used(bench)), 1))
     else:
         plan = make_plan(script, bench, effects=())
         promised = np.array([gyro.prior_sd for gyro in plan.forecast.gyros])

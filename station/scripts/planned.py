@@ -55,7 +55,7 @@ def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.0
     for step, duration_s in zip(script.steps, script.durations_s(), strict=True):
         if not isinstance(step, Rest):
             column = axes.index(step.axis)
-            target = _target(step, here[step.axis])
+            target = step.angle_rad if isinstance(step, Move) else here[step.axis] + step.turn_rad
             way, speed, push = _trapezoid(t_s - at_s, target - here[step.axis], step)
             angle[:, column] += way
             rate[:, column] += speed
@@ -63,10 +63,6 @@ def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.0
             here[step.axis] = target
         at_s += duration_s
     return PlannedMotion(t_s, angle, rate, acceleration, axes)
-
-
-def _target(step: Move | Rotate, here_rad: float) -> float:
-    return step.angle_rad if isinstance(step, Move) else here_rad + step.turn_rad
 
 
 def _trapezoid(since_s: Floats, way_rad: float, step: Move | Rotate) -> tuple[Floats, Floats, Floats]:

@@ -130,12 +130,9 @@ def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "expo
 
 def recordings_of(case: Case) -> tuple[Recording, Recording, Recording]:
     """Return the calibration, exploration and verification recordings of a case."""
-    made = [_record(case, script, number) for number, script in enumerate(_scripts())]
+    scripts = (paper_script(), exploration_script(), verification_script())
+    made = [_record(case, script, number) for number, script in enumerate(scripts)]
     return made[0], made[1], made[2]
-
-
-def _scripts() -> tuple[Script, Script, Script]:
-    return paper_script(), exploration_script(), verification_script()
 
 
 def _record(case: Case, script: Script, number: int, quiet: bool = False) -> Recording:
