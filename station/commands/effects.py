@@ -28,7 +28,7 @@ def command_effects(arguments: argparse.Namespace) -> int:
         table.add_row(
             name + ("\n[dim]shared by all gyros[/]" if entry.shared else ""),
             escape("\n".join(_parameters(entry))),
-            escape(entry.shown_by + _needs(entry)),
+            escape(entry.shown_by + (f"; needs {' and '.join(sorted(entry.needs))}" if entry.needs else "")),
             escape(", ".join(map(words, entry.confused_with))),
         )
         table.add_section()
@@ -49,10 +49,6 @@ def _parameters(entry: Entry) -> list[str]:
 def _largest(parameter: Parameter) -> str:
     value = Value(parameter.largest, 0.0, parameter.unit)
     return "all of it" if parameter.unit == "1" and parameter.largest == 1 else human(value)
-
-
-def _needs(entry: Entry) -> str:
-    return f"; needs {' and '.join(sorted(entry.needs))}" if entry.needs else ""
 
 
 def _object(entry: Entry) -> dict[str, object]:
