@@ -29,6 +29,18 @@ from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain
 from estimator.types import Floats
 
+_LAID_OUT: dict[str, tuple[int, type[np.generic]]] = {
+    **dict.fromkeys(("t_ns", "t_start_ns", "t_end_ns", "half_width_ns"), (1, np.int64)),
+    **dict.fromkeys(("rate_rps", "angle_rad", "turn_rad", "up", "attitude_wxyz"), (2, np.float64)),
+    **dict.fromkeys(("temperature_c", "accel_mps2"), (0, np.float64)),
+    "counter": (0, np.int64),
+    "sd_rad": (1, np.float64),
+    "shifts": (3, np.float64),
+}
+"""Dimensions (0 for any) and type of the columns of a recording."""
+_REFERENCES: dict[str, Any] = {"turn_rad": Turns, "up": Poses, "rate_rps": RateReadings}
+"""References by the column that only they have, in the order of looking; else they are attitudes."""
+
 
 def read_recording(path: Path, *, trusted: bool = False) -> Recording:
     """Read a recording. ``trusted`` skips the probe, for a file that this process has just closed.
@@ -69,8 +81,8 @@ def _read(path: Path, file: Any) -> Recording:
 
 def _read_source(path: Path, name: str, group: Any) -> ImuData:
     where = f"{path}: /imu/{name}"
-    t_ns = _column(where, group, "t_ns", 1, np.int64)
-    rate = _column(where, group, "rate_rps", 2, np.float64)
+    t_ns = _column(where, group, "t_ns")
+    rate = _column(where, group, "rate_rps")
     if len(t_ns) != len(rate):
         n = min(len(t_ns), len(rate))  # a run cut between two datasets of one flush
         t_ns, rate = t_ns[:n], rate[:n]
@@ -88,11 +100,7 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
         raise RecordingError(f"{where}: {error}") from None
     if len(array) != m:
         raise RecordingError(f"{where} has {m} channels but {len(array)} sense axes")
-    optional = {
-        key: _column(where, group, key, 0, dtype)
-        for key, dtype in (("temperature_c", np.float64), ("accel_mps2", np.float64), ("counter", np.int64))
-        if key in group
-    }
+    optional = {key: _column(where, group, key) for key in ("temperature_c", "accel_mps2", "counter") if key in group}
     if any(len(values) < len(t_ns) for values in optional.values()):  # cut in the same way
         n = min(len(values) for values in optional.values())
         t_ns, rate = t_ns[:n], rate[:n]
@@ -119,9 +127,7 @@ def _read_reference(path: Path, file: Any) -> Reference:
         if "t_ns" not in group:
             raise RecordingError(f"{where} holds no readings: the run ended before its script began")
         order = [axes.index(g) for g in gimbals]
-        t_ns = _column(where, group, "t_ns", 1, np.int64)
-        angle = _column(where, group, "angle_rad", 2, np.float64)
-        rate = _column(where, group, "rate_rps", 2, np.float64)
+        t_ns, angle, rate = (_column(where, group, key) for key in ("t_ns", "angle_rad", "rate_rps"))
         n = min(len(t_ns), len(angle), len(rate))
         if n < 2 or angle.shape[1] != len(axes) or rate.shape[1] != len(axes):
             raise RecordingError(f"{where} needs two rows or more and one column an axis")
@@ -130,7 +136,7 @@ def _read_reference(path: Path, file: Any) -> Reference:
         stated = TableUncertainty(**{key: float(group.attrs[f"u_{key}"]) for key in keys}) if keys else None
         width = None
         if "half_width_ns" in group:
-            width = _column(where, group, "half_width_ns", 1, np.int64)
+            width = _column(where, group, "half_width_ns")
             width = np.pad(width[:n], (0, max(n - len(width), 0)), mode="edge")[finite]
         return TableReadings(
             t_ns[:n][finite], angle[:n, order][finite], rate[:n, order][finite], gimbals, stated, width
@@ -138,22 +144,15 @@ def _read_reference(path: Path, file: Any) -> Reference:
     if "reference" not in file:
         raise RecordingError(f"{path} has neither /table nor /reference: nothing says how the body turned")
     where, group = f"{path}: /reference", file["reference"]
-    if "turn_rad" in group:
-        turn = _column(where, group, "turn_rad", 2, np.float64)
-        sd = _column(where, group, "sd_rad", 1, np.float64) if "sd_rad" in group else np.zeros(len(turn))
-        start = _column(where, group, "t_start_ns", 1, np.int64)
-        return Turns(start, _column(where, group, "t_end_ns", 1, np.int64), turn, sd)
-    if "up" in group:
-        limits = [_column(where, group, name, 1, np.int64) for name in ("t_start_ns", "t_end_ns")]
-        up, sd = _column(where, group, "up", 2, np.float64), _column(where, group, "sd_rad", 1, np.float64)
-        return Poses(limits[0], limits[1], up, sd, _column(where, group, "shifts", 3, np.float64))
-    t_ns = _column(where, group, "t_ns", 1, np.int64)
-    if "rate_rps" in group:
-        return RateReadings(t_ns, _column(where, group, "rate_rps", 2, np.float64))
-    return AttitudeReadings(t_ns, _column(where, group, "attitude_wxyz", 2, np.float64))
+    kind: Any = next((kind for mark, kind in _REFERENCES.items() if mark in group), AttitudeReadings)
+    missing = {"sd_rad"} - set(group) if kind is Turns else set()
+    values = {f.name: _column(where, group, f.name) for f in fields(kind) if f.name not in missing}
+    reference: Reference = kind(**values, **{name: np.zeros(len(values["turn_rad"])) for name in missing})
+    return reference
 
 
-def _column(where: str, group: Any, key: str, dimensions: int, dtype: Any) -> NDArray[Any]:
+def _column(where: str, group: Any, key: str) -> NDArray[Any]:
+    dimensions, dtype = _LAID_OUT[key]
     if key not in group:
         raise RecordingError(f"{where} has no {key}")
     try:

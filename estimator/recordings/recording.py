@@ -11,9 +11,7 @@ from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
-from estimator.recordings.reference import (
-    Reference,
-)
+from estimator.recordings.reference import Reference
 from estimator.types import Floats, Stamps
 
 FORMAT = "turntable-recording"

@@ -22,11 +22,7 @@ from estimator.errors import RecordingError, first_line
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION, ImuData, Recording
-from estimator.recordings.reference import (
-    Reference,
-    TableReadings,
-    TableUncertainty,
-)
+from estimator.recordings.reference import Reference, TableReadings, TableUncertainty
 from estimator.recordings.reserved_space import Ballast
 
 _RESERVE_BYTES = 2_000_000  # kept back on the disk: what is pending, and what HDF5 needs to close a file whole
@@ -213,7 +209,12 @@ def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], 
     """Write a group of results into an existing recording, in place of what stood there; RecordingError if not."""
     wanted = sum(np.asarray(values).nbytes for values in datasets.values())
     with _changing(path, wanted + _CLOSING_BYTES) as file:
-        _replace_group(file, group, datasets, attributes)
+        if group in file:
+            del file[group]
+        held = file.create_group(group)
+        held.attrs.update(attributes)
+        for name, values in datasets.items():
+            _create(held, name, np.asarray(values), growing=False)
 
 
 def write_attributes(path: Path, attributes: Mapping[str, Any]) -> None:
@@ -273,15 +274,6 @@ def _create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> Any:
     if name in UNITS:
         dataset.attrs["units"] = UNITS[name]
     return dataset
-
-
-def _replace_group(file: Any, path: str, datasets: Mapping[str, Any], attributes: Mapping[str, Any]) -> None:
-    if path in file:
-        del file[path]
-    group = file.create_group(path)
-    group.attrs.update(attributes)
-    for name, values in datasets.items():
-        _create(group, name, np.asarray(values), growing=False)
 
 
 def plain(value: Any) -> Any:

@@ -186,11 +186,8 @@ def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> Non
     lines = []
     for name, end in judged:
         carried = [str(device).partition(" (")[0] for device in end.attributes.get("devices", ())]
-        device = str(end.attributes.get("device", "")) or ", ".join(carried or _sources(end.calibration))
+        sources = dict.fromkeys(gyro.source for gyro in end.calibration.gyros)
+        device = str(end.attributes.get("device", "")) or ", ".join(carried or sources)
         lines.append((os.path.relpath(name, folder), device, str(end.attributes.get("script", "")), end))
     values = {"lines": lines, "folder": folder, "styles": OUTCOME_STYLES, "isfinite": np.isfinite}
     print_rendered(stdout(), "station.render", "overview.rich", values)
-
-
-def _sources(calibration: Calibration) -> list[str]:
-    return list(dict.fromkeys(gyro.source for gyro in calibration.gyros))

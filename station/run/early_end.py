@@ -80,10 +80,8 @@ class EarlyEnd:
             name: (source, source.blocks(), source.filter.offset_sd_s) for name, source in self._live.sources.items()
         }
         readings = self._live.readings(self._bench.table.uncertainty)
-        return lambda: max(self._share(sources, readings, device) for device in self._devices())
-
-    def _devices(self) -> list[str]:
-        return list(dict.fromkeys(config.name for config in self._configs.values()))
+        devices = dict.fromkeys(config.name for config in self._configs.values())
+        return lambda: max(self._share(sources, readings, device) for device in devices)
 
     def _share(
         self, sources: Mapping[str, tuple[LiveSource, Blocks, float]], readings: TableReadings, device: str

@@ -523,7 +523,9 @@ class Session:
         errors = list(_leaves(error))
         for device_error in errors:
             if isinstance(device_error, DeviceError):
-                return self._fault(device_error)
+                if device_error.device == "table":
+                    self._monitor.table_fault = device_error.message
+                return Verdict(Outcome.FAULT, str(device_error))
         first = errors[0]
         if isinstance(first, EstimatorError):
             return Verdict(Outcome.FAULT, str(first))
@@ -536,11 +538,6 @@ class Session:
         where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in at)
         what = f"defect of the station, please report it: {type(first).__name__}: {first}{where}"
         return Verdict(Outcome.ABORTED, what)
-
-    def _fault(self, error: DeviceError) -> Verdict:
-        if error.device == "table":
-            self._monitor.table_fault = error.message
-        return Verdict(Outcome.FAULT, str(error))
 
     def _outlive(self) -> None:
         if not self._terminal_gone and not self._closed:

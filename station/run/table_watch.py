@@ -20,8 +20,6 @@ from station.run.uncommanded import MotionGuard
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
 _STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops that hears nothing
 _IDLE_S = 0.4  # so often each axis is looked at that has not been told to turn: it may do so by itself
-
-
 _STRAIGHT_RPS = math.radians(0.02)  # by which mean rates may bend where a ramp's corner is not
 
 

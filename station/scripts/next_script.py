@@ -44,18 +44,14 @@ class NextScript:
     probability: float
     rivals: tuple[tuple[str, ...], ...]
 
-    @property
-    def hopeful(self) -> bool:
-        """Whether driving it is worth the time."""
-        return self.probability >= _HOPELESS
-
     def words(self) -> str:
         """Return it in one line."""
         aims = [f"{', '.join(own)} apart" if len(own) > 1 else f"{own[0]} from noise" for own in self.rivals]
         aim = ", ".join(aims).replace("_", " ")
         text = f"{self.script.name}, {self.script.duration_s:.0f} s: tells {aim} with probability "
         text += f"{min(self.probability, 0.99):.0%}"
-        return text if self.hopeful else f"nothing that this table can do is likely to help; the best is {text}"
+        hopeful = self.probability >= _HOPELESS
+        return text if hopeful else f"nothing that this table can do is likely to help; the best is {text}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from drivers.types import AxisLimits
 from station.errors import ScriptError
-from station.schema.quantities import parse
 from station.schema.tables import Table
 
 _DEG = math.pi / 180
@@ -200,21 +199,16 @@ def is_possible(script: Script, limits: Mapping[str, AxisLimits]) -> bool:
 
 def _read_step(table: Table) -> Step:
     kind = table.string("kind", one_of=("rest", "move", "rotate"))
+    axis = "" if kind == "rest" else table.string("axis", one_of=("x", "y", "z"))
+    found = table.declared(kind)
     step: Step
     if kind == "rest":
-        step = Rest(table.quantity("duration", "time"), table.string("label", "rest"))
+        step = Rest(label=table.string("label", "rest"), **found)
+    elif kind == "move":
+        found["rate_rps"] = abs(found["rate_rps"])
+        step = Move(axis, label=table.string("label", f"{axis} to {found['angle_rad'] / _DEG:g} deg"), **found)
     else:
-        axis = table.string("axis", one_of=("x", "y", "z"))
-        rate = table.quantity("rate", "rate")
-        acceleration = table.quantity("acceleration", "acceleration", parse("20 deg/s2", "acceleration"))
-        if kind == "move":
-            angle = table.quantity("angle", "angle")
-            label = table.string("label", f"{axis} to {angle / _DEG:g} deg")
-            step = Move(axis, angle, abs(rate), acceleration, label)
-        else:
-            duration = table.quantity("duration", "time")
-            label = table.string("label", f"{axis} at {rate / _DEG:g} deg/s")
-            step = Rotate(axis, rate, duration, acceleration, label)
+        step = Rotate(axis, label=table.string("label", f"{axis} at {found['rate_rps'] / _DEG:g} deg/s"), **found)
     table.done()
     return step
 

@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -68,13 +69,9 @@ class BaselineStudy:
 Method = Callable[[Recording], baselines.BaselineEstimate]
 
 
-def run_study(
-    seeds: int, *, scheduler: str | None = None, workers: int | None = None, quiet: bool = False
-) -> BaselineStudy:
-    """Run every method on this many seeds; UsageError if no seed came through."""
-    results, failures = run_all(
-        one_seed, range(seeds), label="baselines", scheduler=scheduler, workers=workers, quiet=quiet
-    )
+def run_study(seeds: int, **where: Any) -> BaselineStudy:
+    """Run every method on this many seeds; UsageError if no seed came through. ``where`` is that of ``run_all``."""
+    results, failures = run_all(one_seed, range(seeds), label="baselines", **where)
     outcomes = [result for result in results if result is not None]
     if not outcomes:
         raise UsageError(f"the study came to nothing: {failures[0].item}: {failures[0].reason}")

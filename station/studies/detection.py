@@ -127,12 +127,9 @@ def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "expo
 
 def recordings_of(case: Case) -> tuple[Recording, Recording, Recording]:
     """Return the calibration, exploration and verification recordings of a case."""
-    made = [_record(case, script, number) for number, script in enumerate(_scripts())]
+    scripts = (paper_script(), exploration_script(), verification_script())
+    made = [_record(case, script, number) for number, script in enumerate(scripts)]
     return made[0], made[1], made[2]
-
-
-def _scripts() -> tuple[Script, Script, Script]:
-    return paper_script(), exploration_script(), verification_script()
 
 
 def _record(case: Case, script: Script, number: int, quiet: bool = False) -> Recording:
@@ -178,16 +175,6 @@ def true_error(model: Augmented, clean: Recording) -> float:
     (run,) = runs_of(clean, 1 / 100)[0]  # every sample: short enough for tones
     left = [run.z_rps[:, i] - model.predict(run, 99, i)[0] for i in range(len(run.array))]
     return float(np.sqrt(np.mean(np.square(left))))
-
-
-def run_cases(
-    cases: Sequence[Case], *, scheduler: str | None = None, workers: int | None = None, quiet: bool = False
-) -> tuple[list[Ended], tuple[Failure, ...]]:
-    """Return what came of each case, and the cases that failed."""
-    ended, failures = run_all(
-        end_of, cases, label="cases", scheduler=scheduler, workers=workers, quiet=quiet, name_of=str
-    )
-    return [e for e in ended if e is not None], tuple(failures)
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,15 +235,16 @@ def _drawn(count: int, seed: int) -> tuple[str, ...]:
 
 
 def run_study(groups: Sequence[str], sizes: Sequence[float], seeds: int, **where: Any) -> DetectionStudy:
-    """Return what was found in every case. ``where`` is that of ``run_cases``."""
+    """Return what was found in every case. ``where`` is that of ``run_all``."""
     lines = cases_of(groups, sizes, seeds)
-    ended, failures = run_cases([case for cases in lines.values() for case in cases], **where)
+    made, failures = run_all(end_of, [case for cases in lines.values() for case in cases], label="cases", **where)
+    ended = [e for e in made if e is not None]
     by_case = {e.case: e for e in ended}
     summaries = [
         _summary(name, size, [by_case[case] for case in cases if case in by_case])
         for (name, size), cases in lines.items()
     ]
-    return DetectionStudy(tuple(s for s in summaries if s.seeds), tuple(ended), failures)
+    return DetectionStudy(tuple(s for s in summaries if s.seeds), tuple(ended), tuple(failures))
 
 
 def _right(ended: Ended) -> bool:
