@@ -17,6 +17,7 @@ _SLOWING = 0.95
 _TOLD_AGAIN_S = 0.5  # if an axis does not slow down meanwhile
 _WAIT = 50  # time-outs without anything new to be seen
 _TELLS, _HEEDS = 2, 0.98  # an axis that answers and is as fast after so many tells heeds none
+_LOOKS = 3  # at one that turns without a motion of its controller's, which has nothing to stop then
 
 
 @contextmanager
@@ -33,19 +34,20 @@ class _Axis:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.stands = False
-        self.tells = 0
+        self.stands = self.turns = False
+        self.tells = self.astray = 0
         self._last: AxisState | None = None
         self._first_rps = self._slowest_rps = math.inf
 
     @property
     def heedless(self) -> bool:
-        """Whether it was told often enough and is as fast as it was."""
-        return self.tells >= _TELLS and self._slowest_rps > _HEEDS * self._first_rps
+        """Whether it was told often enough and is as fast as it was, or turns without a motion to be stopped."""
+        return self.astray >= _LOOKS or (self.tells >= _TELLS and self._slowest_rps > _HEEDS * self._first_rps)
 
     def see(self, state: AxisState) -> bool:
         """Take a reading in; return whether it tells that the axis slows down or stands."""
-        still = self._last is not None and abs(state.angle_rad - self._last.angle_rad) <= _STILL_RAD
+        self.turns = self._last is not None and abs(state.angle_rad - self._last.angle_rad) > _STILL_RAD
+        still = self._last is not None and not self.turns
         self._last = state
         rate_rps = abs(state.rate_rps)
         self.stands = rate_rps <= AT_REST_RPS and still
@@ -67,11 +69,13 @@ async def bring_to_rest(
     tell: Callable[[str], Awaitable[None]],
     read: Callable[[str], Awaitable[AxisState]],
     timeout_s: float,
+    idle: Callable[[str], Awaitable[bool]] | None = None,
 ) -> str:
     """Tell all axes to stop, in this order, watch until they stand, and return in words what was seen.
 
     ``tell`` sends the stop to one axis, over a link that it opens again if that is lost. What fails with one keeps
     no other from being told: it is told again once the others have been, and so is what is not seen to slow down.
+    ``idle`` asks whether the controller carries out no motion of an axis: a stop does nothing if that turns.
     It ends when an axis that answers heeds neither, or after ten seconds (at a ``timeout_s`` of 0.2 s) in which
     nothing new is seen. LinkLost, BadReply if something else
     answered, or DeviceRefused if an axis turns on; each with what was seen last of each axis that may still turn.
@@ -92,6 +96,8 @@ async def bring_to_rest(
                 try:
                     if axis.see(await read(axis.name)):
                         seen_s = told_s = loop.time()
+                    if idle is not None:
+                        axis.astray = axis.astray + 1 if axis.turns and await idle(axis.name) else 0
                 except (LinkLost, BadReply, DeviceRefused) as error:
                     failures.append(error)
                     waiting.append(waiting.pop(waiting.index(axis)))  # the others first
@@ -99,15 +105,17 @@ async def bring_to_rest(
                 if axis.stands:
                     told.remove(axis)
                     waiting.remove(axis)
-            if failures:  # who has not been told must not wait until the others stand
+            # Who has not been told must not wait until the others stand, nor until all hope for one is gone.
+            if failures or any(axis.astray >= _LOOKS for axis in told):
                 break
             await asyncio.sleep(_LOOK_S if told else 0.0)
         if not waiting:
             return f"{', '.join(axes)} seen at rest {loop.time() - began_s:.2f} s after the stop began"
         for axis in told:
             axis.tells += 1
-        if (not failures and any(axis.heedless for axis in told)) or loop.time() > seen_s + _WAIT * timeout_s:
-            said = "; ".join(axis.text(loop.time()) for axis in waiting)
+        heedless = [axis for axis in told if axis.heedless and not failures]
+        if heedless or loop.time() > seen_s + _WAIT * timeout_s:
+            said = "; ".join(axis.text(loop.time()) for axis in heedless or waiting)
             if not failures:
                 raise DeviceRefused(device, f"told to stop, {said}: it keeps turning, cut its power")
             kind = BadReply if isinstance(failures[0], BadReply) else LinkLost

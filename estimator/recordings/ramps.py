@@ -24,12 +24,15 @@ HOLD_S = 0.4
 LEAST_RPS2 = 0.02
 """Slower changes of rate are no ramps."""
 
-_ANGLE_SD_RAD, _RATE_SD_RPS = 1e-4, 3e-4  # of readings whose instants are known
+_ANGLE_SD_RAD, _RATE_SD_RPS = 1e-4, 3e-4  # of readings whose instants are known, before their scatter has told
+_LEAST_SD = 1e-6  # rad and rad/s: nothing is read better
 _SCALE_SD = 0.05  # of a drive's rate readback
 _LEAST_RPS = 0.0175  # nor are smaller ones
 _QUIET = 2  # intervals without change that end a ramp
 _FEWEST = 3  # readings of steady rate on either side
-_STEPS = 12
+_ROUNDS, _STEPS = 4, 8
+_TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corner
+_INWARD = 0.02  # of a ramp
 _FITS = 3.0  # sigmas rms; what fits worse is no ramp
 
 
@@ -83,47 +86,63 @@ def fitted(
     # A corner is somewhere here, even if no reading lies within the ramp; the rest is only kept from being singular.
     prior = np.full(len(start), 1e-6)
     prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
-    p = start
-    for _ in range(_STEPS):
-        residual, jacobian, _, _ = _weighed(p, t_s, angle_rad, rate_rps, half_width_s)
+    p, sd = start, np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
+    most = sd
+    readings = t_s, angle_rad, rate_rps, half_width_s
+    for step in range(_ROUNDS * _STEPS):
+        residual, jacobian, _, _ = _weighed(p, *readings, sd, _TAIL if step >= _STEPS else np.inf)
         information = jacobian.T @ jacobian + np.diag(prior**2)
+        if step and step % _STEPS == 0:
+            # What angles and rates are known to is seen in how they scatter, less what the fit took of that.
+            taken = np.sum(jacobian @ np.linalg.inv(information) * jacobian, axis=1)
+            squares, freedom = (one.reshape(2, -1).sum(axis=1) for one in (residual**2, 1 - taken))
+            sd = np.clip(sd * np.sqrt(squares / freedom), _LEAST_SD, most)
+            continue
         pull = prior**2 * (start - p)
         moved = np.linalg.solve(information, jacobian.T @ residual + pull)
         shortest = float(np.diff(p[:k]).min())
         p = p + moved * min(1.0, 0.5 * shortest / max(np.abs(moved[:k]).max(), 1e-12))
         if not np.all(np.diff(p[:k]) > 0):
             return None
-    residual, _, told, doubt = _weighed(p, t_s, angle_rad, rate_rps, half_width_s)
+    off = _weighed(p, *readings, most, np.inf)[0] ** 2
     near = np.tile((t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9), 2)
-    worst = max(float(np.mean(residual**2)), float(np.mean(residual[near] ** 2)))
-    if not worst < _FITS**2:
+    if not max(float(np.mean(off)), float(np.mean(off[near]))) < _FITS**2:
         return None
+    residual, _, told, doubt = _weighed(p, *readings, sd, _TAIL)
+    # A reading at a corner tells nothing of a shorter ramp, whatever its slopes say of a longer one.
+    shorter = p.copy()
+    shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1])
+    slopes = _model(shorter, t_s)[2] / doubt[:, None]
+    information = slopes.T @ slopes + np.diag(prior**2)
     variance = np.diag(np.linalg.inv(information))[:k] * max(float(np.mean(residual**2)), 1.0)
     if not np.all(variance > 0):  # readings too coarse to keep its corners apart
         return None
-    # A reading outside the ramp tells of the rate as far as its instant does not lie within.
-    share = np.where((t_s > p[0]) & (t_s < p[k - 1]), 0.0, _RATE_SD_RPS**2 / doubt**2)
-    at = _model(p, p[:k])
-    return Ramp(p[:k], at[0], p[-1] * at[1], told + share * (rate_rps - told), float(np.sqrt(variance.max())))
+    # A reading outside the ramp tells how far the rate is from steady, as far as it is known better than that.
+    share = np.where((t_s > p[0]) & (t_s < p[k - 1]), 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt[len(t_s) :] ** 2))
+    angle, rate = _turned(p, p[:k])
+    return Ramp(p[:k], angle, p[-1] * rate, told + share * (rate_rps - told), float(np.sqrt(variance.max())))
 
 
 def _weighed(
-    p: Floats, t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats
+    p: Floats, t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats, sd: Floats, tail: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the rates by it (n,), and their sigmas.
+    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the rates by it (n,), the sigmas (2 n,).
 
-    A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that.
+    A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that. ``sd`` (2,) are
+    of angles and rates whose instants are known; ``tail`` degrees of freedom their distribution has (Student's t).
     """
     angle, rate, slopes = _model(p, t_s)
     off = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate])
     # Angle and rate are asked for one after the other: the first may be off by half widths of both.
-    beside = [_model(p, t_s + way * half_width_s) for way in (-2, 2)]
-    may = np.max([np.abs(np.concatenate([a - angle, p[-1] * (r - rate)])) for a, r, _ in beside], axis=0)
-    known = np.repeat([_ANGLE_SD_RAD, _RATE_SD_RPS], len(t_s))
+    beside = [_turned(p, t_s + way * half_width_s) for way in (-2, 2)]
+    may = np.max([np.abs(np.concatenate([a - angle, p[-1] * (r - rate)])) for a, r in beside], axis=0)
+    known = np.repeat(sd, len(t_s))
     excess = np.minimum(np.abs(off), may)
     share = min(float(np.sum(excess**2) / max(np.sum(may**2), 1e-30)), 1 / 3)
-    sd = np.hypot(known, np.maximum(excess, may * np.sqrt(share)))
-    return off / sd, slopes / sd[:, None], p[-1] * rate, sd[len(t_s) :]
+    doubt = np.hypot(known, np.maximum(excess, may * np.sqrt(share)))
+    if np.isfinite(tail):
+        doubt *= np.sqrt((tail + (off / doubt) ** 2) / (tail + 1))
+    return off / doubt, slopes / doubt[:, None], p[-1] * rate, doubt
 
 
 def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:
@@ -152,18 +171,26 @@ def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: i
     return np.concatenate([corners, [before, after], [angle_rad[first] - before * (t_s[first] - corners[0])], [1.0]])
 
 
-def _model(p: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return angles and rates (n,) of a ramp at instants, and the slopes (2 n, parameters) of both.
+def _turned(p: Floats, t_s: Floats) -> tuple[Floats, Floats]:
+    """Return angles and rates (n,) of a ramp at instants.
 
     ``p``: corners, rates at them, angle at the first corner, scale of the rate readings.
     """
     k = len(p) // 2 - 1
-    corners, rates, angle0, scale = p[:k], p[k : 2 * k], p[2 * k], p[-1]
-    n = len(t_s)
-    rate = np.interp(t_s, corners, rates)
-    slope_of = np.diff(rates) / np.diff(corners)
-    angle = angle0 + rates[0] * np.minimum(t_s - corners[0], 0.0) + rates[-1] * np.maximum(t_s - corners[-1], 0.0)
-    d_angle, d_rate = np.zeros((n, len(p))), np.zeros((n, len(p)))
+    corners, rates = p[:k], p[k : 2 * k]
+    angle = p[2 * k] + rates[0] * np.minimum(t_s - corners[0], 0.0) + rates[-1] * np.maximum(t_s - corners[-1], 0.0)
+    for i, slope in enumerate((np.diff(rates) / np.diff(corners)).tolist()):
+        since = np.clip(t_s - corners[i], 0.0, corners[i + 1] - corners[i])
+        angle = angle + rates[i] * since + 0.5 * slope * since**2
+    return angle, np.interp(t_s, corners, rates)
+
+
+def _model(p: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the same and the slopes (2 n, parameters) of both."""
+    k = len(p) // 2 - 1
+    corners, rates, scale = p[:k], p[k : 2 * k], p[-1]
+    angle, rate = _turned(p, t_s)
+    d_angle, d_rate = np.zeros((len(t_s), len(p))), np.zeros((len(t_s), len(p)))
     d_angle[:, 2 * k] = 1.0
     d_angle[:, k] += np.minimum(t_s - corners[0], 0.0)
     d_angle[:, 0] -= rates[0] * (t_s < corners[0])
@@ -171,12 +198,11 @@ def _model(p: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats]:
     d_angle[:, k - 1] -= rates[-1] * (t_s > corners[-1])
     d_rate[:, k] += t_s < corners[0]
     d_rate[:, 2 * k - 1] += t_s >= corners[-1]
-    for i, slope in enumerate(slope_of.tolist()):
+    for i, slope in enumerate((np.diff(rates) / np.diff(corners)).tolist()):
         a, length = corners[i], corners[i + 1] - corners[i]
         since = np.clip(t_s - a, 0.0, length)
         x = since / length
         inside = (t_s >= a) & (t_s < corners[i + 1])
-        angle = angle + rates[i] * since + 0.5 * slope * since**2
         # Rate within: rates[i] (1 - x) + rates[i + 1] x, with x = (t - a) / length.
         d_rate[inside, k + i] += (1 - x)[inside]
         d_rate[inside, k + i + 1] += x[inside]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ _RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
 _SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must leave a rate within a ramp known
 _NEAR_NS = 1_000_000  # so near on both sides a change of rate is looked for
 _TERMS = 8  # of the sums a gimbal
+_MADE: WeakKeyDictionary[TableReadings, dict[Site | None, BodyRates]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +42,7 @@ class TableUncertainty:
     timing_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class TableReadings:
     """Angles and rates (k, gimbals) that the table reported; columns as ``gimbals``, outermost first.
 
@@ -149,10 +151,7 @@ class BodyRates:
         self._site = site
         self._times = _Rows((), np.int64)
         self._angle, self._rate, self._summed, self._refined = (_Rows((n,)) for _ in range(4))
-        self._half_width_s, self._corner_s = (
-            _Rows(()),
-            _Rows((n,)),
-        )  # the latter: doubt of a ramp's corners, NaN for none
+        self._half_width_s, self._corner_s = _Rows(()), _Rows((n,))  # the latter: doubt of a corner, NaN for none
         self._known = _Rows((), np.bool_)  # whether what happened since the reading before is known
         self._sure = _Rows((), np.bool_)  # the same once the row is final
         # Running sums of w [1, s, s^2, d, s d, d^2, u] and [1] before each reading: s time, d angle less summed rate,
@@ -162,11 +161,14 @@ class BodyRates:
 
     @classmethod
     def of(cls, readings: TableReadings, site: Site | None) -> BodyRates:
-        """Return those of readings that are all there, final to the last."""
-        rates = cls(readings.gimbals, site)
-        rates.add(readings.t_ns, readings.angle_rad, readings.rate_rps, readings.half_width_ns)
-        rates.finish()
-        return rates
+        """Return those of readings that are all there, final to the last: made once as long as they are kept."""
+        made = _MADE.setdefault(readings, {})
+        if site not in made:
+            rates = cls(readings.gimbals, site)
+            rates.add(readings.t_ns, readings.angle_rad, readings.rate_rps, readings.half_width_ns)
+            rates.finish()
+            made[site] = rates
+        return made[site]
 
     def add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats, half_width_ns: Stamps | None = None) -> None:
         """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,)."""
@@ -217,6 +219,9 @@ class BodyRates:
             elif not is_ramp(self._read_rate.all[max(start - 1, 0) : stop]) and (seen or everything):
                 self._append(taken, stop, [])
             elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9)):
+                # What was read soon after, or is a mean, may still hold something of the ramp.
+                after = changes[stop : int(np.searchsorted(times, times[stop - 1] + hold_ns))]
+                stop += int(np.argmax(after)) if after.any() else len(after)
                 self._append(taken, stop, self._ramps(start, stop) if len(self._times) else [])
             else:
                 return
@@ -245,20 +250,16 @@ class BodyRates:
             ramp = fitted(t_s, angle, rate, self._read_half_s.all[part], first, last)
             if ramp is not None:
                 corners = times[low] + np.round(ramp.t_s * 1e9).astype(np.int64)
-                found.append(
-                    (column, corners, replace(ramp, reading_rps=ramp.reading_rps[self._taken - low : stop - low]))
-                )
+                reading_rps = ramp.reading_rps[self._taken - low : stop - low]
+                found.append((column, corners, replace(ramp, reading_rps=reading_rps)))
         return found
 
     def _append(self, start: int, stop: int, ramps: list[tuple[int, Stamps, Ramp]]) -> None:
         """Append readings as rows, the corners of ramps between them as rows that were not measured."""
         self._taken = stop
-        t_ns, angle, rate = (
-            self._read_ns.all[start:stop],
-            self._read_angle.all[start:stop],
-            self._read_rate.all[start:stop],
-        )
-        half_width_s, measured = self._read_half_s.all[start:stop], np.ones(stop - start)
+        part = slice(start, stop)
+        t_ns, angle, rate = self._read_ns.all[part], self._read_angle.all[part], self._read_rate.all[part]
+        half_width_s, measured = self._read_half_s.all[part], np.ones(stop - start)
         corner_s = np.full(rate.shape, np.nan)
         if ramps:
             # From the row before on: in between the corners lie.

@@ -14,7 +14,7 @@ from estimator.estimation.noise_evidence import TooShort, joint_estimate, run_of
 from estimator.geometry.model import decode
 from estimator.observations.blocks import Blocks
 from estimator.recordings.recording import ImuData
-from estimator.recordings.reference import TableReadings
+from estimator.recordings.reference import TableReadings, TableUncertainty
 from station.bench.bench import Bench, Limits
 from station.bench.imu import ImuConfig
 from station.errors import UsageError
@@ -82,19 +82,26 @@ class EarlyEnd:
 
     def _largest_share(self) -> Callable[[], float]:
         """Return what finds the largest sigma of now as a share of its limit; it does not touch the run any more."""
-        sources = {name: (source, source.blocks()) for name, source in self._live.sources.items()}
+        sources = {
+            name: (source, source.blocks(), source.filter.offset_sd_s) for name, source in self._live.sources.items()
+        }
         readings = self._live.readings(self._bench.table.uncertainty)
         return lambda: max(self._share(sources, readings, device) for device in self._devices())
 
     def _devices(self) -> list[str]:
         return list(dict.fromkeys(config.name for config in self._configs.values()))
 
-    def _share(self, sources: Mapping[str, tuple[LiveSource, Blocks]], readings: TableReadings, device: str) -> float:
-        """Return the largest sigma of a device as a share of its limit, as ``calibrate`` finds it."""
+    def _share(
+        self, sources: Mapping[str, tuple[LiveSource, Blocks, float]], readings: TableReadings, device: str
+    ) -> float:
+        """Return the largest sigma of a device as a share of its limit, as ``estimator.estimation.calibrate`` finds it.
+
+        Of the offset of a source in time counts what the live filter knows by now.
+        """
         own = [pair for name, pair in sources.items() if self._configs[name].name == device]
         config = next(config for config in self._configs.values() if config.name == device)
         runs = []
-        for number, (source, blocks) in enumerate(own):
+        for number, (source, blocks, _) in enumerate(own):
             named = replace(source.array, names=tuple(f"{number} {name}" for name in source.array.names))
             data = ImuData(named, _NO_STAMPS, np.empty((0, len(named))), prior=source.prior)
             runs.append(run_of_blocks(device, data, blocks, readings))
@@ -106,7 +113,9 @@ class EarlyEnd:
         for number, run in enumerate(found.runs):
             gyros = found.gyros_of(number)
             arw = found.arw[gyros.start : gyros.stop]
-            tables = table_budget(readings, self._bench.site, run.array, run.prior, arw)
+            known = replace(readings.uncertainty or TableUncertainty(), timing_s=own[number][2])
+            timed = replace(readings, uncertainty=known)
+            tables = table_budget(timed, self._bench.site, run.array, run.prior, arw)
             for g, table in zip(gyros, tables, strict=True):
                 whole = found.covariances[g] + sum(line.covariance for line in table)
                 sd = np.sqrt(np.diag(decode(found.means[g], whole)[1]))

@@ -40,7 +40,7 @@ from station.run.sequencer import Sequencer
 from station.run.snapshot import EventKind, Phase, Snapshot
 from station.run.sources import SourceReport
 from station.run.table_watch import TableRow, check_axes, watch_table
-from station.run.uncommanded import MotionGuard
+from station.run.uncommanded import MotionGuard, watch_homing
 from station.scripts.polling import too_steep
 from station.scripts.script import Script
 
@@ -49,6 +49,7 @@ _log = logging.getLogger(__name__)
 _FLUSH_S = 0.2  # what a killed station loses, at most, beyond what was on its way
 _FLUSH_SIMULATED_S = 2.0  # a simulated second lasts milliseconds
 _SYNC_S = 0.5
+_SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
 _LATE_S = 0.03  # of the host, after which a computer may be why a run fails
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
@@ -271,10 +272,12 @@ class Session:
             services.append(self._serve(group, self._watch_silence()))
             if self._options.reset_fault:
                 await table.reset_fault()
+            watch_home = self._serve(group, watch_homing(table))
             self._phase = Phase.ENABLING
             await table.enable()
             self._phase = Phase.HOMING
             await table.home()
+            watch_home.cancel()
             await check_axes(table, axes)
             loop = asyncio.get_running_loop()
             began_s = loop.time()
@@ -434,8 +437,8 @@ class Session:
             trouble = f"it did not come to rest by a controlled stop ({trouble})"
             if aborted:
                 trouble = f"the table was not seen to come to rest ({aborted}): use the emergency stop"
+        off = await self._tried(self._open.table.disable())  # also what heeds nothing else: it may then coast
         if not trouble or not aborted:
-            off = await self._tried(self._open.table.disable())
             trouble = trouble or (off and f"the table is at rest, but its power may be on ({off})")
             self._event(EventKind.AT_REST, "table at rest")
         if trouble:
@@ -477,8 +480,11 @@ class Session:
     def _causes(self) -> list[str]:
         """Return what may have made a run fail beside its gyros: samples at other instants, a late computer."""
         late = f"this computer did not keep up: the run waited for it for up to {self._late_s * 1e3:.0f} ms"
+        took_s = 2e-9 * self._half_width_ns
+        slow = f"the table took up to {took_s * 1e3:.0f} ms to answer: when it was where is known no better"
         found = [report.mistimed for report in self._reports.values()]
-        return [cause for cause in (*found, late if self._late_s > _LATE_S else "") if cause]
+        found += [slow] * (took_s > _SLOW_S) + [late] * (self._late_s > _LATE_S)
+        return [cause for cause in found if cause]
 
     async def _close(self) -> None:
         """Close all links, and the recording."""

@@ -28,17 +28,12 @@ def needs_of(of: Compensation) -> frozenset[str]:
     return frozenset(needed)
 
 
-def less_added(
-    of: Compensation,
-    rate_rps: Floats,
-    t_s: Floats,
-    temperature_c: Floats | None = None,
-    accel_mps2: Floats | None = None,
-) -> Floats:
+def less_added(of: Compensation, rate_rps: Floats, t_s: Floats, *sensed: Floats | None) -> Floats:
     """Return outputs (N, n) in rad/s rid of bias and of all effects that do not depend on the rate.
 
-    Arguments as for ``compensate``.
+    ``sensed``: temperature and specific force as for ``compensate``.
     """
+    temperature_c, accel_mps2 = (*sensed, None, None)[:2]
     _check(of, temperature_c, accel_mps2)
     conditions = _conditions(t_s, np.zeros((len(t_s), 3)), temperature_c, accel_mps2)
     left = np.array(rate_rps, dtype=np.float64)

@@ -10,12 +10,11 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from support import SITE, TABLE_1
+from support import ASYMMETRY, SITE, tetrahedron_recording, three_recordings
 
 import station.commands.investigate
 from estimator.effects.constructed import in_words
 from estimator.estimation.runs.making import runs_of
-from estimator.geometry.array import tetrahedron
 from estimator.recordings.recording import Recording
 from estimator.recordings.writing import write_recording
 from estimator.tracing.investigation import (
@@ -31,10 +30,8 @@ from estimator.tracing.investigation import (
     Unexplained,
     Value,
 )
-from sims.physics.hidden import Hidden
 from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
-from station.opening import DeviceTruth, simulate
 from station.render.investigation_printed import human, investigation_object, print_investigation, probability
 from station.render.terminal import stdout
 from station.scripts.loop_scripts import candidates, exploration_script, there_and_back, verification_script
@@ -42,7 +39,6 @@ from station.scripts.next_script import NextScript, Past, next_script
 from station.scripts.script import Rest, Script, check, load_script, paper_script
 
 DEG = np.pi / 180
-ASYMMETRY = {"scale_asymmetry": {"size": ["2000 ppm", "-2000 ppm", "1500 ppm", "2000 ppm"]}}
 KEYS = {"verdict", "added", "rivals", "unexplained", "before", "after", "in_sample", "next_script", "models", "gyros"}
 
 
@@ -50,20 +46,19 @@ def simulated(
     script: Script, seed: int, hidden: dict[str, Any] | None = None, started_s: float = 0.0, bench: bool = True
 ) -> Recording:
     """Return a recording of the tetrahedron, with what is hidden in it."""
-    noise = {"arw_rps_rthz": 0.005 * DEG, "bias_instability_rps": 2 * DEG / 3600}
-    device = DeviceTruth(tetrahedron(), np.tile(TABLE_1, (4, 1)), **noise, kind="tetrahedron")
-    hides = Hidden.of(hidden) if hidden else None
-    recording = simulate(script, {"array": device}, seed, site=SITE, hidden=hides, started_s=started_s)
+    return on_bench(tetrahedron_recording(script, seed, hidden or {}, started_s), bench)
+
+
+def on_bench(recording: Recording, bench: bool = True) -> Recording:
     return replace(recording, attributes={"bench": load_bench(None).text}) if bench else recording
 
 
 def files(folder: Path, hidden: dict[str, Any] | None = None, *, seed: int = 1) -> list[Path]:
     """Write a calibration, an exploration and a verification recording."""
-    paths, clock_s = [], 0.0
-    for number, script in enumerate((paper_script(), exploration_script(), verification_script())):
-        paths.append(folder / f"{number}-{script.name}.h5")
-        write_recording(paths[-1], simulated(script, 10 * seed + number, hidden, clock_s))
-        clock_s += script.duration_s + 20
+    recordings = three_recordings(seed, hidden or {})
+    paths = [folder / f"{number}.h5" for number in range(len(recordings))]
+    for path, recording in zip(paths, recordings, strict=True):
+        write_recording(path, on_bench(recording))
     return paths
 
 

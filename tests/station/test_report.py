@@ -7,7 +7,7 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -618,6 +618,22 @@ def test_without_a_browser_the_html_is_kept_and_said_what_to_install(
     assert str(tmp_path / "r.html") in said
     assert (tmp_path / "r.html").is_file()
     assert not (tmp_path / "r.pdf").exists()
+
+
+def test_the_page_of_the_recording_names_all_that_a_run_writes(run: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs/pages/reference/recording.md").read_text(encoding="utf-8")
+    with h5py.File(run) as recording:
+        assert not {name for name in names_in(recording) if f"`{name}`" not in page}
+
+
+def names_in(group: h5py.Group) -> Iterator[str]:
+    """Yield the names of all datasets and attributes."""
+    yield from group.attrs
+    for name, item in group.items():
+        if isinstance(item, h5py.Group):
+            yield from names_in(item)
+        else:
+            yield from (name, *item.attrs)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from estimator.tracing.investigate import investigate
+from estimator.calibration.error_model import ErrorModel
 from estimator.tracing.investigation import Investigation
 from estimator.tracing.residuals.dependence import Dependence
 from estimator.tracing.residuals.origin import Origin, Split
@@ -20,14 +20,11 @@ from station.render.investigation_pictures import draw_investigation
 from station.render.investigation_printed import investigation_object, print_investigation
 from station.render.residual_printed import origin_line
 from station.render.terminal import stdout
-from station.studies.detection import Case, recordings_of
 
 
-@pytest.fixture(scope="module")
-def found() -> Investigation:
-    """Return what comes of recordings with an asymmetry."""
-    calibration, exploration, verification = recordings_of(Case(("scale_asymmetry",), 1.0, 4))
-    return investigate([calibration, exploration], [verification])
+@pytest.fixture
+def found(asymmetry: tuple[Investigation, ErrorModel]) -> Investigation:
+    return asymmetry[0]
 
 
 def left(nis: float, *depends_on: tuple[str, float], origin: Origin = Origin.NOISE, spare: int = 1) -> Residual:

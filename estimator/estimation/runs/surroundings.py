@@ -22,10 +22,9 @@ def conditions_of(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Fl
     if by_turns(reference):
         return conditions_by_turns(recording, data, grid_s, w_rps, steps, temperature)
     assert isinstance(reference, TableReadings)
-    angle, rate, acceleration = _gimbals(reference, grid_s)
-    return Conditions.on_table(
-        grid_s, angle, rate, acceleration, reference.gimbals, temperature_c=temperature, site=recording.site
-    )
+    rates, grid_ns = BodyRates.of(reference, recording.site), np.round(grid_s * 1e9).astype(np.int64)
+    motion = *rates.gimbals_at(grid_ns), rates.accelerations_at(grid_ns)
+    return Conditions.on_table(grid_s, *motion, reference.gimbals, temperature_c=temperature, site=recording.site)
 
 
 def conditions_by_turns(
@@ -57,11 +56,6 @@ def temperature_at(data: ImuData, grid_s: Floats) -> Floats | None:
     known = np.isfinite(data.temperature_c)
     t_s = np.asarray(data.t_ns[known] * 1e-9, dtype=np.float64)
     return _smooth_temperature(t_s, data.temperature_c[known], grid_s)
-
-
-def _gimbals(reference: TableReadings, grid_s: Floats) -> tuple[Floats, Floats, Floats]:
-    rates, grid_ns = BodyRates.of(reference, None), np.round(grid_s * 1e9).astype(np.int64)
-    return *rates.gimbals_at(grid_ns), rates.accelerations_at(grid_ns)
 
 
 def _smooth_temperature(t_s: Floats, temperature_c: Floats, grid_s: Floats) -> Floats:

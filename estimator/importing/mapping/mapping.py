@@ -1,4 +1,4 @@
-"""The mapping file: what the columns of a foreign recording mean. TOML, read strictly; see the package README.
+"""The mapping file: what the columns of a foreign recording mean. Read strictly (docs/pages/reference/mapping.md).
 
 Units are those of the foreign file here and only here; what leaves this module is SI.
 """
