@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -95,6 +96,16 @@ class Calibration:
     doubts: tuple[str, ...] = ()
     holds_for: str = ""
     offsets: Mapping[str, TimeOffset] = field(default_factory=dict)
+
+    def to_frame(self) -> Any:
+        """Return a pandas.DataFrame with a row a gyro: its device, states and sigmas, in SI. Needs pandas."""
+        from pandas import DataFrame
+
+        states = ("k", "b_rps", "sigma_j_rad", "sigma_k_rad")
+        columns = [*states, *(f"sd_{state}" for state in states)]
+        frame = DataFrame([[*g.states, *g.sd] for g in self.gyros], [g.name for g in self.gyros], columns)
+        frame.insert(0, "device", [gyro.device for gyro in self.gyros])
+        return frame
 
 
 def unseen_notes(name: str, covariance: Floats, prior: Prior) -> list[str]:

@@ -36,6 +36,17 @@ class ImuData:
     noise: NoiseModel | None = None
     device: str = ""
 
+    def to_frame(self) -> Any:
+        """Return a pandas.DataFrame over time in s: rates by gyro in rad/s, what else there is. Needs pandas."""
+        from pandas import DataFrame, Index
+
+        frame = DataFrame(self.rate_rps, Index(self.t_ns * 1e-9, name="t_s"), self.array.names)
+        if self.temperature_c is not None:
+            frame["temperature_c"] = self.temperature_c
+        if self.accel_mps2 is not None:
+            frame[["accel_x_mps2", "accel_y_mps2", "accel_z_mps2"]] = self.accel_mps2
+        return frame
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:

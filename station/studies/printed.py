@@ -7,7 +7,6 @@ import numpy as np
 
 from estimator.geometry.array import tetrahedron_as_printed
 from station.render.terminal import print_rendered, stdout
-from station.run.snapshot import json_object
 from station.studies.baselines import BaselineStudy
 from station.studies.detection import DetectionStudy
 from station.studies.paper import BARS_PERCENT, PaperStudy
@@ -22,6 +21,7 @@ from station.studies.paper_text import (
     relative_percent,
     sentences,
 )
+from station.views.json_values import json_object
 
 _STATES = [f"{name}, {unit}" for name, unit in zip(NAMES, UNITS, strict=True)]
 _FORMATS = (".4f", ".1f", ".4f", ".4f")
