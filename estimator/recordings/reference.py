@@ -47,6 +47,7 @@ class TableReadings:
     """Angles and rates (k, gimbals) that the table reported; columns as ``gimbals``, outermost first.
 
     ``half_width_ns`` (k,) is how far the instant of a reading can be off, half of its round trip; None for not at all.
+    Rates are means over ``rate_window_ns`` about their instants.
     """
 
     t_ns: Stamps
@@ -55,6 +56,7 @@ class TableReadings:
     gimbals: tuple[str, ...]
     uncertainty: TableUncertainty | None = None
     half_width_ns: Stamps | None = None
+    rate_window_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +149,7 @@ class BodyRates:
         # Readings as they came, and how many of them are among the rows: those after it wait for the end of a ramp.
         self._read_ns, self._read_half_s, self._changes = _Rows((), np.int64), _Rows(()), _Rows((), np.bool_)
         self._read_angle, self._read_rate, self._read_area = (_Rows((n,)) for _ in range(3))
-        self._taken = 0
+        self._taken, self._window_s = 0, 0.0
         self._site = site
         self._times = _Rows((), np.int64)
         self._angle, self._rate, self._summed, self._refined = (_Rows((n,)) for _ in range(4))
@@ -165,13 +167,24 @@ class BodyRates:
         made = _MADE.setdefault(readings, {})
         if site not in made:
             rates = cls(readings.gimbals, site)
-            rates.add(readings.t_ns, readings.angle_rad, readings.rate_rps, readings.half_width_ns)
+            rows = readings.t_ns, readings.angle_rad, readings.rate_rps, readings.half_width_ns
+            rates.add(*rows, readings.rate_window_ns)
             rates.finish()
             made[site] = rates
         return made[site]
 
-    def add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats, half_width_ns: Stamps | None = None) -> None:
-        """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,)."""
+    def add(
+        self,
+        t_ns: Stamps,
+        angle_rad: Floats,
+        rate_rps: Floats,
+        half_width_ns: Stamps | None = None,
+        rate_window_ns: int = 0,
+    ) -> None:
+        """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,).
+
+        Rates are means over ``rate_window_ns`` about their instants, the same in all readings.
+        """
         if not len(t_ns):
             return
         first = not len(self._read_ns)
@@ -191,6 +204,7 @@ class BodyRates:
         self._read_angle.append(angle_rad - 2 * np.pi * np.cumsum(jumps, axis=0))
         self._read_rate.append(rate_rps)
         self._read_area.append(summed)
+        self._window_s = rate_window_ns * 1e-9
         self._read_half_s.append(np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns * 1e-9)
         self._take(everything=False)
         self._refine_up_to_latest()
@@ -247,7 +261,7 @@ class BodyRates:
             first, last = max(start - 1 - low, 0) + int(own[0]), max(start - 1 - low, 0) + int(own[-1]) + 1
             if not is_ramp(rate[first : last + 1, None]):
                 continue
-            ramp = fitted(t_s, angle, rate, self._read_half_s.all[part], first, last)
+            ramp = fitted(t_s, angle, rate, self._read_half_s.all[part], first, last, self._window_s)
             if ramp is not None:
                 corners = times[low] + np.round(ramp.t_s * 1e9).astype(np.int64)
                 reading_rps = ramp.reading_rps[self._taken - low : stop - low]
