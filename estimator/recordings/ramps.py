@@ -82,7 +82,7 @@ def fitted(
     """Return the ramp between the readings ``first`` and ``last`` of these (n,), None if that is not what it is.
 
     Beyond them the rate is steady. Readings count by their half widths, and by how far they lie off. Rates are means
-    over ``window_s`` about their instants.
+    over the ``window_s`` that ends at their instants.
     """
     if first + 1 < _FEWEST or len(t_s) - last < _FEWEST:
         return None
@@ -127,7 +127,7 @@ def fitted(
     # A reading of nothing but the time outside the ramp tells how far the rate is from steady, as far as it is known
     # better than that.
     off_rps, doubt = (residual * doubt)[len(t_s) :], doubt[len(t_s) :]
-    inside = (t_s > p[0] - window_s / 2) & (t_s < p[k - 1] + window_s / 2)
+    inside = (t_s > p[0]) & (t_s < p[k - 1] + window_s)
     share = np.where(inside, 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt**2))
     angle, rate = _turned(p, p[:k])
     reading_rps = p[-1] * _turned(p, t_s)[1] + share * off_rps
@@ -190,7 +190,7 @@ def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: i
 
 
 def _turned(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Floats]:
-    """Return angles and rates (n,) of a ramp at instants, the rates as means over the window about them.
+    """Return angles and rates (n,) of a ramp at instants, the rates as means over the window before them.
 
     ``p``: corners, rates at them, angle at the first corner, scale of the rate readings.
     """
@@ -201,8 +201,7 @@ def _turned(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Floa
         since = np.clip(t_s - corners[i], 0.0, corners[i + 1] - corners[i])
         angle = angle + rates[i] * since + 0.5 * slope * since**2
     if window_s:
-        earlier, later = (_turned(p, t_s + way * window_s)[0] for way in (-0.5, 0.5))
-        return angle, (later - earlier) / window_s
+        return angle, (angle - _turned(p, t_s - window_s)[0]) / window_s
     return angle, np.interp(t_s, corners, rates)
 
 
@@ -234,6 +233,5 @@ def _model(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Float
         d_angle[:, i] += -rates[i] * (t_s >= a) - slope * (since - 0.5 * since * x) + 0.0
         d_angle[:, i + 1] += np.where(t_s >= corners[i + 1], rates[i + 1], 0.0) - slope * 0.5 * since * x
     if window_s:
-        earlier, later = (_model(p, t_s + way * window_s)[2][: len(t_s)] for way in (-0.5, 0.5))
-        d_rate = (later - earlier) / window_s
+        d_rate = (d_angle - _model(p, t_s - window_s)[2][: len(t_s)]) / window_s
     return angle, rate, np.vstack([d_angle, np.column_stack([scale * d_rate[:, :-1], rate])])

@@ -19,12 +19,13 @@ from station.run.uncommanded import MotionGuard
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
 _STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops that hears nothing
 _IDLE_S = 0.4  # so often each axis is looked at that has not been told to turn: it may do so by itself
-
+_KEPT = 5  # readings before that a mean rate is judged by
+_WELL_NS = 1e6  # to which an instant needs to be known
 
 class TableRow(NamedTuple):
     """Angles and rates (axes,) at one instant, which may be off by the half width of the round trips.
 
-    Rates are means over ``rate_window_ns`` about it.
+    Rates are means over the ``rate_window_ns`` that ends at it.
     """
 
     t_ns: int
@@ -38,9 +39,8 @@ class Aligner:
     """Turns readings of single axes, each at its own instant, into rows at one instant.
 
     An angle is carried to the row's instant, that of the fastest axis' rate, by the rate, a rate by interpolation
-    between readings. A row is given
-    when the rates around it are known: one reading later, or as many as a rate that is a mean lags behind. While a
-    mean still tells of what was before the first reading there is none.
+    between readings. A row is given when the rates around it are known: one reading later. Rates that are means are
+    those up to the angle of the fastest axis; while they tell of what was before the first reading there is no row.
     """
 
     def __init__(self, axes: tuple[str, ...]) -> None:
@@ -58,10 +58,12 @@ class Aligner:
             return []
         self._since_ns = self._at_ns(0) if self._since_ns is None else self._since_ns
         rows = []
-        while self._next < len(self._readings) - 1 and self._rates_reach(self._next):
+        while self._next < len(self._readings) - 1:
             rows += self._row(self._next)
             self._next += 1
-        self._forget()
+        while self._next > _KEPT:
+            self._readings.popleft()
+            self._next -= 1
         return rows
 
     def last(self) -> list[TableRow]:
@@ -75,48 +77,40 @@ class Aligner:
         state = now[max(now, key=lambda axis: max(abs(now[axis].rate_rps), abs(before[axis].rate_rps)))]
         return state.angle_t_ns if state.rate_window_ns else state.rate_t_ns
 
-    def _rates_reach(self, index: int) -> bool:
-        """Return whether rates up to the row's instant, and half the time that they are means of, are known."""
-        window = max(state.rate_window_ns for state in self._readings[index].values())
-        if not window:
-            return True
-        return min(state.rate_t_ns for state in self._readings[-1].values()) >= self._at_ns(index) + window // 2
-
     def _row(self, index: int) -> list[TableRow]:
         """Return the row of a reading, or nothing where its rates are not known."""
         at_ns, states = self._at_ns(index), self._readings[index].values()
         half_width_ns, window_ns = (max(getattr(s, key) for s in states) for key in ("half_width_ns", "rate_window_ns"))
-        if self._since_ns is None or (window_ns and at_ns - window_ns // 2 < self._since_ns):
+        if self._since_ns is None or (window_ns and at_ns - window_ns < self._since_ns):
             return []
         angles = np.empty(len(self._axes))
         rates = np.empty(len(self._axes))
         for column, axis in enumerate(self._axes):
             state = self._readings[index][axis]
-            times = np.array([r[axis].rate_t_ns - at_ns for r in self._readings], dtype=np.float64)
+            times = np.array([r[axis].rate_t_ns + state.rate_window_ns // 2 - at_ns for r in self._readings], dtype=float)
             series = np.array([r[axis].rate_rps for r in self._readings])
-            rates[column] = _smooth(times, series) if state.rate_window_ns else np.interp(0.0, times, series)
+            if state.rate_window_ns:
+                # What is known much worse than this reading is not asked, nor what follows.
+                widths_ns = np.array([r[axis].half_width_ns for r in self._readings])[: index + 1]
+                known = widths_ns <= 2 * state.half_width_ns + _WELL_NS
+                rates[column] = _smooth(times[: index + 1][known], series[: index + 1][known])
+            else:
+                rates[column] = np.interp(0.0, times, series)
             between_ns = at_ns - state.angle_t_ns
             rate = rates[column] if state.rate_window_ns else np.interp(-0.5 * between_ns, times, series)
             angles[column] = state.angle_rad + rate * between_ns * 1e-9
         return [TableRow(at_ns, angles, rates, half_width_ns, window_ns)]
 
-    def _forget(self) -> None:
-        """Keep the readings whose rates rows to come still need."""
-        window = max(state.rate_window_ns for state in self._readings[-1].values())
-        oldest_ns = self._at_ns(self._next) - 2 * window
-        while self._next > 2 and all(state.rate_t_ns < oldest_ns or not window for state in self._readings[0].values()):
-            self._readings.popleft()
-            self._next -= 1
 
-
-def _smooth(times: Floats, rates: Floats) -> float:
-    """Return the rate at 0, or at the end next to it, by the cubic through the four means about it (Lagrange)."""
-    near = slice(first := max(min(int(np.searchsorted(times, 0.0)) - 2, len(times) - 4), 0), first + 4)
-    at, apart = min(max(0.0, times[0]), times[-1]) - times[near], np.subtract.outer(times[near], times[near])
-    np.fill_diagonal(apart, 1.0)
-    shares = at / apart
+def _smooth(times_ns: Floats, rates: Floats) -> float:
+    """Return the rate at 0, or at the end next to it, by the cubic through the last four (Lagrange)."""
+    apart = np.diff(times_ns, append=np.inf) > _WELL_NS  # what is nearer tells the same
+    times, series = times_ns[apart][-4:], rates[apart][-4:]
+    at, between = min(max(0.0, times[0]), times[-1]) - times, np.subtract.outer(times, times)
+    np.fill_diagonal(between, 1.0)
+    shares = at / between
     np.fill_diagonal(shares, 1.0)
-    return float(shares.prod(axis=1) @ rates[near])
+    return float(shares.prod(axis=1) @ series)
 
 
 async def watch_table(

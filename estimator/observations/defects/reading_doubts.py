@@ -18,7 +18,7 @@ def reading_doubts(readings: TableReadings) -> tuple[str, ...]:
     near = step_s <= _GAP * np.median(step_s)
     width_s = np.zeros(len(step_s) + 1) if readings.half_width_ns is None else readings.half_width_ns * 1e-9
     doubts = []
-    for axis, angle, rate in zip(readings.gimbals, readings.angle_rad.T, readings.rate_rps.T, strict=True):
+    for axis, angle, rate in zip(readings.gimbals, readings.angle_rad.T, readings.centred_rps.T, strict=True):
         turned, most = np.diff(angle), np.maximum(np.abs(rate[1:]), np.abs(rate[:-1]))
         summed = (rate[1:] + rate[:-1]) / 2 * step_s
         turned = turned - 2 * np.pi * np.round((turned - summed) / (2 * np.pi))  # angles within one turn
