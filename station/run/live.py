@@ -242,8 +242,8 @@ class LiveEstimate:
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
         """Return the readings of the table that have been kept."""
-        t_ns, angle_rad, rate_rps, *further = _columns(self._kept_rows or [])
-        return TableReadings(t_ns, angle_rad, rate_rps, self._gimbals, uncertainty, *further)
+        t_ns, angle_rad, rate_rps, half_width_ns, window_ns = _columns(self._kept_rows or [])
+        return TableReadings(t_ns, angle_rad, rate_rps, self._gimbals, uncertainty, half_width_ns, window_ns)
 
     def add_row(self, row: TableRow) -> None:
         """Take in one row of table readings; now and then use the samples that they cover."""

@@ -22,6 +22,7 @@ _IDLE_S = 0.4  # so often each axis is looked at that has not been told to turn:
 _KEPT = 5  # readings before that a mean rate is judged by
 _WELL_NS = 1e6  # to which an instant needs to be known
 
+
 class TableRow(NamedTuple):
     """Angles and rates (axes,) at one instant, which may be off by the half width of the round trips.
 
@@ -87,12 +88,12 @@ class Aligner:
         rates = np.empty(len(self._axes))
         for column, axis in enumerate(self._axes):
             state = self._readings[index][axis]
-            times = np.array([r[axis].rate_t_ns + state.rate_window_ns // 2 - at_ns for r in self._readings], dtype=float)
-            series = np.array([r[axis].rate_rps for r in self._readings])
+            own = [reading[axis] for reading in self._readings]
+            times = np.array([r.rate_t_ns + r.rate_window_ns // 2 - at_ns for r in own], dtype=np.float64)
+            series = np.array([r.rate_rps for r in own])
             if state.rate_window_ns:
                 # What is known much worse than this reading is not asked, nor what follows.
-                widths_ns = np.array([r[axis].half_width_ns for r in self._readings])[: index + 1]
-                known = widths_ns <= 2 * state.half_width_ns + _WELL_NS
+                known = np.array([r.half_width_ns <= 2 * state.half_width_ns + _WELL_NS for r in own[: index + 1]])
                 rates[column] = _smooth(times[: index + 1][known], series[: index + 1][known])
             else:
                 rates[column] = np.interp(0.0, times, series)
