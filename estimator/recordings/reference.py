@@ -248,11 +248,9 @@ class BodyRates:
             elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9) + hold_ns):
                 # What was read soon after, or is a mean, may still hold something of the ramp.
                 after = changes[stop : int(np.searchsorted(times, times[stop - 1] + hold_ns))]
-                if after.any():  # of the beginning of the next ramp a mean may know nothing yet
-                    next_ns = times[stop + int(np.argmax(after))] - self._window_ns
-                    stop = max(stop, int(np.searchsorted(times, next_ns)))
-                else:
-                    stop += len(after)
+                following = min(stop + int(np.argmax(after) if after.any() else len(after)), len(times) - 1)
+                # Of the beginning of the next ramp a mean may know nothing yet.
+                stop = max(stop, int(np.searchsorted(times, times[following] - self._window_ns)))
                 self._append(taken, stop, self._ramps(start, stop) if len(self._times) else [])
             else:
                 return
