@@ -92,9 +92,10 @@ class Aligner:
             times = np.array([r.rate_t_ns + r.rate_window_ns // 2 - at_ns for r in own], dtype=np.float64)
             series = np.array([r.rate_rps for r in own])
             if state.rate_window_ns:
-                # What is known much worse than this reading is not asked, nor what follows.
-                known = np.array([r.half_width_ns <= 2 * state.half_width_ns + _WELL_NS for r in own[: index + 1]])
-                rates[column] = _smooth(times[: index + 1][known], series[: index + 1][known])
+                # What is known much worse than this reading is not asked.
+                known = np.array([r.half_width_ns <= 2 * state.half_width_ns + _WELL_NS for r in own])
+                known[index + 2 :] = False
+                rates[column] = _smooth(times[known], series[known])
             else:
                 rates[column] = np.interp(0.0, times, series)
             between_ns = at_ns - state.angle_t_ns
