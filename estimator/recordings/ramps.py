@@ -34,6 +34,7 @@ _ROUNDS, _STEPS = 4, 8
 _TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corner
 _INWARD = 0.02  # of a ramp
 _FITS = 3.0  # sigmas rms; what fits worse is no ramp
+_Readings = tuple[Floats, Floats, Floats, Floats, float]  # instants, angles, rates, half widths (n,); window of rates
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +98,7 @@ def fitted(
     most = sd
     readings = t_s, angle_rad, rate_rps, half_width_s, window_s
     for step in range(_ROUNDS * _STEPS):
-        residual, jacobian, _ = _weighed(p, *readings, sd, _TAIL if step >= _STEPS else np.inf)
+        residual, jacobian, _ = _weighed(p, readings, sd, _TAIL if step >= _STEPS else np.inf)
         information = jacobian.T @ jacobian + np.diag(prior**2)
         if step and step % _STEPS == 0:
             # What angles and rates are known to is seen in how they scatter, less what the fit took of that.
@@ -111,11 +112,11 @@ def fitted(
         p = p + moved * min(1.0, 0.5 * shortest / max(np.abs(moved[:k]).max(), 1e-12))
         if not np.all(np.diff(p[:k]) > 0):
             return None
-    off = _weighed(p, *readings, most, np.inf)[0] ** 2
+    off = _weighed(p, readings, most, np.inf)[0] ** 2
     near = np.tile((t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9), 2)
     if not max(float(np.mean(off)), float(np.mean(off[near]))) < _FITS**2:
         return None
-    residual, _, doubt = _weighed(p, *readings, sd, _TAIL)
+    residual, _, doubt = _weighed(p, readings, sd, _TAIL)
     # A reading at a corner tells nothing of a shorter ramp, whatever its slopes say of a longer one.
     shorter = p.copy()
     shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1])
@@ -134,21 +135,13 @@ def fitted(
     return Ramp(p[:k], angle, p[-1] * rate, reading_rps, float(np.sqrt(variance.max())))
 
 
-def _weighed(
-    p: Floats,
-    t_s: Floats,
-    angle_rad: Floats,
-    rate_rps: Floats,
-    half_width_s: Floats,
-    window_s: float,
-    sd: Floats,
-    tail: float,
-) -> tuple[Floats, Floats, Floats]:
+def _weighed(p: Floats, readings: _Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
     """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the sigmas (2 n,).
 
     A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that. ``sd`` (2,) are
     of angles and rates whose instants are known; ``tail`` degrees of freedom their distribution has (Student's t).
     """
+    t_s, angle_rad, rate_rps, half_width_s, window_s = readings
     angle, rate, slopes = _model(p, t_s, window_s)
     off = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate])
     # Angle and rate are asked for one after the other: the first may be off by half widths of both.
