@@ -34,7 +34,8 @@ _ROUNDS, _STEPS = 4, 8
 _TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corner
 _INWARD = 0.02  # of a ramp
 _FITS = 3.0  # sigmas rms; what fits worse is no ramp
-_Readings = tuple[Floats, Floats, Floats, Floats, float]  # instants, angles, rates, half widths (n,); window of rates
+Readings = tuple[Floats, Floats, Floats, Floats, float]
+"""Instants in s, angles, rates, half widths in s (n,); the time before their instants in s that rates are means of."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,20 +72,12 @@ def is_ramp(rate_rps: Floats) -> bool:
     return bool((np.ptp(rate_rps, axis=0) > _LEAST_RPS).any())
 
 
-def fitted(
-    t_s: Floats,
-    angle_rad: Floats,
-    rate_rps: Floats,
-    half_width_s: Floats,
-    first: int,
-    last: int,
-    window_s: float = 0.0,
-) -> Ramp | None:
-    """Return the ramp between the readings ``first`` and ``last`` of these (n,), None if that is not what it is.
+def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
+    """Return the ramp between the readings ``first`` and ``last``, None if that is not what it is.
 
-    Beyond them the rate is steady. Readings count by their half widths, and by how far they lie off. Rates are means
-    over the ``window_s`` that ends at their instants.
+    Beyond them the rate is steady. Readings count by their half widths, and by how far they lie off.
     """
+    t_s, angle_rad, rate_rps, _, window_s = readings
     if first + 1 < _FEWEST or len(t_s) - last < _FEWEST:
         return None
     start = _start(t_s, angle_rad, rate_rps, first, last)
@@ -96,7 +89,6 @@ def fitted(
     prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
     p, sd = start, np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
     most = sd
-    readings = t_s, angle_rad, rate_rps, half_width_s, window_s
     for step in range(_ROUNDS * _STEPS):
         residual, jacobian, _ = _weighed(p, readings, sd, _TAIL if step >= _STEPS else np.inf)
         information = jacobian.T @ jacobian + np.diag(prior**2)
@@ -135,7 +127,7 @@ def fitted(
     return Ramp(p[:k], angle, p[-1] * rate, reading_rps, float(np.sqrt(variance.max())))
 
 
-def _weighed(p: Floats, readings: _Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
+def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
     """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the sigmas (2 n,).
 
     A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that. ``sd`` (2,) are

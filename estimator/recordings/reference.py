@@ -276,7 +276,7 @@ class BodyRates:
             first, last = max(start - 1 - low, 0) + int(own[0]), max(start - 1 - low, 0) + int(own[-1]) + 1
             if not is_ramp(rate[first : last + 1, None]):
                 continue
-            ramp = fitted(t_s, angle, rate, self._read_half_s.all[part], first, last, self._window_ns * 1e-9)
+            ramp = fitted((t_s, angle, rate, self._read_half_s.all[part], self._window_ns * 1e-9), first, last)
             if ramp is not None:
                 corners = times[low] + np.round(ramp.t_s * 1e9).astype(np.int64)
                 reading_rps = ramp.reading_rps[self._taken - low : stop - low]
