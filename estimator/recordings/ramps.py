@@ -34,6 +34,8 @@ _ROUNDS, _STEPS = 4, 8
 _TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corner
 _INWARD = 0.02  # of a ramp
 _FITS = 3.0  # sigmas rms; what fits worse is no ramp
+Readings = tuple[Floats, Floats, Floats, Floats, float]
+"""Instants in s, angles, rates, half widths in s (n,); the time before their instants in s that rates are means of."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,13 +72,12 @@ def is_ramp(rate_rps: Floats) -> bool:
     return bool((np.ptp(rate_rps, axis=0) > _LEAST_RPS).any())
 
 
-def fitted(
-    t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats, first: int, last: int
-) -> Ramp | None:
-    """Return the ramp between the readings ``first`` and ``last`` of these (n,), None if that is not what it is.
+def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
+    """Return the ramp between the readings ``first`` and ``last``, None if that is not what it is.
 
     Beyond them the rate is steady. Readings count by their half widths, and by how far they lie off.
     """
+    t_s, angle_rad, rate_rps, _, window_s = readings
     if first + 1 < _FEWEST or len(t_s) - last < _FEWEST:
         return None
     start = _start(t_s, angle_rad, rate_rps, first, last)
@@ -88,9 +89,8 @@ def fitted(
     prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
     p, sd = start, np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
     most = sd
-    readings = t_s, angle_rad, rate_rps, half_width_s
     for step in range(_ROUNDS * _STEPS):
-        residual, jacobian, _, _ = _weighed(p, *readings, sd, _TAIL if step >= _STEPS else np.inf)
+        residual, jacobian, _ = _weighed(p, readings, sd, _TAIL if step >= _STEPS else np.inf)
         rows = np.vstack([jacobian, np.diag(prior)])  # their products may be singular in floating point
         if step and step % _STEPS == 0:
             # What angles and rates are known to is seen in how they scatter, less what the fit took of that.
@@ -103,37 +103,40 @@ def fitted(
         p = p + moved * min(1.0, 0.5 * shortest / max(np.abs(moved[:k]).max(), 1e-12))
         if not np.all(np.diff(p[:k]) > 0):
             return None
-    off = _weighed(p, *readings, most, np.inf)[0] ** 2
+    off = _weighed(p, readings, most, np.inf)[0] ** 2
     near = np.tile((t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9), 2)
     if not max(float(np.mean(off)), float(np.mean(off[near]))) < _FITS**2:
         return None
-    residual, _, told, doubt = _weighed(p, *readings, sd, _TAIL)
+    residual, _, doubt = _weighed(p, readings, sd, _TAIL)
     # A reading at a corner tells nothing of a shorter ramp, whatever its slopes say of a longer one.
     shorter = p.copy()
     shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1])
-    slopes = _model(shorter, t_s)[2] / doubt[:, None]
+    slopes = _model(shorter, t_s, window_s)[2] / doubt[:, None]
     factor = np.linalg.qr(np.vstack([slopes, np.diag(prior)]), mode="r")
     variance = np.sum(np.linalg.inv(factor) ** 2, axis=1)[:k] * max(float(np.mean(residual**2)), 1.0)
     if not np.all(np.isfinite(variance)):  # readings too coarse to keep its corners apart
         return None
-    # A reading outside the ramp tells how far the rate is from steady, as far as it is known better than that.
-    share = np.where((t_s > p[0]) & (t_s < p[k - 1]), 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt[len(t_s) :] ** 2))
+    # A reading of nothing but the time outside the ramp tells how far the rate is from steady, as far as it is known
+    # better than that.
+    off_rps, doubt = (residual * doubt)[len(t_s) :], doubt[len(t_s) :]
+    inside = (t_s > p[0]) & (t_s < p[k - 1] + window_s)
+    share = np.where(inside, 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt**2))
     angle, rate = _turned(p, p[:k])
-    return Ramp(p[:k], angle, p[-1] * rate, told + share * (rate_rps - told), float(np.sqrt(variance.max())))
+    reading_rps = p[-1] * _turned(p, t_s)[1] + share * off_rps
+    return Ramp(p[:k], angle, p[-1] * rate, reading_rps, float(np.sqrt(variance.max())))
 
 
-def _weighed(
-    p: Floats, t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats, sd: Floats, tail: float
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the rates by it (n,), the sigmas (2 n,).
+def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
+    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the sigmas (2 n,).
 
     A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that. ``sd`` (2,) are
     of angles and rates whose instants are known; ``tail`` degrees of freedom their distribution has (Student's t).
     """
-    angle, rate, slopes = _model(p, t_s)
+    t_s, angle_rad, rate_rps, half_width_s, window_s = readings
+    angle, rate, slopes = _model(p, t_s, window_s)
     off = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate])
     # Angle and rate are asked for one after the other: the first may be off by half widths of both.
-    beside = [_turned(p, t_s + way * half_width_s) for way in (-2, 2)]
+    beside = [_turned(p, t_s + way * half_width_s, window_s) for way in (-2, 2)]
     may = np.max([np.abs(np.concatenate([a - angle, p[-1] * (r - rate)])) for a, r in beside], axis=0)
     known = np.repeat(sd, len(t_s))
     excess = np.minimum(np.abs(off), may)
@@ -141,7 +144,7 @@ def _weighed(
     doubt = np.hypot(known, np.maximum(excess, may * np.sqrt(share)))
     if np.isfinite(tail):
         doubt *= np.sqrt((tail + (off / doubt) ** 2) / (tail + 1))
-    return off / doubt, slopes / doubt[:, None], p[-1] * rate, doubt
+    return off / doubt, slopes / doubt[:, None], doubt
 
 
 def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:
@@ -170,8 +173,8 @@ def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: i
     return np.concatenate([corners, [before, after], [angle_rad[first] - before * (t_s[first] - corners[0])], [1.0]])
 
 
-def _turned(p: Floats, t_s: Floats) -> tuple[Floats, Floats]:
-    """Return angles and rates (n,) of a ramp at instants.
+def _turned(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Floats]:
+    """Return angles and rates (n,) of a ramp at instants, the rates as means over the window before them.
 
     ``p``: corners, rates at them, angle at the first corner, scale of the rate readings.
     """
@@ -181,14 +184,16 @@ def _turned(p: Floats, t_s: Floats) -> tuple[Floats, Floats]:
     for i, slope in enumerate((np.diff(rates) / np.diff(corners)).tolist()):
         since = np.clip(t_s - corners[i], 0.0, corners[i + 1] - corners[i])
         angle = angle + rates[i] * since + 0.5 * slope * since**2
+    if window_s:
+        return angle, (angle - _turned(p, t_s - window_s)[0]) / window_s
     return angle, np.interp(t_s, corners, rates)
 
 
-def _model(p: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats]:
+def _model(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Floats, Floats]:
     """Return the same and the slopes (2 n, parameters) of both."""
     k = len(p) // 2 - 1
     corners, rates, scale = p[:k], p[k : 2 * k], p[-1]
-    angle, rate = _turned(p, t_s)
+    angle, rate = _turned(p, t_s, window_s)
     d_angle, d_rate = np.zeros((len(t_s), len(p))), np.zeros((len(t_s), len(p)))
     d_angle[:, 2 * k] = 1.0
     d_angle[:, k] += np.minimum(t_s - corners[0], 0.0)
@@ -211,4 +216,6 @@ def _model(p: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats]:
         d_angle[:, k + i + 1] += 0.5 * since * x
         d_angle[:, i] += -rates[i] * (t_s >= a) - slope * (since - 0.5 * since * x) + 0.0
         d_angle[:, i + 1] += np.where(t_s >= corners[i + 1], rates[i + 1], 0.0) - slope * 0.5 * since * x
+    if window_s:
+        d_rate = (d_angle - _model(p, t_s - window_s)[2][: len(t_s)]) / window_s
     return angle, rate, np.vstack([d_angle, np.column_stack([scale * d_rate[:, :-1], rate])])

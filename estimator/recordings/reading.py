@@ -138,9 +138,8 @@ def _read_reference(path: Path, file: Any) -> Reference:
         if "half_width_ns" in group:
             width = _column(where, group, "half_width_ns")
             width = np.pad(width[:n], (0, max(n - len(width), 0)), mode="edge")[finite]
-        return TableReadings(
-            t_ns[:n][finite], angle[:n, order][finite], rate[:n, order][finite], gimbals, stated, width
-        )
+        rows = t_ns[:n][finite], angle[:n, order][finite], rate[:n, order][finite]
+        return TableReadings(*rows, gimbals, stated, width, int(group.attrs.get("rate_window_ns", 0)))
     if "reference" not in file:
         raise RecordingError(f"{path} has neither /table nor /reference: nothing says how the body turned")
     where, group = f"{path}: /reference", file["reference"]

@@ -47,6 +47,7 @@ class TableReadings:
     """Angles and rates (k, gimbals) that the table reported; columns as ``gimbals``, outermost first.
 
     ``half_width_ns`` (k,) is how far the instant of a reading can be off, half of its round trip; None for not at all.
+    Rates are means over the ``rate_window_ns`` that ends at their instants.
     """
 
     t_ns: Stamps
@@ -55,6 +56,12 @@ class TableReadings:
     gimbals: tuple[str, ...]
     uncertainty: TableUncertainty | None = None
     half_width_ns: Stamps | None = None
+    rate_window_ns: int = 0
+
+    @property
+    def centred_rps(self) -> Floats:
+        """Rates (k, gimbals) at the instants, as means about these tell them: wrong by corners of ramps only."""
+        return centred(self.t_ns, self.t_ns, self.rate_rps, self.rate_window_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +105,14 @@ class Poses:
 
 
 Reference = TableReadings | RateReadings | AttitudeReadings | Turns | Poses
+
+
+def centred(at_ns: Stamps, t_ns: Stamps, rate_rps: Floats, window_ns: int) -> Floats:
+    """Return rates (n, gimbals) at instants (n,) by means (k, gimbals) over windows that end at instants (k,)."""
+    if not window_ns or not len(t_ns):
+        return rate_rps  # of these instants
+    at_s, known_s = (at_ns - t_ns[0] + window_ns // 2) * 1e-9, (t_ns - t_ns[0]) * 1e-9
+    return np.column_stack([np.interp(at_s, known_s, column) for column in rate_rps.T])
 
 
 class _Rows:
@@ -147,7 +162,7 @@ class BodyRates:
         # Readings as they came, and how many of them are among the rows: those after it wait for the end of a ramp.
         self._read_ns, self._read_half_s, self._changes = _Rows((), np.int64), _Rows(()), _Rows((), np.bool_)
         self._read_angle, self._read_rate, self._read_area = (_Rows((n,)) for _ in range(3))
-        self._taken = 0
+        self._taken = self._window_ns = 0
         self._site = site
         self._times = _Rows((), np.int64)
         self._angle, self._rate, self._summed, self._refined = (_Rows((n,)) for _ in range(4))
@@ -165,13 +180,24 @@ class BodyRates:
         made = _MADE.setdefault(readings, {})
         if site not in made:
             rates = cls(readings.gimbals, site)
-            rates.add(readings.t_ns, readings.angle_rad, readings.rate_rps, readings.half_width_ns)
+            rows = readings.t_ns, readings.angle_rad, readings.rate_rps, readings.half_width_ns
+            rates.add(*rows, readings.rate_window_ns)
             rates.finish()
             made[site] = rates
         return made[site]
 
-    def add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats, half_width_ns: Stamps | None = None) -> None:
-        """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,)."""
+    def add(
+        self,
+        t_ns: Stamps,
+        angle_rad: Floats,
+        rate_rps: Floats,
+        half_width_ns: Stamps | None = None,
+        rate_window_ns: int = 0,
+    ) -> None:
+        """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,).
+
+        Rates are means over the ``rate_window_ns`` that ends at their instants, the same in all readings.
+        """
         if not len(t_ns):
             return
         first = not len(self._read_ns)
@@ -191,6 +217,7 @@ class BodyRates:
         self._read_angle.append(angle_rad - 2 * np.pi * np.cumsum(jumps, axis=0))
         self._read_rate.append(rate_rps)
         self._read_area.append(summed)
+        self._window_ns = rate_window_ns
         self._read_half_s.append(np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns * 1e-9)
         self._take(everything=False)
         self._refine_up_to_latest()
@@ -198,7 +225,7 @@ class BodyRates:
     def _take(self, *, everything: bool) -> None:
         """Make rows of the readings, up to a ramp of which the end is still to come."""
         times, changes = self._read_ns.all, self._changes.all
-        hold_ns = round(HOLD_S * 1e9)
+        hold_ns = round(HOLD_S * 1e9) + self._window_ns
         while (taken := self._taken) < len(times):
             ahead = np.flatnonzero(changes[taken:])
             start = taken + int(ahead[0]) if len(ahead) else len(times)
@@ -218,10 +245,12 @@ class BodyRates:
                 self._append(taken, longest, [])
             elif not is_ramp(self._read_rate.all[max(start - 1, 0) : stop]) and (seen or everything):
                 self._append(taken, stop, [])
-            elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9)):
+            elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9) + hold_ns):
                 # What was read soon after, or is a mean, may still hold something of the ramp.
                 after = changes[stop : int(np.searchsorted(times, times[stop - 1] + hold_ns))]
-                stop += int(np.argmax(after)) if after.any() else len(after)
+                following = min(stop + int(np.argmax(after) if after.any() else len(after)), len(times) - 1)
+                # Of the beginning of the next ramp a mean may know nothing yet.
+                stop = max(stop, int(np.searchsorted(times, times[following] - self._window_ns)))
                 self._append(taken, stop, self._ramps(start, stop) if len(self._times) else [])
             else:
                 return
@@ -247,7 +276,7 @@ class BodyRates:
             first, last = max(start - 1 - low, 0) + int(own[0]), max(start - 1 - low, 0) + int(own[-1]) + 1
             if not is_ramp(rate[first : last + 1, None]):
                 continue
-            ramp = fitted(t_s, angle, rate, self._read_half_s.all[part], first, last)
+            ramp = fitted((t_s, angle, rate, self._read_half_s.all[part], self._window_ns * 1e-9), first, last)
             if ramp is not None:
                 corners = times[low] + np.round(ramp.t_s * 1e9).astype(np.int64)
                 reading_rps = ramp.reading_rps[self._taken - low : stop - low]
@@ -258,7 +287,9 @@ class BodyRates:
         """Append readings as rows, the corners of ramps between them as rows that were not measured."""
         self._taken = stop
         part = slice(start, stop)
-        t_ns, angle, rate = self._read_ns.all[part], self._read_angle.all[part], self._read_rate.all[part]
+        t_ns, angle = self._read_ns.all[part], self._read_angle.all[part]
+        known = slice(start, int(np.searchsorted(self._read_ns.all, t_ns[-1] + self._window_ns, side="right")))
+        rate = centred(t_ns, self._read_ns.all[known], self._read_rate.all[known], self._window_ns)
         half_width_s, measured = self._read_half_s.all[part], np.ones(stop - start)
         corner_s = np.full(rate.shape, np.nan)
         if ramps:

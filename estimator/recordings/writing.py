@@ -72,13 +72,16 @@ class RecordingWriter:
         """Set attributes of the file."""
         self._file.attrs.update(attributes)
 
-    def add_table(self, gimbals: tuple[str, ...], uncertainty: TableUncertainty | None = None) -> None:
-        """Declare the table: its columns are its gimbals, outermost first."""
+    def add_table(
+        self, gimbals: tuple[str, ...], uncertainty: TableUncertainty | None = None, rate_window_ns: int = 0
+    ) -> None:
+        """Declare the table: its columns are its gimbals, outermost first, its rates means over the window."""
         group = self._file.require_group("table")
         if uncertainty is not None:
             group.attrs.update({f"u_{key}": value for key, value in asdict(uncertainty).items()})
         group.attrs["axes"] = list(gimbals)
         group.attrs["gimbals"] = list(gimbals)
+        group.attrs["rate_window_ns"] = rate_window_ns
 
     def add_source(self, name: str, array: SensorArray, prior: Prior, attributes: Mapping[str, Any]) -> None:
         """Declare a source with the axes of its channels and what its data sheet promises."""
@@ -178,7 +181,7 @@ def write_recording(path: Path, recording: Recording) -> None:
             )
         reference = recording.reference
         if isinstance(reference, TableReadings):
-            writer.add_table(reference.gimbals, reference.uncertainty)
+            writer.add_table(reference.gimbals, reference.uncertainty, reference.rate_window_ns)
         root = "table" if isinstance(reference, TableReadings) else "reference"
         for name, values in columns_of(reference).items():
             writer.append(f"{root}/{name}", values)

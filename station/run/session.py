@@ -125,7 +125,7 @@ class Session:
         self._last_seen_s: dict[str, float] = {}
         self._reports: dict[str, SourceReport] = {}
         self._reopening = Reopening(self._moving, partial(self._event, EventKind.LINK), self._time_scale)
-        self._half_width_ns, self._late_s = 0, 0.0
+        self._half_width_ns, self._rate_window_ns, self._late_s = 0, 0, 0.0
         self._connected = False
         self._sync: asyncio.Future[Any] | None = None
         self._live = LiveEstimate(config.table.gimbals, config.site)
@@ -372,7 +372,11 @@ class Session:
         return np.asarray(np.linalg.solve(p, accel_mps2.T).T) if p.shape == (3, 3) else accel_mps2
 
     def _take_row(self, row: TableRow) -> None:
-        self._writer.append_rows("table", {key: np.array([value]) for key, value in row._asdict().items()})
+        columns = row._asdict()
+        if columns.pop("rate_window_ns") != self._rate_window_ns:
+            table, self._rate_window_ns = self._bench.table, row.rate_window_ns
+            self._writer.add_table(table.gimbals, table.uncertainty, row.rate_window_ns)
+        self._writer.append_rows("table", {key: np.array([value]) for key, value in columns.items()})
         self._half_width_ns = max(self._half_width_ns, row.half_width_ns)
         self._live.add_row(row)
         self._monitor.take_row(row)

@@ -103,6 +103,18 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.reference.half_width_ns, TABLE.half_width_ns)
 
 
+def test_the_time_that_rates_are_means_of_is_kept_and_is_none_in_older_recordings(tmp_path: Path) -> None:
+    write_recording(tmp_path / "run.h5", recording(dataclasses.replace(TABLE, rate_window_ns=250_000_000)))
+    found = read_recording(tmp_path / "run.h5", trusted=True).reference
+    assert isinstance(found, TableReadings)
+    assert found.rate_window_ns == 250_000_000
+    with h5py.File(tmp_path / "run.h5", "a") as file:
+        del file["table"].attrs["rate_window_ns"]
+    older = read_recording(tmp_path / "run.h5", trusted=True).reference
+    assert isinstance(older, TableReadings)
+    assert older.rate_window_ns == 0
+
+
 def test_readings_without_half_widths_have_none(tmp_path: Path) -> None:
     write_recording(tmp_path / "run.h5", recording(dataclasses.replace(TABLE, half_width_ns=None)))
     found = read_recording(tmp_path / "run.h5", trusted=True).reference
