@@ -6,8 +6,10 @@ library bounds), which is what survives a process that dies between two flushes.
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, fields
@@ -118,6 +120,11 @@ class RecordingWriter:
         what does not fit in there is given up.
         """
         wanted = self._pending_bytes()
+        if self._allowed_bytes() < wanted + _RESERVE_BYTES:
+            self._pending.clear()
+            raise RecordingError(
+                f"{self.path} is as large as this process may make a file: raise the limit (ulimit -f)"
+            )
         free = shutil.disk_usage(self.path.parent).free
         if free > wanted + _PLENTY_BYTES:
             self._write()
@@ -136,6 +143,15 @@ class RecordingWriter:
             f"the disk of {self.path} is full ({free / 1e6:.1f} MB left, {_RESERVE_BYTES / 1e6:.0f} MB are kept for "
             "closing the file): make room, or give another place with --output"
         )
+
+    def _allowed_bytes(self) -> float:
+        """Return by how much the file may still grow, whatever room there is on the disk."""
+        if sys.platform == "win32":
+            return math.inf
+        import resource
+
+        most, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+        return math.inf if most == resource.RLIM_INFINITY else most - self.path.stat().st_size
 
     def _pending_bytes(self) -> int:
         return sum(rows.nbytes for blocks in self._pending.values() for block in blocks for rows in block.values())
@@ -165,7 +181,8 @@ class RecordingWriter:
         if self._file:
             self._ballast.close()
             with suppress(RecordingError):
-                if shutil.disk_usage(self.path.parent).free >= self._pending_bytes() + _CLOSING_BYTES:
+                room = min(shutil.disk_usage(self.path.parent).free, self._allowed_bytes())
+                if room >= self._pending_bytes() + _CLOSING_BYTES:
                     self._write()
             with suppress(RecordingError), _told_of(self.path):
                 self._file.close()
