@@ -180,7 +180,9 @@ def test_no_key_of_a_terminal_leaves_the_table_turning(tmp_path: Path, number: s
         async with open_bench(bench) as opened:
             session = Session(opened, script, tmp_path / "run.h5")
             asyncio.get_running_loop().call_later(4.0, signal.raise_signal, getattr(signal, number))
-            return await session.run(), opened.at_rest()
+            result = await session.run()
+            await asyncio.sleep(0.01)
+            return result, opened.at_rest()
 
     try:
         with asyncio.Runner(loop_factory=VirtualLoop) as runner:
@@ -196,12 +198,14 @@ def test_no_key_of_a_terminal_leaves_the_table_turning(tmp_path: Path, number: s
 def test_a_table_that_brakes_for_half_a_minute_is_stopped_and_not_cut_off(tmp_path: Path) -> None:
     turn = 'kind = "rotate"\naxis = "x"\nrate = "60 deg/s"\nacceleration = "2 deg/s2"\nduration = "60 s"\n'
     (tmp_path / "script.toml").write_text(f"[[step]]\n{turn}")
-    slow = bench_file(tmp_path, ('"50 deg/s2"', '"2 deg/s2"'), end='\n[twin.array.fault]\nsilent_from = "60 s"\n')
+    slow = bench_file(tmp_path, ('"50 deg/s2"', '"2 deg/s2"'), end='\n[twin.array.fault]\nsilent_from = "35 s"\n')
     bench, script = load_bench(slow), load_script(tmp_path / "script.toml")
 
     async def run() -> tuple[Result, bool]:
         async with open_bench(bench) as opened:
-            return await Session(opened, script, tmp_path / "run.h5").run(), opened.at_rest()
+            result = await Session(opened, script, tmp_path / "run.h5").run()
+            await asyncio.sleep(0.01)  # rates that a drive calls zero end within that
+            return result, opened.at_rest()
 
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
         result, at_rest = run_to_end(runner, run())
@@ -209,7 +213,7 @@ def test_a_table_that_brakes_for_half_a_minute_is_stopped_and_not_cut_off(tmp_pa
     assert result.verdict.reason == "array: gyro1, gyro2, gyro3, gyro4 fell silent for 1 s"
     assert events(result.recording)[-1] == "table at rest"
     with h5py.File(result.recording) as file:
-        assert file["events/t_ns"][-1] > 85e9
+        assert file["events/t_ns"][-1] > 55e9
 
 
 @pytest.mark.parametrize("busy_s", [0.0, 1.2])
