@@ -16,7 +16,7 @@ from drivers.errors import DeviceError
 from drivers.packaged import packaged_toml
 from estimator.effects import GROUP as EFFECTS
 from estimator.errors import EstimatorError
-from station.campaigns.worker_pool import ONE_BLAS_THREAD
+from station.campaigns import ONE_BLAS_THREAD
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
 from station.exports.held import HELD
 

@@ -18,9 +18,6 @@ from pebble import ProcessExpired, ProcessPool
 T = TypeVar("T")
 R = TypeVar("R")
 
-ONE_BLAS_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""The environment in which numpy must be imported: sums shared among threads differ in their last digits."""
-
 
 @dataclass(frozen=True, slots=True)
 class Ended(Generic[R]):

@@ -125,7 +125,7 @@ class Session:
         self._last_seen_s: dict[str, float] = {}
         self._reports: dict[str, SourceReport] = {}
         self._reopening = Reopening(self._moving, partial(self._event, EventKind.LINK), self._time_scale)
-        self._half_width_ns, self._rate_window_ns, self._late_s = 0, 0, 0.0
+        self._half_width_ns, self._rate_window_ns, self._late_s, self._late_at_s = 0, 0, 0.0, -np.inf
         self._connected = False
         self._sync: asyncio.Future[Any] | None = None
         self._live = LiveEstimate(config.table.gimbals, config.site)
@@ -398,7 +398,7 @@ class Session:
     async def _watch_silence(self) -> None:
         limit_s = _SILENCE_S * self._time_scale
         while True:
-            await asyncio.sleep(limit_s / 4)
+            await self._sleep(limit_s / 4)
             now = asyncio.get_running_loop().time()
             silent = [
                 name
@@ -406,7 +406,19 @@ class Session:
                 if now - seen > limit_s and self._device_of(name) not in self._reopening.under_way
             ]
             if silent:
-                raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s")
+                late = self._late_at_s > min(self._last_seen_s[name] for name in silent)
+                said = f"{', '.join(silent)} fell silent for {limit_s:g} s{f'; {self._late}' * late}"
+                raise LinkLost(self._device_of(silent[0]), said)
+
+    async def _sleep(self, time_s: float) -> None:
+        """Sleep, and keep by how much the computer was late with that (s of the host), and when it was last."""
+        loop = asyncio.get_running_loop()
+        due_s = loop.time() + time_s
+        await asyncio.sleep(time_s)
+        late_s = (loop.time() - due_s) / self._options.time_scale
+        self._late_s = max(self._late_s, late_s)
+        if late_s > _LATE_S:
+            self._late_at_s = loop.time()
 
     async def _keep_flushing(self) -> None:
         """Hand rows to the operating system five times a second, and have it write them out twice a second.
@@ -418,9 +430,7 @@ class Session:
         sync_due_s = loop.time()
         every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S * self._options.time_scale
         while True:
-            due_s = loop.time() + every_s
-            await asyncio.sleep(every_s)
-            self._late_s = max(self._late_s, (loop.time() - due_s) / self._options.time_scale)
+            await self._sleep(every_s)
             self._monitor.mark()
             if self._sync is not None and not self._sync.done():
                 continue  # a write now would wait for the disk, and everything for that write
@@ -434,10 +444,10 @@ class Session:
         self._phase = Phase.STOPPING
         if not self._connected:
             return
-        trouble = await self._tried(self._open.table.stop())
+        trouble = await self._tried(self._open.table.stop(), None)
         if trouble:
             self._event(EventKind.NOT_AT_REST, f"controlled stop not confirmed: {trouble}")
-            aborted = await self._tried(self._open.table.abort())  # as hard as the controller can
+            aborted = await self._tried(self._open.table.abort(), None)  # as hard as the controller can
             trouble = f"it did not come to rest by a controlled stop ({trouble})"
             if aborted:
                 trouble = f"the table was not seen to come to rest ({aborted}): use the emergency stop"
@@ -449,10 +459,10 @@ class Session:
             verdict = self._verdict or Verdict(Outcome.FAULT, trouble)
             self._verdict = replace(verdict, reason="; ".join(dict.fromkeys((verdict.reason, trouble))))
 
-    async def _tried(self, what: Coroutine[Any, Any, object]) -> str:
-        """Do what ends a motion; return in words what went wrong."""
+    async def _tried(self, what: Coroutine[Any, Any, object], limit_s: float | None = _STOP_LIMIT_S) -> str:
+        """Do what ends a motion; return in words what went wrong. What watches axes slow down ends by itself."""
         try:
-            async with asyncio.timeout(_STOP_LIMIT_S * self._time_scale):
+            async with asyncio.timeout(limit_s and limit_s * self._time_scale):
                 await what
         except (DeviceError, TimeoutError) as error:
             return str(error) or "no answer in time"
@@ -481,13 +491,16 @@ class Session:
         reports = tuple(self._reports.values())
         return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports)
 
+    @property
+    def _late(self) -> str:
+        return f"this computer did not keep up: the run waited for it for up to {self._late_s * 1e3:.0f} ms"
+
     def _causes(self) -> list[str]:
         """Return what may have made a run fail beside its gyros: samples at other instants, a late computer."""
-        late = f"this computer did not keep up: the run waited for it for up to {self._late_s * 1e3:.0f} ms"
         took_s = 2e-9 * self._half_width_ns
         slow = f"the table took up to {took_s * 1e3:.0f} ms to answer: when it was where is known no better"
         found = [report.mistimed for report in self._reports.values()]
-        found += [slow] * (took_s > _SLOW_S) + [late] * (self._late_s > _LATE_S)
+        found += [slow] * (took_s > _SLOW_S) + [self._late] * (self._late_s > _LATE_S)
         return [cause for cause in found if cause]
 
     async def _close(self) -> None:
