@@ -108,6 +108,7 @@ def test_the_paper_script_passes_on_the_built_in_twins_and_finds_the_truth(
     assert result["lost"] == 0
     with h5py.File(tmp_path / "run.h5") as file:
         assert file["calibration"].attrs["live_batch_difference_sigma"] < 1e-6
+        assert not file["calibration"].attrs["notes"].size
         last = file["table/angle_rad"][-1]
         assert np.abs(last - 8 * np.pi).max() < 2 * np.pi / 65536  # four turns each, home to the count
 
