@@ -132,3 +132,14 @@ def test_a_gyro_that_fails_among_sources_is_seen_when_it_does(run: Recording) ->
     calibration = calibrate(by_source(changed(run, spoil)))
     assert all(check.suspect and 199 < check.worst_t_s < 206 for check in calibration.parity)
     assert any("one of them is wrong" in note for note in calibration.notes)
+
+
+def test_a_fault_beside_a_slower_gyro_is_seen_when_it_happens(run: Recording) -> None:
+    def spoil(rate: np.ndarray) -> None:
+        rate[20000:20500, 1] += 0.5 * DEG
+
+    sources = dict(by_source(changed(run, spoil)).sources)
+    slow = sources["gyro1"]
+    sources["gyro1"] = replace(slow, **{key: values[::10] for key, values in columns_of(slow).items()})
+    checks = calibrate(replace(run, sources=sources)).parity
+    assert all(check.suspect and 199 < check.worst_t_s < 206 for check in checks)
