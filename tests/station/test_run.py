@@ -253,6 +253,8 @@ def test_a_script_that_cannot_be_done_is_refused_before_motion(
         ("table=tcp://127.0.0.1:1", 4, "table: nothing answers at 127.0.0.1:1"),
         ("table=serial:///dev/null", 4, "table: cannot open serial port /dev/null"),
         ("table=udp://1.2.3.4:5", 2, "is no link it can use"),
+        ("table=tcp://[::1", 2, "table: 'tcp://[::1' is no link"),
+        ("table=rfc2217://1.2.3.4:99999", 2, "is no link"),
         ("array=can:nosuch:0", 4, "array: cannot open CAN bus"),
         ("array=tcp://1.2.3.4:5", 2, "is no CAN link"),
         ("stim300=serial:///dev/nosuch", 4, "stim300: cannot open serial port"),
