@@ -85,7 +85,7 @@ def read_imu(table: Table, folder: Path) -> ImuConfig:
     config = ImuConfig(
         name,
         protocol,
-        table.string("link", TWIN),
+        table.link("link", TWIN),
         array_name,
         array,
         rate_hz,

@@ -90,7 +90,7 @@ def read_table(table: Table, folder: Path) -> TableConfig:
         raise table.fail("gimbals", "an Aerosmith table (experimental) has one axis: list it alone")
     config = TableConfig(
         protocol=protocol,
-        link=table.string("link", TWIN),
+        link=table.link("link", TWIN),
         profile=_profile(table, folder) if protocol == "modbus" else None,
         prefix=table.integer("reply_prefix", 8) if protocol == "acutrol" else 0,
         homing=table.string("homing", "HM", one_of=("HM", "FI")) if protocol == "galil" else "",
@@ -146,7 +146,7 @@ def _axis(table: Table, protocol: str) -> AxisConfig:
         # Angles of an ACUTROL and an Aerosmith are in degrees; their encoder's counts matter to a twin alone.
         counts_per_turn=table.integer("counts_per_turn", None if protocol in ("modbus", "galil") else 3_600_000),
         limits=AxisLimits(**table.declared("axis"), travel_rad=_travel(table)),
-        link=table.string("link", "") if protocol == "modbus" else "",
+        link=table.link("link", "") if protocol == "modbus" else "",
         error_limit_rad=(
             table.quantity("error_limit", "angle", bound="above_zero")
             if protocol == "galil" and table.has("error_limit")

@@ -2,12 +2,13 @@
 
 from contextlib import suppress
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from drivers.links.byte_links import SerialLink, TcpLink
 from drivers.protocols import ByteLink
 from drivers.tables.modbus.line import Address, SerialPort
 from station.errors import BenchError
+from station.schema.tables import link_of
 
 _BYTE_LINKS = "write serial:///dev/ttyUSB0?baud=921600, tcp://host:port, rfc2217://host:port, or twin:"
 _SERIAL_OPTIONS = {"baud", "parity", "stop_bits"}
@@ -23,7 +24,7 @@ def byte_link(
     ``baud`` is that of a serial link that states none, ``port`` that of a TCP link that states none; ``gather_s`` is
     for streams, whose bytes may come in handfuls.
     """
-    if urlsplit(link).scheme == "tcp":
+    if _url(link, device).scheme == "tcp":
         host, number = tcp_address(link, device, port)
         return TcpLink(device, host, number, _TCP_LIMIT_S * time_scale)
     serial = _serial(link, device, baud)
@@ -39,18 +40,15 @@ def byte_link(
 
 def modbus_address(link: str, device: str) -> Address:
     """Return where drives on Modbus are: a host and port, or a serial line (RTU); BenchError if it is neither."""
-    if urlsplit(link).scheme == "tcp":
+    if _url(link, device).scheme == "tcp":
         return tcp_address(link, device, 502)
     return _serial(link, device, 19200)
 
 
 def tcp_address(link: str, device: str, default_port: int | None) -> tuple[str, int]:
     """Return host and port of tcp://host:port; BenchError if it is no such link."""
-    try:
-        url = urlsplit(link)
-        port = url.port or default_port
-    except ValueError:
-        url, port = urlsplit(""), None
+    url = _url(link, device)
+    port = url.port or default_port
     if url.scheme != "tcp" or not url.hostname or port is None:
         raise BenchError(f"{device}: {link!r} is no link it can use: write tcp://host:port, or twin:")
     return url.hostname, port
@@ -73,8 +71,15 @@ def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
     return parts[1], parts[2], options
 
 
+def _url(link: str, device: str) -> SplitResult:
+    try:
+        return urlsplit(link_of(link))
+    except ValueError as error:
+        raise BenchError(f"{device}: {error}") from None
+
+
 def _serial(link: str, device: str, baud: int) -> SerialPort:
-    url = urlsplit(link)
+    url = _url(link, device)
     options = {key: values[0] for key, values in parse_qs(url.query).items()}
     port = url.path if url.scheme == "serial" else link.partition("?")[0]
     if url.scheme not in ("serial", "socket", "rfc2217") or not (url.path or url.netloc) or not port:

@@ -3,9 +3,10 @@
 import tomllib
 from pathlib import Path
 from typing import Any, Self
+from urllib.parse import urlsplit
 
 from drivers.packaged import packaged_toml
-from estimator.strict_toml import StrictTable
+from estimator.strict_toml import StrictTable, typed
 from station.errors import UsageError
 from station.schema.quantities import QuantityError, parse
 
@@ -40,6 +41,10 @@ class Table(StrictTable):
 
         return self._take(key, parse(default, kind) if isinstance(default, str) else default, convert)
 
+    def link(self, key: str, default: str) -> str:
+        """Take a link whose parts can be told."""
+        return self._take(key, default, link_of)
+
     def declared(self, section: str) -> dict[str, Any]:
         """Take the quantities that keys.toml declares for a section, by the fields that they become."""
         keys = packaged_toml("station.schema", "keys.toml")[section]
@@ -59,3 +64,13 @@ class Table(StrictTable):
             return [parse(v, kind) for v in value]
 
         return self._take(key, None if default is None else [default] * count, convert)
+
+
+def link_of(value: object) -> str:
+    """Return a link; ValueError if it is no text, or its host or port cannot be told."""
+    link = str(typed(value, (str,), "a text"))
+    try:
+        _ = urlsplit(link).port
+    except ValueError as error:
+        raise ValueError(f"{link!r} is no link it can use ({error}): write tcp://host:port, or twin:") from None
+    return link
