@@ -15,6 +15,8 @@ from typing import Any, Generic, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
+from station.campaigns import ONE_BLAS_THREAD
+
 T = TypeVar("T")
 R = TypeVar("R")
 
