@@ -43,7 +43,7 @@ class _Axis:
 
     @property
     def heedless(self) -> bool:
-        """Whether it was told often enough and slows no more (but to tremble), or turns without a motion to be stopped."""
+        """Whether it was told often enough and slows no more (it may tremble), or turns without a motion to stop."""
         told = self.tells >= _TELLS and len(self._rates_rps) == _IN_A_ROW  # a slow link takes its time for looks
         return self.astray >= _LOOKS or (told and self._slowest_rps > min(_TURNS_RPS, _HEEDS * self._first_rps))
 
