@@ -43,19 +43,12 @@ class _Axis:
 
     @property
     def heedless(self) -> bool:
-        """Whether it was told often enough and slows down no more, or turns without a motion to be stopped.
-
-        One that has slowed down may tremble for a while where it holds.
-        """
+        """Whether it was told often enough and slows no more (it may tremble), or turns without a motion to stop."""
         told = self.tells >= _TELLS and len(self._rates_rps) == _IN_A_ROW  # a slow link takes its time for looks
         return self.astray >= _LOOKS or (told and self._slowest_rps > min(_TURNS_RPS, _HEEDS * self._first_rps))
 
     def see(self, state: AxisState) -> bool:
-        """Take a reading in; return whether it tells that the axis slows down or stands.
-
-        It slows down if so many looks in a row are below what it was when that was last said: a gentle ramp takes its
-        time to show, and noise has its low readings.
-        """
+        """Take a reading in; return whether it tells that the axis slows down or stands."""
         self.turns = self._last is not None and abs(state.angle_rad - self._last.angle_rad) > _STILL_RAD
         still = self._last is not None and not self.turns
         rate_rps = abs(state.rate_rps)
@@ -65,6 +58,7 @@ class _Axis:
             self._rates_rps.append(rate_rps)
         self._last = state
         self.stands = rate_rps <= AT_REST_RPS and still
+        # Against what it was when that was last said: a gentle ramp takes its time to show, and noise has low readings.
         slows = len(self._rates_rps) == _IN_A_ROW and max(self._rates_rps) < self._slowest_rps - _SLOWER_RPS
         if slows:
             self._slowest_rps, self.tells = max(self._rates_rps), 0

@@ -406,9 +406,8 @@ class Session:
                 if now - seen > limit_s and self._device_of(name) not in self._reopening.under_way
             ]
             if silent:
-                late = self._late_at_s > min(self._last_seen_s[name] for name in silent)
-                said = f"{', '.join(silent)} fell silent for {limit_s:g} s{f'; {self._late}' * late}"
-                raise LinkLost(self._device_of(silent[0]), said)
+                late = f"; {self._late}" * (self._late_at_s > min(self._last_seen_s[name] for name in silent))
+                raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s{late}")
 
     async def _sleep(self, time_s: float) -> None:
         """Sleep, and keep by how much the computer was late with that (s of the host), and when it was last."""
@@ -416,9 +415,8 @@ class Session:
         due_s = loop.time() + time_s
         await asyncio.sleep(time_s)
         late_s = (loop.time() - due_s) / self._options.time_scale
-        self._late_s = max(self._late_s, late_s)
         if late_s > _LATE_S:
-            self._late_at_s = loop.time()
+            self._late_s, self._late_at_s = max(self._late_s, late_s), loop.time()
 
     async def _keep_flushing(self) -> None:
         """Hand rows to the operating system five times a second, and have it write them out twice a second.
@@ -500,7 +498,7 @@ class Session:
         took_s = 2e-9 * self._half_width_ns
         slow = f"the table took up to {took_s * 1e3:.0f} ms to answer: when it was where is known no better"
         found = [report.mistimed for report in self._reports.values()]
-        found += [slow] * (took_s > _SLOW_S) + [self._late] * (self._late_s > _LATE_S)
+        found += [slow] * (took_s > _SLOW_S) + [self._late] * (self._late_s > 0.0)
         return [cause for cause in found if cause]
 
     async def _close(self) -> None:
