@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
 from estimator.geometry.kinematics import Site, body_rate, check_gimbals
+from estimator.recordings.growing_rows import GrowingRows
 from estimator.recordings.ramps import HOLD_S, LEAST_RPS2, LONGEST_S, WINDOW_S, Ramp, changing, ends, fitted, is_ramp
 from estimator.types import Flags, Floats, Stamps
 
@@ -19,10 +18,8 @@ GAP_NS = 150_000_000
 GAP_ANGLE_RAD = float(np.radians(0.02))
 """Readings further apart than the one hide what happened between them, unless the turn was steady and their angles
 agree with that to the other, and to what the doubt of their instants is in angle."""
-
 ANCHOR_HALF_WINDOW_NS = 3_000_000_000
 """Half of the window over which the angles correct the rates."""
-
 _STEADY_SHARE, _STEADY_RPS = 0.005, 2e-4  # rates that differ by no more than these together are those of a steady turn
 _ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
 _RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
@@ -115,30 +112,6 @@ def centred(at_ns: Stamps, t_ns: Stamps, rate_rps: Floats, window_ns: int) -> Fl
     return np.column_stack([np.interp(at_s, known_s, column) for column in rate_rps.T])
 
 
-class _Rows:
-    """Rows that grow at the end without being copied each time."""
-
-    def __init__(self, shape: tuple[int, ...], dtype: type = np.float64) -> None:
-        self._store: NDArray[Any] = np.empty((256, *shape), dtype=dtype)
-        self._length = 0
-
-    def __len__(self) -> int:
-        return self._length
-
-    @property
-    def all(self) -> NDArray[Any]:
-        return self._store[: self._length]
-
-    def append(self, rows: NDArray[Any]) -> None:
-        total = self._length + len(rows)
-        if total > len(self._store):
-            grown = np.empty((max(total, 2 * len(self._store)), *self._store.shape[1:]), dtype=self._store.dtype)
-            grown[: self._length] = self.all
-            self._store = grown
-        self._store[self._length : total] = rows
-        self._length = total
-
-
 class BodyRates:
     """Body rate at any instant from table readings that keep coming.
 
@@ -160,18 +133,25 @@ class BodyRates:
         self._gimbals = check_gimbals(gimbals)
         n = len(self._gimbals)
         # Readings as they came, and how many of them are among the rows: those after it wait for the end of a ramp.
-        self._read_ns, self._read_half_s, self._changes = _Rows((), np.int64), _Rows(()), _Rows((), np.bool_)
-        self._read_angle, self._read_rate, self._read_area = (_Rows((n,)) for _ in range(3))
+        self._read_ns, self._read_half_s, self._changes = (
+            GrowingRows((), np.int64),
+            GrowingRows(()),
+            GrowingRows((), np.bool_),
+        )
+        self._read_angle, self._read_rate, self._read_area = (GrowingRows((n,)) for _ in range(3))
         self._taken = self._window_ns = 0
         self._site = site
-        self._times = _Rows((), np.int64)
-        self._angle, self._rate, self._summed, self._refined = (_Rows((n,)) for _ in range(4))
-        self._half_width_s, self._corner_s = _Rows(()), _Rows((n,))  # the latter: doubt of a corner, NaN for none
-        self._known = _Rows((), np.bool_)  # whether what happened since the reading before is known
-        self._sure = _Rows((), np.bool_)  # the same once the row is final
+        self._times = GrowingRows((), np.int64)
+        self._angle, self._rate, self._summed, self._refined = (GrowingRows((n,)) for _ in range(4))
+        self._half_width_s, self._corner_s = (
+            GrowingRows(()),
+            GrowingRows((n,)),
+        )  # the latter: doubt of a corner, NaN for none
+        self._known = GrowingRows((), np.bool_)  # whether what happened since the reading before is known
+        self._sure = GrowingRows((), np.bool_)  # the same once the row is final
         # Running sums of w [1, s, s^2, d, s d, d^2, u] and [1] before each reading: s time, d angle less summed rate,
         # u the variance that the doubt of the instant may give it, w its weight.
-        self._sums = _Rows((_TERMS, n))
+        self._sums = GrowingRows((_TERMS, n))
         self._sums.append(np.zeros((1, _TERMS, n)))
 
     @classmethod
