@@ -8,7 +8,6 @@ import json
 import os
 import sys
 from collections.abc import Callable, Sequence
-from importlib.metadata import entry_points
 from types import ModuleType
 from typing import Any, NoReturn
 
@@ -91,6 +90,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _use_installed_effects() -> None:
     """Make known the effects that installed packages bring; say which of them cannot be used."""
+    from importlib.metadata import entry_points
+
     if entry_points(group=EFFECTS):
         from estimator.effects.catalogue import load_entry_points
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from estimator.calibration.budget import Contribution
-from estimator.geometry.model import Prior
+from estimator.geometry.model import STATES, Prior
 from estimator.geometry.noise import NoiseFound
 from estimator.observations.health import Excluded
 from estimator.observations.rests import RestNoise
@@ -101,8 +101,7 @@ class Calibration:
         """Return a pandas.DataFrame with a row a gyro: its device, states and sigmas, in SI. Needs pandas."""
         from pandas import DataFrame
 
-        states = ("k", "b_rps", "sigma_j_rad", "sigma_k_rad")
-        columns = [*states, *(f"sd_{state}" for state in states)]
+        columns = [*STATES, *(f"sd_{state}" for state in STATES)]
         frame = DataFrame([[*g.states, *g.sd] for g in self.gyros], [g.name for g in self.gyros], columns)
         frame.insert(0, "device", [gyro.device for gyro in self.gyros])
         return frame
