@@ -42,7 +42,7 @@ def load_file(path: Path) -> ModuleType:
     return _guarded(f"plug-in {path}", str(path), run)
 
 
-def records(module: ModuleType, kind: type[T]) -> list[T]:
+def records_of(module: ModuleType, kind: type[T]) -> list[T]:
     """Return the records of a kind that stand in a module under names of their own."""
     return [value for value in vars(module).values() if isinstance(value, kind)]
 
@@ -57,7 +57,7 @@ class Registry(Mapping[str, T]):
 
     def beside(self, modules: Iterable[ModuleType]) -> Registry[T]:
         """Return the registry with the records in these modules, too; PluginError for a name that is taken."""
-        found = [record for module in modules for record in records(module, self._kind)]
+        found = [record for module in modules for record in records_of(module, self._kind)]
         names = [*self._modules, *self._beside, *(str(getattr(record, "name", "")) for record in found)]
         if taken := {name for name in names if names.count(name) > 1}:
             raise PluginError(f"two devices are called {', '.join(sorted(taken))}: give yours a name of its own")

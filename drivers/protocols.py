@@ -57,6 +57,9 @@ class Turntable(Protocol):
     def limits(self) -> Mapping[str, AxisLimits]:
         """Limits by axis."""
 
+    homing: set[str]
+    """Axes that ``home`` turns and that are not there yet."""
+
     async def open(self) -> None:
         """Connect and see that every axis answers; an axis that is enabled is told nothing by that."""
 

@@ -13,3 +13,8 @@ Signs. Gyro i puts out ``y = (1 - k) pbar . w - b``, with ``pbar = p - sigma_k j
 rate (Li, Guo, Ge, Cheng 2020, eq. 1 and 5): a positive scale factor error k makes the output too small, a
 positive bias b lowers it. (p, j, k) is the nominal sense axis and its two tilt axes.
 """
+
+import lazy_loader
+
+# The names are listed in the stub beside this file; a module is imported when one of its names is first used.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

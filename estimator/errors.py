@@ -5,6 +5,11 @@ class EstimatorError(Exception):
     """Data that cannot be used; the message says why and what to do."""
 
 
+def first_line(error: BaseException) -> str:
+    """Return the first line of what an error says, else its kind: what HDF5 says has more, for its makers."""
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
 class GeometryError(EstimatorError):
     """A sensor array that is no array: singular, not of unit axes, or with skewed triads."""
 

@@ -13,8 +13,9 @@ from typing import Any, NoReturn
 
 from drivers.errors import DeviceError
 from drivers.packaged import packaged_toml
+from estimator.effects import GROUP as EFFECTS
 from estimator.errors import EstimatorError
-from station.campaigns.worker_pool import ONE_BLAS_THREAD
+from station.campaigns import ONE_BLAS_THREAD
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
 from station.exports.held import HELD
 
@@ -75,6 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         # The libraries behind the commands cost a second: --help does without.
         module = importlib.import_module(_MODULES.get(command, f"station.commands.{command}"))
+        _use_installed_effects()
         return int(getattr(module, f"command_{command}")(arguments))
     except (UsageError, EstimatorError, DeviceError) as error:
         return _refuse(error, module, arguments)
@@ -84,6 +86,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return EXIT_USAGE
+
+
+def _use_installed_effects() -> None:
+    """Make known the effects that installed packages bring; say which of them cannot be used."""
+    from importlib.metadata import entry_points
+
+    if entry_points(group=EFFECTS):
+        from estimator.effects.catalogue import load_entry_points
+
+        for problem in load_entry_points():
+            print(f"station: {problem}", file=sys.stderr)
 
 
 def _refuse(error: Exception, module: ModuleType | None, arguments: argparse.Namespace) -> int:

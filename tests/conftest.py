@@ -1,11 +1,50 @@
-"""Lets tests import what they share with the benchmarks."""
+"""Lets tests import what they share with the benchmarks; an investigation that many of them look at."""
+
+from __future__ import annotations
 
 import os
+import pickle
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from estimator.calibration.error_model import ErrorModel
+    from estimator.tracing.investigation import Investigation
 
 # Before numpy: two workers that share two cores with the threads of two BLAS wait for each other most of the time.
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 sys.path.insert(0, str(Path(__file__).parent / "bench"))
+
+
+@pytest.fixture(scope="session")
+def asymmetry(tmp_path_factory: pytest.TempPathFactory) -> tuple[Investigation, ErrorModel]:
+    """Return what is found in ``three_recordings(4, ASYMMETRY)``, the third to verify, and the model of the type.
+
+    Made once for all workers.
+    """
+    from support import ASYMMETRY, three_recordings
+
+    from estimator.tracing.investigate import investigate
+    from estimator.tracing.type_model import error_model_of
+
+    base = tmp_path_factory.getbasetemp()
+    folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    with (folder / "asymmetry.lock").open("w") as lock:
+        if os.name == "posix":
+            import fcntl
+
+            fcntl.flock(lock, fcntl.LOCK_EX)  # elsewhere two workers may both make it
+        path = folder / f"asymmetry-{'all' if os.name == 'posix' else os.getpid()}.pickle"
+        if not path.exists():
+            calibration, exploration, verification = three_recordings(4, ASYMMETRY)
+            found = investigate([calibration, exploration], [verification])
+            assert found.model is not None
+            path.write_bytes(pickle.dumps((replace(found, model=None), error_model_of(found.model))))
+        made: tuple[Investigation, ErrorModel] = pickle.loads(path.read_bytes())
+    return made

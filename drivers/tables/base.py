@@ -14,6 +14,7 @@ class Table:
         """``limits`` are by axis; a request is tried twice, each for ``timeout_s``."""
         self._device, self.limits, self._timeout_s = device, limits, timeout_s
         self._moved = ""  # the axis that was told last to move
+        self.homing: set[str] = set()  # axes that were sent home and are not there yet
 
     async def status(self, axis: str) -> AxisStatus:
         """Get condition, and the fault in words."""
@@ -46,8 +47,11 @@ class Table:
         return status.target_reached
 
     async def _bring_to_rest(
-        self, tell: Callable[[str], Awaitable[None]], read: Callable[[str], Awaitable[AxisState]]
+        self,
+        tell: Callable[[str], Awaitable[None]],
+        read: Callable[[str], Awaitable[AxisState]],
+        idle: Callable[[str], Awaitable[bool]] | None = None,
     ) -> str:
         """Tell each axis to stop, the one that was moved last first, and return what was seen."""
         axes = sorted(self.limits, key=lambda axis: axis != self._moved)
-        return await bring_to_rest(self._device, axes, tell, read, self._timeout_s)
+        return await bring_to_rest(self._device, axes, tell, read, self._timeout_s, idle)

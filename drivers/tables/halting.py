@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from collections import deque
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -13,10 +14,11 @@ AT_REST_RPS = math.radians(0.02)
 _TURNS_RPS = math.radians(0.05)  # at first contact: a servo that holds may tremble
 _STILL_RAD = math.radians(0.02)  # between two looks
 _LOOK_S = 0.02
-_SLOWING = 0.95
 _TOLD_AGAIN_S = 0.5  # if an axis does not slow down meanwhile
 _WAIT = 50  # time-outs without anything new to be seen
-_TELLS, _HEEDS = 2, 0.98  # an axis that answers and is as fast after so many tells heeds none
+_TELLS, _HEEDS = 2, 0.98  # an axis that answers and has not slowed down since so many tells heeds none
+_SLOWER_RPS, _IN_A_ROW = math.radians(0.005), 5  # below what it was, and looks, before an axis has slowed down
+_LOOKS = 3  # at one that turns without a motion of its controller's, which has nothing to stop then
 
 
 @contextmanager
@@ -33,25 +35,34 @@ class _Axis:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.stands = False
-        self.tells = 0
+        self.stands = self.turns = False
+        self.tells = self.astray = 0
         self._last: AxisState | None = None
-        self._first_rps = self._slowest_rps = math.inf
+        self._rates_rps: deque[float] = deque(maxlen=_IN_A_ROW)
+        self._first_rps = self._slowest_rps = self.news_s = math.inf
 
     @property
     def heedless(self) -> bool:
-        """Whether it was told often enough and is as fast as it was."""
-        return self.tells >= _TELLS and self._slowest_rps > _HEEDS * self._first_rps
+        """Whether it was told often enough and slows no more (it may tremble), or turns without a motion to stop."""
+        told = self.tells >= _TELLS and len(self._rates_rps) == _IN_A_ROW  # a slow link takes its time for looks
+        return self.astray >= _LOOKS or (told and self._slowest_rps > min(_TURNS_RPS, _HEEDS * self._first_rps))
 
     def see(self, state: AxisState) -> bool:
         """Take a reading in; return whether it tells that the axis slows down or stands."""
-        still = self._last is not None and abs(state.angle_rad - self._last.angle_rad) <= _STILL_RAD
-        self._last = state
+        self.turns = self._last is not None and abs(state.angle_rad - self._last.angle_rad) > _STILL_RAD
+        still = self._last is not None and not self.turns
         rate_rps = abs(state.rate_rps)
+        if self._last is None:
+            self._first_rps = self._slowest_rps = rate_rps
+        else:
+            self._rates_rps.append(rate_rps)
+        self._last = state
         self.stands = rate_rps <= AT_REST_RPS and still
-        slows = rate_rps < _SLOWING * self._slowest_rps
-        self._slowest_rps = min(self._slowest_rps, rate_rps)
-        self._first_rps = rate_rps if self._first_rps == math.inf else self._first_rps
+        # Against what it was when that was last said: a gentle ramp takes its time to show, and noise has low readings.
+        slows = len(self._rates_rps) == _IN_A_ROW and max(self._rates_rps) < self._slowest_rps - _SLOWER_RPS
+        if slows:
+            self._slowest_rps, self.tells = max(self._rates_rps), 0
+            self._rates_rps.clear()
         return slows or self.stands
 
     def text(self, now_s: float) -> str:
@@ -67,13 +78,15 @@ async def bring_to_rest(
     tell: Callable[[str], Awaitable[None]],
     read: Callable[[str], Awaitable[AxisState]],
     timeout_s: float,
+    idle: Callable[[str], Awaitable[bool]] | None = None,
 ) -> str:
     """Tell all axes to stop, in this order, watch until they stand, and return in words what was seen.
 
     ``tell`` sends the stop to one axis, over a link that it opens again if that is lost. What fails with one keeps
     no other from being told: it is told again once the others have been, and so is what is not seen to slow down.
-    It ends when an axis that answers heeds neither, or after ten seconds (at a ``timeout_s`` of 0.2 s) in which
-    nothing new is seen. LinkLost, BadReply if something else
+    ``idle`` asks whether the controller carries out no motion of an axis: a stop does nothing if that turns.
+    It ends when an axis that answers does not slow down for about a second, however long the others take, or after
+    ten seconds (at a ``timeout_s`` of 0.2 s) in which nothing new is seen. LinkLost, BadReply if something else
     answered, or DeviceRefused if an axis turns on; each with what was seen last of each axis that may still turn.
     """
     loop = asyncio.get_running_loop()
@@ -86,12 +99,15 @@ async def bring_to_rest(
             with kept(failures):
                 await tell(axis.name)
                 told.append(axis)
-        told_s = loop.time()
-        while told and loop.time() < told_s + _TOLD_AGAIN_S:
+        for axis in told:
+            axis.news_s = loop.time()
+        while told and loop.time() < min(axis.news_s for axis in told) + _TOLD_AGAIN_S:
             for axis in tuple(told):
                 try:
                     if axis.see(await read(axis.name)):
-                        seen_s = told_s = loop.time()
+                        seen_s = axis.news_s = loop.time()
+                    if idle is not None:
+                        axis.astray = axis.astray + 1 if axis.turns and await idle(axis.name) else 0
                 except (LinkLost, BadReply, DeviceRefused) as error:
                     failures.append(error)
                     waiting.append(waiting.pop(waiting.index(axis)))  # the others first
@@ -99,15 +115,17 @@ async def bring_to_rest(
                 if axis.stands:
                     told.remove(axis)
                     waiting.remove(axis)
-            if failures:  # who has not been told must not wait until the others stand
+            # Who has not been told must not wait until the others stand, nor until all hope for one is gone.
+            if failures or any(axis.astray >= _LOOKS for axis in told):
                 break
             await asyncio.sleep(_LOOK_S if told else 0.0)
         if not waiting:
             return f"{', '.join(axes)} seen at rest {loop.time() - began_s:.2f} s after the stop began"
         for axis in told:
             axis.tells += 1
-        if (not failures and any(axis.heedless for axis in told)) or loop.time() > seen_s + _WAIT * timeout_s:
-            said = "; ".join(axis.text(loop.time()) for axis in waiting)
+        heedless = [axis for axis in told if axis.heedless and not failures]
+        if heedless or loop.time() > seen_s + _WAIT * timeout_s:
+            said = "; ".join(axis.text(loop.time()) for axis in heedless or waiting)
             if not failures:
                 raise DeviceRefused(device, f"told to stop, {said}: it keeps turning, cut its power")
             kind = BadReply if isinstance(failures[0], BadReply) else LinkLost

@@ -34,18 +34,26 @@ class LineTable(Table):
         """Drop the link."""
         self._exchange.close()
 
-    async def _rest(self, lines: Callable[[str], Sequence[str]], read: Callable[[str], Awaitable[AxisState]]) -> str:
-        """Bring all axes to rest by the lines that stop one, and return what was seen."""
-        return await self._bring_to_rest(lambda axis: self._exchange.tell_all(lines(axis)), read)
+    async def _rest(
+        self,
+        lines: Callable[[str], Sequence[str]],
+        read: Callable[[str], Awaitable[AxisState]],
+        idle: Callable[[str], Awaitable[bool]] | None = None,
+    ) -> str:
+        """Bring all axes to rest by the lines that stop one, and return what was seen (``bring_to_rest``)."""
+        return await self._bring_to_rest(lambda axis: self._exchange.tell_all(lines(axis)), read, idle)
 
     async def _wait_for_home(self, poll_s: float) -> None:
         """Ask the axes until all are at home; after a minute ``_give_up_homing`` and DeviceRefused."""
         loop = asyncio.get_running_loop()
-        deadline, waiting = loop.time() + _HOMING_LIMIT_S, sorted(self.limits)
-        while waiting := [axis for axis in waiting if not await self._at_home(axis)]:
-            if loop.time() > deadline:
+        deadline = loop.time() + _HOMING_LIMIT_S
+        while self.homing:
+            for axis in sorted(self.homing):
+                if await self._at_home(axis):
+                    self.homing.discard(axis)
+            if self.homing and loop.time() > deadline:
                 await self._give_up_homing()
-                said = f"axis {', '.join(waiting)} found no home within {_HOMING_LIMIT_S:.0f} s"
+                said = f"axis {', '.join(sorted(self.homing))} found no home within {_HOMING_LIMIT_S:.0f} s"
                 raise DeviceRefused(self._device, said)
             await asyncio.sleep(poll_s)
 

@@ -48,7 +48,7 @@ def table_budget(
         return [() for _ in array.names]
     t_s = (readings.t_ns - readings.t_ns[0]) * 1e-9
     period_s = float(t_s[-1]) / (len(t_s) - 1)
-    w = body_rate(readings.angle_rad, readings.rate_rps, readings.gimbals, site)
+    w = body_rate(readings.angle_rad, readings.centred_rps, readings.gimbals, site)
     regressors = np.column_stack([np.ones(len(w)), w])
     shared = regressors.T @ regressors * period_s
     maps = regressor_maps(array)
@@ -71,7 +71,7 @@ def _changes(readings: TableReadings, t_s: Floats, w: Floats) -> Iterator[tuple[
     if u is None:
         return
     for column, axis in enumerate(gimbals):
-        angle, rate = readings.angle_rad[:, column], readings.rate_rps[:, column]
+        angle, rate = readings.angle_rad[:, column], readings.centred_rps[:, column]
         inner_angles, inner = readings.angle_rad[:, column + 1 :], gimbals[column + 1 :]
         own = np.eye(3)[AXES.index(axis)]
         yield "rate", u.rate * rate[:, None] * into_body(own, inner_angles, inner)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from estimator.calibration.values import Calibration
 from estimator.geometry.model import STATES
-from estimator.recordings.recording import write_results
+from estimator.recordings.writing import write_results
 
 
 def write_calibration(path: Path, calibration: Calibration, attributes: dict[str, object] | None = None) -> None:
@@ -49,10 +49,7 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
         {
             "name": np.array([g.name.encode() for g in gyros]),
             "source": np.array([g.source.encode() for g in gyros]),
-            "states": np.array([g.states for g in gyros]),
-            "sd": np.array([g.sd for g in gyros]),
-            "covariance": np.array([g.covariance for g in gyros]),
-            "noise_rps": np.array([g.noise_rps for g in gyros]),
+            **{key: np.array([getattr(g, key) for g in gyros]) for key in ("states", "sd", "covariance", "noise_rps")},
             **more,
         },
         {
@@ -60,11 +57,8 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
             "noise_names": ["arw_rps_rthz", "instability_rps", "walk_rps_rts"],
             "excluded": [f"{e.name}: {e.reason}" for e in calibration.excluded],
             "state_names": list(STATES),
-            "nis_mean": calibration.nis_mean,
-            "samples": calibration.samples,
-            "lost": calibration.lost,
-            "notes": list(calibration.notes),
-            "doubts": list(calibration.doubts),
+            **{key: getattr(calibration, key) for key in ("nis_mean", "samples", "lost")},
+            **{key: list(getattr(calibration, key)) for key in ("notes", "doubts")},
             "holds_for": calibration.holds_for,
             **named,
             **(attributes or {}),

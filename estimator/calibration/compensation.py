@@ -12,16 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from itertools import groupby
 
 import numpy as np
 
 from estimator.calibration.error_model import ErrorModel, KnownEffect
 from estimator.calibration.values import GyroCalibration
-from estimator.effects.constructed import NAME as CONSTRUCTED
-from estimator.effects.constructed import VARIABLES, functions_of, variables_of
-from estimator.effects.thermal import REFERENCE_C
+from estimator.effects.conditions import REFERENCE_C
+from estimator.effects.effect import Acts
+from estimator.effects.law import settled
 from estimator.errors import EstimatorError
 from estimator.geometry.array import TOLERANCE, SensorArray
 from estimator.geometry.model import decode, predicted_output
@@ -31,37 +30,7 @@ MOST_ITERATIONS = 30
 """After which effects of the rate that are not undone to ``TOLERANCE_RPS`` are beyond what the model can be undone."""
 TOLERANCE_RPS = 1e-13
 
-ADDED = ("thermal_bias", "thermal_bias_quadratic", "warm_up", "g_sensitivity", "thermal_gradient")
-"""Effects that add to the output whatever the rate."""
-OF_THE_RATE = ("thermal_scale", "scale_asymmetry", "scale_quadratic", "scale_cubic")
-"""Effects that follow the rate itself."""
-OF_THE_PAST = ("bandwidth", "acceleration_sensitivity")
-"""Effects of changes of the rate, for which the samples before are needed."""
-OF_THE_STAMPS = ("latency", "sample_hold")
-"""Effects that are undone by taking the delay off the stamps of the samples."""
-_LEFT_OUT = {
-    "earth_rate": "it is Earth rate that the site of the table lacked: the gyros sense it rightly",
-    "table_axes": "it is an error of the table, not of the gyros",
-    "table_rate": "it is an error of the table, not of the gyros",
-    "table_harmonic": "it goes round with an axis of the table: away from that table it is not there",
-    "bias_drift": "it counts from the start of that run, and says nothing of another",
-    "tone": "its phase is another each time: a notch filter takes it away",
-    "dead_band": "what a gyro does not answer cannot be got back",
-}
-
-
 _OF_THAT_TABLE = "it goes with the axes of the table that it was found on: away from that table it is not there"
-_UNSTEADY = frozenset({"lag", "play", "last", "sign", "sqrt", "/"})
-"""Functions of the rate that no iteration undoes: with memory, or of a slope without limit."""
-
-
-class Acts(StrEnum):
-    """How an effect that is undone comes into the output."""
-
-    ADDED = "whatever the rate"
-    RATE = "by the rate, undone by iteration"
-    MOTION = "by the rate as it is without this effect, its past and its change"
-    LAG = "as a lag of the output"
 
 
 class CompensationError(EstimatorError):
@@ -70,24 +39,16 @@ class CompensationError(EstimatorError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldEffect:
-    """An effect that is undone: ``values`` (n, p) are its parameters on each gyro, in the SI units of the catalogue."""
+    """An effect that is undone, and how it ``acts``; ``values`` (n, p) are its parameters on each gyro, in SI units."""
 
     known: KnownEffect
     values: Floats
+    acts: Acts
 
     @property
     def name(self) -> str:
         """Name in the catalogue; that of laws is "constructed"."""
         return self.known.name
-
-    @property
-    def acts(self) -> Acts:
-        """How it comes into the output."""
-        if self.name == CONSTRUCTED:
-            return _acts_of(self.known.law)
-        if self.name in ADDED:
-            return Acts.ADDED
-        return Acts.RATE if self.name in OF_THE_RATE else Acts.LAG if self.name == "bandwidth" else Acts.MOTION
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,17 +80,18 @@ class Compensation:
         for called, group in groupby(range(len(listed)), key=lambda number: listed[number].effect):
             columns = list(group)
             values = np.array([[gyro.effects[column].value for column in columns] for gyro in gyros])
-            name = known[called].name
-            if name in OF_THE_STAMPS:
+            effect = known[called]
+            acts = effect.effect(()).acts
+            if acts is Acts.STAMPS:
                 delay_s += float(values[0, 0])
-            elif name in _LEFT_OUT:
-                left_out[called] = _LEFT_OUT[name]
-            elif name == CONSTRUCTED and known[called].axes:
+            elif effect.record.left_out:
+                left_out[called] = effect.record.left_out
+            elif effect.axes:
                 left_out[called] = _OF_THAT_TABLE
-            elif name in (*ADDED, *OF_THE_RATE, *OF_THE_PAST, CONSTRUCTED):
-                effects.append(HeldEffect(known[called], values))
-            else:
+            elif acts is None:
                 raise CompensationError(f"the calibration has the effect {called}, which this version cannot undo")
+            else:
+                effects.append(HeldEffect(effect, values, acts))
         return cls(_joined(gyros, arrays), np.array([g.states for g in gyros]), tuple(effects), delay_s, left_out)
 
     @property
@@ -166,36 +128,24 @@ class Compensation:
         above = temperature_c - REFERENCE_C if np.isfinite(temperature_c) else 0.0
         held, dropped = [], {}
         for effect in self.effects:
-            theta = effect.values[:, 0]
             if effect.name in keep:
                 held.append(effect)
                 continue
-            why = f"its part at {REFERENCE_C + above:.4g} degC is in the constants"
-            if effect.name == "thermal_bias":
-                b -= theta * above
-            elif effect.name == "thermal_bias_quadratic":
-                b -= theta * above**2
-            elif effect.name == "thermal_scale":
-                g = g + (theta * above)[:, None] * self.array.p
-            elif effect.name == "warm_up":
-                b -= theta
-                why = "the bias is that after it"
-            else:
+            steady = settled(effect.known.law, above) if effect.known.law else None
+            if steady is None:
                 why = "it is not corrected"
+            else:
+                of_bias, of_gain = (effect.values @ part for part in steady)
+                b -= of_bias
+                g = g + of_gain[:, None] * self.array.p
+                of_temperature = "temperature" in effect.known.effect(()).needs
+                why = f"its part at {REFERENCE_C + above:.4g} degC is in the constants"
+                why = why if of_temperature else "the bias is that after it"
             dropped[effect.known.called] = why
         axes = self.array
         x = np.stack([1 - _dot(g, axes.p), b, _dot(g, axes.k), -_dot(g, axes.j)], axis=1)
         states = np.array([decode(row, np.zeros((4, 4)))[0] for row in x])
         return replace(self, states=states, effects=tuple(held)), dropped
-
-
-def _acts_of(law: str) -> Acts:
-    """Return how a law acts; its time and temperature are remembered sample by sample, which no iteration may do."""
-    names, functions = variables_of(law), functions_of(law)
-    kinds = {VARIABLES[name][0] for name in names}
-    if not kinds & {"rate", "acceleration"}:
-        return Acts.ADDED
-    return Acts.MOTION if "acceleration" in kinds or "Tdot" in names or functions & _UNSTEADY else Acts.RATE
 
 
 def _joined(gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray]) -> SensorArray:

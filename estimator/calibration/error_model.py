@@ -9,7 +9,7 @@ which states and effects of that device are then estimated together. The file is
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,15 +17,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from estimator.effects.constructed import NAME as CONSTRUCTED
-from estimator.effects.constructed import axes_of, constructed
-from estimator.effects.drift import bias_drift, warm_up
-from estimator.effects.dynamics import acceleration_sensitivity, bandwidth, latency, tone
-from estimator.effects.effect import Effect
-from estimator.effects.scale import dead_band, scale_asymmetry, scale_cubic, scale_quadratic
-from estimator.effects.site import earth_rate, g_sensitivity
-from estimator.effects.table import table_axes, table_harmonic, table_rate
-from estimator.effects.thermal import thermal_bias, thermal_bias_quadratic, thermal_gradient, thermal_scale
+from estimator.effects.catalogue import record_of
+from estimator.effects.effect import Effect, Record, Value, positive
+from estimator.effects.law import axes_of
 from estimator.errors import EstimatorError
 from estimator.recordings.safe_open import probe
 from estimator.types import Floats
@@ -55,15 +49,14 @@ class Size:
 class KnownEffect:
     """An effect of the catalogue, or one constructed, as a type of gyro has it.
 
-    ``settings`` hold what is not linear in it, by name: "time_constant_s", "frequency_hz", "width_rps", "order",
-    "axis", the "law" of one constructed. ``sizes`` are by parameter. ``found`` is what they come from: by gyro, or by
-    "all gyros" for a shared effect, value and standard deviation of each parameter.
+    ``settings`` hold what is not linear in it, by key. ``sizes`` are by parameter. ``found`` is what they come from: by
+    gyro, or by "all gyros" for a shared effect, value and standard deviation of each parameter.
     """
 
     name: str
     shared: bool
     sizes: tuple[Size, ...]
-    settings: Mapping[str, float | int | str] = field(default_factory=dict)
+    settings: Mapping[str, Value] = field(default_factory=dict)
     found: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
 
     @property
@@ -79,12 +72,20 @@ class KnownEffect:
     @property
     def called(self) -> str:
         """Name and settings, different for each effect of a model."""
-        return " ".join([self.name, *(_WORDS[key](self.settings[key]) for key in SETTINGS.get(self.name, ()))])
+        shown = (setting.text(self.settings[setting.key]) for setting in self.record.kept_settings)
+        return " ".join([self.name, *shown])
+
+    @property
+    def record(self) -> Record:
+        """What the catalogue says of it."""
+        record = record_of(self.name)
+        assert record is not None, self.name
+        return record
 
     @property
     def law(self) -> str:
-        """The law of a constructed effect, empty for those of the catalogue."""
-        return str(self.settings.get("law", ""))
+        """Its law; "" if no law can say it."""
+        return self.record.law.format(**self.settings)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -92,7 +93,7 @@ class KnownEffect:
         return axes_of(self.law) if self.law else (str(self.settings["axis"]),) if "axis" in self.settings else ()
 
     def effect(self, gimbals: Sequence[str]) -> Effect:
-        """Return the effect, made by the catalogue's function, on a table with these gimbals (none: no table).
+        """Return the effect, made by its record, on a table with these gimbals (none: no table).
 
         The sizes stand in the place of the largest plausible ones. Raises ModelError if the table does not fit.
         """
@@ -100,7 +101,7 @@ class KnownEffect:
         if lacking and gimbals:
             raise ModelError(f"the model has {self.called}, and the table has no axis {', '.join(lacking)}")
         # Without a table it is refused for what it needs.
-        made = MAKERS[self.name](self.settings, self.axes if lacking else gimbals)
+        made = self.record.effect(self.axes if lacking else gimbals, **self.settings)
         if len(made.parameters) != len(self.sizes):
             if not gimbals:
                 return made
@@ -134,7 +135,7 @@ class ErrorModel:
     @property
     def needs_temperature(self) -> bool:
         """Whether an effect of it needs the temperature of the gyros."""
-        return any("temperature" in MAKERS[e.name](e.settings, ("z", "y", "x")).needs for e in self.effects)
+        return any("temperature" in known.effect(()).needs for known in self.effects)
 
     def text(self) -> str:
         """Return the model as JSON."""
@@ -198,62 +199,18 @@ _REMEDIES = {
     "specific force": "the recording must hold the specific force: record accelerometers, or use a table",
 }
 
-MAKERS: Mapping[str, Callable[[Mapping[str, Any], Sequence[str]], Effect]] = {
-    "earth_rate": lambda s, g: earth_rate(),
-    "g_sensitivity": lambda s, g: g_sensitivity(),
-    "thermal_bias": lambda s, g: thermal_bias(),
-    "thermal_bias_quadratic": lambda s, g: thermal_bias_quadratic(),
-    "thermal_scale": lambda s, g: thermal_scale(),
-    "thermal_gradient": lambda s, g: thermal_gradient(),
-    "bias_drift": lambda s, g: bias_drift(),
-    "warm_up": lambda s, g: warm_up(s["time_constant_s"]),
-    "scale_asymmetry": lambda s, g: scale_asymmetry(),
-    "scale_quadratic": lambda s, g: scale_quadratic(),
-    "scale_cubic": lambda s, g: scale_cubic(),
-    "dead_band": lambda s, g: dead_band(s["width_rps"]),
-    "latency": lambda s, g: latency(),
-    "sample_hold": lambda s, g: replace(latency(), name="sample_hold"),
-    "bandwidth": lambda s, g: bandwidth(),
-    "acceleration_sensitivity": lambda s, g: acceleration_sensitivity(),
-    "table_harmonic": lambda s, g: replace(table_harmonic(g, s["order"], (s["axis"],)), name="table_harmonic"),
-    "table_axes": lambda s, g: table_axes(g),
-    "table_rate": lambda s, g: table_rate(g),
-    "tone": lambda s, g: tone(s["frequency_hz"]),
-    CONSTRUCTED: lambda s, g: constructed(s["law"]),
-}
-"""How the catalogue makes each effect, from its settings and the gimbals of a table."""
-
-SETTINGS = {
-    "warm_up": ("time_constant_s",),
-    "dead_band": ("width_rps",),
-    "table_harmonic": ("order", "axis"),
-    "tone": ("frequency_hz",),
-    CONSTRUCTED: ("law",),
-}
-
-_WORDS: Mapping[str, Callable[[Any], str]] = {
-    "time_constant_s": "{:g} s".format,
-    "frequency_hz": "{:g} Hz".format,
-    "width_rps": lambda width: f"{np.degrees(width):.3g} deg/s",
-    "order": str,
-    "axis": str,
-    "law": str,
-}
-
 
 def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
     name = str(entry["effect"])
-    if name not in MAKERS:
+    record = record_of(name)
+    if record is None or record.not_kept:
         raise ModelError(
             f"{where} has the effect {name}, which this station's catalogue does not know: use the version of the "
             "station that found it, or investigate again"
         )
-    settings: dict[str, float | int | str] = {}
-    for key in SETTINGS.get(name, ()):
-        value = entry[key]
-        settings[key] = _READ[key](value) if key in _READ else _positive(key, value)
+    settings = {setting.key: setting.read(setting.key, entry[setting.key]) for setting in record.kept_settings}
     sizes = tuple(
-        Size(str(p["name"]), str(p["unit"]), _finite("mean", p["mean"]), _positive("sd", p["sd"]))
+        Size(str(p["name"]), str(p["unit"]), _finite("mean", p["mean"]), positive("sd", p["sd"]))
         for p in entry["parameters"]
     )
     found = {
@@ -261,27 +218,17 @@ def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
         for who, pairs in entry.get("found", {}).items()
     }
     known = KnownEffect(name, bool(entry["shared"]), sizes, settings, found)
-    made = MAKERS[name](settings, (str(settings.get("axis", "z")),))
+    made = record.effect((str(settings.get("axis", "z")),), **settings)
     units = [parameter.unit for parameter in made.parameters]
-    if known.shared != made.shared or (name not in _OF_GIMBALS and units != [size.unit for size in sizes]):
+    # The number of the parameters of effects of the table follows the table.
+    if known.shared != made.shared or (not record.of_table and units != [size.unit for size in sizes]):
         raise ValueError(f"{name} of the catalogue has other parameters")
     return known
-
-
-_READ: Mapping[str, Callable[[Any], float | int | str]] = {"axis": str, "order": int, "law": str}
-_OF_GIMBALS = ("table_axes", "table_rate")  # the number of their parameters follows the table
 
 
 def _finite(key: str, value: object) -> float:
     number = float(value)  # type: ignore[arg-type]
     if not np.isfinite(number):
-        raise ValueError(f"{key} is {value}")
-    return number
-
-
-def _positive(key: str, value: object) -> float:
-    number = _finite(key, value)
-    if number <= 0:
         raise ValueError(f"{key} is {value}")
     return number
 

@@ -13,6 +13,7 @@ from estimator.errors import RecordingError
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.health import Excluded
 from estimator.recordings.safe_open import probe
+from estimator.recordings.writing import plain
 from estimator.types import Floats
 
 
@@ -48,7 +49,7 @@ def read_calibration(path: Path, *, trusted: bool = False) -> Calibration:
 def _read(path: Path, file: Any, group: Any) -> Calibration:
     names, sources = _texts(group["name"][()]), _texts(group["source"][()])
     n = len(names)
-    model = _text(group.attrs.get("model", ""))
+    model = str(plain(group.attrs.get("model", "")))
     effects = _effects(group, model, n, str(path))
     gyros = tuple(
         GyroCalibration(
@@ -58,7 +59,7 @@ def _read(path: Path, file: Any, group: Any) -> Calibration:
             _floats(group, "covariance", (n, 4, 4))[i],
             float(_floats(group, "noise_rps", (n,))[i]),
             _sense_axis(file, source, name),
-            _text(file[f"imu/{source}"].attrs.get("device", "")),
+            str(plain(file[f"imu/{source}"].attrs.get("device", ""))),
             _budget(group, i),
             _noise(group, i),
             effects=effects[i],
@@ -77,7 +78,7 @@ def _read(path: Path, file: Any, group: Any) -> Calibration:
         tuple(Excluded(name, reason) for name, _, reason in excluded),
         model=model,
         doubts=tuple(_texts(group.attrs.get("doubts", ()))),
-        holds_for=_text(group.attrs.get("holds_for", "")),
+        holds_for=str(plain(group.attrs.get("holds_for", ""))),
     )
 
 
@@ -133,8 +134,4 @@ def _effects(group: Any, model: str, n: int, where: str) -> list[tuple[EffectVal
 
 
 def _texts(values: Any) -> list[str]:
-    return [_text(value) for value in np.atleast_1d(np.asarray(values, dtype=object)).tolist()]
-
-
-def _text(value: Any) -> str:
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    return [str(plain(value)) for value in np.atleast_1d(np.asarray(values, dtype=object)).tolist()]

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from estimator.calibration.budget import Contribution
-from estimator.geometry.model import Prior
+from estimator.geometry.model import STATES, Prior
 from estimator.geometry.noise import NoiseFound
 from estimator.observations.health import Excluded
 from estimator.observations.rests import RestNoise
@@ -95,6 +96,15 @@ class Calibration:
     doubts: tuple[str, ...] = ()
     holds_for: str = ""
     offsets: Mapping[str, TimeOffset] = field(default_factory=dict)
+
+    def to_frame(self) -> Any:
+        """Return a pandas.DataFrame with a row a gyro: its device, states and sigmas, in SI. Needs pandas."""
+        from pandas import DataFrame
+
+        columns = [*STATES, *(f"sd_{state}" for state in STATES)]
+        frame = DataFrame([[*g.states, *g.sd] for g in self.gyros], [g.name for g in self.gyros], columns)
+        frame.insert(0, "device", [gyro.device for gyro in self.gyros])
+        return frame
 
 
 def unseen_notes(name: str, covariance: Floats, prior: Prior) -> list[str]:

@@ -1,41 +1,67 @@
-"""The catalogue: every effect that is looked for, with nominal values of what is not linear."""
+"""The catalogue: every effect that is looked for, kept or undone, by its name."""
 
 from collections.abc import Sequence
+from importlib.metadata import entry_points
 
-from estimator.effects.drift import bias_drift, bias_step, warm_up
-from estimator.effects.dynamics import acceleration_sensitivity, bandwidth, latency, tone
-from estimator.effects.effect import Effect
-from estimator.effects.scale import scale_asymmetry, scale_cubic, scale_quadratic
-from estimator.effects.site import earth_rate, g_sensitivity
-from estimator.effects.table import table_axes, table_harmonic, table_rate
-from estimator.effects.thermal import thermal_bias, thermal_bias_quadratic, thermal_gradient, thermal_scale
+from estimator.effects import GROUP, disturbances, drift, dynamics, scale, site, table, thermal
+from estimator.effects.constructed import CONSTRUCTED
+from estimator.effects.effect import Effect, EffectError, Kind, Record
 
-HARMONICS = (1, 2, 4)
-"""Orders of the table's angles that bearings, balance and magnets make."""
-TONE_HZ = 2.3
-"""Nominal frequency of a tone: below half the rate of every source, and no multiple of a script's steps."""
+_FAMILIES = (site, thermal, drift, scale, dynamics, table, disturbances)
+_BUILT_IN = {r.name: r for r in (*(record for family in _FAMILIES for record in family.RECORDS), CONSTRUCTED)}
+_BY_NAME = dict(_BUILT_IN)
+
+
+def records() -> tuple[Record, ...]:
+    """Return every effect that is known."""
+    return tuple(_BY_NAME.values())
+
+
+def record_of(name: str) -> Record | None:
+    """Return the effect of a name; None if it is not known."""
+    return _BY_NAME.get(name)
+
+
+def register(*effects: Record) -> None:
+    """Make effects known to everything that the station does, in the place of others of their names from outside.
+
+    Raises EffectError for one that is damaged, or has the name of a built-in one.
+    """
+    for record in effects:
+        record.check()
+        if record.name in _BUILT_IN:
+            raise EffectError(f"there is an effect {record.name} already: give yours another name")
+        _BY_NAME[record.name] = record
+
+
+def load_entry_points() -> list[str]:
+    """Register the effects of installed packages; return a line for each that cannot be used."""
+    problems = []
+    for entry in entry_points(group=GROUP):
+        try:
+            loaded = entry.load()
+            register(*([loaded] if isinstance(loaded, Record) else loaded))
+        except Exception as error:  # whatever it is, it is theirs
+            problems.append(f"the effect {entry.name} ({entry.value}) is not used: {type(error).__name__}: {error}")
+    return problems
 
 
 def catalogue(gimbals: Sequence[str], duration_s: float) -> tuple[Effect, ...]:
-    """Return all effects for a table with these gimbals; a bias step is put into the middle of the run."""
+    """Return the effects whose smallest sizes a plan tells, for a table with these gimbals and a run of so long."""
+    return tuple(
+        record.effect(gimbals, **settings)
+        for record in records()
+        if record.kind is Kind.LAW and record.planned
+        for settings in record.listed(duration_s)
+    )
+
+
+def everything(gimbals: Sequence[str] = ("z", "y", "x"), duration_s: float = 360.0) -> tuple[Effect, ...]:
+    """Return those, and then what is looked for but not planned for: noise, faults of the data."""
+    found = catalogue(gimbals, duration_s)
+    known = {effect.record for effect in found}
+    others = (record for record in records() if record not in known)
     return (
-        earth_rate(),
-        g_sensitivity(),
-        thermal_bias(),
-        thermal_bias_quadratic(),
-        thermal_scale(),
-        thermal_gradient(),
-        bias_drift(),
-        warm_up(),
-        bias_step(duration_s / 2),
-        scale_asymmetry(),
-        scale_quadratic(),
-        scale_cubic(),
-        latency(),
-        bandwidth(),
-        acceleration_sensitivity(),
-        *(table_harmonic(gimbals, order) for order in HARMONICS),
-        table_axes(gimbals),
-        table_rate(gimbals),
-        tone(TONE_HZ),
+        *found,
+        *(record.effect(gimbals, **settings) for record in others for settings in record.listed(duration_s)),
     )

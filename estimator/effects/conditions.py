@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,16 @@ from estimator.types import Floats
 
 SLOPE_S = 10.0
 """Time constant over which a causal slope of the temperature is taken: readings are too coarse for differences."""
+REFERENCE_C = 25.0
+"""Temperature at which data sheets state bias and scale factor."""
+
+
+class Axes(NamedTuple):
+    """Sense axis and tilt axes of one gyro, (3,) each, in body axes."""
+
+    p: Floats
+    j: Floats
+    k: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +37,7 @@ class Conditions:
     not known. Without a table there are no ``gimbals``. ``w_rps`` holds Earth rate only where there is a ``site``.
     ``delayed_rps`` gives, for a delay in s, the body rate (N, 3) that long ago, as means over the samples that the
     output errors are means of; None where conditions are of a plan. ``causal``: nothing that is to come is known.
+    ``reference_c``: temperature at which effects of it are nothing.
     """
 
     t_s: Floats
@@ -41,6 +52,7 @@ class Conditions:
     site: Site | None = None
     delayed_rps: Callable[[float], Floats] | None = None
     causal: bool = False
+    reference_c: float = REFERENCE_C
 
     @property
     def warming_kps(self) -> Floats:

@@ -2,42 +2,33 @@
 
 import numpy as np
 
-from estimator.effects.effect import Effect, Parameter
+from estimator.effects.conditions import Axes, Conditions
+from estimator.effects.effect import Regressors, Setting, Settings, family
+from estimator.types import Floats
 
-_LARGEST_RPS = float(np.radians(0.5))  # turn-on transients of consumer MEMS gyros
-
-
-def bias_drift() -> Effect:
-    """Return a bias that grows in proportion to time since the start: up to 1 deg/s an hour."""
-    return Effect(
-        "bias_drift",
-        (Parameter("slope", "rad/s2", float(np.radians(1 / 3600))),),
-        shared=False,
-        shown_by="rests at the start, in the middle and at the end",
-        confused_with=("thermal_bias", "warm_up", "bias_step"),
-        regressors=lambda conditions, axes: np.asarray(conditions.t_s - conditions.t_s[0]),
-    )
+_STEPS = 8  # a step at an unknown instant is as good as several that share its variance
 
 
-def warm_up(tau_s: float = 120.0) -> Effect:
-    """Return a bias that settles with time constant ``tau_s`` after the start: 1 - exp(-t / tau)."""
-    return Effect(
-        "warm_up",
-        (Parameter(f"with {tau_s:g} s", "rad/s", _LARGEST_RPS),),
-        shared=False,
-        shown_by="rests at the start, in the middle and at the end",
-        confused_with=("thermal_bias", "bias_drift"),
-        regressors=lambda conditions, axes: np.asarray(-np.expm1(-(conditions.t_s - conditions.t_s[0]) / tau_s)),
-    )
+def _taus_s(span_s: float, count: int) -> Floats:
+    return np.geomspace(8.0, max(span_s / 1.5, 20.0), count)
 
 
-def bias_step(at_s: float) -> Effect:
-    """Return a bias that jumps at an instant."""
-    return Effect(
-        "bias_step",
-        (Parameter(f"at {at_s:g} s", "rad/s", _LARGEST_RPS),),
-        shared=False,
-        shown_by="the same rate or rest before and after",
-        confused_with=("bias_drift", "warm_up"),
-        regressors=lambda conditions, axes: np.asarray(conditions.t_s >= at_s, dtype=np.float64),
-    )
+def _after(settings: Settings) -> Regressors:
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        return np.asarray(conditions.t_s >= float(settings["at_s"]), dtype=np.float64)
+
+    return columns
+
+
+def _instants(first_s: float, last_s: float) -> list[Settings]:
+    return [{"at_s": at_s} for at_s in np.linspace(first_s, last_s, _STEPS + 2)[1:-1].tolist()]
+
+
+_TIME_CONSTANT = Setting(
+    "time_constant_s", "time constant", "s", "{:g} s".format, grid=_taus_s, range_log=float(np.log(3600.0 / 5.0))
+)
+RECORDS = BIAS_DRIFT, WARM_UP, BIAS_STEP = family(
+    "drift",
+    warm_up={"settings": (_TIME_CONSTANT,)},
+    bias_step={"regressors": _after, "listed": lambda s: ({"at_s": s / 2},), "assumed": _instants},
+)

@@ -1,53 +1,249 @@
-"""An effect: something that the four states of a gyro lack, as linear terms of its output error.
+"""The effect: something that the four states of a gyro lack, as one record of all that the station knows of it.
 
-The output of gyro i gains ``+ sum of parameter * phi`` (rad/s), phi being the columns of ``Effect.columns``. What an
-effect depends on in a non-linear way (a time constant, an instant, a frequency) is an argument of the function that
-makes it.
+The output of gyro i gains ``+ sum of parameter * phi`` (rad/s), phi being the columns of ``Effect.columns``. A
+``Record`` says what holds on any table: the law, what it may depend on in a non-linear way (a time constant, an
+instant, a frequency), how it is looked for, kept and undone. An ``Effect`` is one of these on some table, its settings
+at some values. A file of a family holds its records; ``catalogue`` names them all.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from __future__ import annotations
 
-from estimator.effects.conditions import Conditions
+import math
+import re
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import partial
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from estimator.effects.conditions import Axes, Conditions
+from estimator.effects.law import VARIABLES, LawError, columns_of, functions_of, needs_of, parsed, variables_of
+from estimator.errors import EstimatorError
 from estimator.geometry.array import SensorArray
 from estimator.types import Floats
 
+Value = float | int | str
+Settings = Mapping[str, Value]
+Regressors = Callable[[Conditions, Axes], Floats]
+_UNSTEADY = frozenset({"lag", "play", "last", "sign", "sqrt", "/"})
+"""Functions of the rate that no iteration undoes: with memory, or of a slope without limit."""
+_IMPLAUSIBLE = 2.0  # of the largest plausible size: larger, it is something else
 
-class Axes(NamedTuple):
-    """Sense axis and tilt axes of one gyro, (3,) each, in body axes."""
 
-    p: Floats
-    j: Floats
-    k: Floats
+def _none(conditions: Conditions, axes: Axes) -> Floats:
+    return np.empty((len(conditions.t_s), 0))
+
+
+class EffectError(EstimatorError):
+    """A record that is none: the message says what it lacks."""
+
+
+class Kind(StrEnum):
+    """How an effect is dealt with."""
+
+    LAW = "law"
+    NOISE = "noise"
+    SAMPLES = "fault of the data"
+
+
+class Acts(StrEnum):
+    """How an effect that is undone comes into the output."""
+
+    ADDED = "whatever the rate"
+    RATE = "by the rate, undone by iteration"
+    MOTION = "by the rate as it is without this effect, its past and its change"
+    LAG = "as a lag of the output"
+    STAMPS = "as a delay of the stamps"
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One number of an effect: its SI unit, and the largest size that real gyros and tables plausibly have."""
+    """One number of an effect: its SI unit, and the largest size that real gyros and tables plausibly have.
+
+    The name may hold settings in braces.
+    """
 
     name: str
     unit: str
     largest: float
 
 
+def positive(key: str, value: object) -> float:
+    """Return a value as a positive number; ValueError with its key if it is none."""
+    number = float(value)  # type: ignore[arg-type]
+    if not math.isfinite(number) or number <= 0:
+        raise ValueError(f"{key} is {value}")
+    return number
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What is not linear in an effect: its ``key`` in models ("" if it is not kept), its name ("" if stated), its unit.
+
+    ``text`` shows a value, ``read`` takes one out of a file. ``grid`` gives, for the length of the recordings in s and
+    a number of values, those from which it is looked for, beginning with number ``begin``; ``range_log`` is the
+    logarithm of its range in nature.
+    """
+
+    key: str
+    name: str
+    unit: str
+    text: Callable[[Any], str] = str
+    read: Callable[[str, Any], Value] = positive
+    grid: Callable[[float, int], Floats] | None = None
+    begin: int = 4
+    range_log: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Odds:
+    """Logarithm of how much an effect is expected against the others before the data.
+
+    ``warm`` is that where a temperature was measured, ``beside`` names an effect and what it is next to that one.
+    """
+
+    log: float = 0.0
+    warm: float | None = None
+    beside: tuple[str, float] | None = None
+
+
+def of_plausible_size(sizes: Floats) -> bool:
+    """Return whether sizes (gyros, parameters) are plausible together, in shares of the largest plausible ones."""
+    return bool(np.sqrt(np.mean(np.square(sizes))) < _IMPLAUSIBLE)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Record:
+    """All that is known of an effect.
+
+    ``parameters`` in order, or how they follow from the axes of a table and the settings. ``law`` (see ``law``) has a
+    term for each, settings in braces; an effect that no law can say has ``regressors``, from the settings the columns
+    of one gyro (N, parameters), and a ``formula`` for people. ``kind``; ``shared``: one set of parameters for all gyros
+    (a cause in the table, the site or the clock), not one a gyro. ``shown_by`` says what excites it, ``confused_with``
+    names effects that look alike in many runs. ``settings`` are what is not linear.
+
+    ``depends_on`` is what a residual that holds it depends on, ``suspected_of`` what a residual that depends on may
+    hold it. ``needs`` names what a recording must hold beside rates and what the law says: "temperature", "gimbals"
+    (angles of the table's axes), "specific force". ``odds`` are its prior odds; it is ``searched`` for as it stands, if
+    ``tracing`` knows no other way; ``plausible`` says whether sizes can be those of it.
+
+    ``planned``: a plan tells its smallest size. ``listed`` gives the settings that stand for it in a run of some
+    seconds; ``assumed`` those that share its variance where nobody has spoken of it, from the first instant to the
+    last. ``power`` of the rate with which it grows.
+
+    ``acts`` is how it is undone, if the law does not say it, ``left_out`` why it is not undone, ``not_kept`` why it
+    says nothing of other devices of the type, ``not_live`` why a live estimate goes without it. ``of_table``: its cause
+    is an error of the table, whose axes give its parameters; ``of_encoders``: an encoder read from outside may have
+    the same; ``within_turns``: it comes to nothing over a turn from rest to rest; ``alike``: all gyros have the same
+    columns; ``any_phase``: it is the ratio of its parameters that differs from gyro to gyro. ``label``, with settings
+    in braces, is what an effect is called where the name would stand for several.
+    ``display`` gives units that people read for SI units that the station has none for: by SI unit, unit and factor.
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...] | Callable[[Sequence[str], Settings], tuple[Parameter, ...]]
+    law: str = ""
+    regressors: Callable[[Settings], Regressors] | None = None
+    formula: str = ""
+    kind: Kind = Kind.LAW
+    shared: bool = False
+    shown_by: str = ""
+    confused_with: tuple[str, ...] | Callable[[Settings], tuple[str, ...]] = ()
+    settings: tuple[Setting, ...] = ()
+    depends_on: str = ""
+    suspected_of: tuple[str, ...] = ()
+    needs: frozenset[str] = frozenset()
+    odds: Odds = Odds()
+    searched: bool = True
+    plausible: Callable[[Floats], bool] = of_plausible_size
+    planned: bool = True
+    listed: Callable[[float], tuple[Settings, ...]] = lambda duration_s: ({},)
+    assumed: Callable[[float, float], Sequence[Settings]] | None = None
+    power: int = 1
+    acts: Acts | None = None
+    left_out: str = ""
+    not_kept: str = ""
+    not_live: str = ""
+    of_table: bool = False
+    of_encoders: bool = False
+    within_turns: bool = False
+    alike: bool = False
+    any_phase: bool = False
+    label: str = ""
+    display: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+
+    @property
+    def kept_settings(self) -> tuple[Setting, ...]:
+        """Settings that a model holds."""
+        return tuple(setting for setting in self.settings if setting.key)
+
+    @property
+    def grid(self) -> Setting | None:
+        """The setting that is looked for among many values."""
+        return next((setting for setting in self.settings if setting.grid is not None), None)
+
+    def effect(self, gimbals: Sequence[str] = (), **settings: Value) -> Effect:
+        """Return the effect on a table with these axes, its settings at these values.
+
+        Raises LawError for a law that is none.
+        """
+        own = self.parameters if isinstance(self.parameters, tuple) else self.parameters(gimbals, settings)
+        law = self.law.format(**settings) if settings else self.law
+        needs = self.needs
+        columns = self.regressors(settings) if self.regressors else _none
+        if law:
+            needs |= needs_of(law)
+            columns = partial(columns_of, law)
+        alike = self.confused_with if isinstance(self.confused_with, tuple) else self.confused_with(settings)
+        named = tuple(Parameter(p.name.format(**settings), p.unit, p.largest) for p in own)
+        return Effect((self.label or self.name).format(**settings), named, columns, needs, self, law, alike)
+
+    def check(self) -> None:
+        """Raise EffectError, with what is wrong, for a record that the station cannot work with."""
+        if not re.fullmatch("[a-z][a-z0-9_]*", self.name):
+            raise EffectError(f"the effect {self.name!r} has no name of small letters, digits and underscores")
+        for settings in self.listed(1.0) if self.law else ():
+            try:
+                own, count = self.effect(("z",), **settings).parameters, len(parsed(self.law.format(**settings)))
+            except (LawError, KeyError) as error:
+                raise EffectError(f"the effect {self.name} has no law: {error}") from None
+            if count != len(own):
+                raise EffectError(f"the law of the effect {self.name} has {count} terms for {len(own)} parameters")
+        if self.kind is Kind.LAW and not self.law:
+            if self.regressors is None:
+                raise EffectError(f"the effect {self.name} has neither a law nor regressors")
+            if not (self.acts or self.left_out or self.not_kept):
+                raise EffectError(f"the effect {self.name} says neither how it is undone nor why not: acts, left_out")
+
+
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """An entry of the catalogue.
+    """An effect on some table, its settings at some values, its ``law`` with them in place; "" if it is none.
 
-    ``shared``: one set of parameters for all gyros (a cause in the table, the site or the clock), not one a gyro.
-    ``shown_by`` says what excites it, ``confused_with`` names effects that look alike in many runs.
-    ``regressors`` gives the columns of one gyro, (N, parameters). ``needs`` names what a recording must hold for them
-    beside rates: "temperature", "gimbals" (angles of the table's axes), "specific force".
+    ``regressors`` gives the columns of one gyro, (N, parameters). ``needs`` names what a recording must hold for them.
     """
 
     name: str
     parameters: tuple[Parameter, ...]
-    shared: bool
-    shown_by: str
-    confused_with: tuple[str, ...]
-    regressors: Callable[[Conditions, Axes], Floats]
-    needs: frozenset[str] = frozenset()
+    regressors: Regressors
+    needs: frozenset[str]
+    record: Record
+    law: str = ""
+    confused_with: tuple[str, ...] = ()
+
+    @property
+    def shared(self) -> bool:
+        """Whether all gyros have one set of its parameters."""
+        return self.record.shared
+
+    @property
+    def largest(self) -> Floats:
+        """Largest plausible size of each parameter (p,)."""
+        return np.array([parameter.largest for parameter in self.parameters])
 
     def columns(self, conditions: Conditions, array: SensorArray, gyro: int) -> Floats:
         """Return the regressors (N, parameters) of gyro number ``gyro``: rad/s per unit of each parameter."""
@@ -56,3 +252,48 @@ class Effect:
     def at(self, conditions: Conditions, axes: Axes) -> Floats:
         """Return the regressors (N, parameters) of a gyro with these axes."""
         return self.regressors(conditions, axes).reshape(len(conditions.t_s), len(self.parameters))
+
+    @property
+    def acts(self) -> Acts | None:
+        """How it is undone; None if it is not.
+
+        Time and temperature of a law are remembered sample by sample, which no iteration may do.
+        """
+        if self.record.left_out or not self.law:
+            return self.record.acts
+        names, functions = variables_of(self.law), functions_of(self.law)
+        kinds = {VARIABLES[name][0] for name in names}
+        if not kinds & {"rate", "acceleration"}:
+            return Acts.ADDED
+        return Acts.MOTION if "acceleration" in kinds or "Tdot" in names or functions & _UNSTEADY else Acts.RATE
+
+
+def family(name: str, /, **coded: dict[str, Any]) -> tuple[Record, ...]:
+    """Return the effects that the file of a family lists, NAME.toml; ``coded`` is by effect what only code can say."""
+    tables = tomllib.loads(files("estimator.effects").joinpath(f"{name}.toml").read_text(encoding="utf-8"))
+    found = []
+    for effect, facts in tables.items():
+        read = {key: _READ[key](value) if key in _READ else value for key, value in facts.items()}
+        found.append(Record(name=effect, **read | coded.get(effect, {})))
+    return tuple(found)
+
+
+def _parameter(name: str, unit: str, largest: float, angle: str = "") -> Parameter:
+    return Parameter(name, unit, float(np.radians(largest)) if angle == "deg" else largest)
+
+
+def _setting(key: str, text: str = "{}", **more: Any) -> Setting:
+    return Setting(key=key, text=text.format, **more)
+
+
+_READ: Mapping[str, Callable[[Any], Any]] = {
+    "parameters": lambda rows: tuple(_parameter(*row) for row in rows),
+    "settings": lambda rows: tuple(_setting(**row) for row in rows),
+    "odds": lambda odds: Odds(**odds),
+    "needs": frozenset,
+    "kind": Kind,
+    "acts": lambda name: Acts[name],
+    "listed": lambda rows: lambda duration_s: tuple(rows),
+    "assumed": lambda rows: lambda first_s, last_s: rows,
+    **dict.fromkeys(("confused_with", "suspected_of"), tuple),
+}

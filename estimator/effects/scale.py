@@ -1,64 +1,38 @@
-"""Scale factors that depend on the rate itself; u = p . w is the rate about the sense axis."""
+"""Scale factors that depend on the rate itself; u is the rate about the sense axis."""
 
 import numpy as np
 
-from estimator.effects.conditions import Conditions
-from estimator.effects.effect import Axes, Effect, Parameter
+from estimator.effects.conditions import Axes, Conditions
+from estimator.effects.effect import Regressors, Setting, Settings, family
 from estimator.types import Floats
 
-
-def scale_asymmetry() -> Effect:
-    """Return a scale factor that differs between the directions by twice the parameter: abs(u).
-
-    Some 100 ppm in tactical, some 1000 ppm in automotive MEMS gyros.
-    """
-    return Effect(
-        "scale_asymmetry",
-        (Parameter("each direction", "1", 5e-3),),
-        shared=False,
-        shown_by="turns in both directions about each axis",
-        confused_with=("scale_quadratic",),
-        regressors=lambda conditions, axes: np.abs(conditions.w_rps @ axes.p),
-    )
+_LOST = 0.3  # share of the rate within a dead band that may be missing to all of it
+_WIDTH = Setting(
+    "width_rps",
+    "width",
+    "rad/s",
+    lambda width_rps: f"{np.degrees(width_rps):.3g} deg/s",
+    grid=lambda span_s, count: np.radians(np.geomspace(0.01, 3.0, 12)),
+    begin=6,
+    range_log=5.0,
+)
 
 
-def scale_quadratic() -> Effect:
-    """Return what grows with the square of the rate: u^2, up to 1 % of full scale at 30 deg/s."""
-    return Effect(
-        "scale_quadratic",
-        (Parameter("u^2", "1/(rad/s)", 2e-2),),
-        shared=False,
-        shown_by="three rates and more in each direction",
-        confused_with=("scale_asymmetry", "scale_cubic"),
-        regressors=lambda conditions, axes: np.asarray((conditions.w_rps @ axes.p) ** 2),
-    )
-
-
-def scale_cubic() -> Effect:
-    """Return what grows with the cube of the rate: u^3, up to 1 % of full scale at 30 deg/s."""
-    return Effect(
-        "scale_cubic",
-        (Parameter("u^3", "1/(rad/s)2", 3e-2),),
-        shared=False,
-        shown_by="three rates and more in each direction",
-        confused_with=("scale_quadratic",),
-        regressors=lambda conditions, axes: np.asarray((conditions.w_rps @ axes.p) ** 3),
-    )
-
-
-def dead_band(width_rps: float) -> Effect:
-    """Return a gyro that does not answer rates within a band: -u where abs(u) is at most ``width_rps``."""
+def _within(settings: Settings) -> Regressors:
+    """Return the columns of a gyro that does not answer rates within a band."""
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
         u = conditions.w_rps @ axes.p
-        return np.asarray(np.where(np.abs(u) <= width_rps, -u, 0.0))
+        return np.asarray(np.where(np.abs(u) <= float(settings["width_rps"]), -u, 0.0))
 
-    return Effect(
-        "dead_band",
-        (Parameter("share of the rate that is lost", "1", 1.0),),
-        shared=False,
-        shown_by="slow turns and ramps through zero",
-        confused_with=("scale_asymmetry",),
-        regressors=columns,
-        needs=frozenset({"gimbals"}),  # a rate measured by another gyro or encoder has steps of its own about zero
-    )
+    return columns
+
+
+def _all_of_it(sizes: Floats) -> bool:
+    """Return whether shares of the rate (gyros, 1) are lost to a dead band: within one a gyro loses all rates."""
+    return bool(np.any(np.abs(sizes - 1) < _LOST)) and bool(np.all(sizes > -_LOST))
+
+
+RECORDS = SCALE_ASYMMETRY, SCALE_QUADRATIC, SCALE_CUBIC, DEAD_BAND = family(
+    "scale", dead_band={"regressors": _within, "settings": (_WIDTH,), "plausible": _all_of_it}
+)

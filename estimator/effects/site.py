@@ -1,59 +1,35 @@
 """Effects of where the table stands: the turning Earth and its gravity."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from estimator.effects.conditions import Conditions
-from estimator.effects.effect import Axes, Effect, Parameter
-from estimator.geometry.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2, into_body
+from estimator.effects.conditions import Axes, Conditions
+from estimator.effects.effect import Parameter, Regressors, Settings, family
+from estimator.geometry.kinematics import EARTH_RATE_RPS, into_body
 from estimator.types import Floats
 
+_MISSED = 0.3  # by which the length of Earth rate may come out larger than it is
 
-def earth_rate() -> Effect:
-    """Return Earth rate beyond what the model holds, as three components in the base frame.
 
-    Without a site that is all of it, with one what its latitude and heading are wrong by.
-    """
+def _of_the_base(settings: Settings) -> Regressors:
+    """Return the columns of Earth rate as three components in the base frame."""
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
         turned = [into_body(base, conditions.angle_rad, conditions.gimbals) for base in np.eye(3)]
         return np.column_stack([component @ axes.p for component in turned])
 
-    return Effect(
-        "earth_rate",
-        tuple(Parameter(f"along base {axis}", "rad/s", EARTH_RATE_RPS) for axis in "xyz"),
-        shared=True,
-        shown_by="tilts and turns, which change how it lies in the body",
-        confused_with=("g_sensitivity", "table_harmonic_1"),
-        regressors=columns,
-        needs=frozenset({"gimbals"}),
-    )
+    return columns
 
 
-def earth_rate_upward() -> Effect:
-    """Return the part of Earth rate along the upward direction: all that rests tell whose headings are not known."""
-    return Effect(
-        "earth_rate",
-        (Parameter("upward", "rad/s", EARTH_RATE_RPS),),
-        shared=True,
-        shown_by="rests with other sides up",
-        confused_with=("g_sensitivity",),
-        regressors=lambda conditions, axes: np.asarray(conditions.specific_force_mps2 @ axes.p / GRAVITY_MPS2),
-        needs=frozenset({"specific force"}),
-    )
-
-
-def g_sensitivity() -> Effect:
-    """Return what specific force along each body axis adds, per g.
-
-    Up to 0.1 deg/s/g for automotive MEMS gyros (Analog Devices ADXRS6xx data sheets), 1 to 10 deg/h/g for tactical ones
-    (Sensonor STIM300).
-    """
-    return Effect(
-        "g_sensitivity",
-        tuple(Parameter(f"along body {axis}", "rad/s/g", float(np.radians(0.1))) for axis in "xyz"),
-        shared=False,
-        shown_by="turns about horizontal axes, tilted rests",
-        confused_with=("earth_rate", "table_harmonic_1"),
-        regressors=lambda conditions, axes: conditions.specific_force_mps2 / GRAVITY_MPS2,
-        needs=frozenset({"specific force"}),
-    )
+RECORDS = EARTH_RATE, G_SENSITIVITY = family(
+    "site",
+    earth_rate={
+        "parameters": tuple(Parameter(f"along base {axis}", "rad/s", EARTH_RATE_RPS) for axis in "xyz"),
+        "regressors": _of_the_base,
+        "plausible": lambda sizes: bool(np.linalg.norm(sizes[0]) < 1 + _MISSED),  # it is as long as it is
+    },
+)
+_UPWARD = (Parameter("upward", "rad/s", EARTH_RATE_RPS),)
+EARTH_RATE_UPWARD = replace(EARTH_RATE, parameters=_UPWARD, law="gs", regressors=None, needs=frozenset())
+"""All that rests tell of Earth rate whose headings are not known: its part along the upward direction."""

@@ -4,76 +4,62 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.effects.conditions import Conditions
-from estimator.effects.effect import Axes, Effect, Parameter
+from estimator.effects.conditions import Axes, Conditions
+from estimator.effects.effect import Parameter, Regressors, Setting, Settings, family
+from estimator.effects.law import columns_of
 from estimator.geometry.kinematics import AXES, into_body
 from estimator.types import Floats
 
 
-def table_harmonic(gimbals: Sequence[str], order: int, of: Sequence[str] | None = None) -> Effect:
-    """Return wobble or magnetic pick-up: cosine and sine of ``order`` times the angle of axes, a gyro its own.
-
-    ``of`` names the axes, by default all ``gimbals``.
-
-    Up to 0.05 deg/s: 0.5 gauss at 0.1 deg/s/gauss.
-    """
+def _turning(settings: Settings) -> Regressors:
+    """Return the columns of cosine and sine of ``order`` times the angle of an ``axis``, by default of all."""
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        turned = order * conditions.angle_rad[:, chosen]
-        return np.stack([np.cos(turned), np.sin(turned)], axis=2)  # (N, g, 2), in the order of the parameters
+        names = [settings["axis"]] if "axis" in settings else conditions.gimbals
+        waves = (f"{part}({settings['order']}*angle_{name})" for name in names for part in ("cos", "sin"))
+        return columns_of("; ".join(waves), conditions, axes)
 
-    largest = float(np.radians(0.05))
-    names = list(gimbals if of is None else of)
-    chosen = [list(gimbals).index(axis) for axis in names]
-    return Effect(
-        f"table_harmonic_{order}",
-        tuple(Parameter(f"{part} of {axis}", "rad/s", largest) for axis in names for part in ("cosine", "sine")),
-        shared=False,
-        shown_by="full turns about each axis",
-        confused_with=("g_sensitivity", "earth_rate") if order == 1 else (),
-        regressors=columns,
-        needs=frozenset({"gimbals"}),
-    )
+    return columns
 
 
-def table_axes(gimbals: Sequence[str]) -> Effect:
-    """Return axes that are not at right angles: each inner axis tilted towards the two others, up to 1 mrad.
+def _waves_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ...]:
+    names = [f"{settings['order']} {settings['axis']}"] if "axis" in settings else gimbals
+    largest = float(np.radians(0.05))  # 0.5 gauss at 0.1 deg/s/gauss
+    return tuple(Parameter(f"{part} of {name}", "rad/s", largest) for name in names for part in ("cosine", "sine"))
+
+
+def _tilting(settings: Settings) -> Regressors:
+    """Return the columns of each inner axis tilted towards the two others.
 
     The outermost axis defines the base. With a small rotation d that takes an axis to where it is, R' becomes
     (1 + d x) R' (1 - d x), and the error of the body rate w becomes R' error + d x w - R' (d x (w before)).
     """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
+        gimbals = conditions.gimbals
         tilts = [
             _tilted(conditions, inner, d) @ axes.p for inner in range(1, len(gimbals)) for d in _tilts(gimbals[inner])
         ]
         return np.stack(tilts, axis=1) if tilts else np.empty((len(conditions.t_s), 0))
 
-    parameters = [Parameter(f"{axis} towards {other}", "rad", 1e-3) for axis in gimbals[1:] for other in _others(axis)]
-    return Effect(
-        "table_axes",
-        tuple(parameters),
-        shared=True,
-        shown_by="turns about an axis with the axes within it at different angles; another mounting",
-        confused_with=(),
-        regressors=columns,
-        needs=frozenset({"gimbals"}),
-    )
+    return columns
 
 
-def table_rate(gimbals: Sequence[str]) -> Effect:
-    """Return rates of the table that are larger than reported, by a share for each axis, up to 1000 ppm."""
-    return Effect(
-        "table_rate",
-        tuple(Parameter(f"of {axis}", "1", 1e-3) for axis in gimbals),
-        shared=True,
-        shown_by="another table, counted turns",
-        confused_with=(),
-        regressors=lambda conditions, axes: np.stack(
-            [_rate_of(conditions, column) @ axes.p for column in range(len(gimbals))], axis=1
-        ),
-        needs=frozenset({"gimbals"}),
-    )
+def _tilts_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ...]:
+    return tuple(Parameter(f"{axis} towards {other}", "rad", 1e-3) for axis in gimbals[1:] for other in _others(axis))
+
+
+def _faster(settings: Settings) -> Regressors:
+    """Return the part of the rate about the sense axis that each axis of the table makes."""
+
+    def columns(conditions: Conditions, axes: Axes) -> Floats:
+        return columns_of("; ".join(f"u_{axis}" for axis in conditions.gimbals), conditions, axes)
+
+    return columns
+
+
+def _shares_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ...]:
+    return tuple(Parameter(f"of {axis}", "1", 1e-3) for axis in gimbals)
 
 
 def _others(axis: str) -> tuple[str, str]:
@@ -104,8 +90,17 @@ def _tilted(conditions: Conditions, inner: int, d: Floats) -> Floats:
     return error
 
 
-def _rate_of(conditions: Conditions, column: int) -> Floats:
-    """Return the part of the body rate (N, 3) that one gimbal makes."""
-    part = np.zeros_like(conditions.w_rps)
-    part[:, AXES.index(conditions.gimbals[column])] = conditions.rate_rps[:, column]
-    return into_body(part, conditions.angle_rad[:, column + 1 :], conditions.gimbals[column + 1 :])
+RECORDS = TABLE_HARMONIC, TABLE_AXES, TABLE_RATE = family(
+    "table",
+    table_harmonic={
+        "parameters": _waves_of,
+        "regressors": _turning,
+        "settings": (
+            Setting("order", "", "1", read=lambda key, n: int(n)),
+            Setting("axis", "", "", read=lambda key, axis: str(axis)),
+        ),
+        "confused_with": lambda settings: ("g_sensitivity", "earth_rate") if settings["order"] == 1 else (),
+    },
+    table_axes={"parameters": _tilts_of, "regressors": _tilting},
+    table_rate={"parameters": _shares_of, "regressors": _faster},
+)

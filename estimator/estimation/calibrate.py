@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.calibration.budget import TYPE_A, Contribution, table_budget
 from estimator.calibration.error_model import ErrorModel
@@ -27,8 +26,7 @@ from estimator.observations.rows import BLOCK_S, row_length_s, sample_noise, sou
 from estimator.observations.timing import TimeOffset
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, RateReadings, TableReadings, Turns
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 _BLOCK_ROWS = 4  # fewer samples do not tell their scatter
 _EXCESS = 2.0  # mean square from which on it is told
@@ -151,9 +149,10 @@ def _device(
         if model is not None:
             raise
         return sources, [_white(recording, *pair) for pair in sources], (), ()
-    estimates = [_joint(recording, data, own) for (_, data), own in zip(found.aligned, found.sources, strict=True)]
+    block_s = max(_block_s(data) for _, data in found.aligned)
     estimates = [
-        replace(one, offset=found.offsets.get(name)) for one, (name, _) in zip(estimates, sources, strict=True)
+        replace(_joint(recording, data, own, block_s), offset=found.offsets.get(name))
+        for (name, data), own in zip(found.aligned, found.sources, strict=True)
     ]
     return list(found.aligned), estimates, found.notes, found.doubts
 
@@ -191,11 +190,11 @@ def _laid(poses: Poses, sources: list[tuple[str, ImuData]]) -> tuple[list[_Estim
     return estimates, tuple(notes), tuple(doubts)
 
 
-def _joint(recording: Recording, data: ImuData, found: Modelled) -> _Estimate:
-    """Return the joint estimate of a source, with the innovations of its block means."""
+def _joint(recording: Recording, data: ImuData, found: Modelled, block_s: float) -> _Estimate:
+    """Return the joint estimate of a source, with the innovations of its means over blocks of so many seconds."""
     m = len(data.array)
     if isinstance(recording.reference, (TableReadings, RateReadings)):
-        blocks = source_blocks(recording, data, _block_s(data))
+        blocks = source_blocks(recording, data, block_s)
         if at_rest(recording.reference):
             blocks = replace(blocks, w_rps=np.zeros_like(blocks.w_rps))
         if found.said_rps.any():

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Stretch, Z
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 _HARDLY = 0.2  # rtHz
 _MATTERS = 9.0  # natural logarithm of how much less probable than the best a noise model may be and still count

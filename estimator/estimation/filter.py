@@ -104,6 +104,11 @@ class LiveFilter:
         """Offset of the samples against the table, above zero for samples that are stamped late."""
         return float(self._filter.x[-1, 0])
 
+    @property
+    def offset_sd_s(self) -> float:
+        """Standard deviation of the offset by now."""
+        return float(np.sqrt(self._filter.P[-1, -1]))
+
     def _take(self, z: Floats, h: Floats, kept: int) -> Innovation:
         """Update with ``kept`` compressed rows of each gyro, one gyro after the other."""
         m = len(self._array)

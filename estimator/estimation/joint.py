@@ -10,24 +10,25 @@ from itertools import pairwise
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.calibration.budget import UNSEEN, Contribution
 from estimator.calibration.error_model import ErrorModel, KnownEffect, ModelError
 from estimator.calibration.values import EffectValue, GyroCalibration
 from estimator.effects.constructed import readable
-from estimator.effects.dynamics import latency
+from estimator.effects.dynamics import LATENCY
+from estimator.effects.effect import Acts
 from estimator.estimation.noise_evidence import Joint, Law, TooShort, expected_of, joint_estimate
-from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes, run_of
+from estimator.estimation.runs.making import run_of
+from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes
 from estimator.estimation.spectra import Z
-from estimator.estimation.undeclared import WITHIN_TURNS, undeclared_laws
+from estimator.estimation.undeclared import undeclared_laws
 from estimator.geometry.noise import NoiseFound
 from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
 from estimator.observations.timing import TimeOffset, expected_sd_s
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
+from estimator.types import Floats
 
-Floats = NDArray[np.float64]
 Sources = Sequence[tuple[str, ImuData]]
 
 EFFECTS = "effects"
@@ -95,7 +96,7 @@ def check_model(model: ErrorModel, recording: Recording) -> None:
         raise ModelError(f"{recording.name}: against gravity between rests there are no effects yet: leave out --model")
     if not isinstance(recording.reference, Turns):
         return
-    within = [known.called for known in model.effects if known.called in WITHIN_TURNS]
+    within = [known.called for known in model.effects if known.record.within_turns]
     if within:
         raise ModelError(
             f"{recording.name}: of turns only their angles are known, not what happens within them, so "
@@ -135,7 +136,7 @@ def estimate_device(
     unseen: list[Floats] | None = None
     if excluded is not None and model is None:
         made = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
-        further, runs = undeclared_laws(made, excluded | {law.effect.name for law in laws})
+        further, runs = undeclared_laws(made, excluded | {law.effect.record.name for law in laws})
         joint = joint_estimate(runs, [*laws, *further], stated) if further else plain
         notes += _undeclared_notes(joint)
     offsets = _offsets(plain, covariances, delays_s)
@@ -163,7 +164,7 @@ def _aligned(
         runs = [_run(recording, number, *pair) for number, pair in enumerate(moved)]
         laws = _model_laws(model, recording, runs)
         timed = not at_rest(recording.reference) and not isinstance(recording.reference, Turns)
-        timed &= not {"latency", "sample_hold"} & {law.effect.name for law in laws}
+        timed &= not any(law.effect.acts is Acts.STAMPS for law in laws)
         laws += [_delay_law(recording, *pair) for pair in delays_s.items()] if timed else []
         joint = joint_estimate(runs, laws, sources[0][1].noise)
         steps_s = {}
@@ -248,7 +249,7 @@ def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
         stated = reference.uncertainty
         sd_s = expected_sd_s(stated.timing_s if stated else 0.0, reference.half_width_ns)
         line = _TIMING if stated else ""
-    return Law(_DELAY, latency(), np.array([-taken_off_s]), np.array([sd_s]), line, source=source)
+    return Law(_DELAY, LATENCY.effect(), np.array([-taken_off_s]), np.array([sd_s]), line, source=source)
 
 
 def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[float, float]]:

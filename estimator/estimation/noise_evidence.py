@@ -29,8 +29,7 @@ from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.blocks import Blocks
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import TableReadings
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 _LEAST_ARW = 1e-9  # rad/s/rtHz, below any gyro
 _ACCELERATING = 0.02  # change of rate from block to block, as a share of the largest rate, that counts as a ramp

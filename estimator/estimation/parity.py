@@ -36,14 +36,16 @@ def parity(
         return []
     p, j, k = (np.vstack([getattr(array, axis) for array in arrays]) for axis in "pjk")
     sense = (1 - states[:, :1]) * (p - states[:, 3:4] * j + states[:, 2:3] * k)
-    blocks = [_coarse(own) for own in blocks]
+    blocks = _coarse(blocks)
     common = blocks[0].index
     for other in blocks[1:]:
         common = np.intersect1d(common, other.index)
     if not len(common):
         return []
     chosen = [b.select(np.isin(b.index, common)) for b in blocks]
-    output = np.hstack([b.z_rps + b.w_rps @ a.p.T for a, b in zip(arrays, chosen, strict=True)]) + states[:, 1]
+    # Each against the body rate of its own samples, which at the ends of a block are not those of another source.
+    own = np.split(p - sense, np.cumsum([len(array) for array in arrays[:-1]]))
+    rest = np.hstack([b.z_rps + b.w_rps @ a.T for a, b in zip(own, chosen, strict=True)]) + states[:, 1]
     length_s = chosen[0].length_s
     span_s = length_s * float(common[-1] - common[0] + 1)
     variances = [n.arw**2 / length_s + 2 * n.instability**2 + n.walk**2 * span_s / 3 for n in noise]
@@ -54,33 +56,25 @@ def parity(
     left, singular, _ = np.linalg.svd(sense / sigma[:, None], full_matrices=True)
     null = left[:, len(singular) :].T
     grown = np.hypot(1, growth_s * np.linalg.norm(chosen[0].w_rps, axis=1))
-    residual = (output / sigma) @ null.T * (np.sqrt(held_s / length_s) / grown)[:, None]
-    checks = []
-    for i, name in enumerate(names):
-        column = null[:, i]
-        seen = float(np.linalg.norm(column))
-        if seen < 1e-6:
+    residual = (rest / sigma) @ null.T * (np.sqrt(held_s / length_s) / grown)[:, None]
+    checks, sizes = [], np.linalg.norm(null, axis=0)
+    for name, column, size in zip(names, null.T, sizes, strict=True):
+        if size < 1e-6:
             continue
-        fault = residual @ column / seen
-        worst = int(np.argmax(np.abs(fault)))
-        apart = all(
-            abs(column @ null[:, o]) < 0.999 * seen * np.linalg.norm(null[:, o]) for o in range(len(names)) if o != i
-        )
-        checks.append(
-            GyroParity(
-                name,
-                float(np.sqrt(np.mean(fault**2))),
-                float(np.abs(fault[worst])),
-                float((common[worst] + 0.5) * length_s),
-                bool(np.abs(fault[worst]) > _SUSPECT),
-                apart,
-            )
-        )
+        fault = np.abs(residual @ column) / size
+        worst = int(np.argmax(fault))
+        found = float(np.sqrt(np.mean(fault**2))), float(fault[worst]), float((common[worst] + 0.5) * length_s)
+        alike = np.abs(column @ null) >= 0.999 * size * sizes  # itself, and those that it cannot be told from
+        checks.append(GyroParity(name, *found, bool(fault[worst] > _SUSPECT), bool(alike.sum() == 1)))
     return checks
 
 
-def _coarse(blocks: Blocks) -> Blocks:
-    """Return blocks of a second or more, at most 200 and half full: a fault that lasts shows better in these."""
-    span = int(blocks.index[-1] - blocks.index[0]) + 1
-    merged = blocks.merged(max(round(_FINEST_S / blocks.length_s), -(-span // _MOST_BLOCKS), 1))
-    return merged.select(2 * merged.held_s >= merged.length_s)
+def _coarse(blocks: Sequence[Blocks]) -> list[Blocks]:
+    """Return blocks of a second or more, at most 200 and half full: a fault that lasts shows better in these.
+
+    One number means one time in all of them, whichever source ends first.
+    """
+    span = max(int(own.index[-1] - own.index[0]) + 1 for own in blocks)
+    factor = max(round(_FINEST_S / blocks[0].length_s), -(-span // _MOST_BLOCKS), 1)
+    merged = [own.merged(factor) for own in blocks]
+    return [own.select(2 * own.held_s >= own.length_s) for own in merged]

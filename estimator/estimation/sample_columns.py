@@ -7,8 +7,8 @@ import numpy as np
 
 from estimator.calibration.error_model import ErrorModel
 from estimator.effects.conditions import Conditions
-from estimator.effects.constructed import NAME as CONSTRUCTED
 from estimator.effects.constructed import readable
+from estimator.effects.effect import Acts
 from estimator.estimation.gram import Solution
 from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import Site
@@ -18,12 +18,6 @@ from estimator.recordings.reference import BodyRates, TableReadings
 from estimator.types import Floats, Stamps
 
 _ON_A_TABLE = frozenset({"gimbals", "specific force", "temperature"})
-_NOT_LIVE = {
-    "bandwidth": "needs the second derivative of the rate",
-    "thermal_gradient": "needs the temperature of the seconds to come",
-    CONSTRUCTED: "needs all that went before",
-}
-_DELAYS = frozenset({"latency", "sample_hold"})
 _CHUNK_ROWS = 8192
 
 
@@ -37,22 +31,22 @@ class SampleColumns:
     def __init__(self, model: ErrorModel, gimbals: Sequence[str], site: Site | None, array: SensorArray) -> None:
         """Raises ModelError if the table does not fit the model."""
         made = zip(model.effects, model.made(gimbals, _ON_A_TABLE), strict=True)
-        self._parts = [(known, effect) for known, effect in made if known.name not in _NOT_LIVE]
+        self._parts = [(known, effect) for known, effect in made if not known.record.not_live]
         self._gimbals, self._site, self._array = tuple(gimbals), site, array
         self._needs_temperature = any("temperature" in effect.needs for _, effect in self._parts)
         self._scale = np.concatenate([np.empty(0), *(known.sd for known, _ in self._parts)])
         self._expected = np.concatenate([np.empty(0), *(known.mean for known, _ in self._parts)])
         self.notes = tuple(
-            f"{readable(known.called)} {_NOT_LIVE[known.name]}: the live estimate goes without it, the "
+            f"{readable(known.called)} {known.record.not_live}: the live estimate goes without it, the "
             "calibration has it"
             for known in model.effects
-            if known.name in _NOT_LIVE
+            if known.record.not_live
         )
 
     @property
     def holds_delay(self) -> bool:
         """Whether one of them is a delay of the samples."""
-        return not _DELAYS.isdisjoint(known.name for known, _ in self._parts)
+        return any(effect.acts is Acts.STAMPS for _, effect in self._parts)
 
     @property
     def count(self) -> int:

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from estimator.estimation.runs.run import Run
 from estimator.geometry.noise import NoiseModel
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 _BANDS_A_DECADE = 8
 _UNLIKE = 5.0  # over the root of how many frequencies tell it: by so much levels of noise differ that are not the same

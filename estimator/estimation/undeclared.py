@@ -13,27 +13,20 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.calibration.budget import UNSEEN
-from estimator.effects.catalogue import catalogue
-from estimator.effects.conditions import Conditions
-from estimator.effects.drift import bias_step, warm_up
-from estimator.effects.effect import Effect
-from estimator.effects.scale import dead_band
-from estimator.effects.thermal import REFERENCE_C, thermal_bias, thermal_bias_quadratic, thermal_scale
+from estimator.effects.catalogue import records
+from estimator.effects.conditions import REFERENCE_C, Conditions
+from estimator.effects.constructed import readable
+from estimator.effects.disturbances import TONE
+from estimator.effects.effect import Effect, Kind
+from estimator.effects.law import variables_of
+from estimator.effects.site import EARTH_RATE
 from estimator.estimation.noise_evidence import Law
 from estimator.estimation.runs.run import Run
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from estimator.recordings.reference import TableReadings
-from estimator.types import Floats
-
-WITHIN_TURNS = ("latency", "bandwidth", "acceleration_sensitivity")
-"""Effects that come to nothing over a turn from rest to rest."""
 
 _SHARE = 1 / 3  # of the largest plausible size of a parameter is its expected standard deviation
-_STEPS = 8  # a step at an unknown instant is as good as several that share its variance
-_TIMES_S = (20.0, 90.0, 400.0)  # of a warm-up, whose time constant is not known either
-_POWERS = {"scale_quadratic": 2, "scale_cubic": 3}
 _SPOKEN_OF_RPS = float(np.radians(30.0))  # rate at which these are as large as they plausibly are, in %
-_DEAD_RPS = float(np.radians(0.1))
 _WARMS_K, _WARMS_S = 10.0, 600.0  # after power-on, where no temperature was recorded
 _LEAST_COLUMN = 1e-12
 
@@ -45,17 +38,21 @@ def undeclared_laws(runs: Sequence[Run], excluded: frozenset[str]) -> tuple[list
     rate is no undeclared effect, nor are errors of a table's axes and rates beside its stated uncertainty.
     """
     runs = [replace(run, grid=_completed(run.grid)) for run in runs]
+    # The temperature nearest to that of data sheets at which the run was: the states are those there.
+    warm = runs[0].grid.temperature_c
+    reference_c = REFERENCE_C if warm is None else float(np.clip(REFERENCE_C, warm.min(), warm.max()))
+    runs = [replace(run, grid=replace(run.grid, reference_c=reference_c)) for run in runs]
     grid = runs[0].grid
     reference = runs[0].recording.reference
-    stated = {"tone"}  # a line passes by steady rates that last many of its periods
+    stated = {TONE.name}  # a line passes by steady rates that last many of its periods
     if grid.site is not None or not grid.gimbals:
-        stated.add("earth_rate")
+        stated.add(EARTH_RATE.name)
     if isinstance(reference, TableReadings) and reference.uncertainty is not None:
-        stated |= {"table_axes", "table_rate"}
+        stated |= {record.name for record in records() if record.of_table}
     laws = [
-        Law(_called(effect), effect, np.zeros(len(effect.parameters)), _SHARE * share * _largest(effect), UNSEEN)
+        Law(readable(name), effect, np.zeros(len(effect.parameters)), _SHARE * share * effect.largest, UNSEEN)
         for effect, share in _effects(grid)
-        if effect.parameters and _kind(effect) not in excluded | stated
+        if effect.parameters and (name := effect.record.name) not in excluded | stated
     ]
     return [law for law in laws if _acts(law, runs)], runs
 
@@ -63,22 +60,17 @@ def undeclared_laws(runs: Sequence[Run], excluded: frozenset[str]) -> tuple[list
 def _effects(grid: Conditions) -> list[tuple[Effect, float]]:
     """Return the effects, and the share of its size that each stands for: what is not linear is spread over several."""
     first, last = float(grid.t_s[0]), float(grid.t_s[-1])
-    known = grid.temperature_c if grid.temperature_c is not None else np.full(1, REFERENCE_C)
-    # The temperature nearest to that of data sheets at which the run was: the states are those there.
-    reference_c = float(np.clip(REFERENCE_C, known.min(), known.max()))
     fastest_rps = max(float(np.abs(grid.w_rps).max(initial=0.0)), _SPOKEN_OF_RPS)
-    thermal = [make(reference_c) for make in (thermal_bias, thermal_bias_quadratic, thermal_scale)]
-    spread = {"bias_step", "warm_up", *(effect.name for effect in thermal)}
-    plain = [effect for effect in catalogue(grid.gimbals, last - first) if effect.name not in spread]
-    steps = np.linspace(first, last, _STEPS + 2)[1:-1].tolist()
-    return [
-        *(
-            (effect, (_SPOKEN_OF_RPS / fastest_rps) ** (_POWERS.get(effect.name, 1) - 1))
-            for effect in (*plain, *thermal, dead_band(_DEAD_RPS))
-        ),
-        *((bias_step(at_s), _STEPS**-0.5) for at_s in steps),
-        *((warm_up(tau_s), len(_TIMES_S) ** -0.5) for tau_s in _TIMES_S),
-    ]
+    found: list[tuple[tuple[int, bool, bool], Effect, float]] = []
+    for record in (record for record in records() if record.kind is Kind.LAW):
+        several = record.assumed(first, last) if record.assumed else []
+        share = (_SPOKEN_OF_RPS / fastest_rps) ** (record.power - 1) * max(len(several), 1) ** -0.5
+        for settings in several or record.listed(last - first):
+            effect = record.effect(grid.gimbals, **settings)
+            of_temperature = bool(effect.law) and "T" in variables_of(effect.law)
+            found.append(((-len(several) or -100, not record.planned, of_temperature), effect, share))
+    # What is one law for certain first, then what several stand for: the order decides the last digits of figures.
+    return [(effect, share) for _, effect, share in sorted(found, key=lambda one: one[0])]
 
 
 def _completed(grid: Conditions) -> Conditions:
@@ -95,15 +87,3 @@ def _acts(law: Law, runs: Sequence[Run]) -> bool:
     return any(
         np.abs(run.columns(law.effect, i) * law.sd).max(initial=0.0) > _LEAST_COLUMN for i in range(len(run.array))
     )
-
-
-def _largest(effect: Effect) -> Floats:
-    return np.array([parameter.largest for parameter in effect.parameters])
-
-
-def _kind(effect: Effect) -> str:
-    return "table_harmonic" if effect.name.startswith("table_harmonic") else effect.name
-
-
-def _called(effect: Effect) -> str:
-    return _kind(effect).replace("_", " ")

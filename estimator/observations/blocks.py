@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,14 +53,8 @@ class Blocks:
 
     def select(self, keep: NDArray[np.bool_]) -> Blocks:
         """Return the means of these blocks only; what is within stays that of all."""
-        return Blocks(
-            self.index[keep],
-            self.rows[keep],
-            self.w_rps[keep],
-            self.z_rps[keep],
-            self.within,
-            self.length_s,
-            self.period_s,
+        return replace(
+            self, index=self.index[keep], rows=self.rows[keep], w_rps=self.w_rps[keep], z_rps=self.z_rps[keep]
         )
 
 

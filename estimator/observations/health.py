@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.observations.defects.odd_samples import without_odd
-from estimator.recordings.recording import ImuData, columns_of
+from estimator.recordings.recording import ImuData
+from estimator.recordings.writing import columns_of
 from estimator.types import Flags, Floats, runs_of
 
 _RUN_S = 0.25  # equal extreme values for longer than this are a limit, not a coincidence
@@ -62,7 +63,9 @@ def usable(data: ImuData, *, fine: bool) -> Usable:
         limited = _at_limits(data, column, low, high)
         if limited.any():
             share = limited.mean()
-            levels = " and ".join(_levels(column, limited, low, high))
+            levels = " and ".join(
+                f"{level * _DEG:.4g} deg/s" for level in (low, high) if (limited & (column == level)).any()
+            )
             notes.append(
                 f"{name}: saturates at {levels}; {share:.0%} of its samples are left out, the rest is used: "
                 "turn slower, or take a wider range"
@@ -111,7 +114,3 @@ def _at_limits(data: ImuData, column: Floats, low: float, high: float) -> Flags:
 def _repeats(column: Floats, extreme: float) -> bool:
     at = column == extreme
     return bool(np.count_nonzero(at) > 5 and (at[1:] & at[:-1]).any())
-
-
-def _levels(column: Floats, limited: Flags, low: float, high: float) -> list[str]:
-    return [f"{level * _DEG:.4g} deg/s" for level in (low, high) if (limited & (column == level)).any()]

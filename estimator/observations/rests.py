@@ -53,7 +53,8 @@ def rest_noise(data: ImuData, reference: TableReadings | RateReadings) -> list[R
 
 def rest_spans(reference: TableReadings | RateReadings) -> list[tuple[int, int]]:
     """Return the spans (first, last) in ns of five seconds and more in which no axis of the table moves."""
-    still = np.asarray((np.abs(reference.rate_rps) < REST_RPS).all(axis=1))
+    rate_rps = reference.centred_rps if isinstance(reference, TableReadings) else reference.rate_rps
+    still = np.asarray((np.abs(rate_rps) < REST_RPS).all(axis=1))
     found = [(int(reference.t_ns[a]), int(reference.t_ns[b - 1])) for a, b in runs_of(still)]
     return [(a, b) for a, b in found if b - a >= REST_S * 1e9]
 

@@ -24,13 +24,18 @@ HOLD_S = 0.4
 LEAST_RPS2 = 0.02
 """Slower changes of rate are no ramps."""
 
-_ANGLE_SD_RAD, _RATE_SD_RPS = 1e-4, 3e-4  # of readings whose instants are known
+_ANGLE_SD_RAD, _RATE_SD_RPS = 1e-4, 3e-4  # of readings whose instants are known, before their scatter has told
+_LEAST_SD = 1e-6  # rad and rad/s: nothing is read better
 _SCALE_SD = 0.05  # of a drive's rate readback
 _LEAST_RPS = 0.0175  # nor are smaller ones
 _QUIET = 2  # intervals without change that end a ramp
 _FEWEST = 3  # readings of steady rate on either side
-_STEPS = 12
+_ROUNDS, _STEPS = 4, 8
+_TAIL = 3.0  # a few readings are far off, as a rate that is a mean over a corner
+_INWARD = 0.02  # of a ramp
 _FITS = 3.0  # sigmas rms; what fits worse is no ramp
+Readings = tuple[Floats, Floats, Floats, Floats, float]
+"""Instants in s, angles, rates, half widths in s (n,); the time before their instants in s that rates are means of."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,13 +72,12 @@ def is_ramp(rate_rps: Floats) -> bool:
     return bool((np.ptp(rate_rps, axis=0) > _LEAST_RPS).any())
 
 
-def fitted(
-    t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats, first: int, last: int
-) -> Ramp | None:
-    """Return the ramp between the readings ``first`` and ``last`` of these (n,), None if that is not what it is.
+def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
+    """Return the ramp between the readings ``first`` and ``last``, None if that is not what it is.
 
     Beyond them the rate is steady. Readings count by their half widths, and by how far they lie off.
     """
+    t_s, angle_rad, rate_rps, _, window_s = readings
     if first + 1 < _FEWEST or len(t_s) - last < _FEWEST:
         return None
     start = _start(t_s, angle_rad, rate_rps, first, last)
@@ -83,47 +87,64 @@ def fitted(
     # A corner is somewhere here, even if no reading lies within the ramp; the rest is only kept from being singular.
     prior = np.full(len(start), 1e-6)
     prior[:k], prior[-1] = 1 / (t_s[last] - t_s[first]), 1 / _SCALE_SD
-    p = start
-    for _ in range(_STEPS):
-        residual, jacobian, _, _ = _weighed(p, t_s, angle_rad, rate_rps, half_width_s)
-        information = jacobian.T @ jacobian + np.diag(prior**2)
-        pull = prior**2 * (start - p)
-        moved = np.linalg.solve(information, jacobian.T @ residual + pull)
+    p, sd = start, np.array([_ANGLE_SD_RAD, _RATE_SD_RPS])
+    most = sd
+    for step in range(_ROUNDS * _STEPS):
+        residual, jacobian, _ = _weighed(p, readings, sd, _TAIL if step >= _STEPS else np.inf)
+        rows = np.vstack([jacobian, np.diag(prior)])  # their products may be singular in floating point
+        if step and step % _STEPS == 0:
+            # What angles and rates are known to is seen in how they scatter, less what the fit took of that.
+            taken = np.sum(np.linalg.qr(rows)[0][: len(jacobian)] ** 2, axis=1)
+            squares, freedom = (one.reshape(2, -1).sum(axis=1) for one in (residual**2, 1 - taken))
+            sd = np.clip(sd * np.sqrt(squares / np.maximum(freedom, 1e-9)), _LEAST_SD, most)
+            continue
+        moved = np.linalg.lstsq(rows, np.concatenate([residual, prior * (start - p)]), rcond=None)[0]
         shortest = float(np.diff(p[:k]).min())
         p = p + moved * min(1.0, 0.5 * shortest / max(np.abs(moved[:k]).max(), 1e-12))
         if not np.all(np.diff(p[:k]) > 0):
             return None
-    residual, _, told, doubt = _weighed(p, t_s, angle_rad, rate_rps, half_width_s)
+    off = _weighed(p, readings, most, np.inf)[0] ** 2
     near = np.tile((t_s > t_s[first] - 1e-9) & (t_s < t_s[last] + 1e-9), 2)
-    worst = max(float(np.mean(residual**2)), float(np.mean(residual[near] ** 2)))
-    if not worst < _FITS**2:
+    if not max(float(np.mean(off)), float(np.mean(off[near]))) < _FITS**2:
         return None
-    variance = np.diag(np.linalg.inv(information))[:k] * max(float(np.mean(residual**2)), 1.0)
-    if not np.all(variance > 0):  # readings too coarse to keep its corners apart
+    residual, _, doubt = _weighed(p, readings, sd, _TAIL)
+    # A reading at a corner tells nothing of a shorter ramp, whatever its slopes say of a longer one.
+    shorter = p.copy()
+    shorter[[0, k - 1]] += _INWARD * (p[k - 1] - p[0]) * np.array([1, -1])
+    slopes = _model(shorter, t_s, window_s)[2] / doubt[:, None]
+    factor = np.linalg.qr(np.vstack([slopes, np.diag(prior)]), mode="r")
+    variance = np.sum(np.linalg.inv(factor) ** 2, axis=1)[:k] * max(float(np.mean(residual**2)), 1.0)
+    if not np.all(np.isfinite(variance)):  # readings too coarse to keep its corners apart
         return None
-    # A reading outside the ramp tells of the rate as far as its instant does not lie within.
-    share = np.where((t_s > p[0]) & (t_s < p[k - 1]), 0.0, _RATE_SD_RPS**2 / doubt**2)
-    at = _model(p, p[:k])
-    return Ramp(p[:k], at[0], p[-1] * at[1], told + share * (rate_rps - told), float(np.sqrt(variance.max())))
+    # A reading of nothing but the time outside the ramp tells how far the rate is from steady, as far as it is known
+    # better than that.
+    off_rps, doubt = (residual * doubt)[len(t_s) :], doubt[len(t_s) :]
+    inside = (t_s > p[0]) & (t_s < p[k - 1] + window_s)
+    share = np.where(inside, 0.0, _RATE_SD_RPS**2 / (_RATE_SD_RPS**2 + doubt**2))
+    angle, rate = _turned(p, p[:k])
+    reading_rps = p[-1] * _turned(p, t_s)[1] + share * off_rps
+    return Ramp(p[:k], angle, p[-1] * rate, reading_rps, float(np.sqrt(variance.max())))
 
 
-def _weighed(
-    p: Floats, t_s: Floats, angle_rad: Floats, rate_rps: Floats, half_width_s: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the rates by it (n,), and their sigmas.
+def _weighed(p: Floats, readings: Readings, sd: Floats, tail: float) -> tuple[Floats, Floats, Floats]:
+    """Return what readings are off a ramp by, in sigmas (2 n,), its slopes, the sigmas (2 n,).
 
-    A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that.
+    A reading counts by its half width, as much as all are off by theirs; if it is off by more, by that. ``sd`` (2,) are
+    of angles and rates whose instants are known; ``tail`` degrees of freedom their distribution has (Student's t).
     """
-    angle, rate, slopes = _model(p, t_s)
+    t_s, angle_rad, rate_rps, half_width_s, window_s = readings
+    angle, rate, slopes = _model(p, t_s, window_s)
     off = np.concatenate([angle_rad - angle, rate_rps - p[-1] * rate])
     # Angle and rate are asked for one after the other: the first may be off by half widths of both.
-    beside = [_model(p, t_s + way * half_width_s) for way in (-2, 2)]
-    may = np.max([np.abs(np.concatenate([a - angle, p[-1] * (r - rate)])) for a, r, _ in beside], axis=0)
-    known = np.repeat([_ANGLE_SD_RAD, _RATE_SD_RPS], len(t_s))
+    beside = [_turned(p, t_s + way * half_width_s, window_s) for way in (-2, 2)]
+    may = np.max([np.abs(np.concatenate([a - angle, p[-1] * (r - rate)])) for a, r in beside], axis=0)
+    known = np.repeat(sd, len(t_s))
     excess = np.minimum(np.abs(off), may)
     share = min(float(np.sum(excess**2) / max(np.sum(may**2), 1e-30)), 1 / 3)
-    sd = np.hypot(known, np.maximum(excess, may * np.sqrt(share)))
-    return off / sd, slopes / sd[:, None], p[-1] * rate, sd[len(t_s) :]
+    doubt = np.hypot(known, np.maximum(excess, may * np.sqrt(share)))
+    if np.isfinite(tail):
+        doubt *= np.sqrt((tail + (off / doubt) ** 2) / (tail + 1))
+    return off / doubt, slopes / doubt[:, None], doubt
 
 
 def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:
@@ -152,18 +173,28 @@ def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: i
     return np.concatenate([corners, [before, after], [angle_rad[first] - before * (t_s[first] - corners[0])], [1.0]])
 
 
-def _model(p: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return angles and rates (n,) of a ramp at instants, and the slopes (2 n, parameters) of both.
+def _turned(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Floats]:
+    """Return angles and rates (n,) of a ramp at instants, the rates as means over the window before them.
 
     ``p``: corners, rates at them, angle at the first corner, scale of the rate readings.
     """
     k = len(p) // 2 - 1
-    corners, rates, angle0, scale = p[:k], p[k : 2 * k], p[2 * k], p[-1]
-    n = len(t_s)
-    rate = np.interp(t_s, corners, rates)
-    slope_of = np.diff(rates) / np.diff(corners)
-    angle = angle0 + rates[0] * np.minimum(t_s - corners[0], 0.0) + rates[-1] * np.maximum(t_s - corners[-1], 0.0)
-    d_angle, d_rate = np.zeros((n, len(p))), np.zeros((n, len(p)))
+    corners, rates = p[:k], p[k : 2 * k]
+    angle = p[2 * k] + rates[0] * np.minimum(t_s - corners[0], 0.0) + rates[-1] * np.maximum(t_s - corners[-1], 0.0)
+    for i, slope in enumerate((np.diff(rates) / np.diff(corners)).tolist()):
+        since = np.clip(t_s - corners[i], 0.0, corners[i + 1] - corners[i])
+        angle = angle + rates[i] * since + 0.5 * slope * since**2
+    if window_s:
+        return angle, (angle - _turned(p, t_s - window_s)[0]) / window_s
+    return angle, np.interp(t_s, corners, rates)
+
+
+def _model(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Floats, Floats]:
+    """Return the same and the slopes (2 n, parameters) of both."""
+    k = len(p) // 2 - 1
+    corners, rates, scale = p[:k], p[k : 2 * k], p[-1]
+    angle, rate = _turned(p, t_s, window_s)
+    d_angle, d_rate = np.zeros((len(t_s), len(p))), np.zeros((len(t_s), len(p)))
     d_angle[:, 2 * k] = 1.0
     d_angle[:, k] += np.minimum(t_s - corners[0], 0.0)
     d_angle[:, 0] -= rates[0] * (t_s < corners[0])
@@ -171,12 +202,11 @@ def _model(p: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats]:
     d_angle[:, k - 1] -= rates[-1] * (t_s > corners[-1])
     d_rate[:, k] += t_s < corners[0]
     d_rate[:, 2 * k - 1] += t_s >= corners[-1]
-    for i, slope in enumerate(slope_of.tolist()):
+    for i, slope in enumerate((np.diff(rates) / np.diff(corners)).tolist()):
         a, length = corners[i], corners[i + 1] - corners[i]
         since = np.clip(t_s - a, 0.0, length)
         x = since / length
         inside = (t_s >= a) & (t_s < corners[i + 1])
-        angle = angle + rates[i] * since + 0.5 * slope * since**2
         # Rate within: rates[i] (1 - x) + rates[i + 1] x, with x = (t - a) / length.
         d_rate[inside, k + i] += (1 - x)[inside]
         d_rate[inside, k + i + 1] += x[inside]
@@ -186,4 +216,6 @@ def _model(p: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats]:
         d_angle[:, k + i + 1] += 0.5 * since * x
         d_angle[:, i] += -rates[i] * (t_s >= a) - slope * (since - 0.5 * since * x) + 0.0
         d_angle[:, i + 1] += np.where(t_s >= corners[i + 1], rates[i + 1], 0.0) - slope * 0.5 * since * x
+    if window_s:
+        d_rate = (d_angle - _model(p, t_s - window_s)[2][: len(t_s)]) / window_s
     return angle, rate, np.vstack([d_angle, np.column_stack([scale * d_rate[:, :-1], rate])])

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
 from estimator.geometry.kinematics import Site, body_rate, check_gimbals
+from estimator.recordings.growing_rows import GrowingRows
 from estimator.recordings.ramps import HOLD_S, LEAST_RPS2, LONGEST_S, WINDOW_S, Ramp, changing, ends, fitted, is_ramp
 from estimator.types import Flags, Floats, Stamps
 
@@ -18,16 +18,15 @@ GAP_NS = 150_000_000
 GAP_ANGLE_RAD = float(np.radians(0.02))
 """Readings further apart than the one hide what happened between them, unless the turn was steady and their angles
 agree with that to the other, and to what the doubt of their instants is in angle."""
-
 ANCHOR_HALF_WINDOW_NS = 3_000_000_000
 """Half of the window over which the angles correct the rates."""
-
 _STEADY_SHARE, _STEADY_RPS = 0.005, 2e-4  # rates that differ by no more than these together are those of a steady turn
 _ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
 _RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
 _SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must leave a rate within a ramp known
 _NEAR_NS = 1_000_000  # so near on both sides a change of rate is looked for
 _TERMS = 8  # of the sums a gimbal
+_MADE: WeakKeyDictionary[TableReadings, dict[Site | None, BodyRates]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +39,12 @@ class TableUncertainty:
     timing_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class TableReadings:
     """Angles and rates (k, gimbals) that the table reported; columns as ``gimbals``, outermost first.
 
     ``half_width_ns`` (k,) is how far the instant of a reading can be off, half of its round trip; None for not at all.
+    Rates are means over the ``rate_window_ns`` that ends at their instants.
     """
 
     t_ns: Stamps
@@ -53,6 +53,12 @@ class TableReadings:
     gimbals: tuple[str, ...]
     uncertainty: TableUncertainty | None = None
     half_width_ns: Stamps | None = None
+    rate_window_ns: int = 0
+
+    @property
+    def centred_rps(self) -> Floats:
+        """Rates (k, gimbals) at the instants, as means about these tell them: wrong by corners of ramps only."""
+        return centred(self.t_ns, self.t_ns, self.rate_rps, self.rate_window_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,28 +104,12 @@ class Poses:
 Reference = TableReadings | RateReadings | AttitudeReadings | Turns | Poses
 
 
-class _Rows:
-    """Rows that grow at the end without being copied each time."""
-
-    def __init__(self, shape: tuple[int, ...], dtype: type = np.float64) -> None:
-        self._store: NDArray[Any] = np.empty((256, *shape), dtype=dtype)
-        self._length = 0
-
-    def __len__(self) -> int:
-        return self._length
-
-    @property
-    def all(self) -> NDArray[Any]:
-        return self._store[: self._length]
-
-    def append(self, rows: NDArray[Any]) -> None:
-        total = self._length + len(rows)
-        if total > len(self._store):
-            grown = np.empty((max(total, 2 * len(self._store)), *self._store.shape[1:]), dtype=self._store.dtype)
-            grown[: self._length] = self.all
-            self._store = grown
-        self._store[self._length : total] = rows
-        self._length = total
+def centred(at_ns: Stamps, t_ns: Stamps, rate_rps: Floats, window_ns: int) -> Floats:
+    """Return rates (n, gimbals) at instants (n,) by means (k, gimbals) over windows that end at instants (k,)."""
+    if not window_ns or not len(t_ns):
+        return rate_rps  # of these instants
+    at_s, known_s = (at_ns - t_ns[0] + window_ns // 2) * 1e-9, (t_ns - t_ns[0]) * 1e-9
+    return np.column_stack([np.interp(at_s, known_s, column) for column in rate_rps.T])
 
 
 class BodyRates:
@@ -143,33 +133,51 @@ class BodyRates:
         self._gimbals = check_gimbals(gimbals)
         n = len(self._gimbals)
         # Readings as they came, and how many of them are among the rows: those after it wait for the end of a ramp.
-        self._read_ns, self._read_half_s, self._changes = _Rows((), np.int64), _Rows(()), _Rows((), np.bool_)
-        self._read_angle, self._read_rate, self._read_area = (_Rows((n,)) for _ in range(3))
-        self._taken = 0
+        self._read_ns, self._read_half_s, self._changes = (
+            GrowingRows((), np.int64),
+            GrowingRows(()),
+            GrowingRows((), np.bool_),
+        )
+        self._read_angle, self._read_rate, self._read_area = (GrowingRows((n,)) for _ in range(3))
+        self._taken = self._window_ns = 0
         self._site = site
-        self._times = _Rows((), np.int64)
-        self._angle, self._rate, self._summed, self._refined = (_Rows((n,)) for _ in range(4))
+        self._times = GrowingRows((), np.int64)
+        self._angle, self._rate, self._summed, self._refined = (GrowingRows((n,)) for _ in range(4))
         self._half_width_s, self._corner_s = (
-            _Rows(()),
-            _Rows((n,)),
-        )  # the latter: doubt of a ramp's corners, NaN for none
-        self._known = _Rows((), np.bool_)  # whether what happened since the reading before is known
-        self._sure = _Rows((), np.bool_)  # the same once the row is final
+            GrowingRows(()),
+            GrowingRows((n,)),
+        )  # the latter: doubt of a corner, NaN for none
+        self._known = GrowingRows((), np.bool_)  # whether what happened since the reading before is known
+        self._sure = GrowingRows((), np.bool_)  # the same once the row is final
         # Running sums of w [1, s, s^2, d, s d, d^2, u] and [1] before each reading: s time, d angle less summed rate,
         # u the variance that the doubt of the instant may give it, w its weight.
-        self._sums = _Rows((_TERMS, n))
+        self._sums = GrowingRows((_TERMS, n))
         self._sums.append(np.zeros((1, _TERMS, n)))
 
     @classmethod
     def of(cls, readings: TableReadings, site: Site | None) -> BodyRates:
-        """Return those of readings that are all there, final to the last."""
-        rates = cls(readings.gimbals, site)
-        rates.add(readings.t_ns, readings.angle_rad, readings.rate_rps, readings.half_width_ns)
-        rates.finish()
-        return rates
+        """Return those of readings that are all there, final to the last: made once as long as they are kept."""
+        made = _MADE.setdefault(readings, {})
+        if site not in made:
+            rates = cls(readings.gimbals, site)
+            rows = readings.t_ns, readings.angle_rad, readings.rate_rps, readings.half_width_ns
+            rates.add(*rows, readings.rate_window_ns)
+            rates.finish()
+            made[site] = rates
+        return made[site]
 
-    def add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats, half_width_ns: Stamps | None = None) -> None:
-        """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,)."""
+    def add(
+        self,
+        t_ns: Stamps,
+        angle_rad: Floats,
+        rate_rps: Floats,
+        half_width_ns: Stamps | None = None,
+        rate_window_ns: int = 0,
+    ) -> None:
+        """Take in readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,).
+
+        Rates are means over the ``rate_window_ns`` that ends at their instants, the same in all readings.
+        """
         if not len(t_ns):
             return
         first = not len(self._read_ns)
@@ -189,6 +197,7 @@ class BodyRates:
         self._read_angle.append(angle_rad - 2 * np.pi * np.cumsum(jumps, axis=0))
         self._read_rate.append(rate_rps)
         self._read_area.append(summed)
+        self._window_ns = rate_window_ns
         self._read_half_s.append(np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns * 1e-9)
         self._take(everything=False)
         self._refine_up_to_latest()
@@ -196,7 +205,7 @@ class BodyRates:
     def _take(self, *, everything: bool) -> None:
         """Make rows of the readings, up to a ramp of which the end is still to come."""
         times, changes = self._read_ns.all, self._changes.all
-        hold_ns = round(HOLD_S * 1e9)
+        hold_ns = round(HOLD_S * 1e9) + self._window_ns
         while (taken := self._taken) < len(times):
             ahead = np.flatnonzero(changes[taken:])
             start = taken + int(ahead[0]) if len(ahead) else len(times)
@@ -216,7 +225,12 @@ class BodyRates:
                 self._append(taken, longest, [])
             elif not is_ramp(self._read_rate.all[max(start - 1, 0) : stop]) and (seen or everything):
                 self._append(taken, stop, [])
-            elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9)):
+            elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9) + hold_ns):
+                # What was read soon after, or is a mean, may still hold something of the ramp.
+                after = changes[stop : int(np.searchsorted(times, times[stop - 1] + hold_ns))]
+                following = min(stop + int(np.argmax(after) if after.any() else len(after)), len(times) - 1)
+                # Of the beginning of the next ramp a mean may know nothing yet.
+                stop = max(stop, int(np.searchsorted(times, times[following] - self._window_ns)))
                 self._append(taken, stop, self._ramps(start, stop) if len(self._times) else [])
             else:
                 return
@@ -242,23 +256,21 @@ class BodyRates:
             first, last = max(start - 1 - low, 0) + int(own[0]), max(start - 1 - low, 0) + int(own[-1]) + 1
             if not is_ramp(rate[first : last + 1, None]):
                 continue
-            ramp = fitted(t_s, angle, rate, self._read_half_s.all[part], first, last)
+            ramp = fitted((t_s, angle, rate, self._read_half_s.all[part], self._window_ns * 1e-9), first, last)
             if ramp is not None:
                 corners = times[low] + np.round(ramp.t_s * 1e9).astype(np.int64)
-                found.append(
-                    (column, corners, replace(ramp, reading_rps=ramp.reading_rps[self._taken - low : stop - low]))
-                )
+                reading_rps = ramp.reading_rps[self._taken - low : stop - low]
+                found.append((column, corners, replace(ramp, reading_rps=reading_rps)))
         return found
 
     def _append(self, start: int, stop: int, ramps: list[tuple[int, Stamps, Ramp]]) -> None:
         """Append readings as rows, the corners of ramps between them as rows that were not measured."""
         self._taken = stop
-        t_ns, angle, rate = (
-            self._read_ns.all[start:stop],
-            self._read_angle.all[start:stop],
-            self._read_rate.all[start:stop],
-        )
-        half_width_s, measured = self._read_half_s.all[start:stop], np.ones(stop - start)
+        part = slice(start, stop)
+        t_ns, angle = self._read_ns.all[part], self._read_angle.all[part]
+        known = slice(start, int(np.searchsorted(self._read_ns.all, t_ns[-1] + self._window_ns, side="right")))
+        rate = centred(t_ns, self._read_ns.all[known], self._read_rate.all[known], self._window_ns)
+        half_width_s, measured = self._read_half_s.all[part], np.ones(stop - start)
         corner_s = np.full(rate.shape, np.nan)
         if ramps:
             # From the row before on: in between the corners lie.

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.estimation.evidence import Posterior, Term
 from estimator.estimation.runs.run import Run
 from estimator.estimation.runs.tone_columns import samples_of, tone_columns
 from estimator.tracing.candidates import Candidate
 from estimator.tracing.tones.tones import ToneFit
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)

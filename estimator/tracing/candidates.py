@@ -6,49 +6,24 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.effects.catalogue import HARMONICS, catalogue
-from estimator.effects.conditions import Conditions
-from estimator.effects.constructed import NAME, last_sign
-from estimator.effects.drift import bias_drift, bias_step, warm_up
-from estimator.effects.dynamics import bandwidth, latency
-from estimator.effects.effect import Axes, Effect, Parameter
-from estimator.effects.scale import dead_band
-from estimator.effects.site import earth_rate_upward
-from estimator.effects.table import table_harmonic
+from estimator.effects.catalogue import records
+from estimator.effects.conditions import Axes, Conditions
+from estimator.effects.constructed import CONSTRUCTED
+from estimator.effects.disturbances import SAMPLE_HOLD
+from estimator.effects.drift import BIAS_DRIFT, BIAS_STEP, WARM_UP
+from estimator.effects.dynamics import BANDWIDTH, LAG_S, LATENCY, late
+from estimator.effects.effect import Effect, Kind, Parameter, Record, Settings
+from estimator.effects.law import last_sign, of_each_gyro
+from estimator.effects.site import EARTH_RATE, EARTH_RATE_UPWARD
+from estimator.effects.table import TABLE_HARMONIC
 from estimator.estimation.runs.run import Run
-from estimator.estimation.undeclared import WITHIN_TURNS
-from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, into_body
 from estimator.observations.turned import by_turns
+from estimator.types import Floats
 
-Floats = NDArray[np.float64]
-
-_BY_ITSELF = frozenset({"warm_up", "bias_step", "tone", "table_rate", "latency", "bandwidth"})
-"""Effects of the catalogue that are looked for in a way of their own, and one that passes for scale factor errors."""
-OF_TIME = frozenset({"warm_up", "bias_step", "bias_drift"})
-"""Effects of which all gyros have the same columns."""
-_OF_ENCODERS = ("table_harmonic", "dead_band")
 _OTHER_ORDERS = (3, 5, 6)
-# Log odds of an effect against the others before the data. What refines a simpler effect is rarer than that effect.
-# A bias over temperature is in every data sheet; its gradient without it one part in a hundred may have, while beside
-# it a gradient is no more than a lag between gyro and thermometer. Where a temperature is measured, a law of time with
-# a free time constant stands behind it.
-_EXPECTED = {
-    "thermal_gradient": float(np.log(0.01)),
-    "thermal_bias_quadratic": -1.5,
-    "bandwidth": -1.5,
-    "dead_band": -1.5,
-    "bias_step": -1.5,
-}
-_EXPECTED_WITH_TEMPERATURE = {"warm_up": -1.5}
-_EXPECTED_BESIDE = {"thermal_gradient": ("thermal_bias", -1.5)}
-_WARM_UPS = float(np.log(3600.0 / 5.0))  # time constants of warm-up from a chip's to a housing's
-
-_HELD = 6.0  # log odds of the delay of held samples against another delay: that they are held is seen in them
-_PICKED_UP = float(np.radians(0.5))
+_PICKED_UP, _AROUND = float(np.radians(0.5)), float(np.radians(0.05))  # largest sizes without a name, rad/s
 _STEPS = 100  # instants in a run at which a step is looked for first
-_LAG_S = 0.004  # where the time constant of a gyro's own low pass is looked for first
 _LAGS_S = (15.0, 40.0, 120.0)
 
 
@@ -60,7 +35,8 @@ class Candidate:
     value of what is not linear, in ``unit``; ``of`` makes the effect anew for another, ``start`` lists where to begin
     looking, ``range_log`` is the logarithm of the range it may have in nature. ``run`` is the recording of a step.
     ``by_size``: what is not linear is the effect's own size, its first parameter. ``sensed`` are the directions (3,)
-    that gyros really sense, with their scale, in place of the nominal ones. ``log_prior`` is the logarithm of its
+    that gyros really sense, with their scale, in place of the nominal ones, ``settings`` those of a model that hold
+    what is not linear and stays as it is. ``log_prior`` is the logarithm of its
     share of the expectation; if the effect ``beside`` is in the model, it is so much ``likelier``.
     """
 
@@ -79,6 +55,7 @@ class Candidate:
     likelier: float = 0.0
     by_size: bool = False
     sensed: Mapping[str, Floats] = field(default_factory=dict)
+    settings: Settings = field(default_factory=dict)
 
     @property
     def evenly(self) -> bool:
@@ -88,17 +65,22 @@ class Candidate:
     @property
     def called(self) -> str:
         """Name of the effect in results: that of its kind."""
-        return self.effect.name.split(":")[0]
+        return self.effect.record.name
 
     @property
     def law(self) -> str:
         """The law of a constructed effect, empty for those of the catalogue."""
-        return self.effect.name.partition(": ")[2] if self.called == NAME else ""
+        return self.effect.law if self.effect.record is CONSTRUCTED else ""
+
+    @property
+    def alike(self) -> bool:
+        """Whether all gyros have the same columns."""
+        return self.effect.record.alike or bool(self.effect.law and not of_each_gyro(self.effect.law))
 
     @property
     def largest(self) -> Floats:
         """Largest plausible size of each parameter (p,)."""
-        return np.array([p.largest for p in self.effect.parameters])
+        return self.effect.largest
 
     def columns(self, run: Run, gyro: int) -> Floats:
         """Return the scaled columns (b, p) of gyro number ``gyro`` of a run. A step stays for all later recordings."""
@@ -117,18 +99,18 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
     span_s = max(float(run.t_s[-1] - run.t_s[0]) for run in runs)
     left_out: dict[str, str] = {}
     if not gimbals:
-        left_out["table_harmonic"] = "the recordings hold no gimbals"
+        left_out[TABLE_HARMONIC.name] = "the recordings hold no gimbals"
     foreign = any(by_turns(run.recording.reference) for run in runs)
     if foreign:
-        left_out["bandwidth"] = "another instrument has a lag of its own: a delay against it is the sum of all lags"
+        why = "another instrument has a lag of its own: a delay against it is the sum of all lags"
+        left_out[BANDWIDTH.name] = why
     listed = _catalogue(runs, gimbals, span_s)
     if foreign and gimbals:
-        listed = [candidate for candidate in listed if candidate.called not in _OF_ENCODERS]
-        left_out |= dict.fromkeys(_OF_ENCODERS, "an encoder that is read from outside may have the same by itself")
+        why = "an encoder that is read from outside may have the same by itself"
+        listed = _but(listed, left_out, [record.name for record in records() if record.of_encoders], why)
     if any(run.stated_rps for run in runs):
-        listed = [candidate for candidate in listed if candidate.called not in WITHIN_TURNS]
         why = "a turn from rest to rest comes to the same angle however late it is felt"
-        left_out |= dict.fromkeys(WITHIN_TURNS, why)
+        listed = _but(listed, left_out, [record.name for record in records() if record.within_turns], why)
     chosen = []
     for candidate in listed:
         missing = candidate.effect.needs - offers
@@ -144,106 +126,100 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
                 left_out[candidate.called] = "the temperature does not change"
     count = len({c.called for c in chosen})
     of_kind = {c.called: sum(o.called == c.called for o in chosen) for c in chosen}
-    expected = {**_EXPECTED, **(_EXPECTED_WITH_TEMPERATURE if "temperature" in offers else {})}
+    expected = {c.called: _expected(c.effect.record, "temperature" in offers) for c in chosen}
     chosen = [
-        replace(c, log_prior=c.log_prior + expected.get(c.called, 0.0) - np.log(count) - np.log(of_kind[c.called]))
+        replace(c, log_prior=c.log_prior + expected[c.called] - np.log(count) - np.log(of_kind[c.called]))
         for c in chosen
     ]
     for n, candidate in enumerate(chosen):
-        if candidate.called in _EXPECTED_BESIDE:
-            beside, then = _EXPECTED_BESIDE[candidate.called]
-            chosen[n] = replace(candidate, beside=beside, likelier=then - expected[candidate.called])
+        beside = candidate.effect.record.odds.beside
+        if beside is not None:
+            chosen[n] = replace(candidate, beside=beside[0], likelier=beside[1] - expected[candidate.called])
     return [*chosen, *_general(offers, gimbals, count)], left_out
 
 
+def _but(listed: list[Candidate], left_out: dict[str, str], names: Sequence[str], why: str) -> list[Candidate]:
+    """Return candidates without some, which are left out for a reason."""
+    left_out |= dict.fromkeys(names, why)
+    return [candidate for candidate in listed if candidate.called not in names]
+
+
+def _expected(record: Record, warm: bool) -> float:
+    """Return the logarithm of how much an effect is expected against the others before the data."""
+    return record.odds.warm if warm and record.odds.warm is not None else record.odds.log
+
+
 def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> list[Candidate]:
-    listed = [effect for effect in catalogue(gimbals, span_s) if effect.name not in _BY_ITSELF]
-    found = [Candidate(effect.name, effect, 0.0) for effect in listed if not effect.name.startswith("table_harmonic")]
+    known = [record for record in records() if record.kind is Kind.LAW and record.searched]
+    plain = [record for record in known if record.grid is None]
     far_s = (
         np.array([-0.1, -0.05, 0.02, 0.05, 0.1]) if any(by_turns(r.recording.reference) for r in runs) else np.empty(0)
     )
     if not gimbals and all(run.recording.site is None and not run.turns for run in runs):
-        found = [c for c in found if c.called != "earth_rate"]
-        found.append(Candidate("earth_rate", earth_rate_upward(), 0.0))
-    late = partial(_by_size, sensed=_sensed(runs))
-    found.append(late("latency", latency, np.concatenate([[0.0], far_s])))
+        plain = [*(record for record in plain if record is not EARTH_RATE), EARTH_RATE_UPWARD]
+    found = [
+        Candidate(effect.name, effect, 0.0)
+        for effect in (record.effect(gimbals, **own) for record in plain for own in record.listed(span_s))
+    ]
+    by_size = partial(_by_size, sensed=_sensed(runs))
+    found.append(by_size(LATENCY.name, late, np.concatenate([[0.0], far_s])))
     if not len(far_s):
-        found.append(Candidate("bandwidth", bandwidth(_LAG_S), 0.0))
+        found.append(Candidate(BANDWIDTH.name, BANDWIDTH.effect(tau_s=LAG_S), 0.0))
     if any(run.held > 1 for run in runs):
-
-        def hold(delay_s: float) -> Effect:
-            return replace(latency(delay_s), name="sample_hold")
-
-        found.append(replace(late("sample_hold", hold, np.zeros(1)), log_prior=_HELD))
-    bands = np.radians(np.geomspace(0.01, 3.0, 12))
-    found.append(
-        Candidate(
-            "dead_band",
-            dead_band(float(bands[6])),
-            0.0,
-            theta=float(bands[6]),
-            of=dead_band,
-            start=bands,
-            range_log=5.0,
-            unit="rad/s",
-        )
-    )
-    for order in HARMONICS:
+        found.append(by_size(SAMPLE_HOLD.name, lambda delay_s: SAMPLE_HOLD.effect(delay_s=delay_s), np.zeros(1)))
+    of_grid = [record for record in known if record.grid is not None]
+    found += [_scanned(record, gimbals, span_s) for record in of_grid if record is not WARM_UP]
+    for order in (settings["order"] for settings in TABLE_HARMONIC.listed(span_s)):
         for axis in gimbals:
-            effect = replace(table_harmonic(gimbals, order, (axis,)), name="table_harmonic")
-            parameters = tuple(
-                Parameter(f"{part} of {order} {axis}", "rad/s", p.largest)
-                for part, p in zip(("cosine", "sine"), effect.parameters, strict=True)
-            )
-            found.append(Candidate(f"table_harmonic {order} {axis}", replace(effect, parameters=parameters), 0.0))
+            effect = TABLE_HARMONIC.effect(gimbals, order=order, axis=axis)
+            name = f"{TABLE_HARMONIC.name} {order} {axis}"
+            found.append(Candidate(name, effect, 0.0, settings={"axis": axis, "order": order}))
     one_clock = _one_clock(runs)
     if one_clock is not None:
-        found.append(Candidate("bias_drift on", _on_one_clock(bias_drift(), one_clock), 0.0))
-    taus = np.geomspace(8.0, max(span_s / 1.5, 20.0), 10)
-    found.append(
-        Candidate(
-            "warm_up",
-            warm_up(float(taus[4])),
-            0.0,
-            theta=float(taus[4]),
-            of=warm_up,
-            start=taus,
-            range_log=_WARM_UPS,
-        )
-    )
-    if one_clock is not None:
-        began = one_clock
-
-        def going_on(tau_s: float) -> Effect:
-            return _on_one_clock(warm_up(tau_s), began)
-
-        found.append(
-            Candidate(
-                "warm_up on",
-                going_on(float(taus[4])),
-                0.0,
-                theta=float(taus[4]),
-                of=going_on,
-                start=np.geomspace(8.0, max((runs[-1].t_s[-1] - began) / 1.5, 20.0), 12),
-                range_log=_WARM_UPS,
-            )
-        )
+        found.append(Candidate(f"{BIAS_DRIFT.name} on", _on_one_clock(BIAS_DRIFT.effect(), one_clock), 0.0))
+    warm_up = _scanned(WARM_UP, gimbals, span_s)
+    found.append(warm_up)
+    if one_clock is not None and WARM_UP.grid is not None and WARM_UP.grid.grid is not None:
+        going_on = partial(_going_on, began_s=one_clock)
+        start = WARM_UP.grid.grid(float(runs[-1].t_s[-1] - one_clock), 12)
+        name, effect = f"{WARM_UP.name} on", going_on(warm_up.theta or 0.0)
+        found.append(replace(warm_up, name=name, effect=effect, of=going_on, start=start))
     for run in {run.order: run for run in runs}.values():
         times = np.arange(run.t_s[0] + 4.0, run.t_s[-1] - 4.0, max(3.0, np.ptp(run.t_s) / _STEPS))
         if len(times):
             found.append(
                 Candidate(
-                    f"bias_step {run.order}",
-                    bias_step(float(times[len(times) // 2])),
+                    f"{BIAS_STEP.name} {run.order}",
+                    BIAS_STEP.effect(at_s=float(times[len(times) // 2])),
                     0.0,
                     theta=float(times[len(times) // 2]),
-                    of=bias_step,
+                    of=lambda at_s: BIAS_STEP.effect(at_s=at_s),
                     start=times,
                     run=run.order,
                     log_tries=float(np.log(len(times))),
                 )
             )
     return found
+
+
+def _going_on(tau_s: float, began_s: float) -> Effect:
+    return _on_one_clock(WARM_UP.effect(time_constant_s=tau_s), began_s)
+
+
+def _scanned(record: Record, gimbals: tuple[str, ...], span_s: float) -> Candidate:
+    """Return an effect with a setting that is looked for among many values."""
+    setting = record.grid
+    assert setting is not None
+    assert setting.grid is not None
+
+    def of(value: float) -> Effect:
+        return record.effect(gimbals, **{setting.key: value})
+
+    start = setting.grid(span_s, 10)
+    first = float(start[setting.begin])
+    return Candidate(
+        record.name, of(first), 0.0, theta=first, of=of, start=start, range_log=setting.range_log, unit=setting.unit
+    )
 
 
 def _by_size(name: str, of: Callable[[float], Effect], start: Floats, *, sensed: Mapping[str, Floats]) -> Candidate:
@@ -261,7 +237,7 @@ def _sensed(runs: Sequence[Run]) -> dict[str, Floats]:
         rows = []
         for run in (run for run in runs if name in run.array.names):
             i = run.array.names.index(name)
-            one = np.column_stack([np.ones(len(run.t_s)), run.w_rps, run.columns(latency(), i), run.z_rps[:, i]])
+            one = np.column_stack([np.ones(len(run.t_s)), run.w_rps, run.columns(LATENCY.effect(), i), run.z_rps[:, i]])
             rows.append(one * run.weight[:, None])
         whole = np.vstack(rows)
         scale = np.maximum(np.sqrt(np.mean(whole[:, :-1] ** 2, axis=0)), 1e-12)
@@ -298,40 +274,34 @@ def _general(offers: frozenset[str], gimbals: tuple[str, ...], count: int) -> li
     if "temperature" in offers:
         kinds.append(("temperature", _own("temperature", _of_temperature, 4)))
     if "specific force" in offers:
-        kinds.append(("gravity", _own("gravity", _of_gravity, 5)))
+        kinds.append(("gravity", _law("gravity", "gx*gy; gy*gz; gz*gx; gx*gx - gy*gy; gz*gz")))
     if gimbals:
-        kinds.append(("direction", _own("direction of the axes", _of_axis_direction, len(gimbals))))
+        of_axes = "; ".join(f"last(rate_{axis})" for axis in gimbals)
+        kinds.append(("direction", _law("direction of the axes", of_axes)))
     found = [
         Candidate(f"general: {effect.name}", effect, -np.log(count) - np.log(3 * len(kinds)), depends_on=kind)
         for kind, effect in kinds
     ]
     angles: list[tuple[str, Effect]] = []
-    for axis_number, axis in enumerate(gimbals):
+    for axis in gimbals:
         for order in _OTHER_ORDERS:
-            angles.append((f"angle {order} {axis}", replace(table_harmonic(gimbals, order, (axis,)), name="angle")))
-        for order in range(1, 7):
-            angles.append((f"encoder {order} {axis}", _encoder(gimbals, axis_number, order)))
+            law = f"cos({order}*angle_{axis}); sin({order}*angle_{axis})"
+            angles.append((f"angle {order} {axis}", _law("angle", law, _AROUND)))
+        for order in range(1, 7):  # errors of the angle reading: the reported rate is wrong in proportion to the rate
+            law = f"u_{axis}*cos({order}*angle_{axis}); u_{axis}*sin({order}*angle_{axis})"
+            angles.append((f"encoder {order} {axis}", _law("angle", law, 0.01, shared=True)))
     prior = -np.log(count) - np.log(3 * max(len(angles), 1))
     return found + [Candidate(f"general: {name}", effect, prior, depends_on="angle") for name, effect in angles]
 
 
 def _own(name: str, columns: Callable[[Conditions, Axes], Floats], count: int) -> Effect:
     parameters = tuple(Parameter(str(n + 1), "rad/s", _PICKED_UP) for n in range(count))
-    return Effect(name, parameters, shared=False, shown_by="", confused_with=(), regressors=columns)
+    return Record(name=name, parameters=parameters, regressors=lambda settings: columns).effect()
 
 
-def _encoder(gimbals: tuple[str, ...], column: int, order: int) -> Effect:
-    """Return an error of the table's angle reading: it makes the reported rate wrong in proportion to the rate."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        unit = np.zeros((len(conditions.t_s), 3))
-        unit[:, AXES.index(gimbals[column])] = conditions.rate_rps[:, column]
-        part = into_body(unit, conditions.angle_rad[:, column + 1 :], gimbals[column + 1 :]) @ axes.p
-        turned = order * conditions.angle_rad[:, column]
-        return np.column_stack([part * np.cos(turned), part * np.sin(turned)])
-
-    parameters = tuple(Parameter(part, "1", 0.01) for part in ("cosine", "sine"))
-    return Effect("angle", parameters, shared=True, shown_by="", confused_with=(), regressors=columns)
+def _law(name: str, law: str, largest: float = _PICKED_UP, *, shared: bool = False) -> Effect:
+    parameters = tuple(Parameter(str(n + 1), "rad/s", largest) for n in range(law.count(";") + 1))
+    return Record(name=name, parameters=parameters, law=law, shared=shared).effect()
 
 
 def _rate(conditions: Conditions, axes: Axes) -> tuple[Floats, float]:
@@ -350,10 +320,6 @@ def _of_direction(conditions: Conditions, axes: Axes) -> Floats:
     u, top = _rate(conditions, axes)
     last = last_sign(u)
     return np.column_stack([last, last * (np.abs(u) < 0.02 * top)])
-
-
-def _of_axis_direction(conditions: Conditions, axes: Axes) -> Floats:
-    return np.column_stack([last_sign(column) for column in conditions.rate_rps.T])
 
 
 def _of_acceleration(conditions: Conditions, axes: Axes) -> Floats:
@@ -382,9 +348,3 @@ def _of_temperature(conditions: Conditions, axes: Axes) -> Floats:
         slow, _ = lfilter([1 - keep], [1, -keep], rise - rise[0], zi=[0.0])
         lags.append((slow - (rise - rise[0])) / 10)
     return np.column_stack([*lags, (rise / 20) ** 3])
-
-
-def _of_gravity(conditions: Conditions, axes: Axes) -> Floats:
-    f = conditions.specific_force_mps2 / GRAVITY_MPS2
-    x, y, z = f.T
-    return np.column_stack([x * y, y * z, z * x, x * x - y * y, z * z])

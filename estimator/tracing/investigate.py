@@ -4,13 +4,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.effects.constructed import NAME, in_words
+from estimator.effects.constructed import CONSTRUCTED
+from estimator.effects.disturbances import SAMPLE_HOLD
+from estimator.effects.law import in_words
 from estimator.errors import InvestigationError
 from estimator.estimation.evidence import Evidence, Posterior, Term
 from estimator.estimation.repeatability import between_runs
-from estimator.estimation.runs.run import BLOCK_S, Run, growth_notes, runs_of, same_devices
+from estimator.estimation.runs.making import runs_of
+from estimator.estimation.runs.run import BLOCK_S, Run, growth_notes, same_devices
 from estimator.estimation.spectra import GyroSpectra, NoiseShapes, gyro_spectra
 from estimator.geometry.model import STATES, decode
 from estimator.observations.defects.faults import Fault
@@ -35,8 +37,8 @@ from estimator.tracing.judging.verification import Judged, Truth, drawn, judge, 
 from estimator.tracing.open_world import SIZES_RPS, OpenWorld
 from estimator.tracing.residuals.residual import Residual, residuals
 from estimator.tracing.search import CERTAIN, Choice, Found, Search
+from estimator.types import Floats
 
-Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _SURPRISED = 8.0
@@ -48,7 +50,6 @@ _SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas fr
 _TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
 _UNLIKE_NOISE = 0.1  # share of the residual's power beyond the noise: less is 5 % of a sigma
 _MATTERS = 1e-2  # share of the probability below which what may act is not averaged over
-_OF_THETA = {"warm_up": "time constant", "bias_step": "instant", "dead_band": "width"}
 NOTHING_MEASURED = "nothing that was measured"
 
 
@@ -362,7 +363,7 @@ def _left(
 def _faulty(faults: Sequence[Fault]) -> list[Added]:
     """Return faults of the data as effects: they are seen in the samples, and what they spoil is left out."""
     found = []
-    for kind in dict.fromkeys(fault.kind for fault in faults if fault.kind != "sample_hold"):
+    for kind in dict.fromkeys(fault.kind for fault in faults if fault.kind != SAMPLE_HOLD.name):
         own = [fault for fault in faults if fault.kind == kind]
         parameters = {f"{f.gyro} {name}": Value(value, 0.0, unit) for f in own for name, value, unit in f.values}
         found.append(Added(kind, tuple(dict.fromkeys(f.gyro for f in own)), 1.0, parameters))
@@ -515,7 +516,7 @@ def _added(traced: Traced, choice: Choice, model: Augmented, told: OutOfSample |
     theta = choice.candidate.theta
     if theta is not None and choice.candidate.start is not None and not choice.candidate.by_size:
         sd = traced.search.sharpness(choice, traced.found.terms)
-        what = _OF_THETA.get(choice.candidate.called, "constant")
+        what = next((setting.name for setting in effect.record.settings if setting.name), "constant")
         parameters[what] = Value(float(theta), sd, choice.candidate.unit)
     elif choice.tone is not None and theta is not None:
         parameters["frequency"] = Value(float(theta), _tone_sd(traced, model, where), "Hz")
@@ -593,7 +594,7 @@ def _surprised(
 def _rivals(choices: Sequence[Choice]) -> list[tuple[str, ...]]:
     """Return for each choice the effects with a name that could stand in its place, itself among them."""
     shown = [[r for r in c.rivals if r != "nothing" and not r.startswith("depends")] for c in choices]
-    named = [tuple("a constructed law" if r == NAME else r for r in rivals) for rivals in shown]
+    named = [tuple("a constructed law" if r == CONSTRUCTED.name else r for r in rivals) for rivals in shown]
     return [names for names in named if names]
 
 

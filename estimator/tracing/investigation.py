@@ -8,13 +8,12 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from estimator.types import Floats
 
 if TYPE_CHECKING:
     from estimator.tracing.augmented import Augmented
     from estimator.tracing.residuals.residual import Residual
-
-Floats = NDArray[np.float64]
 
 
 class Finding(StrEnum):

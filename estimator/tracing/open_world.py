@@ -11,11 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.estimation.evidence import Base, Evidence, Term, log_mean
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 SIZES_RPS = np.geomspace(1e-6, 3e-2, 10)
 """Expected rms of each function; none is preferred."""

@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.effects.constructed import of_each_gyro
 from estimator.estimation.evidence import Evidence, Term
 from estimator.estimation.runs.run import Run
 from estimator.estimation.spectra import GyroSpectra, cosines
-from estimator.tracing.candidates import OF_TIME, Candidate
+from estimator.tracing.candidates import Candidate
 from estimator.tracing.tones.peaks import highest
 from estimator.types import Floats
 
@@ -59,8 +58,7 @@ class Scan:
             self._rest.append(z - basis @ (basis.T @ z))
 
     def _turn(self, candidate: Candidate, gyro: GyroSpectra) -> Floats:
-        alike = candidate.called in OF_TIME or (candidate.law and not of_each_gyro(candidate.law))
-        alike = alike and all(run.earth_rps is None for run in self._runs)
+        alike = candidate.alike and all(run.earth_rps is None for run in self._runs)
         source = str([s.run for s in gyro.stretches])
         key = candidate.name, float(candidate.theta or 0.0), source if alike else gyro.name
         if key not in self._kept:

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.effects.constructed import NAME
-from estimator.effects.dynamics import tone as tone_at
+from estimator.effects.disturbances import TONE
 from estimator.errors import InvestigationError
 from estimator.estimation.evidence import SCALES, Base, Evidence, Term
 from estimator.estimation.runs.run import Run
@@ -20,24 +19,21 @@ from estimator.tracing.candidates import Candidate
 from estimator.tracing.open_world import OpenWorld
 from estimator.tracing.scan import Scan, at
 from estimator.tracing.tones.peaks import highest
-from estimator.tracing.tones.tones import TONE, ToneFit, ToneFound, find_tone, fit_tone, without_tone
-
-Floats = NDArray[np.float64]
+from estimator.tracing.tones.tones import ToneFit, ToneFound, find_tone, fit_tone, without_tone
+from estimator.types import Floats
 
 CERTAIN = 0.95
 """Posterior probability from which an effect counts as found."""
 _SET = 0.99  # rivals are as many as share this probability
 _ROUNDS = 12
 _STOP_LOG_PRIOR = 0.0  # nothing more: as likely as all effects together, several times over
-_LOST = 0.3  # share of the rate within a dead band that may be missing to all of it; so of a lag
+_LOST = 0.3  # share by which the size of a lag may differ from that which it was worked out for
 _UNEXCITED = 0.5  # sigmas of an effect of the largest plausible size, all gyros and runs together
 _COPIED = 9.0  # squares over noise that a copy of an effect leaves in a gyro, within chance
 _RICH = 0.1  # scale of all effects at once, when it is asked what the noise may be
-_NOT_OPEN = frozenset({"bias_step", "warm_up", "dead_band", "table_rate", NAME})  # of them one of many is in the model
 _LIKE = 0.1  # share of a function's squares that an effect puts out: from then on they are of a kind
 _CHANCE = 3.0  # natural logarithm by which functions without a name may be the more probable by chance
 _RESOLVED = 0.1  # of the time between readings: shorter delays are not told from how they are interpolated
-_IMPLAUSIBLE = 2.0  # of the largest plausible size: larger, it is something else
 _MOST_SETS = 40
 _MOST_LAWS, _LAWS_TRIED = 2, 12
 _BETWEEN = 1.3  # by so much more a law may explain with a constant between those that it is tried with
@@ -149,7 +145,7 @@ class Search:
             tone = self._tone(model)
             options = {name: score for name, (score, _) in scores.items()}
             if tone is not None:
-                options[TONE] = stop + tone.log_evidence + max(c.log_prior for c, _ in self._known.values())
+                options[TONE.name] = stop + tone.log_evidence + max(c.log_prior for c, _ in self._known.values())
             total = float(np.logaddexp.reduce([stop, *options.values()]))
             if not first:
                 first = self._first(options, chain[0], total, tone)
@@ -160,16 +156,16 @@ class Search:
             full = len(chosen) + len(self._tones) >= most
             if best is None or np.exp(stop - total) > 1 - CERTAIN or full:
                 break
-            if best != TONE and not self._sensible(best, scores[best][1], model):
+            if best != TONE.name and not self._sensible(best, scores[best][1], model):
                 self._barred.add(best)
                 self._scored.clear()
                 if not chosen and not self._tones:
                     first = ()  # what cannot be is no suspect
                 continue
-            if best == TONE:
+            if best == TONE.name:
                 assert tone is not None
                 heard += tone.log_evidence
-                self._take(tone, float(np.exp(options[TONE] - total)), model)
+                self._take(tone, float(np.exp(options[TONE.name] - total)), model)
             else:
                 chosen.append(best)
                 terms[best] = scores[best][1]
@@ -196,10 +192,10 @@ class Search:
                 break
             best = max(worths)
             model = tried[worths.index(best)]
-        for one in [pair for pair in model if pair[0].called != NAME]:
+        for one in [pair for pair in model if not pair[0].law]:
             rest = [pair for pair in model if pair is not one]
             self._laws_kept.update(self._likely(rest, laws, model, _RIVAL))
-        if not any(candidate.called == NAME for candidate, _ in self._known.values()):
+        if not any(candidate.law for candidate, _ in self._known.values()):
             return found
         names, terms = [c.name for c, _ in model], {c.name: term for c, term in model}
         judged = [self._judge(name, names, terms) for name in names]
@@ -253,7 +249,7 @@ class Search:
                 ranked.append((max(gains) + law.log_prior, options[int(np.argmax(gains))]))
         ranked.sort(key=lambda pair: -pair[0])
         chosen = [self._tuned(law, scan) if law.start is not None else law for _, law in ranked[:_LAWS_TRIED]]
-        for name in [n for n, (c, _) in self._known.items() if c.called == NAME and n not in self._laws_kept]:
+        for name in [n for n, (c, _) in self._known.items() if c.law and n not in self._laws_kept]:
             del self._known[name]
         self.add([law for law in chosen if law.name not in self._laws_kept])
         self._scored.clear()
@@ -290,9 +286,7 @@ class Search:
 
     def _open_columns(self) -> tuple[list[int], Floats]:
         """Return columns that stand for any function of what was measured, and how each is scaled to 1 rad/s rms."""
-        columns = [
-            c for candidate, term in self._known.values() if candidate.called not in _NOT_OPEN for c in term.columns
-        ]
+        columns = [c for candidate, term in self._known.values() if not _one_of_many(candidate) for c in term.columns]
         squares, seconds = np.zeros(len(columns)), 0.0
         for gyro in self._spectra:
             for stretch, part in zip(gyro.stretches, gyro.columns, strict=True):
@@ -388,14 +382,14 @@ class Search:
         self.evidence.refresh()
         self._scored.clear()
         candidate = Candidate(
-            f"{TONE} {tone.frequency_hz:.4f} Hz",
-            tone_at(tone.frequency_hz),
+            f"{TONE.name} {tone.frequency_hz:.4f} Hz",
+            TONE.effect(frequency_hz=tone.frequency_hz),
             0.0,
             theta=tone.frequency_hz,
-            of=tone_at,
+            of=lambda frequency_hz: TONE.effect(frequency_hz=frequency_hz),
             unit="Hz",
         )
-        self._tones.append(Choice(candidate, Term(candidate.name, (), False), probability, (TONE,), tone=fit))
+        self._tones.append(Choice(candidate, Term(candidate.name, (), False), probability, (TONE.name,), tone=fit))
 
     def _scores(self, terms: Sequence[Term], chosen: Sequence[str]) -> dict[str, tuple[float, Term]]:
         """Return for each candidate not chosen its log evidence with its prior, and its term at its best scale."""
@@ -421,9 +415,9 @@ class Search:
     ) -> tuple[tuple[Candidate, float, float], ...]:
         listed = []
         for name, score in options.items():
-            if name == TONE:
+            if name == TONE.name:
                 assert tone is not None
-                candidate = Candidate(TONE, tone_at(tone.frequency_hz), 0.0)
+                candidate = Candidate(TONE.name, TONE.effect(frequency_hz=tone.frequency_hz), 0.0)
             else:
                 candidate = self._known[name][0]
             listed.append((candidate, score - bare, float(np.exp(score - total))))
@@ -432,26 +426,19 @@ class Search:
     def _sensible(self, name: str, term: Term, model: Sequence[Term]) -> bool:
         """Return whether an effect came out as something that it can be.
 
-        Within a dead band a gyro loses all rates; a lag is as long as the lag that it was worked out for.
+        A lag is as long as the lag that it was worked out for.
         """
         candidate = self._known[name][0]
         steps_s = [run.step_s for run in self._runs if by_turns(run.recording.reference)]
         if candidate.by_size and steps_s and abs(candidate.theta or 0.0) < _RESOLVED * max(steps_s):
             return False  # what happens between two readings of another instrument is not known as well as that
-        if candidate.called == "dead_band":
-            lost = self._sizes(candidate, term, model)
-            return bool(np.any(np.abs(lost - 1) < _LOST)) and bool(np.all(lost > -_LOST))
         if candidate.by_size and candidate.theta:
             of_it = self._sizes(candidate, term, model) / abs(candidate.theta)
             return bool(np.abs(np.median(of_it) - 1) < _LOST)
         posterior = self.evidence.posterior([*model, term])
-        if candidate.called == "earth_rate":  # is as long as it is
-            length = float(np.linalg.norm(posterior.means[0][-len(term.columns) :]))
-            return length < 1 + _LOST
         at = 4 + sum(len(t.columns) for t in model if not t.shared)
         where = slice(-len(term.columns), None) if term.shared else slice(at, at + len(term.columns))
-        sizes = [mean[where] for mean in posterior.means]
-        return bool(np.sqrt(np.mean(np.square(sizes))) < _IMPLAUSIBLE)
+        return candidate.effect.record.plausible(np.array([mean[where] for mean in posterior.means]))
 
     def _sizes(self, candidate: Candidate, term: Term, model: Sequence[Term]) -> Floats:
         """Return the first parameter of an effect beside a model, by gyro."""
@@ -487,7 +474,7 @@ class Search:
     def best_of(self, effect: str, chosen: Sequence[Choice]) -> Choice:
         """Return the most probable of the candidates that are called so, beside those chosen."""
         model = [c.term for c in chosen if c.tone is None]
-        if effect == TONE:
+        if effect == TONE.name:
             tone = self._tone(model)
             if tone is None:
                 raise InvestigationError("no tone can be looked for in these recordings")
@@ -619,9 +606,7 @@ class Search:
 
     def _refine(self, terms: Sequence[Term], chosen: Sequence[str]) -> None:
         """Look for the most telling time constants and instants beside the effects chosen so far."""
-        open_ones = [
-            c for c, _ in self._known.values() if c.of is not None and c.name not in chosen and c.called != NAME
-        ]
+        open_ones = [c for c, _ in self._known.values() if c.of is not None and c.name not in chosen and not c.law]
         if not open_ones:
             return
         scan = Scan(self._runs, self._spectra, self.evidence, terms, self._turned)
@@ -634,3 +619,8 @@ class Search:
                 continue
             renewed.append(self._tuned(candidate, scan))
         self.add(renewed)
+
+
+def _one_of_many(candidate: Candidate) -> bool:
+    """Return whether of an effect one of many is in the model: at some value of what is not linear, or some law."""
+    return bool(candidate.law) or (candidate.start is not None and not candidate.by_size)

@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.calibration.error_model import MAKERS, SETTINGS, ErrorModel, KnownEffect, Size
-from estimator.effects.constructed import NAME as CONSTRUCTED
+from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
+from estimator.effects.catalogue import record_of
+from estimator.effects.effect import Settings
 from estimator.tracing.augmented import Augmented, Part
 from estimator.types import Floats
 
 _NEXT = 1.5  # the next gyros may be this much worse than those that were looked at
 _SAME = 0.05  # share by which what has its cause in table, site or clock may differ on another day
-_ANY_PHASE = frozenset({"tone", "table_harmonic"})  # cosine and sine are of one size: it is the phase that differs
-
-_WHY_NOT = {
-    "bias_step": "it happened once, in one recording",
-    "reference_lag": "it is the reference that lags, not the gyros",
-}
 
 
 def error_model_of(found: Augmented) -> ErrorModel:
@@ -29,13 +24,16 @@ def error_model_of(found: Augmented) -> ErrorModel:
     left_out = {}
     for number, part in enumerate(found.parts):
         name = part.candidate.called
-        if name in MAKERS:
+        record = part.candidate.effect.record
+        if record_of(name) is None:
+            left_out[name] = "it is not an effect of the catalogue"
+        elif record.not_kept:
+            left_out[name] = record.not_kept
+        else:
             known = _known(found, part, found.slice_of(number))
             # A drift since the start of each run and one since the first are the same in one run.
             other = effects.get(known.called, known)
             effects[known.called] = max(known, other, key=lambda effect: float(effect.sd.sum()))
-        else:
-            left_out[name] = _WHY_NOT.get(name, "it is not an effect of the catalogue")
     return ErrorModel(tuple(effects.values()), left_out)
 
 
@@ -52,7 +50,7 @@ def _known(found: Augmented, part: Part, where: slice) -> KnownEffect:
     else:
         mean = np.zeros(p)
         squares = (values**2 + sigmas**2).mean(axis=(0, 1))
-        if effect.name in _ANY_PHASE:
+        if effect.record.any_phase:
             squares = np.full(p, squares.mean())
         sd = _NEXT * np.sqrt(squares)
         of_gyros = {n: _pairs(v[0], s[0]) for n, v, s in zip(found.names, values, sigmas, strict=True)}
@@ -65,11 +63,11 @@ def _pairs(values: Floats, sigmas: Floats) -> tuple[tuple[float, float], ...]:
     return tuple(zip(values.tolist(), sigmas.tolist(), strict=True))
 
 
-def _settings_of(part: Part) -> dict[str, float | int | str]:
-    name, theta = part.candidate.called, part.candidate.theta
-    if name == "table_harmonic":
-        order, axis = part.candidate.name.split()[1:]
-        return {"axis": axis, "order": int(order)}
-    if name == CONSTRUCTED:
-        return {"law": part.candidate.law}
-    return {key: float(theta) for key in SETTINGS.get(name, ()) if theta is not None}
+def _settings_of(part: Part) -> Settings:
+    candidate = part.candidate
+    if candidate.settings:
+        return candidate.settings
+    if candidate.law:
+        return {"law": candidate.law}
+    kept = candidate.effect.record.kept_settings
+    return {setting.key: float(candidate.theta) for setting in kept if candidate.theta is not None}

@@ -11,9 +11,10 @@ from pathlib import Path
 
 from drivers.imus.registry import IMUS
 from drivers.packaged import packaged_text
-from drivers.plugins import PluginError, load_file
+from drivers.plugins import PluginError, load_file, records_of
 from drivers.tables.registry import TABLES
-from estimator.effects.entries import Kind, entries
+from estimator.effects.catalogue import records, register
+from estimator.effects.effect import EffectError, Kind, Record
 from estimator.geometry.kinematics import Site
 from station.bench.imu import ImuConfig, read_imu
 from station.bench.table import TableConfig, read_table
@@ -36,6 +37,16 @@ class Limits:
     nis_low: float
     nis_high: float
     lost: float
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Largest sizes of the four states, infinite where none is given."""
+        return self.k, self.b_rps, self.sigma_rad, self.sigma_rad
+
+    @property
+    def sds(self) -> tuple[float, ...]:
+        """Largest sigmas of the four states, likewise."""
+        return self.sd_k, self.sd_b_rps, self.sd_sigma_rad, self.sd_sigma_rad
 
     @property
     def stated(self) -> bool:
@@ -109,8 +120,8 @@ def read_bench(
 ) -> Bench:
     """Read the text of a bench file; BenchError with line and key for what is wrong.
 
-    ``file`` and ``called`` name it, paths count from ``folder``. ``plugins`` are Python files that bring devices of
-    their own, beside those that it lists.
+    ``file`` and ``called`` name it, paths count from ``folder``. ``plugins`` are Python files that bring devices
+    and effects of their own, beside those that it lists.
     """
     top = Table.parse(text, file, BenchError)
     name, place = top.string("name", called), top.table("station", optional=True)
@@ -118,7 +129,8 @@ def read_bench(
     try:
         own = [load_file(plugin) for plugin in (*listed, *plugins)]
         imus, tables = IMUS.beside(own), TABLES.beside(own)
-    except PluginError as error:
+        register(*(effect for module in own for effect in records_of(module, Record)))
+    except (PluginError, EffectError) as error:
         raise top.fail("plugins" if listed else None, str(error)) from None
     bench = Bench(
         name=name,
@@ -170,7 +182,7 @@ def read_excluded(text: str) -> frozenset[str] | None:
 def _excluded(table: Table) -> frozenset[str] | None:
     which = table.string("effects", "all", one_of=("all", "none"))
     excluded = frozenset(table.strings("excluded")) if table.has("excluded") else frozenset[str]()
-    laws = dict.fromkeys(e.name.rstrip("_0123456789") for e in entries() if e.kind is Kind.LAW)  # harmonics together
+    laws = [record.name for record in records() if record.kind is Kind.LAW and record.listed(1.0)]
     for unknown in sorted(excluded - set(laws)):
         raise table.fail("excluded", f"{unknown!r} is none of {', '.join(laws)}")
     table.done()

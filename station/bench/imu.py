@@ -91,7 +91,7 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     config = ImuConfig(
         name,
         spec,
-        table.string("link", TWIN),
+        table.link("link", TWIN),
         array_name,
         array,
         rate_hz,

@@ -74,7 +74,7 @@ def read_table(table: Table, folder: Path, known: Registry[TableSpec] = TABLES) 
         raise table.fail("gimbals", f"protocol {spec.name} has {most}")
     config = TableConfig(
         spec=spec,
-        link=table.string("link", TWIN),
+        link=table.link("link", TWIN),
         options=table.options(spec.keys, folder),
         gimbals=tuple(gimbals),
         poll_rate_hz=table.quantity("poll_rate", "frequency", 20.0),
@@ -113,7 +113,7 @@ def _axis(table: Table, spec: TableSpec, folder: Path) -> AxisSetup:
         address=table.option(spec.address) if spec.address is not None else 1,
         counts_per_turn=counts,
         limits=AxisLimits(**table.declared("axis"), travel_rad=_travel(table), acceleration_step_rps2=step_rps2),
-        link=table.string("link", "") if spec.opens_links else "",
+        link=table.link("link", "") if spec.opens_links else "",
         options=table.options(spec.axis_keys, folder),
     )
     table.done()

@@ -5,19 +5,20 @@ import os
 import pickle
 import signal
 import sys
-from collections import deque
+import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from concurrent.futures import Future, as_completed
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
+from functools import partial
 from typing import Any, Generic, TypeVar
+
+from pebble import ProcessExpired, ProcessPool
+
+from station.campaigns import ONE_BLAS_THREAD
 
 T = TypeVar("T")
 R = TypeVar("R")
-
-_STOP_S = 3.0
-ONE_BLAS_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""The environment in which numpy must be imported: sums shared among threads differ in their last digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,97 +73,60 @@ def with_second_try(
 
 
 def _round(work: Callable[[T], R], items: Sequence[T], indices: Sequence[int], count: int) -> Generator[Ended[R]]:
-    left = deque(indices)
     # Pickled once, and unpickled where a failure can be reported: an error in a starting process is only a traceback.
-    packed = pickle.dumps(work)
-    crew: dict[Connection, _Worker] = {}
+    do = partial(_done, pickle.dumps(work))
+    # Spawned: no state of this process, threads and locks least of all.
+    spawn = multiprocessing.get_context("spawn")
+    with _one_blas_thread(), ProcessPool(count, context=spawn, initializer=_begin) as pool:
+        try:
+            with _without_ctrl_c():
+                places: dict[Future[Ended[bytes]], int] = {
+                    pool.schedule(do, args=(index, items[index])): index for index in indices
+                }
+            for future in as_completed(places):
+                yield _taken(places[future], future)
+        finally:
+            pool.stop()  # type: ignore[no-untyped-call]
+
+
+def _taken(index: int, future: Future[Ended[bytes]]) -> Ended[Any]:
+    """Return how an item ended, be it by the end of its process."""
     try:
-        while left or crew:
-            while left and len(crew) < count:
-                worker = _Worker(packed)
-                crew[worker.connection] = worker
-                worker.give(left[0], items[left.popleft()])
-            for connection in wait(list(crew)):
-                assert isinstance(connection, Connection)
-                ended = crew[connection].take()
-                if left and not ended.died:
-                    crew[connection].give(left[0], items[left.popleft()])
-                else:
-                    crew.pop(connection).end()
-                yield ended
-    finally:
-        for worker in crew.values():
-            worker.interrupt()
-        for worker in crew.values():
-            worker.end()
+        ended = future.result()
+    except ProcessExpired as error:
+        return Ended(index, reason=_last_words(error.exitcode), died=True)
+    except Exception as error:  # what could not be handed over
+        return Ended(index, reason=one_line(error))
+    return ended if ended.value is None else attempt(pickle.loads, index, ended.value)
 
 
-class _Worker:
-    """A process that does one item after another, as given."""
-
-    def __init__(self, packed: bytes) -> None:
-        context = multiprocessing.get_context("spawn")  # no state of this process, threads and locks least of all
-        self.connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, packed), daemon=True)
-        with _as_children_start():
-            self._process.start()
-        theirs.close()
-        self._index = -1
-
-    def give(self, index: int, item: object) -> None:
-        """Hand over an item; the worker must be idle."""
-        self._index = index
-        with suppress(BrokenPipeError):  # it died meanwhile: take() tells
-            self.connection.send((index, item))
-
-    def take(self) -> Ended[Any]:
-        """Wait for the end of the item, be it the end of the process."""
-        try:
-            ended: Ended[bytes] = self.connection.recv()
-        except (EOFError, ConnectionResetError):
-            wait([self._process.sentinel], _STOP_S)
-            self._signal(signal.SIGKILL)  # what it had started goes with it
-            self._process.join()
-            return Ended(self._index, reason=_last_words(self._process.exitcode), died=True)
-        return ended if ended.value is None else attempt(pickle.loads, ended.index, ended.value)
-
-    def interrupt(self) -> None:
-        """Ask it to leave its item, closing files."""
-        if self._process.pid is not None:
-            with suppress(ProcessLookupError):
-                os.kill(self._process.pid, signal.SIGTERM)
-
-    def end(self) -> None:
-        """Let it go; by force if it does not."""
-        self.connection.close()
-        self._process.join(_STOP_S)
-        if self._process.exitcode is None:
-            self._signal(signal.SIGKILL)
-            self._process.join()
-
-    def _signal(self, number: signal.Signals) -> None:
-        """Signal the worker's process group; the worker must not have been waited for, or its id may be another's."""
-        pid = self._process.pid
-        assert pid is not None
-        try:
-            os.killpg(pid, number)
-        except ProcessLookupError:  # it had not come to make its group
-            with suppress(ProcessLookupError):
-                os.kill(pid, number)
+def _done(packed: bytes, index: int, item: object) -> Ended[bytes]:
+    """Do an item in a process of its own; a result that cannot be pickled is a failure of its item, too."""
+    try:
+        return attempt(lambda item: pickle.dumps(pickle.loads(packed)(item)), index, item)
+    except SystemExit:  # told to leave; its files are closed by now
+        os._exit(1)
 
 
-def _serve(connection: Connection, packed: bytes) -> None:
-    """Do items until there are no more, or nobody asks any more."""
+def _begin() -> None:
     # A group of its own: the terminal's Ctrl-C is the parent's to pass on, and what this starts can be ended with it.
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, _leave)
-    with suppress(EOFError, ConnectionError):
-        while True:
-            index, item = connection.recv()
-            # A result that cannot be pickled is a failure of its item, too.
-            connection.send(attempt(lambda item: pickle.dumps(pickle.loads(packed)(item)), index, item))
+    end_with_parent()
+
+
+def end_with_parent() -> None:
+    """Have this process of a pool told to leave when the one that asks it is gone, however that ended."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _leave(_number: int, _frame: object) -> None:
@@ -177,15 +141,23 @@ def _last_words(code: int | None) -> str:
 
 
 @contextmanager
-def _as_children_start() -> Iterator[None]:
-    """Give processes started here one BLAS thread each, and keep Ctrl-C from them until they can ignore it."""
-    before = {name: os.environ.get(name) for name in ONE_BLAS_THREAD}
-    os.environ.update(ONE_BLAS_THREAD)
+def _without_ctrl_c() -> Iterator[None]:
+    """Keep Ctrl-C from threads that are started here, and from their processes until these can ignore it."""
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+@contextmanager
+def _one_blas_thread() -> Iterator[None]:
+    """Give processes started meanwhile one BLAS thread each."""
+    before = {name: os.environ.get(name) for name in ONE_BLAS_THREAD}
+    os.environ.update(ONE_BLAS_THREAD)
+    try:
+        yield
+    finally:
         for name, value in before.items():
             os.environ.pop(name, None)
             if value is not None:

@@ -19,7 +19,8 @@ from estimator.calibration.values import Calibration
 from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import Repeatability, repeatability, same_device
-from estimator.recordings.recording import Recording, read_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Recording
 from station.bench.bench import Bench, load_bench, read_excluded, read_limits
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
@@ -185,11 +186,8 @@ def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> Non
     lines = []
     for name, end in judged:
         carried = [str(device).partition(" (")[0] for device in end.attributes.get("devices", ())]
-        device = str(end.attributes.get("device", "")) or ", ".join(carried or _sources(end.calibration))
+        sources = dict.fromkeys(gyro.source for gyro in end.calibration.gyros)
+        device = str(end.attributes.get("device", "")) or ", ".join(carried or sources)
         lines.append((os.path.relpath(name, folder), device, str(end.attributes.get("script", "")), end))
     values = {"lines": lines, "folder": folder, "styles": OUTCOME_STYLES, "isfinite": np.isfinite}
     print_rendered(stdout(), "station.render", "overview.rich", values)
-
-
-def _sources(calibration: Calibration) -> list[str]:
-    return list(dict.fromkeys(gyro.source for gyro in calibration.gyros))

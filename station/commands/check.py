@@ -13,7 +13,7 @@ from station.opening import open_bench
 from station.opening.checking import DeviceCheck, check_bench
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome
-from station.run.snapshot import json_object
+from station.views.json_values import json_object
 
 
 def command_check(arguments: argparse.Namespace) -> int:

@@ -15,7 +15,7 @@ from typing import Any
 from drivers.errors import DeviceError
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import EstimatorError
-from estimator.recordings.recording import write_recording
+from estimator.recordings.writing import write_recording
 from station.atomic_write import new_recording
 from station.bench.bench import Bench, load_bench
 from station.errors import EXIT_USAGE, UsageError

@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers.errors import DeviceError, LinkLost
 from drivers.imus.registry import IMUS, USUAL_IMU
-from drivers.plugins import PluginError, load_file, records
+from drivers.plugins import PluginError, load_file, records_of
 from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.registry import TABLES, USUAL_TABLE
 from drivers.types import AxisState, Floats, ImuBlock, SourceCounts
@@ -264,7 +264,7 @@ def command_conformance(arguments: argparse.Namespace) -> int:
         modules = [load_file(path) for path in plugins]
         found: list[ImuSpec | TableSpec] = []
         for module in modules:
-            found += [*records(module, ImuSpec), *records(module, TableSpec)]
+            found += [*records_of(module, ImuSpec), *records_of(module, TableSpec)]
         found += [registry[name] for registry in (IMUS, TABLES) if name in registry]
     except PluginError as error:
         raise UsageError(str(error)) from None

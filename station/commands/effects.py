@@ -2,70 +2,70 @@
 
 import argparse
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from typing import Any
 
 from rich.markup import escape
 
-from estimator.effects.effect import Parameter
-from estimator.effects.entries import Entry, entries
-from estimator.tracing.investigation import Value
-from station.render.investigation_printed import human, words
+from estimator.effects.catalogue import everything
+from estimator.effects.effect import Effect, Kind
 from station.render.rich_table import rich_table
 from station.render.terminal import stdout
 from station.run.outcome import Outcome
+from station.views.words import human, words
 
 
 def command_effects(arguments: argparse.Namespace) -> int:
     """Print the catalogue of effects; always 0."""
-    listed = entries()
+    listed = [_object(effect) for effect in everything()]
     if arguments.json:
-        print(json.dumps([_object(entry) for entry in listed]))
+        print(json.dumps(listed))
         return Outcome.PASS.exit_code
     heads = ("effect", "parameters, up to", "shown by", "looks like")
     table = rich_table("Effects that an investigation looks for", heads, fold=True)
-    for entry in listed:
-        name = escape(words(entry.name)) + ("" if entry.kind == "law" else f"\n[dim]{entry.kind}[/]")
+    for one in listed:
+        kind = "" if one["kind"] == Kind.LAW else f"\n[dim]{one['kind']}[/]"
+        shared = "\n[dim]shared by all gyros[/]" if one["shared"] else ""
+        needs = f"; needs {' and '.join(one['needs'])}" if one["needs"] else ""
         table.add_row(
-            name + ("\n[dim]shared by all gyros[/]" if entry.shared else ""),
-            escape("\n".join(_parameters(entry))),
-            escape(entry.shown_by + _needs(entry)),
-            escape(", ".join(map(words, entry.confused_with))),
+            escape(words(one["effect"])) + kind + shared,
+            escape("\n".join(_parameters(one))),
+            escape(one["shown_by"] + needs),
+            escape(", ".join(map(words, one["confused_with"]))),
         )
         table.add_section()
     stdout().print(table)
     return Outcome.PASS.exit_code
 
 
-def _parameters(entry: Entry) -> list[str]:
-    lines = [f"{p.name} {_largest(p)}" for p in entry.parameters]
-    sizes = {_largest(p) for p in entry.parameters}
-    if len(lines) > 2 and len(sizes) == 1:
-        lines = [f"{len(lines)} of {sizes.pop()} each"]
-    if entry.free:
-        lines.append(", ".join(name for name, _ in entry.free) + ": found from the data")
+def _parameters(one: dict[str, Any]) -> list[str]:
+    sizes = [_largest(**parameter) for parameter in one["parameters"]]
+    lines = [f"{p['name']} {size}" for p, size in zip(one["parameters"], sizes, strict=True)]
+    if len(lines) > 2 and len(set(sizes)) == 1:
+        lines = [f"{len(lines)} of {sizes[0]} each"]
+    if one["non_linear"]:
+        lines.append(", ".join(free["name"] for free in one["non_linear"]) + ": found from the data")
     return lines
 
 
-def _largest(parameter: Parameter) -> str:
-    return "all of it" if parameter.unit == "1" and parameter.largest == 1 else human(_value(parameter))
+def _largest(name: str, unit: str, largest: float) -> str:
+    return "all of it" if unit == "1" and largest == 1 else human(largest, 0.0, unit)
 
 
-def _value(parameter: Parameter) -> Value:
-    return Value(parameter.largest, 0.0, parameter.unit)
-
-
-def _needs(entry: Entry) -> str:
-    return f"; needs {' and '.join(sorted(entry.needs))}" if entry.needs else ""
-
-
-def _object(entry: Entry) -> dict[str, object]:
+def _object(effect: Effect) -> dict[str, Any]:
+    """Return an effect as --json prints it, names of parameters without the value of what is looked for."""
+    record, parameters = effect.record, effect.parameters
+    free = [{"name": setting.name, "unit": setting.unit} for setting in record.settings if setting.name]
+    names = [p.name.split(" at ")[0] if " at " in p.name else "size" for p in parameters]
+    if record.kind is not Kind.LAW or not free:
+        names = [p.name for p in parameters]
     return {
-        "effect": entry.name,
-        "kind": str(entry.kind),
-        "parameters": [asdict(p) for p in entry.parameters],
-        "non_linear": [{"name": name, "unit": unit} for name, unit in entry.free],
-        "shared": entry.shared,
-        "shown_by": entry.shown_by,
-        "confused_with": list(entry.confused_with),
-        "needs": sorted(entry.needs),
+        "effect": effect.name,
+        "kind": str(record.kind),
+        "parameters": [asdict(replace(p, name=name)) for p, name in zip(parameters, names, strict=True)],
+        "non_linear": free,
+        "shared": effect.shared,
+        "shown_by": record.shown_by,
+        "confused_with": list(effect.confused_with),
+        "needs": sorted(effect.needs),
     }

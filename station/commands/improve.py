@@ -26,7 +26,6 @@ from station.errors import UsageError
 from station.render.template import rendered
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome
-from station.run.snapshot import by_state
 from station.schema.quantities import QuantityError, parse
 from station.scripts.plan import make_plan
 from station.scripts.planned import planned_motion
@@ -34,6 +33,7 @@ from station.scripts.script import Move, Rest, Rotate, Script, check
 from station.scripts.script_family import ways_of
 from station.scripts.script_search import LONGEST_S, Found, Needs, Search, sds_of
 from station.views.figures import STATE_UNITS
+from station.views.json_values import by_state
 
 NAMES = {"k": (0,), "b": (1,), "sigma": (2, 3), "sigma_j": (2,), "sigma_k": (3,)}
 """What --states may list: columns of the states."""
@@ -159,9 +159,7 @@ def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Want
         raise UsageError('--margin must be from "0 %" to below "100 %", --rest "1 s" or more')
     columns = _columns(arguments.states)
     if arguments.sigmas == "bench":
-        limits = bench.limits
-        row = np.array([limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad])
-        sd = np.tile(row, (sum(len(imu.array) for imu in _used(bench)), 1))
+        sd = np.tile(bench.limits.sds, (sum(len(imu.array) for imu in _used(bench)), 1))
     else:
         plan = make_plan(script, bench, effects=())
         promised = np.array([gyro.prior_sd for gyro in plan.forecast.gyros])
@@ -286,10 +284,7 @@ def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
                 improved.gyros, improved.wanted.sd, improved.found.sd, strict=True
             )
         ],
-        "steps": [
-            {"label": step.label, "duration_s": duration_s}
-            for step, duration_s in zip(script.steps, script.durations_s(), strict=True)
-        ],
+        "steps": [{"label": timed.step.label, "duration_s": timed.duration_s} for timed in script.timeline()],
     }
 
 

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from drivers.packaged import packaged_toml
 from drivers.types import AxisLimits
-from estimator.estimation.runs.run import runs_of
-from estimator.recordings.recording import Recording, read_recording
+from estimator.effects.catalogue import records
+from estimator.estimation.runs.making import runs_of
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Recording
 from estimator.recordings.reference import TableReadings
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Finding, Investigation
@@ -23,16 +24,16 @@ from station.commands.calibrate import recordings_of
 from station.commands.improve import write_script
 from station.errors import UsageError
 from station.exports.investigation_file import check_new_file, write_investigation
-from station.render.investigation_pictures import draw_investigation
-from station.render.investigation_printed import exit_code_of, investigation_object, print_investigation
+from station.render.investigation_printed import exit_code_of, print_investigation
 from station.render.progress import TracingProgress
+from station.report.residual_picture import draw_investigation
 from station.schema.tables import Table
 from station.scripts.next_script import NextScript, Past, next_script
 from station.studies.pictures import check_picture
+from station.views.investigation import investigation_view
 
 _NEXT_FILE = "next-script.toml"
 _MOST_RIVALS = 4  # of what stays unexplained, so many suspects are told apart
-_SUSPECTS = packaged_toml("station.commands", "suspects.toml")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,7 @@ def command_investigate(arguments: argparse.Namespace) -> int:
         script_file = script_file or free_path(Path(_NEXT_FILE))
         write_next(script_file, following, limits)
     written = None if following is None else script_file
-    what = investigation_object(found, written, fitted, judging)
+    what = investigation_view(found, written, fitted, judging)
     if model is not None:
         write_investigation(model, found, what)
     if picture is not None:
@@ -163,8 +164,10 @@ def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
 
 def _suspects(found: Investigation) -> tuple[str, ...]:
     """Return what may lie behind something unexplained: effects of its kind, else those that would explain most."""
-    if found.unexplained is not None and found.unexplained.depends_on in _SUSPECTS:
-        return tuple(_SUSPECTS[found.unexplained.depends_on])
+    variable = "" if found.unexplained is None else found.unexplained.depends_on
+    of_its_kind = [record for record in records() if variable in record.suspected_of]
+    if of_its_kind:  # those that mainly depend on it first
+        return tuple(r.name for r in sorted(of_its_kind, key=lambda record: record.depends_on not in ("", variable)))
     ranked = sorted(found.suspects, key=lambda suspect: -suspect.log_evidence)
     return tuple(suspect.effect for suspect in ranked[:_MOST_RIVALS])
 

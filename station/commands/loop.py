@@ -11,7 +11,7 @@ from pathlib import Path
 
 from drivers.errors import DeviceError
 from estimator.errors import EstimatorError
-from estimator.recordings.recording import read_recording
+from estimator.recordings.reading import read_recording
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Finding
 from station.atomic_write import free_path

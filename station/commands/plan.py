@@ -13,10 +13,10 @@ from station.opening import with_links
 from station.render.plan_printed import print_plan
 from station.render.terminal import stdout
 from station.run.outcome import Outcome
-from station.run.snapshot import by_state, json_object
 from station.schema.quantities import QuantityError, parse
 from station.scripts.plan import TEMPERATURE_RISE_K, WARMING_TIME_S, Plan, make_plan
 from station.scripts.script import Rest, Script, load_script, paper_script
+from station.views.json_values import by_state, json_object
 
 
 def command_plan(arguments: argparse.Namespace) -> int:
@@ -84,7 +84,7 @@ def _effect(forecast: EffectForecast, found: Forecast) -> dict[str, Any]:
     return {
         "name": forecast.effect.name,
         "shared": forecast.effect.shared,
-        "shown_by": forecast.effect.shown_by,
+        "shown_by": forecast.effect.record.shown_by,
         "parameters": [
             {
                 "name": parameter.name,
@@ -107,10 +107,10 @@ def _effect(forecast: EffectForecast, found: Forecast) -> dict[str, Any]:
 def _steps(script: Script) -> list[dict[str, Any]]:
     return [
         {
-            "label": step.label,
-            "duration_s": duration_s,
-            "axis": None if isinstance(step, Rest) else step.axis,
-            "rate_rps": None if isinstance(step, Rest) else step.rate_rps,
+            "label": timed.step.label,
+            "duration_s": timed.duration_s,
+            "axis": None if isinstance(timed.step, Rest) else timed.step.axis,
+            "rate_rps": None if isinstance(timed.step, Rest) else timed.step.rate_rps,
         }
-        for step, duration_s in zip(script.steps, script.durations_s(), strict=True)
+        for timed in script.timeline()
     ]

@@ -14,23 +14,13 @@ from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.stored_calibration import read_calibration
 from estimator.calibration.values import Calibration, GyroCalibration
 from estimator.errors import EstimatorError, RecordingError
-from estimator.recordings.recording import Recording, read_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Recording
 from station.errors import UsageError
 from station.exports.hashes import file_sha256
 from station.run.outcome import Outcome
 from station.views.figures import STATE_FIGURES
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """What the calibration was made at: temperatures (lowest, mean, highest; NaN if not recorded), rates, sampling.
-
-    ``largest_rps`` is the largest output of the gyros, ``rate_hz`` how often they were sampled.
-    """
-
-    temperature_c: tuple[float, float, float]
-    largest_rps: float
-    rate_hz: float
+from station.views.seen import Seen, seen_by
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +81,7 @@ def exported_of(path: Path, devices: Sequence[str] = ()) -> Exported:
         calibration,
         gyros,
         Compensation.of(gyros, arrays, calibration.model),
-        _seen(recording, gyros),
+        seen_by(recording.sources[name] for name in {gyro.source: None for gyro in gyros}),
         tuple(device for device in there if device and (not devices or device in devices)),
     )
 
@@ -140,14 +130,3 @@ def _states(gyro: GyroCalibration) -> str:
         f"{shown.name} {state * shown.factor:.6g} ± {float(f'{sd * shown.factor:.2g}'):g} {shown.unit}"
         for shown, state, sd in zip(STATE_FIGURES, gyro.states, gyro.sd, strict=True)
     )
-
-
-def _seen(recording: Recording, gyros: Sequence[GyroCalibration]) -> Seen:
-    used = {gyro.source: recording.sources[gyro.source] for gyro in gyros}.values()
-    temperatures = [data.temperature_c for data in used if data.temperature_c is not None]
-    known = np.concatenate([t[np.isfinite(t)] for t in temperatures]) if temperatures else np.empty(0)
-    span = (float(known.min()), float(known.mean()), float(known.max())) if len(known) else (float("nan"),) * 3
-    outputs = [np.abs(data.rate_rps[np.isfinite(data.rate_rps)]).max(initial=0.0) for data in used]
-    periods = [float(np.median(np.diff(data.t_ns))) * 1e-9 for data in used if len(data.t_ns) > 1]
-    fastest = 1 / min(periods) if periods and min(periods) > 0 else float("nan")
-    return Seen((span[0], span[1], span[2]), float(max(outputs)), fastest)

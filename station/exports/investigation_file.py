@@ -6,18 +6,15 @@ import json
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from estimator.calibration.error_model import WHERE
 from estimator.tracing.investigation import Investigation
-from estimator.tracing.residuals.residual import Residual
 from estimator.tracing.type_model import error_model_of
 from station.errors import UsageError
-
-if TYPE_CHECKING:
-    from h5py import Group
+from station.views.residuals import spectra_of
 
 FORMAT = "turntable-investigation"
 FORMAT_VERSION = 1
@@ -65,21 +62,18 @@ def write_investigation(path: Path, found: Investigation, what: Mapping[str, Any
                     values = getattr(view, key)
                     if values is not None:
                         part[key] = values
-            _write_spectra(group, "spectrum", found.residual_before, found.residual_after)
-            _write_spectra(group, "spectrum_verification", found.verified_before, found.verified_after)
+            fitted, verified = (
+                (found.residual_before, found.residual_after),
+                (found.verified_before, found.verified_after),
+            )
+            for kind, both in (("spectrum", fitted), ("spectrum_verification", verified)):
+                for gyro, spectra in spectra_of(*both).items():
+                    for key in ("frequency_hz", "before", "after", "noise"):
+                        group[f"{kind}/{_name(gyro)}/{key}"] = getattr(spectra, key)
     except (OSError, ValueError) as error:
         with suppress(OSError):
             path.unlink()
         raise UsageError(f"cannot write {path}: {' '.join(str(error).split())}") from None
-
-
-def _write_spectra(group: Group, name: str, before: Residual | None, after: Residual | None) -> None:
-    if before is None or after is None:
-        return
-    for old, new in zip(before.gyros, after.gyros, strict=True):
-        part = group.create_group(f"{name}/{_name(old.name)}")
-        part["frequency_hz"], part["noise"] = old.spectrum.frequency_hz, old.spectrum.noise
-        part["before"], part["after"] = old.spectrum.density, new.spectrum.density
 
 
 def _name(text: str) -> str:

@@ -1,9 +1,9 @@
-"""Laws of constructed effects as expressions of another language."""
+"""Laws of effects as expressions of another language."""
 
 import ast
 from collections.abc import Callable, Mapping
 
-from estimator.effects.constructed import parsed
+from estimator.effects.law import parsed
 from station.exports.written import number
 
 _OPERATORS: Mapping[type[ast.operator], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
@@ -23,6 +23,8 @@ def law_terms(law: str, names: Mapping[str, str], call: Callable[[str, str, str]
                 return names[name]
             case ast.UnaryOp(operand=operand):
                 return f"(-{written(operand)})"
+            case ast.BinOp(left=ast.Name(id=name), op=ast.Pow(), right=ast.Constant(value=int() as n)) if 1 < n < 4:
+                return f"({' * '.join([names[name]] * n)})"
             case ast.BinOp(left=left, op=ast.Pow(), right=right):
                 return call("pow", written(left), written(right))
             case ast.BinOp(left=left, op=op, right=right):

@@ -1,9 +1,7 @@
 """The correction as terms that C and Python write nearly alike: tables of numbers, an expression over gyro ``i``.
 
-Names that expressions use: ``warmth`` is the temperature above the reference, ``slope`` its smoothed rate of change,
-``time_s`` the time since the state was reset, ``u`` the rate about the nominal sense axis, ``accel`` the specific
-force, ``w`` the body rate, ``wdot`` its rate of change, ``step`` the time since the sample before. What the languages
-write differently stands in braces: names of tables, helpers that laws call.
+What the languages write differently stands in braces: names of tables, helpers that laws call. Names are those of
+``variables.toml``, and ``step``, the time since the sample before.
 """
 
 import re
@@ -12,28 +10,19 @@ from dataclasses import dataclass
 
 from drivers.packaged import packaged_toml
 from drivers.types import Floats
-from estimator.calibration.compensation import ADDED, OF_THE_RATE, Acts, Compensation, HeldEffect
-from estimator.effects.constructed import NAME as CONSTRUCTED
+from estimator.calibration.compensation import Compensation
+from estimator.effects.effect import Acts
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.exports.law_text import law_terms
 from station.exports.written import number
 
-FORMULAS: Mapping[str, Mapping[str, str]] = packaged_toml("station.exports", "effects.toml")
-"""What each effect adds to the outputs: as ``html``, ``numpy``, ``scalar`` expression, and its ``unit``."""
-_SIZE = "sqrt({0}[0] * {0}[0] + {0}[1] * {0}[1] + {0}[2] * {0}[2])"
-_ALONG = "({{axis}}[i][0] * {0}[0] + {{axis}}[i][1] * {0}[1] + {{axis}}[i][2] * {0}[2])"
-_VARIABLES: Mapping[str, str] = {
-    "u": "u",
-    **{f"w{axis}": f"w[{r}]" for r, axis in enumerate("xyz")},
-    "speed": _SIZE.format("w"),
-    "a": _ALONG.format("wdot"),
-    "jolt": _SIZE.format("wdot"),
-    "T": "warmth",
-    "Tdot": "slope",
-    "t": "time_s",
-    **{f"g{axis}": f"(accel[{r}] / {number(GRAVITY_MPS2)})" for r, axis in enumerate("xyz")},
-    "gs": f"({_ALONG.format('accel')} / {number(GRAVITY_MPS2)})",
-}
+AXIS_TABLES = ("axis", "axis_j", "axis_k")
+"""Names of the tables of sense and tilt axes."""
+VARIABLES: Mapping[str, Mapping[str, str]] = packaged_toml("station.exports", "variables.toml")
+"""What the variables of laws are called: in "scalar" code for gyro ``i`` of one sample, in numpy for "rows" of them."""
+_SCALAR = {name: text.replace("GRAVITY", number(GRAVITY_MPS2)) for name, text in VARIABLES["scalar"].items()}
+_MAY_FAIL = re.compile(r"(?!fabs)\b[a-z0-9]+\(|/ \(")
+"""What may be no number: functions, quotients by what is measured; products are infinite at the worst."""
 _PLACES = {"lag": 1, "play": 1, "last": 2}
 """Numbers that each function with memory keeps for a gyro."""
 
@@ -100,17 +89,16 @@ class Terms:
 def terms_of(compensation: Compensation) -> Terms:
     """Return the terms of a compensation."""
     terms, places = [], 0
-    order = (*ADDED, *OF_THE_RATE)
     for place, held in enumerate(compensation.effects):
         twice = any(other.name == held.name for other in compensation.effects[:place])
         table = f"{held.name}_{place}" if twice else held.name
-        if held.name == CONSTRUCTED:
-            expression, places = _of_law(held.known.law, places)
-            values = held.values if held.values.shape[1] > 1 else held.values[:, 0]
-            terms.append(Term(held.known.called, table, values, FORMULAS[CONSTRUCTED]["unit"], expression, held.acts))
-        else:
-            terms.append(_term(compensation, held, table))
-    terms.sort(key=lambda term: order.index(term.effect) if term.effect in order else len(order))
+        expression, law = "", held.known.law
+        if law:
+            expression, places = _of_law(law, places)
+        unit = ", ".join(dict.fromkeys(size.unit for size in held.known.sizes))
+        called, of = held.known.called, law or held.known.record.formula
+        values = held.values if held.values.shape[1] > 1 else held.values[:, 0]
+        terms.append(Term(called if of in called else f"{called} ({of})", table, values, unit, expression, held.acts))
     slope = any("slope" in term.expression for term in terms)
     return Terms(tuple(terms), places + slope)
 
@@ -127,19 +115,7 @@ def _of_law(law: str, places: int) -> tuple[str, int]:
         told = {"lag": f"exp(-step / {constant}), 1e300", "play": f"1.0, 0.5 * {constant}"}.get(name, constant or "0.0")
         return f"{{{'last' if name == 'last' else 'follow'}}}{place}, i, {inner}, {told})"
 
-    written = law_terms(law, _VARIABLES, call)
+    written = law_terms(law, _SCALAR, call)
     column = "[{}]" if len(written) > 1 else ""
-    return " + ".join(f"{{table}}[i]{column.format(n)} * {{value}}{term})" for n, term in enumerate(written)), places
-
-
-def _term(compensation: Compensation, held: HeldEffect, table: str) -> Term:
-    values = held.values[:, 0]
-    if held.name == "g_sensitivity":
-        values = held.values / GRAVITY_MPS2
-    elif held.name == "acceleration_sensitivity":
-        axes = compensation.array
-        values = held.values[:, [0]] * axes.j + held.values[:, [1]] * axes.k
-    expression = FORMULAS[held.name]["scalar"]
-    if held.name == "warm_up":
-        expression = expression.replace("{tau_s}", number(float(held.known.settings["time_constant_s"])))
-    return Term(held.name, table, values, FORMULAS[held.name]["unit"], expression, held.acts)
+    guarded = ["{value}" + term + ")" if _MAY_FAIL.search(term) else term for term in written]
+    return " + ".join(f"{{table}}[i]{column.format(n)} * {term}" for n, term in enumerate(guarded)), places

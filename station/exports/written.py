@@ -1,15 +1,18 @@
 """One calibration in one form: the text of the file, and what the file cannot hold."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import yaml
 
 from estimator.effects.constructed import readable
 from station.errors import UsageError
 from station.exports.exported import Exported
 
-NOT_FINITE = "the calibration holds a number that is not finite: estimate it again"
+_NOT_FINITE = "the calibration holds a number that is not finite: estimate it again"
 """Why a calibration cannot be written in any form."""
 
 
@@ -22,13 +25,38 @@ class Written:
 
 
 def number(value: float) -> str:
-    """Return a number with 17 significant digits, which give the same double back: for YAML, C and Python alike."""
+    """Return a number with 17 significant digits, which give the same double back: for C and Python alike."""
     if not np.isfinite(value):
-        raise UsageError(NOT_FINITE)
+        raise UsageError(_NOT_FINITE)
     text = format(float(value), ".17g")
     mantissa, e, exponent = text.partition("e")
-    # YAML takes 1e-05 for a text, and C 1 for an int.
+    # C takes 1 for an int.
     return f"{mantissa}{'' if '.' in mantissa else '.0'}{e}{exponent}"
+
+
+def json_text(value: Mapping[str, object]) -> str:
+    """Return values as JSON; UsageError for a number that is not finite."""
+    try:
+        return json.dumps(value, indent=1, allow_nan=False) + "\n"
+    except ValueError:
+        raise UsageError(_NOT_FINITE) from None
+
+
+def yaml_text(value: Mapping[str, object]) -> str:
+    """Return values that JSON holds as YAML 1.1 and 1.2, rows of numbers in one line; UsageError as ``json_text``."""
+    held = json.loads(json_text(value))  # no two places of it are one object, which YAML would write as an alias
+    return str(yaml.dump(held, Dumper=_Dumper, default_flow_style=None, sort_keys=False, allow_unicode=True, width=1e9))
+
+
+class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
+    """Quotes texts that begin like a number: 1e5 is a text in YAML 1.1, and a number in YAML 1.2."""
+
+    def represent_str(self, text: str) -> Any:
+        """Return the node of a text."""
+        return self.represent_scalar("tag:yaml.org,2002:str", text, style='"' if text[:1] in "+-.0123456789" else None)
+
+
+_Dumper.add_representer(str, _Dumper.represent_str)
 
 
 def lines_of(reasons: Mapping[str, str]) -> list[str]:

@@ -2,13 +2,14 @@
 
 from contextlib import suppress
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from drivers.links.byte_links import SerialLink, TcpLink
 from drivers.links.can_link import CanLink
 from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.modbus.line import SerialPort
 from station.errors import BenchError
+from station.schema.tables import link_of
 
 _BYTE_LINKS = "write serial:///dev/ttyUSB0?baud=921600, tcp://host:port, rfc2217://host:port, or twin:"
 _SERIAL_OPTIONS = {"baud", "parity", "stop_bits"}
@@ -26,7 +27,7 @@ def driver_link(
     """
     if spec.on_can:
         return CanLink(device, *can_address(link, device))
-    if urlsplit(link).scheme == "tcp":
+    if _url(link, device).scheme == "tcp":
         host, number = tcp_address(link, device, spec.tcp_port)
         return (host, number) if spec.opens_links else TcpLink(device, host, number, _TCP_LIMIT_S * time_scale)
     serial = _serial(link, device, spec.baud)
@@ -44,11 +45,8 @@ def driver_link(
 
 def tcp_address(link: str, device: str, default_port: int | None) -> tuple[str, int]:
     """Return host and port of tcp://host:port; BenchError if it is no such link."""
-    try:
-        url = urlsplit(link)
-        port = url.port or default_port
-    except ValueError:
-        url, port = urlsplit(""), None
+    url = _url(link, device)
+    port = url.port or default_port
     if url.scheme != "tcp" or not url.hostname or port is None:
         raise BenchError(f"{device}: {link!r} is no link it can use: write tcp://host:port, or twin:")
     return url.hostname, port
@@ -71,8 +69,15 @@ def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
     return parts[1], parts[2], options
 
 
+def _url(link: str, device: str) -> SplitResult:
+    try:
+        return urlsplit(link_of(link))
+    except ValueError as error:
+        raise BenchError(f"{device}: {error}") from None
+
+
 def _serial(link: str, device: str, baud: int) -> SerialPort:
-    url = urlsplit(link)
+    url = _url(link, device)
     options = {key: values[0] for key, values in parse_qs(url.query).items()}
     port = url.path if url.scheme == "serial" else link.partition("?")[0]
     if url.scheme not in ("serial", "socket", "rfc2217") or not (url.path or url.netloc) or not port:

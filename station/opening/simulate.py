@@ -20,7 +20,7 @@ from sims.physics.hidden import Hidden, HiddenError
 from station.bench.bench import Bench
 from station.errors import BenchError
 from station.opening.twins import hidden_of, mounting_of, truth_of
-from station.scripts.script import Move, Rest, Script
+from station.scripts.script import Rest, Script
 
 __all__ = ["DeviceTruth", "Hidden", "simulate", "simulate_bench"]
 
@@ -66,7 +66,11 @@ def simulate(
     temperature and hidden effects follow stands at ``started_s``: runs of one session follow each other. ``mounts``
     are other mountings and truths than the devices' own.
     """
-    moves = _timed(script)
+    moves = [
+        TimedMove(t.start_s, t.step.axis, t.to_rad, abs(t.step.rate_rps), t.step.acceleration_rps2)
+        for t in script.timeline()
+        if not isinstance(t.step, Rest)
+    ]
     latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
     sources: dict[str, ImuData] = {}
     reference: TableReadings | None = None
@@ -144,17 +148,3 @@ def _own(device: DeviceTruth) -> tuple[Mounting, GyroTruth]:
     noise = device.arw_rps_rthz, device.bias_instability_rps
     truth = GyroTruth(k, b_rps, sigma_j, sigma_k, *noise, rate_random_walk_rps_rts=device.rate_random_walk_rps_rts)
     return mounting or Mounting(device.array.p, device.array.j, device.array.k), truth
-
-
-def _timed(script: Script) -> list[TimedMove]:
-    """Return the moves of a script with the instants at which they begin."""
-    at: float = 0.0
-    angles: dict[str, float] = {}
-    moves = []
-    for step, duration in zip(script.steps, script.durations_s(), strict=True):
-        if not isinstance(step, Rest):
-            here = angles.get(step.axis, 0.0)
-            angles[step.axis] = step.angle_rad if isinstance(step, Move) else here + step.turn_rad
-            moves.append(TimedMove(at, step.axis, angles[step.axis], abs(step.rate_rps), step.acceleration_rps2))
-        at += duration
-    return moves

@@ -27,8 +27,9 @@ from station.bench.bench import Bench
 from station.errors import UsageError
 from station.remote.attaching import VERSION
 from station.remote.session_folder import socket_folder
-from station.run.snapshot import EventKind, Snapshot, json_object
+from station.run.snapshot import EventKind, Snapshot
 from station.scripts.script import Script
+from station.views.json_values import json_object
 
 _log = logging.getLogger(__name__)
 
@@ -309,15 +310,15 @@ def introduction(
     bench: Bench, bench_file: str | None, script: Script, recording: Path, gyros: tuple[str, ...]
 ) -> dict[str, Any]:
     """Return what a client is told of a bench and its run; times in s, limits in SI, null for none."""
-    steps, end_s = [], 0.0
-    for step, duration_s in zip(script.steps, script.durations_s(), strict=True):
-        steps.append({"label": step.label, "start_s": end_s, "end_s": end_s + duration_s})
-        end_s += duration_s
+    steps = [
+        {"label": timed.step.label, "start_s": timed.start_s, "end_s": timed.start_s + timed.duration_s}
+        for timed in script.timeline()
+    ]
     found: dict[str, Any] = json_object(
         {
             "bench": bench.name,
             "bench_file": None if bench_file is None else str(Path(bench_file).resolve()),
-            "script": {"name": script.name, "duration_s": end_s, "steps": steps},
+            "script": {"name": script.name, "duration_s": script.duration_s, "steps": steps},
             "recording": str(recording.resolve()),
             "gyros": gyros,
             "axes": bench.table.gimbals,

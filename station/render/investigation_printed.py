@@ -1,31 +1,30 @@
-"""An investigation as a person reads it, and as --json gives it."""
+"""An investigation as a person reads it, in a terminal and on the screen."""
 
-import math
-from collections.abc import Sequence
-from dataclasses import asdict, astuple
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
-from estimator.effects.constructed import readable
-from estimator.tracing.investigation import Added, Finding, GyroErrors, Investigation, ModelStep, Value
-from station.render.residual_printed import residual_object, residual_tables
+from estimator.tracing.investigation import Finding, Investigation
+from estimator.tracing.residuals.origin import Origin
+from estimator.tracing.residuals.residual import BY_CHANCE
 from station.render.rich_table import rich_table
 from station.render.template import rendered
-from station.render.terminal import print_rendered, stdout
-from station.run.snapshot import by_state, json_object, named
+from station.render.terminal import Shown, print_all, shown_of, stdout
 from station.scripts.next_script import NextScript
-from station.views.figures import FINDING_STYLES, effect_units
+from station.views.figures import FINDING_STYLES, number
+from station.views.investigation import InvestigationView, ResidualView, investigation_view
+from station.views.words import dph, human, probability, words
 
-_DEG = 180 / math.pi
-_UNITS = effect_units("traced")
-_ADDED = ("effect", "constructed", "expression", "gyros", "probability", "parameters", "out_of_sample", "same")
-"""What --json says of an effect that was added."""
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
 _MOST_SHOWN = 8
+_DEPENDENCES_SHOWN = 3
+_LEAST_DEPENDENCE = 0.15
+_RESIDUAL_COLUMNS = (("NIS", "r"), ("white, p", "r"), ("beyond noise", "r"), ("depends on", "l"))
 
 
 def exit_code_of(finding: Finding) -> int:
@@ -37,99 +36,85 @@ def print_investigation(
     found: Investigation, next_script: NextScript | None, path: Path | None, console: Console | None = None
 ) -> None:
     """Print the verdict in words, the suspects, the error before and after, what was left out, and what to drive."""
+    drive = next_script.words() if next_script else ""
+    what = investigation_view(found, path)
+    print_all(console or stdout(), investigation_shown(what, f"station run --script {path}", drive))
+
+
+def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> list[Shown]:
+    """Return lines and tables of an investigation; ``how`` its next script is driven, ``drive`` what that is."""
     left_out: dict[str, list[str]] = {}
-    for effect, reason in found.left_out.items():
+    for effect, reason in what["left_out"].items():
         left_out.setdefault(reason, []).append(words(effect))
-    ranked = sorted(found.suspects, key=lambda suspect: -suspect.probability)
-    shown = [s for s in ranked if s.probability >= _LEAST_SHOWN][:_MOST_SHOWN]
+    ranked = sorted(what["suspects"], key=lambda suspect: -(suspect["probability"] or 0))
+    shown = [s for s in ranked if (s["probability"] or 0) >= _LEAST_SHOWN][:_MOST_SHOWN]
     values = {
-        "found": found,
-        "colour": Markup(FINDING_STYLES[found.finding]),
-        "verdict": verdict_lines(found),
-        "next_script": next_script,
-        "path": path,
+        "what": what,
+        "colour": Markup(FINDING_STYLES.get(what["verdict"], "bold")),
+        "verdict": verdict_lines(what),
+        "drive": drive,
+        "how": how,
         "shown": shown,
         "others": ranked[len(shown) :],
         "words": words,
         "probability": probability,
-        "residuals": residual_tables(found),
-        "models": _models(found.models) if len(found.models) > 1 else None,
+        "percent": _percent,
+        "number": number,
+        "figure": lambda value: "inf" if value is None else f"{value:.3g}",
+        "residuals": _residual_tables(what["residual"]),
+        "models": _models(what["models"]) if len(what["models"]) > 1 else None,
         "left_out": left_out,
         "dph": dph,
     }
-    print_rendered(console or stdout(), "station.render", "investigation.rich", values)
+    return shown_of("station.render", "investigation.rich", values)
 
 
-def verdict_lines(found: Investigation) -> list[str]:
+def verdict_lines(what: InvestigationView) -> list[str]:
     """Return what was found, in sentences: effects with their parameters, rivals, what is unexplained."""
     values = {
-        "found": found,
-        "called": lambda added: _constructed_line(added) if added.constructed else words(added.effect),
+        "what": what,
+        "called": lambda added: _constructed_line(added) if added["constructed"] else words(added["effect"]),
         "parameters": _parameters,
-        "same": lambda added: ", ".join(map(words, added.same)),
+        "same": lambda added: ", ".join(map(words, added["same"])),
         "either": lambda rivals: " or ".join(map(words, rivals)),
         "probability": probability,
     }
     return rendered("station.render", "verdict.txt", values).splitlines()
 
 
-def _parameters(added: Added) -> dict[str, list[str]]:
+def _parameters(added: Mapping[str, Any]) -> dict[str, list[str]]:
     """Return by gyro, or by the name of the parameter where that is of none, what the parameters are."""
     lines: dict[str, list[str]] = {}
-    for name, value in added.parameters.items():
-        own = next((gyro for gyro in added.gyros if name.startswith(f"{gyro} ")), "")
-        shown = f"{name.removeprefix(f'{own} ')} {human(value)}" if own else human(value)
+    for name, value in added["parameters"].items():
+        own = next((gyro for gyro in added["gyros"] if name.startswith(f"{gyro} ")), "")
+        shown = f"{name.removeprefix(f'{own} ')} {human(*value)}" if own else human(*value)
         lines.setdefault(own or name, []).append(shown)
     return lines
 
 
-def _constructed_line(added: Added) -> str:
+def _constructed_line(added: Mapping[str, Any]) -> str:
     """Return what an effect is that has no name, with the uncertainty of its lag."""
-    said, lag = added.effect, added.parameters.get("constant")
+    said, lag = str(added["effect"]), added["parameters"].get("constant")
     if lag is not None:
-        said = said.replace(f"lagged by {lag.value:.4g} s", f"lagged by {human(lag)}")
+        said = said.replace(f"lagged by {lag[0]:.4g} s", f"lagged by {human(*lag)}")
     return f"CONSTRUCTED: {said}; not in the catalogue"
 
 
-def words(name: str) -> str:
-    """Return the name of an effect as people say it; "a + b" for several."""
-    return readable(name)
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{share:.1%}"
 
 
-def probability(share: float) -> str:
-    """Return a probability that is never rounded to certainty."""
-    if share > 0.999:
-        return "above 99.9 %"
-    return "below 0.1 %" if share < 0.001 else f"{share * 100:.1f} %"
-
-
-def human(value: Value) -> str:
-    """Return a value and its standard deviation in a unit for people, to two digits of the latter."""
-    unit, factor = _unit(value)
-    number, sd = value.value * factor, value.sd * factor
-    if not math.isfinite(sd) or sd <= 0:
-        return f"{number:.4g} {unit}".rstrip()
-    digits = max(1 - math.floor(math.log10(sd)), 0)
-    return f"{number:.{digits}f} ± {sd:.{digits}f} {unit}".rstrip()
-
-
-def _unit(value: Value) -> tuple[str, float]:
-    if value.unit == "s":  # delays are milliseconds, time constants of a warm-up are not
-        return ("ms", 1e3) if abs(value.value) < 0.5 else ("s", 1.0)
-    return _UNITS.get(value.unit, (value.unit, 1.0))
-
-
-def _models(models: Sequence[ModelStep]) -> Table:
+def _models(models: Sequence[Mapping[str, Any]]) -> Table:
     """Return one row a model: what it added, its evidence, its error."""
     rows = [
         (
-            " + ".join(["four states", *map(words, model.effects)]),
-            f"{model.log_evidence:+.1f}" if number else "0",
-            dph(model.errors.rms_rps),
-            dph(model.errors.max_rps),
-            f"{model.errors.coverage95:.1%}",
+            " + ".join(["four states", *map(words, model["effects"])]),
+            number(model["log_evidence"], 1, signed=True) if place else "0",
+            dph(model["rms_rps"]),
+            dph(model["max_rps"]),
+            _percent(model["coverage95"]),
         )
-        for number, model in enumerate(models)
+        for place, model in enumerate(models)
     ]
     table = rich_table(
         "Chain of models", ("model", "log evidence", "rms deg/h", "largest deg/h", "in 95 %"), "lr", rows
@@ -138,41 +123,78 @@ def _models(models: Sequence[ModelStep]) -> Table:
     return table
 
 
-def dph(rate_rps: float) -> str:
-    """Return a rate in deg/h with three digits."""
-    value = rate_rps * _DEG * 3600
-    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+def _residual_tables(residual: Mapping[str, Any] | None) -> list[tuple[Table, str]]:
+    """Return what is left, before and after: of the recordings fitted; of the verification run where it is not noise.
+
+    Below each stands whether that is common to all gyros. Nothing if the residual was not looked at.
+    """
+    if residual is None:
+        return []
+    tables = [_residual_table("recordings fitted", residual["before"], residual["after"])]
+    verified = residual["verification"]
+    if verified is not None and not _is_noise(verified["after"]):
+        tables.append(_residual_table("verification run", verified["before"], verified["after"]))
+    return tables
 
 
-def investigation_object(
-    found: Investigation, next_script: Path | None, recordings: Sequence[str], verification: Sequence[str]
-) -> dict[str, Any]:
-    """Return what --json prints: SI, shares between 0 and 1, null for what is not known."""
-    whole: dict[str, Any] = json_object(
-        {
-            "verdict": str(found.finding),
-            "reason": found.reason,
-            "added": [
-                named(added, _ADDED) | {"parameters": {name: astuple(v) for name, v in added.parameters.items()}}
-                for added in found.added
-            ],
-            **named(found, ("rivals", "unexplained", "before", "after", "improvement", "in_sample")),
-            "next_script": None if next_script is None else str(next_script),
-            "models": [
-                {"effects": m.effects, "log_evidence": m.log_evidence, **asdict(m.errors)} for m in found.models
-            ],
-            "gyros": {gyro.name: _gyro(gyro) for gyro in found.gyros},
-            "suspects": found.suspects,
-            "residual": residual_object(found),
-            **named(found, ("left_out", "taken_back", "notes")),
-            "recordings": recordings,
-            "verification": verification,
-        }
-    )
-    return whole
+def _is_noise(residual: ResidualView) -> bool:
+    """Return whether a residual passes for noise, in every gyro and in what they have in common."""
+    split = residual["split"]
+    clean = all(_is_white(gyro) and not gyro["beyond"] for gyro in residual["gyros"].values())
+    return clean and (split is None or split["origin"] == Origin.NOISE)
 
 
-def _gyro(gyro: GyroErrors) -> dict[str, Any]:
-    states = {key: by_state(getattr(gyro, key)) for key in ("states_before", "states_after", "sd_before", "sd_after")}
-    moved = {"moved_sigmas": by_state(gyro.moved)}
-    return {"before": gyro.before, "after": gyro.after, **states, **moved, "phases": gyro.phases}
+def _residual_table(runs: str, before: ResidualView, after: ResidualView) -> tuple[Table, str]:
+    both = (before,) if after == before else (before, after)
+    by_chance = max(gyro["nis_sd"] or 0 for gyro in before["gyros"].values())
+    heads, align = ["gyro"], "l"
+    for heading, side in _RESIDUAL_COLUMNS:
+        heads += [heading] if len(both) == 1 else [f"{heading}\nbefore", "\nafter"]
+        align += side * len(both)
+    rows = []
+    for name in before["gyros"]:
+        gyros = [residual["gyros"][name] for residual in both]
+        rows.append((escape(name), *(cell(gyro) for cell in (_nis, _white, _beyond, _depends_on) for gyro in gyros)))
+    title = f"Residual, {runs} (NIS of noise: 1 ± {by_chance:.2f})"
+    return rich_table(title, heads, align, rows), origin_line(before, after)
+
+
+def origin_line(before: ResidualView, after: ResidualView) -> str:
+    """Return in words whether what is left is common to all gyros, before and after."""
+    question = "common to all gyros, or each gyro's own?"
+    if before["split"] is None or after["split"] is None:
+        return f"{question} cannot be told: {before['no_split'] or after['no_split']}"
+    if after == before:
+        return f"{question} {_origin(before['split'])}"
+    return f"{question} before: {_origin(before['split'])}; after: {_origin(after['split'])}"
+
+
+def _origin(split: Mapping[str, Any]) -> str:
+    origin, own_share = str(split["origin"]), split["own_share"]
+    common = origin == Origin.COMMON
+    if common and split["spare"] == 1:
+        return f"{origin}, as far as one gyro more than axes can tell"
+    return origin if own_share is None or common else f"{origin}, {own_share:.0%}"
+
+
+def _nis(gyro: Mapping[str, Any]) -> str:
+    nis = gyro["nis"]
+    return number(nis, 2) if nis is None or nis < 100 else f"{nis:.3g}"
+
+
+def _is_white(gyro: Mapping[str, Any]) -> bool:
+    return (gyro["white_p"] or 0) >= BY_CHANCE
+
+
+def _white(gyro: Mapping[str, Any]) -> str:
+    return f"{gyro['white_p']:.2g}" if _is_white(gyro) else "< 0.0001"
+
+
+def _beyond(gyro: Mapping[str, Any]) -> str:
+    return f"{gyro['beyond']:.0%}"
+
+
+def _depends_on(gyro: Mapping[str, Any]) -> str:
+    shares = {variable: d["share"] for variable, d in gyro["depends_on"].items() if d["share"] >= _LEAST_DEPENDENCE}
+    ranked = sorted(shares, key=lambda variable: -shares[variable])[:_DEPENDENCES_SHOWN]
+    return ", ".join(f"{variable} {shares[variable]:.0%}" for variable in ranked) or "nothing"

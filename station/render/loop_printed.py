@@ -4,15 +4,24 @@ from typing import Any
 
 from rich.markup import escape
 
-from station.render.investigation_printed import dph, investigation_object, print_investigation, verdict_lines
+from station.render.investigation_printed import print_investigation, verdict_lines
 from station.render.terminal import print_rendered, stdout
 from station.run.closed_loop import Loop, Round
+from station.views.investigation import investigation_view
+from station.views.words import dph
 
 
 def print_loop(loop: Loop) -> None:
     """Print the report: runs, what each investigation led to, the last one in full."""
     console, last = stdout(), loop.rounds[-1]
-    values = {"runs_driven": loop.runs, "rounds": loop.rounds, "verdict_lines": verdict_lines, "dph": dph}
+    views = [investigation_view(turn.found, turn.script_file) for turn in loop.rounds]
+    values = {
+        "runs_driven": loop.runs,
+        "rounds": loop.rounds,
+        "views": views,
+        "verdict_lines": verdict_lines,
+        "dph": dph,
+    }
     print_rendered(console, "station.render", "loop.rich", values)
     print_investigation(last.found, last.following, last.script_file, console)
     console.print(escape(f"ended: {loop.ended}"), highlight=False)
@@ -25,7 +34,7 @@ def loop_object(loop: Loop) -> dict[str, Any]:
     last = loop.rounds[-1]
     fitted, judging = ([str(path) for path in loop.recordings(judging=j)] for j in (False, True))
     return {
-        **investigation_object(last.found, last.script_file, fitted, judging),
+        **investigation_view(last.found, last.script_file, fitted, judging),
         "rounds": [_round_object(turn) for turn in loop.rounds],
         "runs": runs_object(loop),
         "folder": str(loop.folder),
@@ -51,7 +60,7 @@ def runs_object(loop: Loop) -> list[dict[str, Any]]:
 
 
 def _round_object(turn: Round) -> dict[str, Any]:
-    whole = investigation_object(turn.found, turn.script_file, (), ())
+    whole = dict(investigation_view(turn.found, turn.script_file))
     kept = ("verdict", "reason", "added", "rivals", "unexplained", "before", "after", "models", "next_script")
     following = turn.following
     return {

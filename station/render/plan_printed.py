@@ -10,18 +10,17 @@ from rich.console import Console
 from rich.table import Table
 
 from drivers.types import Flags, Floats
-from estimator.effects.catalogue import TONE_HZ
-from estimator.effects.thermal import REFERENCE_C
+from estimator.effects.conditions import REFERENCE_C
+from estimator.effects.disturbances import TONE
 from estimator.planning.planning import ALIKE, EffectForecast, Forecast
-from station.render.investigation_printed import words
 from station.render.rich_table import rich_table
 from station.render.terminal import print_rendered
 from station.scripts.axis_profile import profile_lines
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
-from station.views.figures import STATE_UNITS, effect_units
+from station.views.figures import STATE_UNITS, shown_unit
+from station.views.words import words
 
-_UNITS = effect_units("planned")
 _MARKED = 1.0  # shifts of the states below so many of their sigmas are not worth a word
 
 
@@ -44,7 +43,7 @@ def print_plan(plan: Plan, console: Console) -> None:
         "alike": ALIKE,
         "reference_c": REFERENCE_C,
         "warming_time_s": WARMING_TIME_S,
-        "tone_hz": TONE_HZ,
+        "tone_hz": TONE.listed(0.0)[0]["frequency_hz"],
     }
     print_rendered(console, "station.render", "plan.rich", values)
 
@@ -93,7 +92,7 @@ def _effects(found: Forecast) -> Table:
     for forecast in found.effects:
         for unit in dict.fromkeys(parameter.unit for parameter in forecast.effect.parameters):
             own = [i for i, parameter in enumerate(forecast.effect.parameters) if parameter.unit == unit]
-            shown, factor = _UNITS[unit]
+            shown, factor = shown_unit(unit)
             largest = _number(float(forecast.largest[own].max()) * factor)
             table.add_row(words(forecast.effect.name), _smallest(forecast, own, factor), largest, shown)
     return table
@@ -117,13 +116,13 @@ def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
         return []
     worst = int(hidden[np.argmax(sigmas[hidden].max(axis=(1, 2)))])
     parameter = forecast.effect.parameters[worst]
-    unit, factor = _UNITS[parameter.unit]
+    unit, factor = shown_unit(parameter.unit)
     others = int(np.sum(sigmas[hidden].max(axis=(1, 2)) >= _MARKED)) - 1
     more = f" (and {others} more of its parameters)" if others > 0 else ""
     size = f"{_number(parameter.largest * factor)} {unit}"
     lines = [
         f"[bold]{words(forecast.effect.name)}[/], {parameter.name}, {size}{more}; "
-        f"needed to see it: {forecast.effect.shown_by}"
+        f"needed to see it: {forecast.effect.record.shown_by}"
     ]
     for state, (name, state_unit, scale) in enumerate(STATE_UNITS):
         parts = [
@@ -147,4 +146,4 @@ def _number(value: float) -> str:
     if value == 0 or not math.isfinite(value):
         return f"{value:g}"
     digits = max(2 - math.floor(math.log10(abs(value))), 0)
-    return f"{value:.{min(digits, 6)}f}"
+    return f"{value:.{min(digits, 9)}f}"

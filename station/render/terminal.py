@@ -1,7 +1,7 @@
 """What a person sees in the terminal, from templates: lines with the markup of rich, and tables."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeAlias
 
 from markupsafe import Markup
 from rich.console import Console, RenderableType
@@ -11,6 +11,8 @@ from station.render.rich_table import rich_table
 from station.render.template import rendered
 
 _PIPE_WIDTH = 120
+Shown: TypeAlias = tuple[RenderableType, dict[str, Any]]
+"""A line or a table, and how Console.print is to print it."""
 
 
 def stdout() -> Console:
@@ -20,17 +22,27 @@ def stdout() -> Console:
 
 
 def print_rendered(console: Console, package: str, name: str, values: Mapping[str, Any]) -> None:
-    """Print a template line by line. ``table`` in it begins a ``rich_table``, ``show`` prints one where it stands.
+    """Print a template line by line, see ``shown_of``."""
+    print_all(console, shown_of(package, name, values))
+
+
+def print_all(console: Console, shown: Iterable[Shown]) -> None:
+    """Print lines and tables."""
+    for what, how in shown:
+        console.print(what, **how)
+
+
+def shown_of(package: str, name: str, values: Mapping[str, Any]) -> list[Shown]:
+    """Return lines and tables of a template. ``table`` in it begins a ``rich_table``, ``show`` has it where it stands.
 
     Of a text ``show`` takes what Console.print takes, for instance soft_wrap. What goes into tables is markup: in it
     ``escape`` is for names.
     """
-    shown: list[tuple[RenderableType, dict[str, Any]]] = []
+    shown: list[Shown] = []
 
     def show(what: RenderableType, **how: Any) -> Markup:
         shown.append((what, how))
         return Markup(f"\0{len(shown) - 1}")
 
-    for line in rendered(package, name, {"table": rich_table, "escape": escape, "show": show, **values}).splitlines():
-        what, how = shown[int(line[1:])] if line.startswith("\0") else (line, {"highlight": False})
-        console.print(what, **how)
+    lines = rendered(package, name, {"table": rich_table, "escape": escape, "show": show, **values}).splitlines()
+    return [shown[int(line[1:])] if line.startswith("\0") else (line, {"highlight": False}) for line in lines]

@@ -10,11 +10,7 @@ from itertools import count
 from markupsafe import Markup
 
 from drivers.packaged import packaged_text
-from estimator.calibration.compensation import OF_THE_RATE
-from estimator.effects.conditions import SLOPE_S
-from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.exports.hashes import RAW_RULE, file_sha256, raw_sha256
-from station.render.investigation_printed import words
 from station.render.template import rendered
 from station.report import figures
 from station.report.chapters import blind_spots, corrected, course, front, residual, results
@@ -24,6 +20,7 @@ from station.report.chapters.unseen import unseen_of
 from station.report.recorded import Recorded
 from station.report.standing import Standing, number_of, standing_of
 from station.report.traced import Traced
+from station.views.words import words
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
@@ -33,13 +30,10 @@ _MADE_OF = {
     "course": course,
     "figures": figures,
     "front": front,
-    "gravity_mps2": GRAVITY_MPS2,
     "inf": math.inf,
-    "rate_effects": OF_THE_RATE,
     "raw_rule": RAW_RULE,
     "residual": residual,
     "results": results,
-    "slope_s": SLOPE_S,
     "snippet": snippet,
     "words": words,
 }

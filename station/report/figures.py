@@ -10,9 +10,8 @@ from markupsafe import Markup
 
 from drivers.packaged import packaged_toml
 from estimator.calibration.error_model import Size
-from estimator.tracing.investigation import Value
-from station.render.investigation_printed import human
 from station.views.figures import STATE_UNITS
+from station.views.words import human
 
 COVERAGE = 2.0
 """Coverage factor of expanded uncertainties: about 95 % of a normal distribution."""
@@ -109,7 +108,7 @@ def with_uncertainty(value: float, sd: float, unit: Unit, source: str, source_of
 
 def worded(value: float, expanded: float, unit: str, source: str | None = None) -> Markup:
     """Return a value of an effect and its expanded uncertainty (0: none), ``unit`` in SI, as everyday units have it."""
-    return figure(value, Unit(unit, 1.0), typographic(human(Value(value, expanded, unit))), source)
+    return figure(value, Unit(unit, 1.0), typographic(human(value, expanded, unit)), source)
 
 
 def parameters(sizes: Iterable[Size], values: Iterable[float]) -> Markup:

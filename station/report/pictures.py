@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from drivers.types import Floats
 from station.render.template import rendered
-from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, STATES
+from station.report.figures import DEG_PER_H, DEG_PER_S, STATES
 from station.report.recorded import Course
-from station.report.traced import Residual, Spectrum
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,7 +49,7 @@ class Picture:
 
 def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str) -> Picture:
     """Return the rates (N, axes) of named axes over time."""
-    with _drawn((WIDTH_IN, 0.62 * len(names) + 0.42), len(names), 1, between=0.12) as (figure, panels):
+    with drawn((WIDTH_IN, 0.62 * len(names) + 0.42), len(names), 1, between=0.12) as (figure, panels):
         for column, (name, panel) in enumerate(zip(names, panels[:, 0], strict=True)):
             at, shown = _thinned(t_s, rate_rps[:, column] * DEG_PER_S.factor)
             panel.axhline(0, color=GREY, lw=0.5)
@@ -60,14 +59,14 @@ def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str
         panels[-1, 0].set_xlabel("time since the script began, s")
         of_each = zip(names, (rate_rps * DEG_PER_S.factor).T, strict=True)
         largest = [f"{name} {np.nanmin(r):.4g} to {np.nanmax(r):.4g}" for name, r in of_each]
-        return _done(figure, "rates", what=what, span_s=t_s[-1] - t_s[0], largest=largest)
+        return done(figure, "rates", what=what, span_s=t_s[-1] - t_s[0], largest=largest)
 
 
 def convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, turns_s: Sequence[float]) -> Picture:
     """Return how the states of one gyro and their sigmas went, a panel a state; grey lines where steps begin."""
     t_s = np.asarray((course.t_ns - start_ns) * 1e-9, dtype=np.float64)
-    each = slice((len(t_s) - 1) % _every(t_s), None, _every(t_s))  # the last among them
-    with _drawn((WIDTH_IN, 1.45), 1, 4, left=0.42, top=0.2) as (figure, panels):
+    each = slice((len(t_s) - 1) % every(t_s), None, every(t_s))  # the last among them
+    with drawn((WIDTH_IN, 1.45), 1, 4, left=0.42, top=0.2) as (figure, panels):
         for s, (panel, symbol) in enumerate(zip(panels[0], _SYMBOLS, strict=True)):
             unit = STATES[s][1]
             value, sd = course.states[each, channel, s] * unit.factor, course.sd[each, channel, s] * unit.factor
@@ -85,14 +84,14 @@ def convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, 
             f"{unit.name}"
             for s, (word, (_, unit)) in enumerate(zip(("k", "b", "sigma j", "sigma k"), STATES, strict=True))
         ]
-        return _done(figure, "convergence", gyro=gyro, last=last)
+        return done(figure, "convergence", gyro=gyro, last=last)
 
 
 def nis_picture(courses: Sequence[tuple[str, Course]], start_ns: int) -> Picture:
     """Return the normalised innovations squared of each source over time, means of some seconds."""
     columns = min(len(courses) + 1, 6)
     bottom = 0.4 + 0.15 * -(-(len(courses) + 1) // columns)
-    with _drawn((WIDTH_IN, 1.25 + bottom), 1, 1, bottom=bottom) as (figure, panels):
+    with drawn((WIDTH_IN, 1.25 + bottom), 1, 1, bottom=bottom) as (figure, panels):
         panel = panels[0, 0]
         means = []
         for number, (name, course) in enumerate(courses):
@@ -112,12 +111,12 @@ def nis_picture(courses: Sequence[tuple[str, Course]], start_ns: int) -> Picture
         panel.margins(x=0)
         panel.set_ylim(bottom=0)
         figure.legend(loc="lower center", ncols=columns, frameon=False)
-        return _done(figure, "nis", means=[f"{name} {mean:.3f}" for name, mean, _ in means])
+        return done(figure, "nis", means=[f"{name} {mean:.3f}" for name, mean, _ in means])
 
 
 def allan_picture(names: Sequence[str], tau_s: Floats, deviation_rps: Floats) -> Picture:
     """Return the Allan deviations (n, t) of the gyros at rest."""
-    with _drawn((WIDTH_IN / 2 + 0.6, 2.1), 1, 1) as (figure, panels):
+    with drawn((WIDTH_IN / 2 + 0.6, 2.1), 1, 1) as (figure, panels):
         panel = panels[0, 0]
         for number, name in enumerate(names):
             colour, style = _STYLES[number % len(_STYLES)]
@@ -126,57 +125,11 @@ def allan_picture(names: Sequence[str], tau_s: Floats, deviation_rps: Floats) ->
         panel.set_ylabel("Allan deviation, °/h")
         panel.legend(frameon=False, ncols=1 + len(names) // 9)
         lowest = [f"{name} {np.nanmin(d) * DEG_PER_H.factor:.2g}" for name, d in zip(names, deviation_rps, strict=True)]
-        return _done(figure, "allan", lowest=lowest)
-
-
-def residual_picture(residual: Residual, spectrum: Spectrum | None) -> Picture:
-    """Return the residual of one gyro before and after: over time, against the rate, and its spectrum."""
-    columns = 3 if spectrum is not None else 2
-    with _drawn((WIDTH_IN, 1.75), 1, columns, bottom=0.55, widths=[1.9, 1, 1][:columns]) as (figure, panels):
-        over_time, against_rate, *rest = panels[0]
-        both = (("before", ORANGE, residual.before_rps), ("after", BLUE, residual.after_rps))
-        since = residual.t_s - residual.t_s[0]
-        for label, colour, values in both:
-            at, means = _means(since, values * DEG_PER_H.factor)
-            over_time.plot(at, means, color=colour, label=label, lw=0.7)
-        # Over many rows a scatter is as plain with some of them.
-        each = slice(None, None, _every(since))
-        for (_, colour, values), mark in zip(both, ("x", "o"), strict=True):
-            against_rate.plot(
-                residual.rate_rps[each] * DEG_PER_S.factor,
-                values[each] * DEG_PER_H.factor,
-                mark,
-                ms=1.4,
-                mew=0.3,
-                mfc="none",
-                color=colour,
-            )
-        over_time.set_xlabel("time, s")
-        over_time.set_ylabel("residual, °/h")
-        over_time.margins(x=0)
-        against_rate.set_xlabel("rate about the sense axis, °/s")
-        against_rate.sharey(over_time)
-        against_rate.tick_params(labelleft=False)
-        if spectrum is not None:
-            panel = rest[0]
-            for colour, style, density, label in (
-                (ORANGE, "-", spectrum.before, "_before"),
-                (BLUE, "-", spectrum.after, "_after"),
-                (GREY, "--", spectrum.noise, "noise model"),
-            ):
-                panel.loglog(
-                    spectrum.frequency_hz, np.sqrt(density) * ARW.factor * 3600, style, color=colour, label=label
-                )
-            panel.yaxis.set_minor_formatter("")
-            panel.set_xlabel("frequency, Hz")
-            panel.set_ylabel("°/h/√Hz")
-        figure.legend(loc="lower center", ncols=3, frameon=False)
-        rms = [float(np.sqrt(np.mean(values**2))) * DEG_PER_H.factor for _, _, values in both]
-        return _done(figure, "residual", residual=residual, spectrum=spectrum is not None, rms=rms)
+        return done(figure, "allan", lowest=lowest)
 
 
 @contextmanager
-def _drawn(
+def drawn(
     size: tuple[float, float],
     rows: int,
     columns: int,
@@ -202,12 +155,17 @@ def _drawn(
         edges = {"left": left / size[0], "right": 1 - _RIGHT_IN / size[0]}
         edges |= {"bottom": bottom / size[1], "top": 1 - top / size[1]}
         panels = figure.subplots(
-            rows, columns, squeeze=False, sharex=rows > 1, width_ratios=widths, gridspec_kw={**edges, **spaces}
+            rows,
+            columns,
+            squeeze=False,
+            sharex="col" if rows > 1 else False,
+            width_ratios=widths,
+            gridspec_kw={**edges, **spaces},
         )
         yield figure, panels
 
 
-def _done(figure: Figure, picture: str, **values: object) -> Picture:
+def done(figure: Figure, picture: str, **values: object) -> Picture:
     """Return the figure with the text in its place and its caption, which stand in a template."""
     alternative, caption = rendered("station.report", "pictures.txt", {"picture": picture, **values}).splitlines()
     out = io.StringIO()
@@ -228,7 +186,7 @@ def _shortened(attribute: re.Match[str]) -> str:
     return re.sub(r"(\.\d)\d+", r"\1", attribute.group())
 
 
-def _every(t_s: Floats) -> int:
+def every(t_s: Floats) -> int:
     """Return how many rows make one point of a small panel."""
     return max(-(-len(t_s) // _FEW_POINTS), 1)
 
@@ -246,7 +204,7 @@ def _thinned(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     return t_s[kept], values[kept]
 
 
-def _means(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+def means(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Return means over stretches of a curve that is mostly noise."""
     rows = max(len(t_s) // _MOST_POINTS, 1)
     count = len(t_s) // rows

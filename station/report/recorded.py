@@ -13,8 +13,10 @@ import numpy as np
 from drivers.types import Floats, Stamps
 from estimator.calibration.stored_calibration import read_calibration
 from estimator.calibration.values import Calibration
-from estimator.errors import RecordingError
-from estimator.recordings.recording import Recording, read_recording
+from estimator.errors import RecordingError, first_line
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Recording
+from estimator.recordings.writing import plain
 from station.run.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -144,21 +146,15 @@ def labels_of(recording: Recording) -> dict[tuple[str, str], str]:
     return {(s, name): name if names.count(name) == 1 else f"{s} {name}" for s, name in keys}
 
 
-def plain(value: Any) -> Any:
-    """Return a value from an HDF5 file as Python's own: text, number, or array."""
-    if isinstance(value, bytes):
-        return value.decode(errors="replace")
-    return value.item() if isinstance(value, np.generic) else value
-
-
 @contextmanager
 def _laid_out(path: Path) -> Iterator[None]:
     """Turn what a group made by hand, or cut short, can raise into a RecordingError."""
     try:
         yield
     except (OSError, AttributeError, TypeError, ValueError, KeyError, IndexError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise RecordingError(f"{path}: its results are not laid out as the station writes them: {reason}") from None
+        raise RecordingError(
+            f"{path}: its results are not laid out as the station writes them: {first_line(error)}"
+        ) from None
 
 
 def _allan(group: Group) -> tuple[Floats, Floats] | None:

@@ -1,20 +1,15 @@
 """What a document may call itself: every limit compared with what was found, and a certificate only of a pass."""
 
 import hashlib
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import Enum
 
-from markupsafe import Markup
-
-from estimator.calibration.values import Calibration
 from station.bench.bench import Limits, read_limits
 from station.bench.table import TWIN
-from station.report.figures import ONE, PERCENT, STATES, Unit
 from station.report.recorded import Recorded
 from station.run.outcome import Outcome, Verdict, judge
+from station.views.limits import LimitLine, limit_lines
 
 
 class Kind(Enum):
@@ -31,40 +26,12 @@ class Kind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """One limit: what it is of, the value found, the bounds, SI. ``source`` says where the recording has the value.
-
-    ``of_u``: it is of the standard uncertainty of that quantity.
-    """
-
-    gyro: str
-    what: Markup
-    unit: Unit
-    value: float
-    low: float
-    high: float
-    source: str | None = None
-    note: str = ""
-    of_u: bool = False
-
-    @property
-    def stated(self) -> bool:
-        """Whether there is a bound at all."""
-        return math.isfinite(self.high) or self.low > 0
-
-    @property
-    def within(self) -> bool:
-        """Whether the value is within its bounds; what is not known is not."""
-        return self.low <= self.value <= self.high
-
-
-@dataclass(frozen=True, slots=True)
 class Standing:
     """What the document is, how the run ended or was judged (None: not at all), each limit beside what was found."""
 
     kind: Kind
     verdict: Verdict | None
-    lines: tuple[Line, ...]
+    lines: tuple[LimitLine, ...]
     simulated: bool
 
     @property
@@ -95,7 +62,7 @@ def standing_of(recorded: Recorded) -> Standing:
     limits = limits_of(recorded)
     found = recorded.calibration
     labels = [recorded.label(gyro.source, gyro.name) for gyro in found.gyros] if found is not None else []
-    lines = limit_lines(found, labels, limits) if found is not None and limits is not None else ()
+    lines = tuple(limit_lines(found, limits, labels)) if found is not None and limits is not None else ()
     simulated = is_simulated(recorded)
     kind, verdict = _kind_of(recorded, limits, lines)
     if kind is Kind.CERTIFICATE and simulated:
@@ -103,7 +70,7 @@ def standing_of(recorded: Recorded) -> Standing:
     return Standing(kind, verdict, lines, simulated)
 
 
-def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[Line, ...]) -> tuple[Kind, Verdict | None]:
+def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, ...]) -> tuple[Kind, Verdict | None]:
     ended = _ended(recorded)
     if ended is not None and ended.outcome in (Outcome.ABORTED, Outcome.FAULT):
         return Kind[ended.outcome.name], ended
@@ -139,25 +106,6 @@ def limits_of(recorded: Recorded) -> Limits | None:
     """Return the limits of the bench that a recording carries, None if it carries none."""
     text = recorded.text("bench")
     return read_limits(text) if text else None
-
-
-def limit_lines(found: Calibration, labels: Sequence[str], limits: Limits) -> tuple[Line, ...]:
-    """Return each limit that is stated beside what was found, as ``station.run.outcome.judge`` compares them."""
-    sizes = (limits.k, limits.b_rps, limits.sigma_rad, limits.sigma_rad)
-    doubts = (limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad)
-    lines = [Line(e.name, Markup("estimate"), ONE, math.nan, 0.0, 1.0, note=e.reason) for e in found.excluded]
-    for i, (gyro, label) in enumerate(zip(found.gyros, labels, strict=True)):
-        for s, (symbol, unit) in enumerate(STATES):
-            value, sd = float(gyro.states[s]), float(gyro.sd[s])
-            lines.append(Line(label, symbol, unit, value, -sizes[s], sizes[s], f"calibration/states[{i},{s}]"))
-            lines.append(Line(label, symbol, unit, sd, 0.0, doubts[s], f"calibration/sd[{i},{s}]", of_u=True))
-    if math.isfinite(found.nis_mean):
-        low, high = limits.nis_low, limits.nis_high
-        lines.append(Line("all", Markup("mean NIS"), ONE, found.nis_mean, low, high, "calibration@nis_mean"))
-    if limits.lost < 1:
-        share = found.lost / max(found.samples + found.lost, 1)
-        lines.append(Line("all", Markup("samples lost"), PERCENT, share, 0.0, limits.lost))
-    return tuple(line for line in lines if line.stated)
 
 
 def number_of(recorded: Recorded, hashes: tuple[str, ...]) -> str:

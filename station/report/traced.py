@@ -6,46 +6,26 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drivers.types import Floats
 from estimator.calibration.error_model import ErrorModel
-from estimator.errors import RecordingError
+from estimator.errors import RecordingError, first_line
 from estimator.recordings.safe_open import probe
-from station.render.investigation_printed import words
-from station.report.recorded import Recorded, labels_of, plain
+from estimator.recordings.writing import plain
+from estimator.tracing.investigation import ResidualView
+from station.report.recorded import Recorded, labels_of
+from station.views.investigation import InvestigationView
+from station.views.residuals import Spectra, judged_views
+from station.views.words import words
 
 if TYPE_CHECKING:
     from h5py import Group
 
 
 _ALL = "all gyros"  # under this name an error model keeps what was found of a shared effect
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Residual:
-    """Residual of one gyro over a run, means over blocks (b,), rad/s; ``noise_rps`` is the white noise of one."""
-
-    run: str
-    gyro: str
-    verification: bool
-    t_s: Floats
-    rate_rps: Floats
-    before_rps: Floats
-    after_rps: Floats
-    noise_rps: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Spectrum:
-    """One-sided densities (f,) of the residual of a gyro, (rad/s)^2/Hz."""
-
-    frequency_hz: Floats
-    before: Floats
-    after: Floats
-    noise: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,12 +37,12 @@ class Traced:
     """
 
     path: Path
-    what: Mapping[str, Any]
+    what: InvestigationView
     names: tuple[str, ...]
     states: Floats
     model: ErrorModel | None
-    residuals: tuple[Residual, ...]
-    spectra: Mapping[str, Spectrum]
+    residuals: tuple[ResidualView, ...]
+    spectra: Mapping[str, Spectra]
 
     @property
     def added(self) -> bool:
@@ -95,7 +75,7 @@ def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
                 )
             traced = _read(where, file["investigation"])
     except (OSError, AttributeError, TypeError, ValueError, KeyError, IndexError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        reason = first_line(error)
         raise RecordingError(f"{where}: its investigation cannot be read ({reason}): investigate again") from None
     ours = set(labels_of(recorded.recording).values())
     if not set(traced.names) <= ours:
@@ -128,8 +108,7 @@ def _read(path: Path, group: Group) -> Traced:
         model = ErrorModel.parse(str(plain(group["error_model"][()])), str(path))
     runs = group.get("residual", {})
     residuals = [_residual(run, gyro, part) for run, gyros in runs.items() for gyro, part in gyros.items()]
-    judging = [residual for residual in residuals if residual.verification] or residuals
-    ordered = [r for name in names for r in judging if r.gyro == name and r.run == judging[0].run]
+    judged = judged_views(residuals)
     spectra = group.get("spectrum_verification") or group.get("spectrum") or {}
     return Traced(
         path,
@@ -137,18 +116,16 @@ def _read(path: Path, group: Group) -> Traced:
         names,
         states,
         model,
-        tuple(ordered),
+        tuple(view for name in names for view in judged if view.gyro == name),
         {name: _spectrum(part) for name, part in spectra.items()},
     )
 
 
-def _residual(run: str, gyro: str, part: Group) -> Residual:
-    columns = (part[key][()].astype(np.float64) for key in ("t_s", "rate_rps", "before_rps", "after_rps"))
-    t_s, rate, before, after = columns
-    return Residual(
-        run, gyro, bool(part.attrs["verification"]), t_s, rate, before, after, float(part.attrs["noise_rps"])
-    )
+def _residual(run: str, gyro: str, part: Group) -> ResidualView:
+    columns = {key: values[()].astype(np.float64) for key, values in part.items()}
+    judges, noise_rps = bool(part.attrs["verification"]), float(part.attrs["noise_rps"])
+    return ResidualView(run, gyro, judges, noise_rps=noise_rps, **{"temperature_c": None, **columns})
 
 
-def _spectrum(part: Group) -> Spectrum:
-    return Spectrum(*(part[key][()].astype(np.float64) for key in ("frequency_hz", "before", "after", "noise")))
+def _spectrum(part: Group) -> Spectra:
+    return Spectra(*(part[key][()].astype(np.float64) for key in ("frequency_hz", "before", "after", "noise")))

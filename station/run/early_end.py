@@ -8,14 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.types import Floats
 from estimator.calibration.budget import table_budget
 from estimator.estimation.noise_evidence import TooShort, joint_estimate, run_of_blocks
 from estimator.geometry.model import decode
 from estimator.observations.blocks import Blocks
 from estimator.recordings.recording import ImuData
-from estimator.recordings.reference import TableReadings
-from station.bench.bench import Bench, Limits
+from estimator.recordings.reference import TableReadings, TableUncertainty
+from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
 from station.errors import UsageError
 from station.run.live import RECENT_S, LiveEstimate, LiveSource
@@ -27,14 +26,9 @@ _NO_STAMPS = np.empty(0, dtype=np.int64)
 _IN_A_ROW = 2  # so many confirmations: an estimate that is looked at often dips below its limit by chance
 
 
-def required_sigmas(limits: Limits) -> Floats:
-    """Return the sigmas (4,) that a bench requires, infinite where it requires none."""
-    return np.array([limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad])
-
-
 def check_early_end(bench: Bench) -> None:
     """See that the bench says what is enough; UsageError if it does not."""
-    if not np.isfinite(required_sigmas(bench.limits)).any():
+    if not np.isfinite(bench.limits.sds).any():
         raise UsageError(
             "--end-early: the bench requires no sigmas, so none could be enough; "
             "give sd_scale_factor_error, sd_bias or sd_misalignment in [limits]"
@@ -47,7 +41,7 @@ class EarlyEnd:
     def __init__(self, bench: Bench, configs: Mapping[str, ImuConfig], live: LiveEstimate, time_scale: float) -> None:
         """``configs`` are the devices by the name of each of their sources."""
         self._bench, self._configs, self._live, self._time_scale = bench, dict(configs), live, time_scale
-        self._required = required_sigmas(bench.limits)
+        self._required = np.array(bench.limits.sds)
         live.keep_blocks()
 
     async def wait(self) -> str:
@@ -82,19 +76,24 @@ class EarlyEnd:
 
     def _largest_share(self) -> Callable[[], float]:
         """Return what finds the largest sigma of now as a share of its limit; it does not touch the run any more."""
-        sources = {name: (source, source.blocks()) for name, source in self._live.sources.items()}
+        sources = {
+            name: (source, source.blocks(), source.filter.offset_sd_s) for name, source in self._live.sources.items()
+        }
         readings = self._live.readings(self._bench.table.uncertainty)
-        return lambda: max(self._share(sources, readings, device) for device in self._devices())
+        devices = dict.fromkeys(config.name for config in self._configs.values())
+        return lambda: max(self._share(sources, readings, device) for device in devices)
 
-    def _devices(self) -> list[str]:
-        return list(dict.fromkeys(config.name for config in self._configs.values()))
+    def _share(
+        self, sources: Mapping[str, tuple[LiveSource, Blocks, float]], readings: TableReadings, device: str
+    ) -> float:
+        """Return the largest sigma of a device as a share of its limit, as ``estimator.estimation.calibrate`` finds it.
 
-    def _share(self, sources: Mapping[str, tuple[LiveSource, Blocks]], readings: TableReadings, device: str) -> float:
-        """Return the largest sigma of a device as a share of its limit, as ``calibrate`` finds it."""
+        Of the offset of a source in time counts what the live filter knows by now.
+        """
         own = [pair for name, pair in sources.items() if self._configs[name].name == device]
         config = next(config for config in self._configs.values() if config.name == device)
         runs = []
-        for number, (source, blocks) in enumerate(own):
+        for number, (source, blocks, _) in enumerate(own):
             named = replace(source.array, names=tuple(f"{number} {name}" for name in source.array.names))
             data = ImuData(named, _NO_STAMPS, np.empty((0, len(named))), prior=source.prior)
             runs.append(run_of_blocks(device, data, blocks, readings))
@@ -106,7 +105,9 @@ class EarlyEnd:
         for number, run in enumerate(found.runs):
             gyros = found.gyros_of(number)
             arw = found.arw[gyros.start : gyros.stop]
-            tables = table_budget(readings, self._bench.site, run.array, run.prior, arw)
+            known = replace(readings.uncertainty or TableUncertainty(), timing_s=own[number][2])
+            timed = replace(readings, uncertainty=known)
+            tables = table_budget(timed, self._bench.site, run.array, run.prior, arw)
             for g, table in zip(gyros, tables, strict=True):
                 whole = found.covariances[g] + sum(line.covariance for line in table)
                 sd = np.sqrt(np.diag(decode(found.means[g], whole)[1]))

@@ -13,7 +13,9 @@ from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.sample_columns import white_solution
-from estimator.recordings.recording import Recording, read_recording, write_results, write_source_attributes
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Recording
+from estimator.recordings.writing import write_results, write_source_attributes
 from station.run.live import LiveEstimate
 from station.run.sources import SourceReport
 

@@ -242,8 +242,8 @@ class LiveEstimate:
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
         """Return the readings of the table that have been kept."""
-        t_ns, angle_rad, rate_rps, half_width_ns = _columns(self._kept_rows or [])
-        return TableReadings(t_ns, angle_rad, rate_rps, self._gimbals, uncertainty, half_width_ns)
+        t_ns, angle_rad, rate_rps, half_width_ns, window_ns = _columns(self._kept_rows or [])
+        return TableReadings(t_ns, angle_rad, rate_rps, self._gimbals, uncertainty, half_width_ns, window_ns)
 
     def add_row(self, row: TableRow) -> None:
         """Take in one row of table readings; now and then use the samples that they cover."""
@@ -299,7 +299,7 @@ class LiveEstimate:
         return sum(r.products for r in recent) / squares
 
 
-def _columns(rows: list[TableRow]) -> tuple[Stamps, Floats, Floats, Stamps]:
-    t_ns, angle_rad, rate_rps, half_width_ns = zip(*rows, strict=True)
+def _columns(rows: list[TableRow]) -> tuple[Stamps, Floats, Floats, Stamps, int]:
+    t_ns, angle_rad, rate_rps, half_width_ns, window_ns = zip(*rows, strict=True)
     stamps = np.array(t_ns, dtype=np.int64), np.array(half_width_ns, dtype=np.int64)
-    return stamps[0], np.array(angle_rad), np.array(rate_rps), stamps[1]
+    return stamps[0], np.array(angle_rad), np.array(rate_rps), stamps[1], max(window_ns)

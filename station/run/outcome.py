@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-import numpy as np
-
 from estimator.calibration.budget import UNSEEN
-from estimator.calibration.values import Calibration, GyroCalibration
+from estimator.calibration.values import Calibration
 from station.bench.bench import Limits
+from station.views.limits import LimitLine, limit_lines
 
-_DEG = 180 / np.pi
 _MOSTLY = 0.5
 
 
@@ -48,34 +46,9 @@ def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str]
     if limits is None or not limits.stated:
         reasons = ("estimated; there are no limits to judge by", *calibration.doubts)
         return Verdict(Outcome.ESTIMATED, "; ".join(reasons))
-    broken = [f"{gyro.name} is not estimated: {gyro.reason}" for gyro in calibration.excluded]
-    sizes = (limits.k, limits.b_rps, limits.sigma_rad, limits.sigma_rad)
-    doubts = (limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad)
-    units = ((1e6, "ppm"), (_DEG, "deg/s"), (_DEG, "deg"), (_DEG, "deg"))
-    doubt_units = ((1e6, "ppm"), (_DEG * 3600, "deg/h"), (1e6, "urad"), (1e6, "urad"))
-    names = ("k", "b", "sigma_j", "sigma_k")
-    unseen = False
-    for gyro in calibration.gyros:
-        for i, name in enumerate(names):
-            value, doubt = abs(gyro.states[i]), gyro.sd[i]
-            if not value <= sizes[i]:
-                factor, unit = units[i]
-                broken.append(f"{gyro.name} {name} {value * factor:.4g} {unit} > {sizes[i] * factor:.4g} {unit}")
-            if not doubt <= doubts[i]:
-                factor, unit = doubt_units[i]
-                broken.append(
-                    f"{gyro.name} sigma of {name} {doubt * factor:.4g} {unit} > {doubts[i] * factor:.4g} {unit}"
-                )
-                unseen |= _mostly_unseen(gyro, i)
-    if not limits.nis_low <= calibration.nis_mean <= limits.nis_high and np.isfinite(calibration.nis_mean):
-        broken.append(
-            f"mean NIS {calibration.nis_mean:.3f} outside {limits.nis_low:g} to {limits.nis_high:g}: "
-            "the noise or the model is not what was assumed"
-        )
-    share = calibration.lost / max(calibration.samples + calibration.lost, 1)
-    if share > limits.lost:
-        broken.append(f"{share:.2%} of the samples lost > {limits.lost:.2%}")
-    if unseen:
+    lines = [line for line in limit_lines(calibration, limits) if not line.within]
+    broken = [line.broken for line in lines]
+    if any(line.of_u and _mostly_unseen(calibration, line) for line in lines):
         broken.append(
             "these sigmas are mostly effects that this script cannot show: the section undeclared of the bench file "
             "says which are ruled out"
@@ -86,7 +59,10 @@ def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str]
     return Verdict(Outcome.PASS, "; but ".join([good, *calibration.doubts]))
 
 
-def _mostly_unseen(gyro: GyroCalibration, state: int) -> bool:
+def _mostly_unseen(calibration: Calibration, line: LimitLine) -> bool:
     """Return whether a sigma comes of undeclared effects for the most part."""
-    unseen = sum(float(line.u[state] ** 2) for line in gyro.budget if line.name == UNSEEN)
-    return unseen > _MOSTLY * float(gyro.sd[state] ** 2)
+    assert line.row is not None
+    assert line.state is not None
+    budget = calibration.gyros[line.row].budget
+    unseen = sum(float(part.u[line.state] ** 2) for part in budget if part.name == UNSEEN)
+    return unseen > _MOSTLY * line.value**2

@@ -25,7 +25,7 @@ from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
 from estimator.estimation.sample_columns import SampleColumns
-from estimator.recordings.recording import TEXT_BYTES, RecordingWriter, write_attributes
+from estimator.recordings.writing import TEXT_BYTES, RecordingWriter, write_attributes
 from station.errors import UsageError
 from station.opening import OpenBench, OpenImu
 from station.opening.reopening import Reopening
@@ -40,7 +40,7 @@ from station.run.sequencer import Sequencer
 from station.run.snapshot import EventKind, Phase, Snapshot
 from station.run.sources import SourceReport
 from station.run.table_watch import TableRow, check_axes, watch_table
-from station.run.uncommanded import MotionGuard
+from station.run.uncommanded import MotionGuard, watch_homing
 from station.scripts.polling import too_steep
 from station.scripts.script import Script
 
@@ -49,6 +49,7 @@ _log = logging.getLogger(__name__)
 _FLUSH_S = 0.2  # what a killed station loses, at most, beyond what was on its way
 _FLUSH_SIMULATED_S = 2.0  # a simulated second lasts milliseconds
 _SYNC_S = 0.5
+_SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
 _LATE_S = 0.03  # of the host, after which a computer may be why a run fails
 _FIRST_SAMPLE_S = 3.0
 _SILENCE_S = 1.0
@@ -124,7 +125,7 @@ class Session:
         self._last_seen_s: dict[str, float] = {}
         self._reports: dict[str, SourceReport] = {}
         self._reopening = Reopening(self._moving, partial(self._event, EventKind.LINK), self._time_scale)
-        self._half_width_ns, self._late_s = 0, 0.0
+        self._half_width_ns, self._rate_window_ns, self._late_s, self._late_at_s = 0, 0, 0.0, -np.inf
         self._connected = False
         self._sync: asyncio.Future[Any] | None = None
         self._live = LiveEstimate(config.table.gimbals, config.site)
@@ -271,10 +272,12 @@ class Session:
             services.append(self._serve(group, self._watch_silence()))
             if self._options.reset_fault:
                 await table.reset_fault()
+            watch_home = self._serve(group, watch_homing(table))
             self._phase = Phase.ENABLING
             await table.enable()
             self._phase = Phase.HOMING
             await table.home()
+            watch_home.cancel()
             await check_axes(table, axes)
             loop = asyncio.get_running_loop()
             began_s = loop.time()
@@ -369,7 +372,11 @@ class Session:
         return np.asarray(np.linalg.solve(p, accel_mps2.T).T) if p.shape == (3, 3) else accel_mps2
 
     def _take_row(self, row: TableRow) -> None:
-        self._writer.append_rows("table", {key: np.array([value]) for key, value in row._asdict().items()})
+        columns = row._asdict()
+        if columns.pop("rate_window_ns") != self._rate_window_ns:
+            table, self._rate_window_ns = self._bench.table, row.rate_window_ns
+            self._writer.add_table(table.gimbals, table.uncertainty, row.rate_window_ns)
+        self._writer.append_rows("table", {key: np.array([value]) for key, value in columns.items()})
         self._half_width_ns = max(self._half_width_ns, row.half_width_ns)
         self._live.add_row(row)
         self._monitor.take_row(row)
@@ -391,7 +398,7 @@ class Session:
     async def _watch_silence(self) -> None:
         limit_s = _SILENCE_S * self._time_scale
         while True:
-            await asyncio.sleep(limit_s / 4)
+            await self._sleep(limit_s / 4)
             now = asyncio.get_running_loop().time()
             silent = [
                 name
@@ -399,7 +406,17 @@ class Session:
                 if now - seen > limit_s and self._device_of(name) not in self._reopening.under_way
             ]
             if silent:
-                raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s")
+                late = f"; {self._late}" * (self._late_at_s > min(self._last_seen_s[name] for name in silent))
+                raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s{late}")
+
+    async def _sleep(self, time_s: float) -> None:
+        """Sleep, and keep by how much the computer was late with that (s of the host), and when it was last."""
+        loop = asyncio.get_running_loop()
+        due_s = loop.time() + time_s
+        await asyncio.sleep(time_s)
+        late_s = (loop.time() - due_s) / self._options.time_scale
+        if late_s > _LATE_S:
+            self._late_s, self._late_at_s = max(self._late_s, late_s), loop.time()
 
     async def _keep_flushing(self) -> None:
         """Hand rows to the operating system five times a second, and have it write them out twice a second.
@@ -411,9 +428,7 @@ class Session:
         sync_due_s = loop.time()
         every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S * self._options.time_scale
         while True:
-            due_s = loop.time() + every_s
-            await asyncio.sleep(every_s)
-            self._late_s = max(self._late_s, (loop.time() - due_s) / self._options.time_scale)
+            await self._sleep(every_s)
             self._monitor.mark()
             if self._sync is not None and not self._sync.done():
                 continue  # a write now would wait for the disk, and everything for that write
@@ -427,25 +442,25 @@ class Session:
         self._phase = Phase.STOPPING
         if not self._connected:
             return
-        trouble = await self._tried(self._open.table.stop())
+        trouble = await self._tried(self._open.table.stop(), None)
         if trouble:
             self._event(EventKind.NOT_AT_REST, f"controlled stop not confirmed: {trouble}")
-            aborted = await self._tried(self._open.table.abort())  # as hard as the controller can
+            aborted = await self._tried(self._open.table.abort(), None)  # as hard as the controller can
             trouble = f"it did not come to rest by a controlled stop ({trouble})"
             if aborted:
                 trouble = f"the table was not seen to come to rest ({aborted}): use the emergency stop"
+        off = await self._tried(self._open.table.disable())  # also what heeds nothing else: it may then coast
         if not trouble or not aborted:
-            off = await self._tried(self._open.table.disable())
             trouble = trouble or (off and f"the table is at rest, but its power may be on ({off})")
             self._event(EventKind.AT_REST, "table at rest")
         if trouble:
             verdict = self._verdict or Verdict(Outcome.FAULT, trouble)
             self._verdict = replace(verdict, reason="; ".join(dict.fromkeys((verdict.reason, trouble))))
 
-    async def _tried(self, what: Coroutine[Any, Any, object]) -> str:
-        """Do what ends a motion; return in words what went wrong."""
+    async def _tried(self, what: Coroutine[Any, Any, object], limit_s: float | None = _STOP_LIMIT_S) -> str:
+        """Do what ends a motion; return in words what went wrong. What watches axes slow down ends by itself."""
         try:
-            async with asyncio.timeout(_STOP_LIMIT_S * self._time_scale):
+            async with asyncio.timeout(limit_s and limit_s * self._time_scale):
                 await what
         except (DeviceError, TimeoutError) as error:
             return str(error) or "no answer in time"
@@ -474,11 +489,17 @@ class Session:
         reports = tuple(self._reports.values())
         return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports)
 
+    @property
+    def _late(self) -> str:
+        return f"this computer did not keep up: the run waited for it for up to {self._late_s * 1e3:.0f} ms"
+
     def _causes(self) -> list[str]:
         """Return what may have made a run fail beside its gyros: samples at other instants, a late computer."""
-        late = f"this computer did not keep up: the run waited for it for up to {self._late_s * 1e3:.0f} ms"
+        took_s = 2e-9 * self._half_width_ns
+        slow = f"the table took up to {took_s * 1e3:.0f} ms to answer: when it was where is known no better"
         found = [report.mistimed for report in self._reports.values()]
-        return [cause for cause in (*found, late if self._late_s > _LATE_S else "") if cause]
+        found += [slow] * (took_s > _SLOW_S) + [self._late] * (self._late_s > 0.0)
+        return [cause for cause in found if cause]
 
     async def _close(self) -> None:
         """Close all links, and the recording."""
@@ -517,7 +538,9 @@ class Session:
         errors = list(_leaves(error))
         for device_error in errors:
             if isinstance(device_error, DeviceError):
-                return self._fault(device_error)
+                if device_error.device == "table":
+                    self._monitor.table_fault = device_error.message
+                return Verdict(Outcome.FAULT, str(device_error))
         first = errors[0]
         if isinstance(first, EstimatorError):
             return Verdict(Outcome.FAULT, str(first))
@@ -530,11 +553,6 @@ class Session:
         where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in at)
         what = f"defect of the station, please report it: {type(first).__name__}: {first}{where}"
         return Verdict(Outcome.ABORTED, what)
-
-    def _fault(self, error: DeviceError) -> Verdict:
-        if error.device == "table":
-            self._monitor.table_fault = error.message
-        return Verdict(Outcome.FAULT, str(error))
 
     def _outlive(self) -> None:
         if not self._terminal_gone and not self._closed:

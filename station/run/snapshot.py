@@ -6,13 +6,11 @@ All figures in SI units; NaN where nothing is known, null in JSON.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, is_dataclass
 from enum import StrEnum
 from functools import cache
 from typing import Any, get_args, get_origin, get_type_hints
-
-from estimator.geometry.model import STATES
 
 AFTER_THIS_STEP, PAUSED = "after this step", "paused"
 """Words of ``Snapshot.paused``, beside ""."""
@@ -124,31 +122,6 @@ class Snapshot:
     def share(self) -> float:
         """How much of the run is done, 0 to 1."""
         return self.elapsed_s / max(self.elapsed_s + self.remaining_s, 1e-9)
-
-
-def json_object(value: Any) -> Any:
-    """Return dataclasses, dicts, sequences, arrays and numbers as what JSON can hold: null for what is not finite."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: json_object(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_object(item) for item in value]
-    if hasattr(value, "tolist"):
-        return json_object(value.tolist())
-    if is_dataclass(value):  # dataclasses.asdict copies all that it meets, and costs four times as much
-        return {name: json_object(getattr(value, name)) for name in value.__dataclass_fields__}
-    return value
-
-
-def named(value: Any, names: Iterable[str]) -> dict[str, Any]:
-    """Return some attributes of a value by their names."""
-    return {name: getattr(value, name) for name in names}
-
-
-def by_state(values: Any) -> dict[str, Any]:
-    """Return what there is of each state (4,) by the state's name, as JSON can hold it."""
-    return dict(zip(STATES, json_object(values), strict=True))
 
 
 def snapshot_of(found: Mapping[str, Any]) -> Snapshot:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import math
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
@@ -20,27 +19,29 @@ from station.run.uncommanded import MotionGuard
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
 _STATUS_AT_LATEST_S = 0.6  # and on a slow link before a drive stops that hears nothing
 _IDLE_S = 0.4  # so often each axis is looked at that has not been told to turn: it may do so by itself
-
-
-_STRAIGHT_RPS = math.radians(0.02)  # by which mean rates may bend where a ramp's corner is not
+_KEPT = 5  # readings before that a mean rate is judged by
+_WELL_NS = 1e6  # to which an instant needs to be known
 
 
 class TableRow(NamedTuple):
-    """Angles and rates (axes,) at one instant, which may be off by the half width of the round trips."""
+    """Angles and rates (axes,) at one instant, which may be off by the half width of the round trips.
+
+    Rates are means over the ``rate_window_ns`` that ends at it.
+    """
 
     t_ns: int
     angle_rad: Floats
     rate_rps: Floats
     half_width_ns: int
+    rate_window_ns: int = 0
 
 
 class Aligner:
     """Turns readings of single axes, each at its own instant, into rows at one instant.
 
     An angle is carried to the row's instant, that of the fastest axis' rate, by the rate, a rate by interpolation
-    between readings. A row is given
-    when the rates around it are known: one reading later, or as many as a rate that is a mean lags behind. Around
-    the corners of ramps a mean rate is not the rate: such rows are left out.
+    between readings. A row is given when the rates around it are known: one reading later. Rates that are means are
+    those up to the angle of the fastest axis; while they tell of what was before the first reading there is no row.
     """
 
     def __init__(self, axes: tuple[str, ...]) -> None:
@@ -48,6 +49,7 @@ class Aligner:
         self._axes = axes
         self._readings: deque[dict[str, AxisState]] = deque()
         self._next = 0  # index of the reading whose row is given next
+        self._since_ns: int | None = None  # instant of the first reading
 
     def add(self, states: Mapping[str, AxisState]) -> list[TableRow]:
         """Take in one reading of all axes; return the rows that are known now."""
@@ -55,11 +57,14 @@ class Aligner:
         if len(self._readings) > 1 and self._at_ns(-1) <= self._at_ns(-2):
             self._readings.pop()  # its instant is of another axis than that of the reading before
             return []
+        self._since_ns = self._at_ns(0) if self._since_ns is None else self._since_ns
         rows = []
-        while self._next < len(self._readings) - 1 and self._rates_reach(self._next):
+        while self._next < len(self._readings) - 1:
             rows += self._row(self._next)
             self._next += 1
-        self._forget()
+        while self._next > _KEPT:
+            self._readings.popleft()
+            self._next -= 1
         return rows
 
     def last(self) -> list[TableRow]:
@@ -67,56 +72,47 @@ class Aligner:
         return [row for index in range(self._next, len(self._readings)) for row in self._row(index)]
 
     def _at_ns(self, index: int) -> int:
-        states = self._readings[index].values()
-        if any(state.rate_window_ns for state in states):
-            return sum(state.angle_t_ns for state in states) // len(states)
         # A rate may bend between two readings, so the axis that is or was the fastest is to need no interpolation.
         before = self._readings[max(index % len(self._readings) - 1, 0)]
         now = self._readings[index]
-        return now[max(now, key=lambda axis: max(abs(now[axis].rate_rps), abs(before[axis].rate_rps)))].rate_t_ns
-
-    def _rates_reach(self, index: int) -> bool:
-        """Return whether rates up to the row's instant, and half the time that they are means of, are known."""
-        window = max(state.rate_window_ns for state in self._readings[index].values())
-        if not window:
-            return True
-        return min(state.rate_t_ns for state in self._readings[-1].values()) >= self._at_ns(index) + window // 2
+        state = now[max(now, key=lambda axis: max(abs(now[axis].rate_rps), abs(before[axis].rate_rps)))]
+        return state.angle_t_ns if state.rate_window_ns else state.rate_t_ns
 
     def _row(self, index: int) -> list[TableRow]:
         """Return the row of a reading, or nothing where its rates are not known."""
-        at_ns = self._at_ns(index)
+        at_ns, states = self._at_ns(index), self._readings[index].values()
+        half_width_ns, window_ns = (max(getattr(s, key) for s in states) for key in ("half_width_ns", "rate_window_ns"))
+        if self._since_ns is None or (window_ns and at_ns - window_ns < self._since_ns):
+            return []
         angles = np.empty(len(self._axes))
         rates = np.empty(len(self._axes))
         for column, axis in enumerate(self._axes):
             state = self._readings[index][axis]
-            times = np.array([r[axis].rate_t_ns - at_ns for r in self._readings], dtype=np.float64)
-            series = np.array([r[axis].rate_rps for r in self._readings])
-            if state.rate_window_ns and _bent(times, series, state.rate_window_ns):
-                return []
-            rates[column] = np.interp(0.0, times, series)
+            own = [reading[axis] for reading in self._readings]
+            times = np.array([r.rate_t_ns + r.rate_window_ns // 2 - at_ns for r in own], dtype=np.float64)
+            series = np.array([r.rate_rps for r in own])
+            if state.rate_window_ns:
+                # What is known much worse than this reading is not asked.
+                known = np.array([r.half_width_ns <= 2 * state.half_width_ns + _WELL_NS for r in own])
+                known[index + 2 :] = False
+                rates[column] = _smooth(times[known], series[known])
+            else:
+                rates[column] = np.interp(0.0, times, series)
             between_ns = at_ns - state.angle_t_ns
             rate = rates[column] if state.rate_window_ns else np.interp(-0.5 * between_ns, times, series)
             angles[column] = state.angle_rad + rate * between_ns * 1e-9
-        half_width_ns = max(state.half_width_ns for state in self._readings[index].values())
-        return [TableRow(at_ns, angles, rates, half_width_ns)]
-
-    def _forget(self) -> None:
-        """Keep the readings whose rates rows to come still need."""
-        window = max(state.rate_window_ns for state in self._readings[-1].values())
-        oldest_ns = self._at_ns(self._next) - 2 * window
-        while self._next > 2 and all(state.rate_t_ns < oldest_ns or not window for state in self._readings[0].values()):
-            self._readings.popleft()
-            self._next -= 1
+        return [TableRow(at_ns, angles, rates, half_width_ns, window_ns)]
 
 
-def _bent(times_ns: Floats, rates: Floats, window_ns: int) -> bool:
-    """Return whether mean rates within the window about 0 are no straight line: a ramp began or ended there."""
-    near = np.abs(times_ns) <= window_ns
-    if np.count_nonzero(near) < 3:
-        return False
-    t, rate = times_ns[near] / window_ns, rates[near]
-    line = np.polynomial.Polynomial.fit(t, rate, 1)
-    return bool(np.abs(rate - line(t)).max() > _STRAIGHT_RPS)
+def _smooth(times_ns: Floats, rates: Floats) -> float:
+    """Return the rate at 0, or at the end next to it, by the cubic through the last four (Lagrange)."""
+    apart = np.diff(times_ns, append=np.inf) > _WELL_NS  # what is nearer tells the same
+    times, series = times_ns[apart][-4:], rates[apart][-4:]
+    at, between = min(max(0.0, times[0]), times[-1]) - times, np.subtract.outer(times, times)
+    np.fill_diagonal(between, 1.0)
+    shares = at / between
+    np.fill_diagonal(shares, 1.0)
+    return float(shares.prod(axis=1) @ series)
 
 
 async def watch_table(
@@ -161,7 +157,8 @@ async def watch_table(
         now_ns = states[busy[0]].angle_t_ns
         for axis in axes:
             if axis not in busy:
-                states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=now_ns, half_width_ns=0)
+                rate_ns = now_ns - states[axis].rate_window_ns // 2
+                states[axis] = replace(states[axis], angle_t_ns=now_ns, rate_t_ns=rate_ns, half_width_ns=0)
         for row in aligner.add(states):
             on_row(row)
         for axis in axes:

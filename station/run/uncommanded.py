@@ -18,6 +18,7 @@ _LATE_S = 0.25  # that a controller may carry on with a rate it was told to leav
 _SIGMAS = 6.0  # of the rate that a standing axis reports
 _FORGET = 0.05
 _LOOKS, _AGAIN_S = 3, 0.02
+_HOMING_LOOK_S = 0.1
 
 
 class Commanded(NamedTuple):
@@ -73,3 +74,21 @@ class MotionGuard:
                 self._noise_rps2[axis] += _FORGET * (state.rate_rps**2 - self._noise_rps2[axis])
         judged = state.angle_t_ns >= told.since_s * 1e9
         return judged and abs(told.off_rad(state.angle_rad)) > _ANGLE_RAD + _LATE_S * told.rate_rps
+
+
+async def watch_homing(table: Turntable) -> None:
+    """Look at all axes until cancelled; DeviceFault if one turns that is not, or not any more, on its way home."""
+    loop = asyncio.get_running_loop()
+    homed_s = dict.fromkeys(table.limits, loop.time())
+
+    def commanded(axis: str) -> Commanded:
+        if axis in table.homing:
+            homed_s[axis] = loop.time()
+        rate_rps = table.limits[axis].rate_rps if axis in table.homing else 0.0
+        return Commanded(-math.inf, math.inf, rate_rps, homed_s[axis])
+
+    guard = MotionGuard(table, commanded)
+    while True:
+        for axis in table.limits:
+            await guard.look(axis, await table.read(axis))
+        await asyncio.sleep(_HOMING_LOOK_S)

@@ -4,6 +4,7 @@ import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Self, TypeVar
+from urllib.parse import urlsplit
 
 from drivers.packaged import packaged_toml
 from drivers.plugins import PluginError, Registry
@@ -44,6 +45,10 @@ class Table(StrictTable):
             return number
 
         return self._take(key, parse(default, kind) if isinstance(default, str) else default, convert)
+
+    def link(self, key: str, default: str) -> str:
+        """Take a link whose parts can be told."""
+        return self._take(key, default, link_of)
 
     def declared(self, section: str) -> dict[str, Any]:
         """Take the quantities that keys.toml declares for a section, by the fields that they become."""
@@ -104,3 +109,13 @@ class Table(StrictTable):
             return [parse(v, kind) for v in value]
 
         return self._take(key, None if default is None else [default] * count, convert)
+
+
+def link_of(value: object) -> str:
+    """Return a link; ValueError if it is no text, or its host or port cannot be told."""
+    link = str(typed(value, (str,), "a text"))
+    try:
+        _ = urlsplit(link).port
+    except ValueError as error:
+        raise ValueError(f"{link!r} is no link it can use ({error}): write tcp://host:port, or twin:") from None
+    return link

@@ -26,10 +26,10 @@ from station.screen.bars import STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
 from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.link import SessionLink, sessions_on, sessions_there, stop_session
-from station.screen.live_run import LiveRun, Stage
 from station.screen.memory import Remembered, load_remembered, save_remembered
-from station.screen.programs import SessionProcess
+from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
+from station.screen.sessions.live_run import LiveRun, Stage
+from station.screen.sessions.programs import SessionProcess
 from station.screen.tabs.history import HistoryScreen
 from station.screen.tabs.prepare import PrepareScreen
 from station.screen.tabs.prospects import Prospect

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from textual import events
 from textual.app import RenderResult
 from textual.widget import Widget
 from textual.widgets import Static
 
-from station.screen.live_run import LiveRun, Stage
+from station.screen.seen_app import SeenApp
+from station.screen.sessions.live_run import LiveRun, Stage
 from station.views.figures import clock
-
-if TYPE_CHECKING:
-    from station.screen.app import StationApp
 
 STOP_KEY = "f9"
 STOP_WORDS = "■ STOP  F9"
@@ -65,7 +63,7 @@ class StopBar(Widget):
 
     def on_mount(self) -> None:
         """Show the run at once, not at the next tick."""
-        app = cast("StationApp", self.app)
+        app = cast(SeenApp, self.app)
         self.show(app.shown, app.others)
 
     def show(self, run: LiveRun | None, others: int) -> None:
@@ -84,7 +82,7 @@ class StopBar(Widget):
     def on_mouse_down(self, event: events.MouseDown) -> None:
         """Stop when the button goes down: nobody waits for it to come up."""
         event.stop()
-        cast("StationApp", self.app).action_stop()
+        cast(SeenApp, self.app).action_stop()
 
 
 def _others_words(others: int) -> tuple[str, str]:

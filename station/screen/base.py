@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Coroutine
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import Any, ClassVar, cast
 
 from textual import events
 from textual.app import ComposeResult
@@ -14,9 +14,7 @@ from textual.widgets import Footer, Input, Static
 from textual.worker import WorkType
 
 from station.screen.bars import StopBar, TopBar
-
-if TYPE_CHECKING:
-    from station.screen.app import StationApp
+from station.screen.seen_app import SeenApp
 
 LEAST_WIDTH, LEAST_HEIGHT = 80, 24
 _TALL = 34
@@ -55,9 +53,9 @@ class StationScreen(Screen[None]):
         """Show what has changed; called ten times a second while the screen is in sight."""
 
     @property
-    def station(self) -> StationApp:
+    def station(self) -> SeenApp:
         """The app, as what it is."""
-        return cast("StationApp", self.app)
+        return cast(SeenApp, self.app)
 
     def work(self, what: Callable[[], Coroutine[Any, Any, None]], group: str) -> None:
         """Do something slow beside the screen, instead of what its group was at; a defect in it is told, no more."""

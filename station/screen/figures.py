@@ -27,6 +27,12 @@ def state_heads(first: str, beside: str = "±") -> list[list[str]]:
     return [names, ["", *(word for state in STATE_FIGURES for word in (state.unit, ""))]]
 
 
+def state_cells(values: Sequence[float], sds: Sequence[float]) -> list[str]:
+    """Return the states of a gyro, each with its sigma beside it."""
+    states = zip(STATE_FIGURES, values, sds, strict=True)
+    return [text for s, value, sd in states for text in (s.text(value).rjust(s.width), s.text(sd).rjust(s.width - 1))]
+
+
 def headed(lines: Sequence[str], heads: int = 1) -> list[Text]:
     """Return lines as texts, the first ``heads`` of them as a heading."""
     return [*(Text(line, "bold") for line in lines[:heads]), *map(Text, lines[heads:])]

@@ -7,7 +7,7 @@ from itertools import groupby
 
 from rich.text import Text
 
-from station.screen.live_run import Trend
+from station.screen.sessions.live_run import Trend
 from station.views.figures import STATE_FIGURES, number
 
 _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))

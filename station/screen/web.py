@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from station.errors import UsageError
-from station.screen.programs import command_line
+from station.screen.sessions.programs import command_line
 
 _HOST = "127.0.0.1"
 _END_S = 2.0

@@ -12,7 +12,7 @@ import numpy as np
 from drivers.types import AxisLimits, Floats
 from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import Conditions
-from estimator.effects.drift import warm_up
+from estimator.effects.drift import WARM_UP
 from estimator.effects.effect import Effect
 from estimator.estimation.runs.run import Run
 from estimator.geometry.array import SensorArray
@@ -44,18 +44,14 @@ class NextScript:
     probability: float
     rivals: tuple[tuple[str, ...], ...]
 
-    @property
-    def hopeful(self) -> bool:
-        """Whether driving it is worth the time."""
-        return self.probability >= _HOPELESS
-
     def words(self) -> str:
         """Return it in one line."""
         aims = [f"{', '.join(own)} apart" if len(own) > 1 else f"{own[0]} from noise" for own in self.rivals]
         aim = ", ".join(aims).replace("_", " ")
         text = f"{self.script.name}, {self.script.duration_s:.0f} s: tells {aim} with probability "
         text += f"{min(self.probability, 0.99):.0%}"
-        return text if self.hopeful else f"nothing that this table can do is likely to help; the best is {text}"
+        hopeful = self.probability >= _HOPELESS
+        return text if hopeful else f"nothing that this table can do is likely to help; the best is {text}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,11 +126,11 @@ def _effects(names: set[str], gimbals: Sequence[str], past: Sequence[Past]) -> d
     span_s = max((float(p.conditions.t_s[-1] - p.conditions.t_s[0]) for p in past), default=1.0)
     found: dict[str, list[Effect]] = {}
     for effect in catalogue(gimbals, span_s):
-        for name in {effect.name, effect.name.rstrip("0123456789").rstrip("_")} & names:  # harmonics of every order
+        for name in {effect.name, effect.record.name} & names:  # harmonics of every order
             if effect.needs <= offers:
                 found.setdefault(name, []).append(effect)
-    if "warm_up" in found:
-        found["warm_up"] = [warm_up(tau_s) for tau_s in _TAUS_S]
+    if WARM_UP.name in found:
+        found[WARM_UP.name] = [WARM_UP.effect(time_constant_s=tau_s) for tau_s in _TAUS_S]
     return found
 
 

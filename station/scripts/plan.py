@@ -9,8 +9,8 @@ import numpy as np
 from drivers.types import Flags, Floats
 from estimator.calibration.budget import table_budget
 from estimator.effects.catalogue import catalogue
+from estimator.effects.conditions import REFERENCE_C
 from estimator.effects.effect import Effect
-from estimator.effects.thermal import REFERENCE_C
 from estimator.planning.planning import Forecast, PlannedDevice, forecast
 from station.bench.bench import Bench
 from station.scripts.planned import PlannedMotion, planned_motion
@@ -70,14 +70,13 @@ def make_plan(
     devices = [PlannedDevice(imu.name, imu.array, imu.noise, imu.prior) for imu in bench.imus if imu.used]
     if effects is None:
         effects = catalogue(motion.gimbals, script.duration_s)
-    limits = bench.limits
     return Plan(
         script,
         bench,
         motion,
         forecast(conditions, devices, effects),
         _table_sd(motion, bench, devices),
-        np.array([limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad, limits.sd_sigma_rad]),
+        np.array(bench.limits.sds),
         temperature_rise_k,
         tuple(rounded(asked, script)),
     )

@@ -50,23 +50,14 @@ def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.0
     count = max(math.ceil(script.duration_s / period_s - 1e-9), 2)
     t_s = np.asarray((np.arange(count) + 0.5) * period_s, dtype=np.float64)
     angle, rate, acceleration = np.zeros((3, count, len(axes)))
-    at_s = 0.0
-    here = dict.fromkeys(axes, 0.0)
-    for step, duration_s in zip(script.steps, script.durations_s(), strict=True):
-        if not isinstance(step, Rest):
-            column = axes.index(step.axis)
-            target = _target(step, here[step.axis])
-            way, speed, push = _trapezoid(t_s - at_s, target - here[step.axis], step)
+    for timed in script.timeline():
+        if not isinstance(timed.step, Rest):
+            column = axes.index(timed.step.axis)
+            way, speed, push = _trapezoid(t_s - timed.start_s, timed.to_rad - timed.from_rad, timed.step)
             angle[:, column] += way
             rate[:, column] += speed
             acceleration[:, column] += push
-            here[step.axis] = target
-        at_s += duration_s
     return PlannedMotion(t_s, angle, rate, acceleration, axes)
-
-
-def _target(step: Move | Rotate, here_rad: float) -> float:
-    return step.angle_rad if isinstance(step, Move) else here_rad + step.turn_rad
 
 
 def _trapezoid(since_s: Floats, way_rad: float, step: Move | Rotate) -> tuple[Floats, Floats, Floats]:

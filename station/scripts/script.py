@@ -7,7 +7,6 @@ from pathlib import Path
 
 from drivers.types import AxisLimits
 from station.errors import ScriptError
-from station.schema.quantities import parse
 from station.schema.tables import Table
 
 _DEG = math.pi / 180
@@ -53,6 +52,17 @@ Step = Rest | Move | Rotate
 
 
 @dataclass(frozen=True, slots=True)
+class Timed:
+    """A step in its place: when it begins, how long it takes, from and to which angle from home its axis goes."""
+
+    step: Step
+    start_s: float
+    duration_s: float
+    from_rad: float
+    to_rad: float
+
+
+@dataclass(frozen=True, slots=True)
 class Script:
     """A name and steps in order."""
 
@@ -66,18 +76,21 @@ class Script:
 
     def durations_s(self) -> list[float]:
         """Return the planned time of each step."""
+        return [timed.duration_s for timed in self.timeline()]
+
+    def timeline(self) -> list[Timed]:
+        """Return when each step is planned to begin, and its way, from home with every axis."""
         angles: dict[str, float] = {}
-        durations = []
+        found, at_s = [], 0.0
         for step in self.steps:
-            if isinstance(step, Move):
-                way = abs(step.angle_rad - angles.get(step.axis, 0.0))
-                durations.append(_trapezoid_s(way, step.rate_rps, step.acceleration_rps2))
-                angles[step.axis] = step.angle_rad
-            else:
-                durations.append(step.duration_s)
-                if isinstance(step, Rotate):
-                    angles[step.axis] = angles.get(step.axis, 0.0) + step.turn_rad
-        return durations
+            start = end = 0.0
+            if not isinstance(step, Rest):
+                start = angles.get(step.axis, 0.0)
+                end = angles[step.axis] = step.angle_rad if isinstance(step, Move) else start + step.turn_rad
+            duration_s = _trapezoid_s(abs(end - start), step) if isinstance(step, Move) else step.duration_s
+            found.append(Timed(step, at_s, duration_s, start, end))
+            at_s += duration_s
+        return found
 
 
 def paper_script() -> Script:
@@ -186,25 +199,20 @@ def is_possible(script: Script, limits: Mapping[str, AxisLimits]) -> bool:
 
 def _read_step(table: Table) -> Step:
     kind = table.string("kind", one_of=("rest", "move", "rotate"))
+    axis = "" if kind == "rest" else table.string("axis", one_of=("x", "y", "z"))
+    found = table.declared(kind)
     step: Step
     if kind == "rest":
-        step = Rest(table.quantity("duration", "time"), table.string("label", "rest"))
+        step = Rest(label=table.string("label", "rest"), **found)
+    elif kind == "move":
+        found["rate_rps"] = abs(found["rate_rps"])
+        step = Move(axis, label=table.string("label", f"{axis} to {found['angle_rad'] / _DEG:g} deg"), **found)
     else:
-        axis = table.string("axis", one_of=("x", "y", "z"))
-        rate = table.quantity("rate", "rate")
-        acceleration = table.quantity("acceleration", "acceleration", parse("20 deg/s2", "acceleration"))
-        if kind == "move":
-            angle = table.quantity("angle", "angle")
-            label = table.string("label", f"{axis} to {angle / _DEG:g} deg")
-            step = Move(axis, angle, abs(rate), acceleration, label)
-        else:
-            duration = table.quantity("duration", "time")
-            label = table.string("label", f"{axis} at {rate / _DEG:g} deg/s")
-            step = Rotate(axis, rate, duration, acceleration, label)
+        step = Rotate(axis, label=table.string("label", f"{axis} at {found['rate_rps'] / _DEG:g} deg/s"), **found)
     table.done()
     return step
 
 
-def _trapezoid_s(way_rad: float, rate_rps: float, acceleration_rps2: float) -> float:
-    peak = min(abs(rate_rps), math.sqrt(way_rad * acceleration_rps2))
-    return way_rad / peak + peak / acceleration_rps2 if peak > 0 else 0.0
+def _trapezoid_s(way_rad: float, move: Move) -> float:
+    peak = min(abs(move.rate_rps), math.sqrt(way_rad * move.acceleration_rps2))
+    return way_rad / peak + peak / move.acceleration_rps2 if peak > 0 else 0.0

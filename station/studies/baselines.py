@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -68,13 +69,9 @@ class BaselineStudy:
 Method = Callable[[Recording], baselines.BaselineEstimate]
 
 
-def run_study(
-    seeds: int, *, scheduler: str | None = None, workers: int | None = None, quiet: bool = False
-) -> BaselineStudy:
-    """Run every method on this many seeds; UsageError if no seed came through."""
-    results, failures = run_all(
-        one_seed, range(seeds), label="baselines", scheduler=scheduler, workers=workers, quiet=quiet
-    )
+def run_study(seeds: int, **where: Any) -> BaselineStudy:
+    """Run every method on this many seeds; UsageError if no seed came through. ``where`` is that of ``run_all``."""
+    results, failures = run_all(one_seed, range(seeds), label="baselines", **where)
     outcomes = [result for result in results if result is not None]
     if not outcomes:
         raise UsageError(f"the study came to nothing: {failures[0].item}: {failures[0].reason}")
@@ -198,15 +195,14 @@ def _steady(recording: Recording, script: Script) -> list[baselines.Position]:
     """Return the rows of each rest, or of each rotation between its ramps, in the order of the script."""
     w_rps, y_rps = rows_of(recording)
     t_s = np.arange(1, len(w_rps) + 1) / SAMPLE_HZ
-    begins_s = 0.0
     positions = []
-    for step, duration_s in zip(script.steps, script.durations_s(), strict=True):
+    for timed in script.timeline():
+        step = timed.step
         ramp_s = abs(step.rate_rps) / step.acceleration_rps2 if isinstance(step, Rotate) else 0.0
         margin_s = ramp_s + _SETTLE_S
         if not isinstance(step, Move):
-            inside = (t_s > begins_s + margin_s) & (t_s < begins_s + duration_s - margin_s)
+            inside = (t_s > timed.start_s + margin_s) & (t_s < timed.start_s + timed.duration_s - margin_s)
             positions.append(baselines.Position(w_rps[inside], y_rps[inside]))
-        begins_s += duration_s
     return positions
 
 

@@ -39,7 +39,7 @@ def _paper(arguments: argparse.Namespace) -> tuple[Failure, ...]:
         if output is not None:
             paper.write_curves(output, recording, ours, study.letter)
     if arguments.json:
-        _print_object({**printed.paper_object(study), "plot": arguments.plot, "output": arguments.output})
+        print(json.dumps({**printed.paper_object(study), "plot": arguments.plot, "output": arguments.output}))
     else:
         printed.print_paper(study)
         for name, path in (("picture", picture), ("curves", output)):
@@ -51,7 +51,7 @@ def _paper(arguments: argparse.Namespace) -> tuple[Failure, ...]:
 def _baselines(arguments: argparse.Namespace) -> tuple[Failure, ...]:
     study = baselines.run_study(arguments.seeds, **_where(arguments))
     if arguments.json:
-        _print_object(printed.baselines_object(study))
+        print(json.dumps(printed.baselines_object(study)))
     else:
         printed.print_baselines(study)
     return study.failures
@@ -69,7 +69,7 @@ def _detection(arguments: argparse.Namespace) -> tuple[Failure, ...]:
         raise UsageError(f"--sizes takes numbers, for instance 1,0.3,0.1, not {arguments.sizes}") from None
     study = detection.run_study(groups, sizes, arguments.seeds, **_where(arguments))
     if arguments.json:
-        _print_object(printed.detection_object(study))
+        print(json.dumps(printed.detection_object(study)))
     else:
         printed.print_detection(study)
     return study.failures
@@ -77,10 +77,6 @@ def _detection(arguments: argparse.Namespace) -> tuple[Failure, ...]:
 
 def _where(arguments: argparse.Namespace) -> dict[str, Any]:
     return {"scheduler": arguments.scheduler, "workers": arguments.jobs, "quiet": arguments.json}
-
-
-def _print_object(value: dict[str, Any]) -> None:
-    print(json.dumps(value))
 
 
 _STUDIES = {"paper": _paper, "baselines": _baselines, "detection": _detection}

@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.packaged import packaged_toml
-from estimator.estimation.runs.run import runs_of
+from drivers.types import Floats
+from estimator.effects.site import EARTH_RATE
+from estimator.estimation.runs.making import runs_of
 from estimator.geometry.array import tetrahedron
 from estimator.geometry.kinematics import Site
 from estimator.recordings.recording import Recording
@@ -24,8 +25,6 @@ from station.campaigns.campaigns import Failure, run_all
 from station.opening import DeviceTruth, Hidden, simulate
 from station.scripts.loop_scripts import exploration_script, verification_script
 from station.scripts.script import Script, paper_script
-
-Floats = NDArray[np.float64]
 
 RISE_C = 8.0
 SITE = Site(math.pi / 4, 0.0)
@@ -96,6 +95,10 @@ def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "expo
         match given:
             case [value, unit]:
                 return [f"{one:.9g} {unit}" for one in each(value)]
+            case {"positive": value, "unit": unit}:
+                return [f"{abs(one):.9g} {unit}" for one in each(value)]
+            case {"any_of": values}:
+                return str(random.choice(list(values)))
             case {"common": value, "unit": unit}:
                 return f"{value * size * random.uniform(0.5, 1.5):.9g} {unit}"
             case {"scaled": value, "unit": unit}:
@@ -107,35 +110,26 @@ def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "expo
         return given
 
     for effect in effects:
-        match effect:
-            case "table_harmonic":
+        match _GIVEN["sizes"][effect]:
+            case {"turned": value, "unit": unit}:
                 axis, order = random.choice(list(AXES)), int(random.choice([1, 2, 4]))
                 turned = random.uniform(0, 2 * math.pi, 4)
                 tables[effect] = {
                     "axis": str(axis),
                     "order": order,
-                    "cosine": [f"{0.02 * size * math.cos(a):.9g} deg/s" for a in turned],
-                    "sine": [f"{0.02 * size * math.sin(a):.9g} deg/s" for a in turned],
+                    "cosine": [f"{value * size * math.cos(a):.9g} {unit}" for a in turned],
+                    "sine": [f"{value * size * math.sin(a):.9g} {unit}" for a in turned],
                 }
-            case "bandwidth":
-                tables[effect] = {"time_constant": [f"{abs(one):.9g} ms" for one in each(6)]}
-            case "encoder_eccentricity":
-                tables[effect] = {"size": f"{0.02 * size:.9g} deg", "order": 3, "axis": str(random.choice(list(AXES)))}
-            case "earth_rate" | "nothing":
-                pass
-            case _:
-                tables[effect] = {key: drawn(value) for key, value in _GIVEN["sizes"][effect].items()}
+            case {**parts} if parts:
+                tables[effect] = {key: drawn(value) for key, value in parts.items()}
     return Hidden.of(tables)
 
 
 def recordings_of(case: Case) -> tuple[Recording, Recording, Recording]:
     """Return the calibration, exploration and verification recordings of a case."""
-    made = [_record(case, script, number) for number, script in enumerate(_scripts())]
+    scripts = (paper_script(), exploration_script(), verification_script())
+    made = [_record(case, script, number) for number, script in enumerate(scripts)]
     return made[0], made[1], made[2]
-
-
-def _scripts() -> tuple[Script, Script, Script]:
-    return paper_script(), exploration_script(), verification_script()
 
 
 def _record(case: Case, script: Script, number: int, quiet: bool = False) -> Recording:
@@ -150,7 +144,7 @@ def _record(case: Case, script: Script, number: int, quiet: bool = False) -> Rec
     )
     hidden = hidden_of(case.effects, case.size, case.seed, case.shape)
     made = simulate(script, {"array": device}, 10 * case.seed + number, site=SITE, hidden=hidden)
-    return replace(made, site=None) if "earth_rate" in case.effects else made
+    return replace(made, site=None) if EARTH_RATE.name in case.effects else made
 
 
 def end_of(case: Case) -> Ended:
@@ -181,16 +175,6 @@ def true_error(model: Augmented, clean: Recording) -> float:
     (run,) = runs_of(clean, 1 / 100)[0]  # every sample: short enough for tones
     left = [run.z_rps[:, i] - model.predict(run, 99, i)[0] for i in range(len(run.array))]
     return float(np.sqrt(np.mean(np.square(left))))
-
-
-def run_cases(
-    cases: Sequence[Case], *, scheduler: str | None = None, workers: int | None = None, quiet: bool = False
-) -> tuple[list[Ended], tuple[Failure, ...]]:
-    """Return what came of each case, and the cases that failed."""
-    ended, failures = run_all(
-        end_of, cases, label="cases", scheduler=scheduler, workers=workers, quiet=quiet, name_of=str
-    )
-    return [e for e in ended if e is not None], tuple(failures)
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,15 +235,16 @@ def _drawn(count: int, seed: int) -> tuple[str, ...]:
 
 
 def run_study(groups: Sequence[str], sizes: Sequence[float], seeds: int, **where: Any) -> DetectionStudy:
-    """Return what was found in every case. ``where`` is that of ``run_cases``."""
+    """Return what was found in every case. ``where`` is that of ``run_all``."""
     lines = cases_of(groups, sizes, seeds)
-    ended, failures = run_cases([case for cases in lines.values() for case in cases], **where)
+    made, failures = run_all(end_of, [case for cases in lines.values() for case in cases], label="cases", **where)
+    ended = [e for e in made if e is not None]
     by_case = {e.case: e for e in ended}
     summaries = [
         _summary(name, size, [by_case[case] for case in cases if case in by_case])
         for (name, size), cases in lines.items()
     ]
-    return DetectionStudy(tuple(s for s in summaries if s.seeds), tuple(ended), failures)
+    return DetectionStudy(tuple(s for s in summaries if s.seeds), tuple(ended), tuple(failures))
 
 
 def _right(ended: Ended) -> bool:

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,8 +25,9 @@ from estimator.geometry.array import SensorArray, tetrahedron, tetrahedron_as_pr
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior, decode
 from estimator.observations.rows import BLOCK_S, block_rows, observations
-from estimator.recordings.recording import ImuData, Recording, write_recording, write_results
+from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings
+from estimator.recordings.writing import write_recording, write_results
 from station.campaigns.campaigns import Failure, run_all
 from station.errors import UsageError
 from station.opening.simulate import DeviceTruth, simulate
@@ -128,26 +130,15 @@ class PaperStudy:
     failures: tuple[Failure, ...]
 
 
-def run_study(
-    seeds: int, *, scheduler: str | None = None, workers: int | None = None, quiet: bool = False
-) -> PaperStudy:
-    """Run all cases, and our default over this many seeds.
+def run_study(seeds: int, **where: Any) -> PaperStudy:
+    """Run all cases, and our default over this many seeds. ``where`` is that of ``run_all``: scheduler, workers, quiet.
 
     Raises UsageError if there is nothing to put into one of the tables.
     """
     cases = [Letter(None), Letter(None, noisy=False), *(Letter(heading) for heading in HEADINGS_DEG)]
-    letters, failed_letters = run_all(
-        letter_states, cases, label="to the letter", scheduler=scheduler, workers=workers, quiet=quiet
-    )
+    letters, failed_letters = run_all(letter_states, cases, label="to the letter", **where)
     states = [x for x in letters if x is not None]
-    ours, failed_seeds = run_all(
-        partial(our_errors, MEMS_NOISE),
-        range(seeds),
-        label="our default",
-        scheduler=scheduler,
-        workers=workers,
-        quiet=quiet,
-    )
+    ours, failed_seeds = run_all(partial(our_errors, MEMS_NOISE), range(seeds), label="our default", **where)
     errors = [e for e in ours if e is not None]
     if failed_letters or not errors:
         worst = (*failed_letters, *failed_seeds)[0]

@@ -1,12 +1,10 @@
 """The studies as people read them, and as --json gives them."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from drivers.types import Floats
 from estimator.geometry.array import tetrahedron_as_printed
 from station.render.terminal import print_rendered, stdout
 from station.studies.baselines import BaselineStudy
@@ -23,6 +21,7 @@ from station.studies.paper_text import (
     relative_percent,
     sentences,
 )
+from station.views.json_values import json_object
 
 _STATES = [f"{name}, {unit}" for name, unit in zip(NAMES, UNITS, strict=True)]
 _FORMATS = (".4f", ".1f", ".4f", ".4f")
@@ -62,8 +61,7 @@ def _print(name: str, values: Mapping[str, Any]) -> None:
 
 def detection_object(study: DetectionStudy) -> dict[str, Any]:
     """Return the lines as --json prints them: shares from 0 to 1, null where nothing was named."""
-    lines = [{k: None if v != v else v for k, v in asdict(line).items()} for line in study.lines]
-    return {"study": "detection", "lines": lines}
+    return {"study": "detection", "lines": json_object(study.lines)}
 
 
 def print_baselines(study: BaselineStudy) -> None:
@@ -144,9 +142,9 @@ def baselines_object(study: BaselineStudy) -> dict[str, Any]:
         "methods": [
             {
                 "name": method.name,
-                "rms_error": _nullable(method.rms),
-                "rms_stated_sigma": _nullable(method.stated),
-                "error_over_sigma": _nullable(method.ratio),
+                "rms_error": json_object(method.rms),
+                "rms_stated_sigma": json_object(method.stated),
+                "error_over_sigma": json_object(method.ratio),
                 "seconds": method.seconds,
                 "operations_a_sample": method.operations_a_sample,
             }
@@ -156,10 +154,6 @@ def baselines_object(study: BaselineStudy) -> dict[str, Any]:
         "findings": baseline_findings(study),
         "failed": _failed(study),
     }
-
-
-def _nullable(values: Floats) -> list[float | None]:
-    return [float(value) if np.isfinite(value) else None for value in values]
 
 
 def _failed(study: PaperStudy | BaselineStudy) -> list[dict[str, str]]:

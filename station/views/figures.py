@@ -39,17 +39,26 @@ class StateUnit:
         return number(value * self.factor, self.digits, signed=signed)
 
 
-def effect_units(purpose: str) -> dict[str, tuple[str, float]]:
-    """Return by SI unit what people read in its place, and the factor; ``purpose`` is "traced" or "planned"."""
-    return {si: (shown, times * math.degrees(1) ** power) for si, (shown, times, power, *_) in _UNITS[purpose].items()}
+def _units(kind: str) -> dict[str, tuple[str, float]]:
+    """Return by effect's SI unit, or by state, what people read in its place, and the factor."""
+    return {key: (shown, times * math.degrees(1) ** power) for key, (shown, times, power, *_) in _TABLES[kind].items()}
 
 
-_UNITS = packaged_toml("station.views", "units.toml")
+def shown_unit(si: str) -> tuple[str, float]:
+    """Return what people read in the place of the SI unit of an effect, and the factor."""
+    from estimator.effects.catalogue import records
+
+    own = (record.display[si] for record in records() if si in record.display)
+    return _EFFECTS.get(si) or next(own, (si, 1.0))
+
+
+_TABLES = packaged_toml("station.views", "units.toml")
+_EFFECTS = _units("effects")
 STATE_FIGURES = tuple(
-    StateUnit(state, *shown, *_UNITS["states"][state][3:]) for state, shown in effect_units("states").items()
+    StateUnit(state, *shown, *_TABLES["states"][state][3:]) for state, shown in _units("states").items()
 )
 """The four states in order, in the units of the printed calibration."""
-STATE_UNITS = tuple((state, *shown) for state, shown in effect_units("sigmas").items())
+STATE_UNITS = tuple((state, *shown) for state, shown in _units("sigmas").items())
 """Name, unit and factor from SI of each state, for their sigmas."""
 
 
@@ -59,6 +68,11 @@ def number(value: float | None, digits: int, *, signed: bool = False) -> str:
         return UNKNOWN
     text = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
     return text.lstrip("+-") if float(text) == 0 and not signed else text
+
+
+def three_digits(value: float | None) -> str:
+    """Return a number with three digits and no exponent, or a dash."""
+    return UNKNOWN if value is None else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 def clock(seconds: float) -> str:

@@ -5,40 +5,34 @@ from numpy.typing import NDArray
 
 from estimator.calibration.compensation import (
     MOST_ITERATIONS,
-    OF_THE_PAST,
     TOLERANCE_RPS,
-    Acts,
     Compensation,
     CompensationError,
 )
 from estimator.effects.conditions import Conditions
-from estimator.effects.constructed import functions_of, variables_of
+from estimator.effects.effect import Acts
+from estimator.effects.law import functions_of, variables_of
 
 Floats = NDArray[np.float64]
-_TIMED = frozenset({"warm_up", "thermal_gradient", *OF_THE_PAST, "lag", "t", "Tdot", "a", "jolt"})
+_TIMED = frozenset({"lag", "t", "Tdot", "a", "aj", "ak", "jolt"})
 
 
 def needs_of(of: Compensation) -> frozenset[str]:
     """What samples must come with: "temperature", "specific force", "time"."""
     needed = set().union(*(effect.known.effect(()).needs for effect in of.effects))
     laws = [held.known.law for held in of.effects if held.known.law]
-    told = {held.name for held in of.effects}.union(*map(functions_of, laws), *map(variables_of, laws))
-    if told & _TIMED:
+    told = set[str]().union(*map(functions_of, laws), *map(variables_of, laws))
+    if told & _TIMED or any(held.acts is Acts.LAG for held in of.effects):
         needed.add("time")
     return frozenset(needed)
 
 
-def less_added(
-    of: Compensation,
-    rate_rps: Floats,
-    t_s: Floats,
-    temperature_c: Floats | None = None,
-    accel_mps2: Floats | None = None,
-) -> Floats:
+def less_added(of: Compensation, rate_rps: Floats, t_s: Floats, *sensed: Floats | None) -> Floats:
     """Return outputs (N, n) in rad/s rid of bias and of all effects that do not depend on the rate.
 
-    Arguments as for ``compensate``.
+    ``sensed``: temperature and specific force as for ``compensate``.
     """
+    temperature_c, accel_mps2 = (*sensed, None, None)[:2]
     _check(of, temperature_c, accel_mps2)
     conditions = _conditions(t_s, np.zeros((len(t_s), 3)), temperature_c, accel_mps2)
     left = np.array(rate_rps, dtype=np.float64)

@@ -19,7 +19,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from estimator.recordings.recording import read_recording
+from estimator.recordings.reading import read_recording
 from station.bench.bench import load_bench
 from station.opening import open_bench
 from station.run.event_loop.loops import VirtualLoop

@@ -17,7 +17,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from support import command, station
 
-from estimator.recordings.recording import write_recording
+from estimator.recordings.writing import write_recording
 from station.bench.bench import default_bench_text
 from station.studies.detection import Case, recordings_of
 

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,9 @@ import numpy as np
 from estimator.geometry.array import SensorArray, tetrahedron
 from estimator.geometry.kinematics import Site
 from estimator.recordings.recording import Recording
+from sims.physics.hidden import Hidden
 from station.opening import DeviceTruth, simulate
+from station.scripts.loop_scripts import exploration_script, verification_script
 from station.scripts.script import Script, paper_script
 
 SITE = Site(np.pi / 4, 0.0)
@@ -47,6 +50,27 @@ def direct_recording(
         kind=kind,
     )
     return simulate(script or paper_script(), {"array": device}, seed, site=SITE)
+
+
+ASYMMETRY = {"scale_asymmetry": {"size": ["2000 ppm", "-2000 ppm", "1500 ppm", "2000 ppm"]}}
+"""What a twin may hide: gyros whose scale factors differ by direction."""
+
+
+def tetrahedron_recording(script: Script, seed: int, hidden: Mapping[str, Any], started_s: float = 0.0) -> Recording:
+    """Return a recording of the tetrahedron with a bias instability of 2 deg/h, and what is hidden in it."""
+    noise = {"arw_rps_rthz": float(np.radians(0.005)), "bias_instability_rps": float(np.radians(2 / 3600))}
+    device = DeviceTruth(tetrahedron(), np.tile(TABLE_1, (4, 1)), **noise, kind="tetrahedron")
+    hides = Hidden.of(hidden) if hidden else None
+    return simulate(script, {"array": device}, seed, site=SITE, hidden=hides, started_s=started_s)
+
+
+def three_recordings(seed: int, hidden: Mapping[str, Any]) -> list[Recording]:
+    """Return a calibration, an exploration and a verification recording of one session."""
+    made, clock_s = [], 0.0
+    for number, script in enumerate((paper_script(), exploration_script(), verification_script())):
+        made.append(tetrahedron_recording(script, 10 * seed + number, hidden, clock_s))
+        clock_s += script.duration_s + 20
+    return made
 
 
 def station(*arguments: str | Path, cwd: Path | None = None, timeout: float = 100) -> subprocess.CompletedProcess[str]:

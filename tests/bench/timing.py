@@ -144,6 +144,8 @@ def _found(path: Path, bench: Bench, planted_ms: float) -> tuple[float, tuple[fl
     truths = bench.twin.truths.again()
     found = [truth_of(truths, imu) for imu in bench.imus if imu.used]
     true = np.vstack([np.column_stack([t.k, t.b_rps, t.sigma_j_rad, t.sigma_k_rad]) for t in found])
+    names = [name for imu in bench.imus if imu.used for name in imu.array.names]
+    true = true[sorted(range(len(names)), key=lambda i: names.index(names[i]))]  # gyros of one name stand together
     with h5py.File(path) as file:
         if "calibration" not in file:
             return np.nan, (), np.nan, np.nan

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from drivers.tables.modbus import cia402
 from drivers.tables.modbus.cia402 import DriveState, state_of
 
 MASKS = {
@@ -33,3 +34,12 @@ def test_no_statusword_is_two_states_and_what_is_none_is_told() -> None:
 
 def test_states_have_names_in_plain_words() -> None:
     assert DriveState.SWITCH_ON_DISABLED.text == "switch on disabled"
+
+
+def test_modes_and_bits_are_those_of_the_standard() -> None:
+    # IEC 61800-7-201: modes of operation (6060h), statusword (6041h), controlword (6040h).
+    modes = (cia402.MODE_PROFILE_POSITION, cia402.MODE_PROFILE_VELOCITY, cia402.MODE_HOMING)
+    assert modes == (1, 3, 6)
+    assert cia402.DISABLE_VOLTAGE == 0x0000
+    assert (cia402.VOLTAGE_ENABLED, cia402.TARGET_REACHED, cia402.INTERNAL_LIMIT) == (0x0010, 0x0400, 0x0800)
+    assert (cia402.BIT_12, cia402.BIT_13) == (0x1000, 0x2000)

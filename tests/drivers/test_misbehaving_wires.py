@@ -113,8 +113,10 @@ async def serial_pair(stack: AsyncExitStack, proxy: Proxy) -> tuple[SerialPort, 
 
         def received(self, data: bytes) -> None:
             for piece in self.change(data):
-                late_s = proxy.kind.late_s / 2 if proxy.kind else 0.0
-                asyncio.get_running_loop().call_later(late_s, ends[self.place], piece)
+                if proxy.kind and proxy.kind.late_s:
+                    asyncio.get_running_loop().call_later(proxy.kind.late_s / 2, ends[self.place], piece)
+                else:
+                    ends[self.place](piece)  # timers of one instant keep no order
 
     names = []
     for place, change in ((1, proxy.requests), (0, proxy.replies)):

@@ -574,6 +574,30 @@ def test_every_rtu_vector_has_the_right_crc_and_one_wrong_bit_spoils_it(v: dict[
         assert not FramerRTU.check_CRC(bytes(spoilt[:-2]), int.from_bytes(spoilt[-2:]))
 
 
+def test_a_transaction_number_that_was_answered_is_not_taken_for_a_late_reply() -> None:
+    async def main() -> None:
+        async def gateway(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            first = True
+            while request := await reader.read(12):
+                number = request[:2] if first else b"\x00\x01"
+                writer.write(number + bytes((0, 0, 0, 7, request[6], 3, 4)) + request[8:10] + bytes(2))
+                first = False
+            writer.close()
+
+        server = await asyncio.start_server(gateway, "127.0.0.1", 0)
+        line = ModbusLine("table", server.sockets[0].getsockname()[:2], 0.05, {})
+        await line.open()
+        await line.ask(read(1, 0x22, 2))
+        with pytest.raises(BadReply, match="transaction numbers that were not asked"):
+            await line.ask(read(1, 0x20, 2))
+        line.close()
+        server.close()
+        await server.wait_closed()
+        await asyncio.sleep(0.01)
+
+    run(main)
+
+
 def test_a_gateway_that_zeroes_transaction_numbers_is_refused_and_one_that_keeps_them_may_be_late() -> None:
     held: list[bytes] = []
 

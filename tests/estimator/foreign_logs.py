@@ -1,4 +1,7 @@
-"""Logs as other people make them, from a fixed seed, one for each mapping in tests/data/shapes. Angles in degrees."""
+"""Logs as other people make them, from a fixed seed, one for each mapping in tests/data/shapes. Angles in degrees.
+
+Also the pieces of which mappings are put together, and how a log is imported under one.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,30 @@ from pathlib import Path
 
 import numpy as np
 
+from estimator.importing.importing import Imported, import_recording
+from estimator.importing.mapping.mapping import read_mapping
+
 SHAPES = Path(__file__).parents[1] / "data" / "shapes"
 EARTH_DPS = 15.041 / 3600
+
+DEVICE = '[device]\nname = "triad"\n'
+CSV = DEVICE + '[file]\nformat = "csv"\n'
+STAMPED = CSV + '[time]\ncolumn = "t"\nunit = "s"\n'
+GYRO = '[gyro]\ncolumns = ["gx", "gy", "gz"]\nunit = "deg/s"\n'
+RATE = '[reference]\nkind = "rate"\ncolumns = ["rx", "ry", "rz"]\nunit = "deg/s"\n'
+MAPPING = STAMPED + GYRO + RATE
+
+
+def written(folder: Path, mapping: str, log: str | bytes, name: str = "log.csv") -> tuple[Path, Path]:
+    """Write a mapping and a log to a folder; return where."""
+    (folder / "mapping.toml").write_text(mapping)
+    (folder / name).write_bytes(log if isinstance(log, bytes) else log.encode())
+    return folder / "mapping.toml", folder / name
+
+
+def imported(mapping: Path, *logs: Path) -> Imported:
+    """Return what logs hold under a mapping."""
+    return import_recording(read_mapping(mapping), logs)
 
 
 def spindle(t: np.ndarray) -> np.ndarray:

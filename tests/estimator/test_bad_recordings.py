@@ -12,6 +12,7 @@ from estimator.calibration.values import Calibration
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import dodecahedron
 from estimator.recordings.recording import Recording
+from estimator.recordings.writing import columns_of
 from station.scripts.script import Rest, Rotate, Script
 
 DEG = np.pi / 180
@@ -104,3 +105,41 @@ def test_a_gyro_that_fails_in_mid_run_is_found_by_the_parity_of_six() -> None:
     assert worst.told_apart
     assert worst.name == "gyro5"
     assert any("gyro5 disagrees" in note for note in calibration.notes)
+
+
+def by_source(recording: Recording, lost: int = 0) -> Recording:
+    """Return the same gyros as sources of their own, which lose so many of 400 samples, each others."""
+    data, own = recording.sources["array"], {}
+    for i, name in enumerate(data.array.names):
+        kept = (np.arange(len(data.t_ns)) + 100 * i) % 400 >= lost
+        columns = {key: values[kept] for key, values in columns_of(data).items()}
+        columns["rate_rps"] = columns["rate_rps"][:, [i]]
+        own[name] = replace(data, array=data.array.select([i]), **columns)
+    return replace(recording, sources=own)
+
+
+@pytest.mark.parametrize("lost", [0, 20])
+def test_gyros_with_samples_of_their_own_are_compared_at_the_same_body_rate(run: Recording, lost: int) -> None:
+    checks = calibrate(by_source(run, lost)).parity
+    assert len(checks) == 4
+    assert not any(check.suspect for check in checks)
+
+
+def test_a_gyro_that_fails_among_sources_is_seen_when_it_does(run: Recording) -> None:
+    def spoil(rate: np.ndarray) -> None:
+        rate[20000:20500, 1] += 0.2 * DEG
+
+    calibration = calibrate(by_source(changed(run, spoil)))
+    assert all(check.suspect and 199 < check.worst_t_s < 206 for check in calibration.parity)
+    assert any("one of them is wrong" in note for note in calibration.notes)
+
+
+def test_a_fault_beside_a_slower_gyro_is_seen_when_it_happens(run: Recording) -> None:
+    def spoil(rate: np.ndarray) -> None:
+        rate[20000:20500, 1] += 0.5 * DEG
+
+    sources = dict(by_source(changed(run, spoil)).sources)
+    slow = sources["gyro1"]
+    sources["gyro1"] = replace(slow, **{key: values[::10] for key, values in columns_of(slow).items()})
+    checks = calibrate(replace(run, sources=sources)).parity
+    assert all(check.suspect and 199 < check.worst_t_s < 206 for check in checks)

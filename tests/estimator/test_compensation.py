@@ -14,14 +14,15 @@ from estimator.calibration.compensation import Compensation, CompensationError
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
 from estimator.calibration.stored_calibration import read_calibration
 from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.effects.catalogue import everything
 from estimator.effects.conditions import Conditions, smoothed_slope
-from estimator.effects.entries import Kind, entries
+from estimator.effects.effect import Kind
 from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import SensorArray, dodecahedron, tetrahedron, triad
 from estimator.geometry.kinematics import GRAVITY_MPS2
-from estimator.recordings.recording import write_recording
 from estimator.recordings.reference import BodyRates, TableReadings
+from estimator.recordings.writing import write_recording
 from sims.physics.hidden import Hidden
 from station.opening import DeviceTruth, simulate
 from station.scripts.loop_scripts import exploration_script
@@ -58,8 +59,8 @@ def calibrated(array: SensorArray, sizes: dict[str, tuple[float, ...]]) -> tuple
     Effects by name; "constructed LAW" for those without one.
     """
     random = np.random.default_rng(7)
-    units = {entry.name.removesuffix("_1"): entry.parameters[0].unit for entry in entries() if entry.parameters}
-    shared = {entry.name for entry in entries() if entry.shared}
+    units = {entry.name.removesuffix("_1"): entry.parameters[0].unit for entry in everything() if entry.parameters}
+    shared = {entry.name for entry in everything() if entry.shared}
     known = tuple(
         KnownEffect(
             name,
@@ -253,7 +254,7 @@ def test_the_twins_own_physics_is_undone() -> None:
 
 
 def test_no_effect_that_a_calibration_can_hold_is_dropped_silently() -> None:
-    kept = [entry for entry in entries() if entry.kind is Kind.LAW or entry.name == "sample_hold"]
+    kept = [entry for entry in everything() if entry.record.kind is Kind.LAW or entry.name == "sample_hold"]
     for entry in kept:
         name = entry.name.removesuffix("_1")  # harmonics have their order in the name
         if name in ("bias_step", "table_harmonic_2", "table_harmonic_4"):  # a step is of one run, never of a model

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.effects.conditions import Conditions
-from estimator.effects.constructed import LawError, constructed, in_words, lagged, last_sign, played
-from estimator.effects.effect import Axes
+from estimator.effects.conditions import Axes, Conditions
+from estimator.effects.constructed import constructed
+from estimator.effects.law import LawError, in_words, lagged, last_sign, played
 
 AXES = Axes(np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0]), np.array([-0.8, 0.0, 0.6]))
 

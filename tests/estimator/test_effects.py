@@ -9,11 +9,11 @@ import pytest
 
 from estimator.effects.catalogue import catalogue
 from estimator.effects.conditions import Conditions
-from estimator.effects.dynamics import acceleration_sensitivity, bandwidth, latency
+from estimator.effects.dynamics import ACCELERATION_SENSITIVITY, BANDWIDTH, LATENCY
 from estimator.effects.effect import Effect
-from estimator.effects.site import earth_rate, g_sensitivity
-from estimator.effects.table import table_axes, table_rate
-from estimator.effects.thermal import thermal_bias, thermal_gradient
+from estimator.effects.site import EARTH_RATE, G_SENSITIVITY
+from estimator.effects.table import TABLE_AXES, TABLE_RATE
+from estimator.effects.thermal import THERMAL_BIAS, THERMAL_GRADIENT
 from estimator.geometry.array import SensorArray, tetrahedron
 from estimator.geometry.kinematics import AXES, Site, body_rate
 
@@ -51,7 +51,7 @@ def test_acceleration_of_the_body_is_the_derivative_of_its_rate() -> None:
 def test_latency_is_what_a_delay_adds() -> None:
     delay = 1e-4
     numeric = (swinging(T_S - delay).w_rps - swinging(T_S + delay).w_rps) @ ARRAY.p.T / (2 * delay)
-    assert np.abs(columns(latency(), swinging(T_S))[:, :, 0].T - numeric).max() < 1e-8
+    assert np.abs(columns(LATENCY.effect(), swinging(T_S))[:, :, 0].T - numeric).max() < 1e-8
 
 
 def test_bandwidth_is_what_a_first_order_lag_takes_away() -> None:
@@ -62,7 +62,7 @@ def test_bandwidth_is_what_a_first_order_lag_takes_away() -> None:
     for n in range(1, len(fine)):  # exact for a straight line between samples
         slope = (u[n] - u[n - 1]) / 0.001
         lagged[n] = keep * (lagged[n - 1] - u[n - 1] + tau * slope) + u[n] - tau * slope
-    expected = columns(bandwidth(tau), swinging(fine))[:, :, 0].T * tau
+    expected = columns(BANDWIDTH.effect(tau_s=tau), swinging(fine))[:, :, 0].T * tau
     settled = slice(500, -1)
     scale = np.abs(expected[settled]).max()
     assert (
@@ -72,15 +72,15 @@ def test_bandwidth_is_what_a_first_order_lag_takes_away() -> None:
 
 def test_acceleration_across_the_sense_axis_is_no_latency() -> None:
     along_x = replace(swinging(T_S), wdot_rps2=np.outer(np.sin(T_S), [1.0, 0.0, 0.0]))
-    across = columns(acceleration_sensitivity(), along_x, ARRAY)
-    along = columns(latency(), along_x, ARRAY)[:, :, 0]
+    across = columns(ACCELERATION_SENSITIVITY.effect(), along_x, ARRAY)
+    along = columns(LATENCY.effect(), along_x, ARRAY)[:, :, 0]
     # p, j, k are at right angles, so the squares of the three add up to those of the acceleration.
     assert np.allclose(along**2 + np.sum(across**2, axis=2), np.sin(T_S) ** 2, atol=1e-9)
 
 
 def test_earth_rate_is_what_the_model_has_with_a_site_and_lacks_without() -> None:
     difference = (swinging(T_S).w_rps - swinging(T_S, site=None).w_rps) @ ARRAY.p.T
-    assert np.allclose(columns(earth_rate(), swinging(T_S)) @ SITE.earth_rate_rps(), difference.T, atol=1e-18)
+    assert np.allclose(columns(EARTH_RATE.effect(), swinging(T_S)) @ SITE.earth_rate_rps(), difference.T, atol=1e-18)
 
 
 def test_g_sensitivity_knows_which_way_is_up() -> None:
@@ -88,13 +88,13 @@ def test_g_sensitivity_knows_which_way_is_up() -> None:
     tilted = np.array([[0, 0, 0], [0, np.pi / 2, 0], [0, 0, np.pi / 2]])  # home, y by 90 deg, x by 90 deg
     conditions = Conditions.on_table(np.arange(3.0), tilted, still, still, GIMBALS)
     up = [[0, 0, 1], [-1, 0, 0], [0, 1, 0]]  # a table at rest pushes up: +z at home; -x then points up; +y then
-    assert np.allclose(columns(g_sensitivity(), conditions)[0], up, atol=1e-12)
+    assert np.allclose(columns(G_SENSITIVITY.effect(), conditions)[0], up, atol=1e-12)
 
 
 def test_tilted_axes_change_the_rate_as_true_rotations_about_them_do() -> None:
     conditions, size = swinging(T_S), 1e-6
-    found = columns(table_axes(GIMBALS), conditions)
-    names = [parameter.name for parameter in table_axes(GIMBALS).parameters]
+    found = columns(TABLE_AXES.effect(GIMBALS), conditions)
+    names = [parameter.name for parameter in TABLE_AXES.effect(GIMBALS).parameters]
     assert names == ["y towards z", "y towards x", "x towards y", "x towards z"]
     for number, name in enumerate(names):
         axis, _, other = name.split()
@@ -131,17 +131,17 @@ def test_table_rates_add_up_to_the_rate_of_the_body() -> None:
         faster = rate.copy()
         faster[:, column] *= 1.001
         numeric = (body_rate(angle, faster, GIMBALS, SITE) - conditions.w_rps) @ ARRAY.p.T / 0.001
-        assert np.allclose(columns(table_rate(GIMBALS), conditions)[:, :, column].T, numeric, atol=1e-9)
+        assert np.allclose(columns(TABLE_RATE.effect(GIMBALS), conditions)[:, :, column].T, numeric, atol=1e-9)
 
 
 def test_thermal_gradient_is_the_slope_of_the_temperature() -> None:
-    found = columns(thermal_gradient(), swinging(T_S))[0, 1:-1, 0]
+    found = columns(THERMAL_GRADIENT.effect(), swinging(T_S))[0, 1:-1, 0]
     assert np.allclose(found, 0.15 * np.cos(0.05 * T_S[1:-1]), atol=1e-6)
 
 
 def test_without_a_temperature_thermal_effects_are_nothing() -> None:
     unknown = replace(swinging(T_S), temperature_c=None)
-    assert not columns(thermal_bias(), unknown).any()
+    assert not columns(THERMAL_BIAS.effect(), unknown).any()
 
 
 @pytest.mark.parametrize("gimbals", [("z", "y", "x"), ("x", "z"), ("y",)])

@@ -18,12 +18,14 @@ from estimator.calibration.stored_calibration import read_calibration
 from estimator.effects.constructed import constructed
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import repeatability
-from estimator.estimation.runs.run import runs_of
+from estimator.estimation.runs.making import runs_of
 from estimator.geometry.array import tetrahedron, triad
-from estimator.recordings.recording import ImuData, Recording, write_recording
+from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings, Turns
+from estimator.recordings.writing import write_recording
 from estimator.tracing.candidates import Candidate, candidates_of
-from estimator.tracing.investigate import fit_known, investigate
+from estimator.tracing.investigate import fit_known
+from estimator.tracing.investigation import Investigation
 from estimator.tracing.type_model import error_model_of
 from sims.physics.hidden import Hidden
 from station.opening import DeviceTruth, simulate
@@ -45,13 +47,12 @@ def simulated(script: Script, seed: int, sizes: list[float] | None, **more: Any)
     return simulate(script, {"array": device}, seed, site=SITE, hidden=Hidden.of(tables) if tables else None)
 
 
-@pytest.fixture(scope="module")
-def model() -> ErrorModel:
+@pytest.fixture
+def model(asymmetry: tuple[Investigation, ErrorModel]) -> ErrorModel:
     """What an investigation of the first device says of its type."""
-    found = investigate([simulated(paper_script(), 1, FIRST), simulated(exploration_script(), 2, FIRST)])
-    assert found.model is not None
+    found, model = asymmetry
     assert [added.effect for added in found.added] == ["scale_asymmetry"]
-    return error_model_of(found.model)
+    return model
 
 
 def test_the_typical_size_is_that_of_the_gyros_that_were_looked_at(model: ErrorModel) -> None:

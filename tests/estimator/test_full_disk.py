@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from estimator.errors import RecordingError
-from estimator.recordings.recording import RecordingWriter, write_attributes, write_results
 from estimator.recordings.safe_open import probe
+from estimator.recordings.writing import RecordingWriter, write_attributes, write_results
 
 IN_A_SMALL_DISK = ["unshare", "--map-root-user", "--mount", "sh", "-c"]
 
@@ -69,3 +69,30 @@ def test_a_disk_that_another_program_fills_costs_nothing_that_was_taken(tmp_path
 
 if __name__ == "__main__":
     fill_and_write(Path(sys.argv[1]))
+
+
+def write_until_refused(writer: RecordingWriter) -> None:
+    for _ in range(400):
+        writer.append("imu/a/rate_rps", np.zeros((500, 4)))
+        writer.flush()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no limits of a process")
+def test_a_limit_on_the_size_of_files_leaves_a_recording_that_can_be_read(tmp_path: Path) -> None:
+    import resource
+
+    path, before = tmp_path / "run.h5", resource.getrlimit(resource.RLIMIT_FSIZE)
+    writer = RecordingWriter(path, {})
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4_000_000, before[1]))
+    try:
+        with pytest.raises(RecordingError, match="raise the limit"):
+            write_until_refused(writer)
+        writer.append_text("events", {"t_ns": 5}, "text", "table at rest")
+        writer.close()
+        write_attributes(path, {"outcome": "FAULT"})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with h5py.File(path) as file:
+        assert len(file["imu/a/rate_rps"]) > 50_000
+        assert list(file["events/text"]) == [b"table at rest"]
+        assert file.attrs["outcome"] == "FAULT"

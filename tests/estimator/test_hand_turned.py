@@ -6,15 +6,16 @@ from functools import reduce
 
 import numpy as np
 import pytest
+from foreign_logs import GYRO, STAMPED, imported, written
 from hand_turned import ARW, G_MPS2, RATE_HZ, Errors, Laid, by_known_angles, fine_rests, from_pose_to_pose
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from estimator.errors import InvestigationError
 from estimator.estimation.calibrate import calibrate
-from estimator.importing.importing import import_recording
-from estimator.importing.mapping.mapping import read_mapping
-from estimator.recordings.recording import Recording, read_recording, write_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Recording
+from estimator.recordings.writing import write_recording
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Finding
 from estimator.tracing.type_model import error_model_of
@@ -80,29 +81,12 @@ def test_a_few_turns_are_too_few_to_trace_anything() -> None:
         investigate([recording])
 
 
-MAPPING = """
-[device]
-name = "laid by hand"
-[file]
-format = "csv"
-[time]
-column = "t"
-unit = "s"
-[gyro]
-columns = ["gx", "gy", "gz"]
-unit = "deg/s"
-[accelerometer]
-columns = ["ax", "ay", "az"]
-unit = "m/s2"
-[reference]
-kind = "gravity"
-"""
+ACCELEROMETER = '[accelerometer]\ncolumns = ["ax", "ay", "az"]\nunit = "m/s2"\n'
+GRAVITY_MAPPING = STAMPED + GYRO + ACCELEROMETER + '[reference]\nkind = "gravity"\n'
 
 
-def imported(tmp_path, laid: Laid, more: str = "") -> Recording:
-    (tmp_path / "laid.toml").write_text(MAPPING + more)
-    (tmp_path / "laid.csv").write_text(laid.csv())
-    found = import_recording(read_mapping(tmp_path / "laid.toml"), [tmp_path / "laid.csv"])
+def recording_of(tmp_path, laid: Laid, more: str = "") -> Recording:
+    found = imported(*written(tmp_path, GRAVITY_MAPPING + more, laid.csv()))
     assert not found.refused
     write_recording(tmp_path / "laid.h5", found.recording)
     return read_recording(tmp_path / "laid.h5")
@@ -138,7 +122,7 @@ def least_squares_of(laid: Laid) -> np.ndarray:
 @pytest.mark.parametrize("seed", [11])
 def test_gravity_at_rests_calibrates_gyros_that_are_turned_by_hand_between_them(tmp_path, seed: int) -> None:
     laid = from_pose_to_pose(seed, poses=12)
-    recording = imported(tmp_path, laid)
+    recording = recording_of(tmp_path, laid)
     assert "accelerometer" in recording.attributes["imported"]
     calibration = calibrate(recording)
     states = np.array([gyro.states for gyro in calibration.gyros])
@@ -154,7 +138,7 @@ def test_gravity_at_rests_calibrates_gyros_that_are_turned_by_hand_between_them(
 
 def test_one_axis_turned_tells_of_that_axis_only_and_says_so(tmp_path) -> None:
     laid = from_pose_to_pose(12, poses=3)
-    calibration = calibrate(imported(tmp_path, laid, 'accelerometer = "stated"\nsd_deg = 0.3\n'))
+    calibration = calibrate(recording_of(tmp_path, laid, 'accelerometer = "stated"\nsd_deg = 0.3\n'))
     sd = np.array([np.sqrt(np.diag(gyro.covariance)) for gyro in calibration.gyros])
     assert sd[:, 0].max() > 5e-3
     states = np.array([gyro.states for gyro in calibration.gyros])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_logs import SHAPES
+from foreign_logs import CSV, GYRO, MAPPING, RATE, SHAPES, STAMPED
 
 from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
@@ -15,11 +15,6 @@ from estimator.importing.importing import SOURCE, Imported, import_recording
 from estimator.importing.mapping.mapping import read_mapping
 from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings
 
-DEVICE = '[device]\nname = "triad"\n'
-CSV = DEVICE + '[file]\nformat = "csv"\n'
-STAMPED = CSV + '[time]\ncolumn = "t"\nunit = "s"\n'
-GYRO = '[gyro]\ncolumns = ["gx", "gy", "gz"]\nunit = "deg/s"\n'
-RATE = '[reference]\nkind = "rate"\ncolumns = ["rx", "ry", "rz"]\nunit = "deg/s"\n'
 K, BIAS_DPS = 0.01, 0.5
 
 
@@ -103,7 +98,7 @@ def test_a_reference_may_have_stamps_of_its_own_in_the_same_file(tmp_path: Path)
     later = t + 0.037
     rows = np.column_stack([t, gyro(t), later * 1e3, rates(later)])
     log = table(tmp_path / "log.csv", "t,gx,gy,gz,ms,rx,ry,rz", rows)
-    mapping = STAMPED + GYRO + RATE + 'file = "{stem}.csv"\n[reference.time]\ncolumn = "ms"\nunit = "ms"\n'
+    mapping = MAPPING + 'file = "{stem}.csv"\n[reference.time]\ncolumn = "ms"\nunit = "ms"\n'
     assert_calibrates(imported(tmp_path, mapping, log))
 
 
@@ -285,7 +280,7 @@ def test_gyros_that_do_not_follow_the_reference_are_told(tmp_path: Path) -> None
     t = np.arange(3000) / 100
     noise = np.random.default_rng(8).normal(scale=30, size=(3000, 3))
     log = table(tmp_path / "log.csv", "t,gx,gy,gz,rx,ry,rz", np.column_stack([t, noise, rates(t)]))
-    notes = imported(tmp_path, STAMPED + GYRO + RATE, log).notes
+    notes = imported(tmp_path, MAPPING, log).notes
     assert sum("its output hardly follows the reference" in note for note in notes) == 3
 
 
@@ -294,7 +289,7 @@ def test_held_samples_end_with_the_file(tmp_path: Path, count: int) -> None:
     t = np.arange(count) / 100
     held = gyro(t)[(np.floor(np.arange(count) / 3.6) * 3.6).astype(int)]
     log = table(tmp_path / "log.csv", "t,gx,gy,gz,rx,ry,rz", np.column_stack([t, held, rates(t)]))
-    run = imported(tmp_path, STAMPED + GYRO + RATE, log)
+    run = imported(tmp_path, MAPPING, log)
     assert len(run.recording.sources[SOURCE].t_ns) == pytest.approx(count / 3.6, abs=2)
     assert any("the gyro is new in one row of 3.6" in note for note in run.notes)
 
@@ -305,14 +300,14 @@ def test_a_part_of_a_file_without_a_number_is_refused(tmp_path: Path) -> None:
     rows[:500, 1:4] = np.inf
     log = table(tmp_path / "log.csv", "t,gx,gy,gz,rx,ry,rz", rows)
     with pytest.raises(RecordingError, match="has a gyro column without a single number"):
-        imported(tmp_path, (STAMPED + GYRO + RATE).replace('"csv"', '"csv"\nuntil_s = 4'), log)
+        imported(tmp_path, MAPPING.replace('"csv"', '"csv"\nuntil_s = 4'), log)
 
 
 def test_a_number_beyond_measure_is_a_blank(tmp_path: Path) -> None:
     t = np.arange(2000) / 100
     rows = np.column_stack([t, gyro(t), rates(t)])
     rows[500, 1:4], rows[700, 5] = 1e300, -np.inf
-    run = imported(tmp_path, STAMPED + GYRO + RATE, table(tmp_path / "log.csv", "t,gx,gy,gz,rx,ry,rz", rows))
+    run = imported(tmp_path, MAPPING, table(tmp_path / "log.csv", "t,gx,gy,gz,rx,ry,rz", rows))
     assert len(run.recording.sources[SOURCE].t_ns) == 1999
     assert_calibrates(run)
 
@@ -323,7 +318,7 @@ def test_a_clock_that_wanders_and_lost_samples_leave_the_samples_even(tmp_path: 
     kept = np.delete(np.arange(30000), [9000, 15000, 15001, 21000])
     stamps = np.round((t + wander)[kept], 3)  # to 1 ms: two rates of 190 deg/s would be 10 % apart from row to row
     log = table(tmp_path / "log.csv", "t,gx,gy,gz,rx,ry,rz", np.column_stack([stamps, gyro(t)[kept], rates(t)[kept]]))
-    run = imported(tmp_path, STAMPED + GYRO + RATE, log)
+    run = imported(tmp_path, MAPPING, log)
     assert "even over seconds at 99.9" in str(run.recording.attributes["time_fit"])
     t_s = run.recording.sources[SOURCE].t_ns * 1e-9
     true = (t + wander)[kept]
@@ -376,7 +371,7 @@ def test_a_message_names_the_key_that_helps(
     values = np.column_stack([t, gyro(t), rates(t)])[:, -len(heading.split(delimiter)) :]
     np.savetxt(tmp_path / "log.csv", values, delimiter=delimiter, header=heading, comments="")
     with pytest.raises(RecordingError, match=message):
-        imported(tmp_path, (STAMPED + GYRO + RATE).replace(*change, 1), tmp_path / "log.csv")
+        imported(tmp_path, MAPPING.replace(*change, 1), tmp_path / "log.csv")
 
 
 def test_decimal_commas_are_recognised(tmp_path: Path) -> None:
@@ -384,7 +379,7 @@ def test_decimal_commas_are_recognised(tmp_path: Path) -> None:
     rows = np.column_stack([t, gyro(t), rates(t)])
     lines = [";".join(f"{v:.4f}".replace(".", ",") for v in row) for row in rows]
     (tmp_path / "log.csv").write_text("t;gx;gy;gz;rx;ry;rz\n" + "\n".join(lines))
-    mapping = (STAMPED + GYRO + RATE).replace('"csv"\n', '"csv"\ndelimiter = ";"\n')
+    mapping = MAPPING.replace('"csv"\n', '"csv"\ndelimiter = ";"\n')
     with pytest.raises(RecordingError, match=r'decimal mark \'.\', .*: write decimal = "," in \[file\]'):
         imported(tmp_path, mapping, tmp_path / "log.csv")
 
@@ -393,7 +388,7 @@ def test_stamps_that_stand_still_ask_for_a_rate(tmp_path: Path) -> None:
     rows = np.column_stack([np.zeros(500), gyro(np.arange(500) / 100), rates(np.arange(500) / 100)])
     log = table(tmp_path / "log.csv", "t,gx,gy,gz,rx,ry,rz", rows)
     with pytest.raises(RecordingError, match=r"do not advance: check column in \[time\], or state rate_hz"):
-        imported(tmp_path, STAMPED + GYRO + RATE, log)
+        imported(tmp_path, MAPPING, log)
 
 
 @pytest.mark.parametrize(

@@ -9,27 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign_logs import MAPPING, imported, written
 
 from estimator.errors import RecordingError
-from estimator.importing.importing import Imported, import_recording
-from estimator.importing.mapping.mapping import read_mapping
 
-MAPPING = """\
-[device]
-name = "unit"
-[file]
-format = "csv"
-[time]
-column = "t"
-unit = "s"
-[gyro]
-columns = ["gx", "gy", "gz"]
-unit = "deg/s"
-[reference]
-kind = "rate"
-columns = ["rx", "ry", "rz"]
-unit = "deg/s"
-"""
 HEADING = ("t", "gx", "gy", "gz", "rx", "ry", "rz")
 T = np.arange(600) / 100
 BODY = np.column_stack([30 * np.sin(T), 20 * np.cos(1.3 * T), 25 * np.sin(0.7 * T)])
@@ -46,12 +29,6 @@ def with_stamps(stamp: Callable[[datetime], str]) -> str:
     lines = [line.partition(",")[2] for line in text().splitlines()[1:]]
     stamps = [stamp(began + timedelta(seconds=float(t))) for t in T]
     return "\n".join([",".join(HEADING), *(f"{a},{b}" for a, b in zip(stamps, lines, strict=True))])
-
-
-def imported(tmp_path: Path, content: str | bytes, mapping: str = MAPPING) -> Imported:
-    (tmp_path / "mapping.toml").write_text(mapping)
-    (tmp_path / "log.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
-    return import_recording(read_mapping(tmp_path / "mapping.toml"), [tmp_path / "log.csv"])
 
 
 RECORD = MAPPING.replace(
@@ -87,7 +64,7 @@ def test_what_does_not_fit_is_said_with_the_key_that_helps(
     tmp_path: Path, content: str | bytes, mapping: str, message: str
 ) -> None:
     with pytest.raises(RecordingError, match=re.escape(message)):
-        imported(tmp_path, content, mapping)
+        imported(*written(tmp_path, mapping, content))
 
 
 def test_words_for_nothing_are_blanks(tmp_path: Path) -> None:
@@ -95,28 +72,28 @@ def test_words_for_nothing_are_blanks(tmp_path: Path) -> None:
     for number, word in enumerate(("n/a", "-", "NULL", "None", "NaN", "")):
         fields = lines[10 + number].split(",")
         lines[10 + number] = ",".join([*fields[:2], word, *fields[3:]])
-    run = imported(tmp_path, "\n".join(lines))
+    run = imported(*written(tmp_path, MAPPING, "\n".join(lines)))
     assert len(run.recording.sources["imu"].t_ns) == len(T)
     assert not any("broken" in note for note in run.notes)
 
 
 def test_stamps_in_another_unit_are_told_where_they_could_be_true(tmp_path: Path) -> None:
-    run = imported(tmp_path, text(ROWS * ([1e3] + [1] * 6)))
+    run = imported(*written(tmp_path, MAPPING, text(ROWS * ([1e3] + [1] * 6))))
     assert any("samples are 10 s apart by [time]: if that is not so, correct its unit" in note for note in run.notes)
 
 
 def test_a_reference_that_stands_still_under_gyros_that_turn_is_told(tmp_path: Path) -> None:
-    run = imported(tmp_path, text(ROWS * ([1] * 4 + [0] * 3)))
+    run = imported(*written(tmp_path, MAPPING, text(ROWS * ([1] * 4 + [0] * 3))))
     assert sum("its output hardly follows the reference" in note for note in run.notes) == 3
 
 
 def test_an_output_in_another_unit_is_told_with_the_unit(tmp_path: Path) -> None:
-    run = imported(tmp_path, text(np.column_stack([T, np.radians(ROWS[:, 1:4]), BODY]), spec="%.9f"))
+    run = imported(*written(tmp_path, MAPPING, text(np.column_stack([T, np.radians(ROWS[:, 1:4]), BODY]), spec="%.9f")))
     assert any("as in rad/s: check unit and count in [gyro]" in note for note in run.notes)
 
 
 def test_coarse_steps_are_told(tmp_path: Path) -> None:
     coarse = np.round(ROWS[:, 1:4] / 0.57) * 0.57
-    run = imported(tmp_path, text(np.column_stack([T, coarse, BODY])))
+    run = imported(*written(tmp_path, MAPPING, text(np.column_stack([T, coarse, BODY]))))
     assert any("its steps of 0.57 deg/s are coarser than its noise" in note for note in run.notes)
-    assert not any("coarser" in note for note in imported(tmp_path, text()).notes)
+    assert not any("coarser" in note for note in imported(*written(tmp_path, MAPPING, text())).notes)

@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foreign_logs import (
+    CSV,
     EARTH_DPS,
+    GYRO,
     POSES,
+    RATE,
     SHAPES,
     broken_log,
     gyro_encoder_angle,
@@ -26,25 +29,13 @@ from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.importing.importing import SOURCE, Imported, import_recording
 from estimator.importing.mapping.mapping import read_mapping
-from estimator.recordings.recording import ImuData, Recording, read_recording, write_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings, TableReadings
+from estimator.recordings.writing import write_recording
 from station.opening.captures import PROTOCOLS
 
-TRIAD = """\
-[device]
-name = "triad"
-[file]
-format = "csv"
-[time]
-rate_hz = 100
-[gyro]
-columns = ["gx", "gy", "gz"]
-unit = "deg/s"
-[reference]
-kind = "rate"
-columns = ["rx", "ry", "rz"]
-unit = "deg/s"
-"""
+TRIAD = CSV + "[time]\nrate_hz = 100\n" + GYRO + RATE
 
 COUNTING = """\
 [device]

@@ -7,14 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign_logs import GYRO, STAMPED, imported, written
 
 from estimator.calibration.values import Calibration
 from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
-from estimator.importing.importing import SOURCE, Imported, import_recording
+from estimator.importing.importing import SOURCE
 from estimator.importing.mapping.mapping import read_mapping
-from estimator.recordings.recording import ImuData, Recording, read_recording, write_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
+from estimator.recordings.writing import write_recording
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -40,10 +43,6 @@ unit = "deg/s"
 """
 
 
-def imported(mapping: Path, *files: Path) -> Imported:
-    return import_recording(read_mapping(mapping), files)
-
-
 def through_file(tmp_path: Path, recording: Recording) -> Recording:
     path = tmp_path / "recording.h5"
     write_recording(path, recording)
@@ -57,12 +56,6 @@ def calibrated(tmp_path: Path, mapping: Path, *files: Path) -> tuple[Recording, 
 
 def states(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
     return np.array([g.states for g in calibration.gyros]), np.array([g.sd for g in calibration.gyros])
-
-
-def written(tmp_path: Path, mapping: str, rows: str, name: str = "run.csv") -> tuple[Path, Path]:
-    (tmp_path / "mapping.toml").write_text(mapping)
-    (tmp_path / name).write_text(rows)
-    return tmp_path / "mapping.toml", tmp_path / name
 
 
 def rate_rows(count: int = 600, k: float = 0.01) -> list[str]:
@@ -277,11 +270,11 @@ def test_the_recording_says_where_it_comes_from(tmp_path: Path) -> None:
     mapping, rows = written(tmp_path, text, "\n".join(rate_rows()))
     attributes = through_file(tmp_path, imported(mapping, rows).recording).attributes
     assert attributes["device"] == "unit 7"
-    assert attributes["imported_from"] == "run.csv"
+    assert attributes["imported_from"] == "log.csv"
     assert attributes["mapping"] == text
     assert attributes["licence"] == "CC0"
     assert attributes["source"] == "bench 3"
-    assert attributes["time_fit"] == "run.csv: 100 Hz as stated"
+    assert attributes["time_fit"] == "log.csv: 100 Hz as stated"
     assert attributes["skipped_lines"] == 0
 
 
@@ -353,7 +346,7 @@ def test_a_file_broken_in_more_than_one_line_of_ten_is_refused_with_the_first_of
     rows = rate_rows(100)
     for i in range(2, 90, 8):
         rows[i] = "lost"
-    message = r"run.csv: 11 of 100 lines are no rows of 6 fields with delimiter ','.*the first is line 3 \('lost'\)"
+    message = r"log.csv: 11 of 100 lines are no rows of 6 fields with delimiter ','.*the first is line 3 \('lost'\)"
     with pytest.raises(RecordingError, match=message):
         imported(*written(tmp_path, RATE_MAPPING, "\n".join(rows)))
 
@@ -361,7 +354,7 @@ def test_a_file_broken_in_more_than_one_line_of_ten_is_refused_with_the_first_of
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ("", "run.csv: is empty"),
+        ("", "log.csv: is empty"),
         ("gx,gy,gz,rx,ry,rz\n", "has a heading but no rows"),
         ("gx,gy,g_z,rx,ry,rz\n1,2,3,4,5,6\n", "has no column gz: its first line has gx, gy, g_z"),
         ("gx,gy,gz,rx,ry,rz\n" + "1,nan,3,4,5,6\n" * 20, "gyro column without a single number"),
@@ -416,23 +409,7 @@ def test_a_mapping_that_is_wrong_says_where_and_what_to_write(tmp_path: Path, ol
         read_mapping(mapping)
 
 
-TURN_MAPPING = """\
-[device]
-name = "unit 9"
-[file]
-format = "csv"
-[time]
-column = "t"
-unit = "s"
-[gyro]
-columns = ["gx", "gy", "gz"]
-unit = "deg/s"
-[reference]
-kind = "turns"
-axis = "z"
-angle_deg = 90
-sd_deg = 0.5
-"""
+TURN_MAPPING = STAMPED + GYRO + '[reference]\nkind = "turns"\naxis = "z"\nangle_deg = 90\nsd_deg = 0.5\n'
 
 
 def turn_rows(stamps: np.ndarray, rate_dps: float = 90.0) -> str:
@@ -503,15 +480,15 @@ def test_a_section_list_must_fit_the_mapping_and_the_file(tmp_path: Path) -> Non
     mapping = TURN_MAPPING.replace('axis = "z"\nangle_deg = 90\n', 'section_list = "{stem}.json"\n')
     mapping += '[reference.sections]\nturn = { axis = "z", angle_deg = 90 }\n'
     files = written(tmp_path, mapping, turn_rows(np.arange(300) / 100))
-    with pytest.raises(RecordingError, match=r"its section list run.json is not beside it"):
+    with pytest.raises(RecordingError, match=r"its section list log.json is not beside it"):
         imported(*files)
-    (tmp_path / "run.json").write_text('{"turn": {"start": 50, "end": 900}}')
+    (tmp_path / "log.json").write_text('{"turn": {"start": 50, "end": 900}}')
     with pytest.raises(RecordingError, match=r"section turn is 50 to 900, the file has rows 0 to 300"):
         imported(*files)
-    (tmp_path / "run.json").write_text('{"spin": {"start": 50, "end": 250}}')
+    (tmp_path / "log.json").write_text('{"spin": {"start": 50, "end": 250}}')
     with pytest.raises(RecordingError, match=r"nothing says how section spin turned"):
         imported(*files)
-    (tmp_path / "run.json").write_text('{"turn": {"start": 50, "end": 250}}')
+    (tmp_path / "log.json").write_text('{"turn": {"start": 50, "end": 250}}')
     run = imported(*files).recording
     assert isinstance(run.reference, Turns)
     assert run.reference.t_start_ns[0] == pytest.approx(0.5e9, abs=1000)

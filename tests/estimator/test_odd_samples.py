@@ -5,36 +5,21 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign_logs import MAPPING, imported, written
 
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import sensor_array
-from estimator.importing.importing import SOURCE, Imported, import_recording
-from estimator.importing.mapping.mapping import read_mapping
+from estimator.importing.importing import SOURCE, Imported
 from estimator.observations.health import usable
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings
 
 DATA = Path(__file__).parents[1] / "data"
-MAPPING = """\
-[device]
-name = "triad"
-[file]
-format = "csv"
-[time]
-column = "t"
-unit = "s"
-[gyro]
-columns = ["gx", "gy", "gz"]
-unit = "deg/s"
-[reference]
-kind = "rate"
-columns = ["rx", "ry", "rz"]
-unit = "deg/s"
-"""
 HZ, N = 100, 12000
 K, BIAS_DPS = 0.01, 0.5
 T = np.arange(N) / HZ
@@ -53,11 +38,10 @@ def log(seed: int = 3) -> np.ndarray:
     return np.column_stack([T, gyro, motion(T) + rng.normal(scale=0.02, size=(N, 3))])
 
 
-def imported(tmp_path: Path, rows: np.ndarray, mapping: str = MAPPING) -> Imported:
-    (tmp_path / "mapping.toml").write_text(mapping)
-    heading = "t,gx,gy,gz,rx,ry,rz"
-    np.savetxt(tmp_path / "log.csv", rows, fmt="%.5f", delimiter=",", header=heading, comments="")
-    return import_recording(read_mapping(tmp_path / "mapping.toml"), [tmp_path / "log.csv"])
+def run_of(tmp_path: Path, rows: np.ndarray, mapping: str = MAPPING) -> Imported:
+    text = StringIO()
+    np.savetxt(text, rows, fmt="%.5f", delimiter=",", header="t,gx,gy,gz,rx,ry,rz", comments="")
+    return imported(*written(tmp_path, mapping, text.getvalue()))
 
 
 def spiked(rows: np.ndarray, columns: slice, count: int, seed: int) -> np.ndarray:
@@ -81,17 +65,17 @@ def assert_same(run: Imported, clean: Imported, within: float = 1.0, widest: flo
 
 
 def test_spikes_of_gyros_and_reference_are_told_and_left_out(tmp_path: Path) -> None:
-    run = imported(tmp_path, spiked(spiked(log(), slice(1, 4), 12, 1), slice(4, 7), 9, 2))
+    run = run_of(tmp_path, spiked(spiked(log(), slice(1, 4), 12, 1), slice(4, 7), 9, 2))
     notes = "\n".join(run.notes)
     assert re.search(r"gyro.*: 12 of 12000 samples \(0\.1 %\) are spikes.*the first at .* s", notes)
     assert re.search(r"reference: 9 of 12000 .* are spikes", notes)
-    assert_same(run, imported(tmp_path, log()))
+    assert_same(run, run_of(tmp_path, log()))
 
 
 def test_two_spikes_side_by_side_are_two(tmp_path: Path) -> None:
     rows = log()
     rows[3000:3002, 2] = [900, -700]
-    run = imported(tmp_path, rows)
+    run = run_of(tmp_path, rows)
     assert any("2 of 12000 samples" in note and "spikes" in note for note in run.notes)
 
 
@@ -106,7 +90,7 @@ def test_an_angle_that_goes_round_has_spikes_too(tmp_path: Path) -> None:
         '[gyro]\ncolumns = ["gx"]\nunit = "deg/s"\naxes = ["x"]\n'
         '[reference]\nkind = "angle"\ncolumn = "rx"\nunit = "deg"\naxis = "x"\n'
     )
-    run = imported(tmp_path, rows, mapping)
+    run = run_of(tmp_path, rows, mapping)
     assert any(note.startswith("reference: 3 of 12000") for note in run.notes)
     found = calibrate(run.recording).gyros[0]
     assert abs(found.states[0]) < 5 * found.sd[0] < 1e-3
@@ -218,7 +202,7 @@ def test_motion_and_noise_are_no_spikes(made: Callable[[np.random.Generator], np
 )
 def test_measured_recordings_have_no_spikes(mapping: str, files: str) -> None:
     for path in sorted(DATA.glob(files)):
-        run = import_recording(read_mapping(DATA / mapping), [path])
+        run = imported(DATA / mapping, path)
         assert [note for note in run.notes if "spike" in note] == []
 
 
@@ -229,23 +213,23 @@ def test_samples_that_come_twice_are_told_and_left_out(tmp_path: Path) -> None:
     rows = log()
     again = np.random.default_rng(6).choice(np.arange(50, N - 50, 5), 60, replace=False)
     rows[again, 1:4] = rows[again - 1, 1:4]
-    run = imported(tmp_path, rows)
+    run = run_of(tmp_path, rows)
     assert any("60 of 12000 samples (0.5 %) are those before them again" in note for note in run.notes)
-    assert_same(run, imported(tmp_path, log()))
+    assert_same(run, run_of(tmp_path, log()))
 
 
 def test_coarse_values_that_are_equal_by_chance_do_not_come_twice(tmp_path: Path) -> None:
     rows = log()
     rows[:, 1:4] = np.round(rows[:, 1:4] / 2) * 2
-    assert not any("again" in note for note in imported(tmp_path, rows).notes)
+    assert not any("again" in note for note in run_of(tmp_path, rows).notes)
 
 
 def test_rows_that_are_lost_are_told(tmp_path: Path) -> None:
     lost = np.concatenate([np.arange(2000, 2030), [4000, 4500, 7000]])
-    run = imported(tmp_path, np.delete(log(), lost, axis=0))
+    run = run_of(tmp_path, np.delete(log(), lost, axis=0))
     assert any("33 samples (0.3 %) are missing in 4 gaps, the longest 0.31 s at 20 s" in note for note in run.notes)
     assert len(run.recording.sources[SOURCE].t_ns) == N - 33
-    assert_same(run, imported(tmp_path, log()))
+    assert_same(run, run_of(tmp_path, log()))
 
 
 def test_parts_of_a_source_keep_the_other_columns_of_their_rows() -> None:

@@ -9,11 +9,11 @@ import numpy as np
 from support import SITE, direct_recording
 
 from estimator.effects.conditions import Conditions
-from estimator.effects.drift import bias_drift, warm_up
+from estimator.effects.drift import BIAS_DRIFT, WARM_UP
 from estimator.effects.effect import Effect
-from estimator.effects.scale import scale_asymmetry
-from estimator.effects.site import g_sensitivity
-from estimator.effects.thermal import thermal_bias
+from estimator.effects.scale import SCALE_ASYMMETRY
+from estimator.effects.site import G_SENSITIVITY
+from estimator.effects.thermal import THERMAL_BIAS
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import tetrahedron, triad
 from estimator.geometry.model import Prior, regressor_maps
@@ -76,7 +76,7 @@ def test_the_estimate_states_the_predicted_sigma_and_its_doubt_about_the_noise()
 
 def test_asymmetry_is_invisible_to_the_paper_s_script_and_corrupts_what_the_plan_says() -> None:
     """The shift of the states that a plan predicts is what happens to an estimate whose data hold the effect."""
-    (asymmetry,) = plan(paper_script(), scale_asymmetry()).effects
+    (asymmetry,) = plan(paper_script(), SCALE_ASYMMETRY.effect()).effects
     assert not asymmetry.seen.any()
     size, recording = 2000e-6, direct_recording(1)
     source = recording.sources["array"]
@@ -84,7 +84,7 @@ def test_asymmetry_is_invisible_to_the_paper_s_script_and_corrupts_what_the_plan
     rates = Conditions.on_table(
         motion.t_s, motion.angle_rad, motion.rate_rps, motion.acceleration_rps2, motion.gimbals, site=SITE
     )
-    effect = [scale_asymmetry().columns(rates, source.array, i)[:, 0] for i in range(4)]
+    effect = [SCALE_ASYMMETRY.effect().columns(rates, source.array, i)[:, 0] for i in range(4)]
     wrong = replace(source, rate_rps=source.rate_rps + size * np.column_stack(effect))
     shift = np.array(
         [
@@ -104,14 +104,14 @@ def test_asymmetry_is_invisible_to_the_paper_s_script_and_corrupts_what_the_plan
 
 def test_asymmetry_is_seen_when_axes_turn_both_ways() -> None:
     both = Script("both", (Rest(30), *(turn(axis, rate) for axis in "xyz" for rate in (30, -30)), Rest(30)))
-    found = plan(both, scale_asymmetry())
+    found = plan(both, SCALE_ASYMMETRY.effect())
     assert found.effects[0].seen.all()
     assert not found.saturated
 
 
 def test_an_effect_of_the_smallest_size_is_found_as_often_as_promised() -> None:
     """By least squares on all samples, 95 % of its estimates are beyond what 1 % of those without it reach."""
-    found = plan(paper_script(), g_sensitivity(), warm_up())
+    found = plan(paper_script(), G_SENSITIVITY.effect(), WARM_UP.effect(time_constant_s=120.0))
     conditions, array = conditions_of(paper_script()), tetrahedron()
     states = np.column_stack([np.ones(len(conditions.t_s)), conditions.w_rps]) @ regressor_maps(array)[1].T
     for effect, column in ((found.effects[0], 2), (found.effects[1], 0)):
@@ -123,7 +123,7 @@ def test_an_effect_of_the_smallest_size_is_found_as_often_as_promised() -> None:
 
 
 def test_a_shared_effect_is_seen_by_all_gyros_together() -> None:
-    own, shared = g_sensitivity(), replace(g_sensitivity(), shared=True)
+    own, shared = G_SENSITIVITY.effect(), replace(G_SENSITIVITY, shared=True).effect()
     found = plan(paper_script(), own, shared)
     together = np.sum(found.effects[0].smallest ** -2.0, axis=1) ** -0.5
     assert found.effects[1].smallest.shape == (3, 1)
@@ -150,8 +150,8 @@ def test_a_script_with_as_many_conditions_as_states_is_saturated() -> None:
 
 
 def test_drift_and_temperature_are_told_apart_only_if_it_is_not_monotone() -> None:
-    rising = plan(paper_script(), bias_drift(), thermal_bias(), warmth="rising")
-    there_and_back = plan(paper_script(), bias_drift(), thermal_bias(), warmth="there and back")
+    rising = plan(paper_script(), BIAS_DRIFT.effect(), THERMAL_BIAS.effect(), warmth="rising")
+    there_and_back = plan(paper_script(), BIAS_DRIFT.effect(), THERMAL_BIAS.effect(), warmth="there and back")
     assert [(p.first, p.second) for p in rising.pairs] == [("bias_drift", "thermal_bias")]
     assert rising.pairs[0].correlation > 0.99
     assert not there_and_back.pairs
@@ -159,7 +159,8 @@ def test_drift_and_temperature_are_told_apart_only_if_it_is_not_monotone() -> No
 
 def test_the_correlation_is_that_of_the_estimates() -> None:
     """With both effects in the model, the sigma of one grows by 1 / sqrt(1 - r^2)."""
-    conditions, effects = conditions_of(paper_script(), "there and back"), (bias_drift(), warm_up(60.0))
+    conditions = conditions_of(paper_script(), "there and back")
+    effects = BIAS_DRIFT.effect(), WARM_UP.effect(time_constant_s=60.0)
     found = plan(paper_script(), *effects, warmth="there and back")
     regressors = np.column_stack([np.ones(len(conditions.t_s)), conditions.w_rps])
     drift, warm = (effect.columns(conditions, tetrahedron(), 0) for effect in effects)

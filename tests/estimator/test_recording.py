@@ -16,17 +16,10 @@ from estimator.errors import RecordingError
 from estimator.geometry.array import sensor_array, tetrahedron, triad
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior
-from estimator.recordings.recording import (
-    FORMAT_VERSION,
-    ImuData,
-    Recording,
-    RecordingWriter,
-    read_recording,
-    write_attributes,
-    write_recording,
-    write_results,
-)
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import FORMAT_VERSION, ImuData, Recording
 from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings, Turns
+from estimator.recordings.writing import RecordingWriter, write_attributes, write_recording, write_results
 from station.bench.bench import default_bench_text
 from station.cli import main
 
@@ -108,6 +101,18 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.reference.angle_rad, TABLE.angle_rad)
     np.testing.assert_array_equal(found.reference.rate_rps, TABLE.rate_rps)
     np.testing.assert_array_equal(found.reference.half_width_ns, TABLE.half_width_ns)
+
+
+def test_the_time_that_rates_are_means_of_is_kept_and_is_none_in_older_recordings(tmp_path: Path) -> None:
+    write_recording(tmp_path / "run.h5", recording(dataclasses.replace(TABLE, rate_window_ns=250_000_000)))
+    found = read_recording(tmp_path / "run.h5", trusted=True).reference
+    assert isinstance(found, TableReadings)
+    assert found.rate_window_ns == 250_000_000
+    with h5py.File(tmp_path / "run.h5", "a") as file:
+        del file["table"].attrs["rate_window_ns"]
+    older = read_recording(tmp_path / "run.h5", trusted=True).reference
+    assert isinstance(older, TableReadings)
+    assert older.rate_window_ns == 0
 
 
 def test_readings_without_half_widths_have_none(tmp_path: Path) -> None:

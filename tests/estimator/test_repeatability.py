@@ -13,7 +13,7 @@ from estimator.calibration.values import GyroCalibration
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import between_runs, repeatability, same_device
 from estimator.geometry.array import triad
-from estimator.recordings.recording import write_recording
+from estimator.recordings.writing import write_recording
 
 DPH = np.pi / 180 / 3600
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.estimation.runs.run import Run, runs_of
+from estimator.estimation.runs.making import runs_of
+from estimator.estimation.runs.run import Run
 from estimator.recordings.recording import Recording
 from estimator.tracing.investigate import fit_known, investigate
 from estimator.tracing.residuals.origin import Origin

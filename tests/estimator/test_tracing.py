@@ -112,7 +112,6 @@ def test_a_bias_that_lags_the_temperature_has_the_lag_and_the_sizes_that_it_has(
 def test_what_does_not_lower_the_error_on_the_verification_run_is_taken_back() -> None:
     calibration, exploration, _ = recordings_of(Case(("scale_asymmetry",), 1.0, 4))
     without = recordings_of(Case((), 1.0, 4))[2]
-    assert [a.effect for a in investigate([calibration, exploration]).added] == ["scale_asymmetry"]
     found = investigate([calibration, exploration], [without])
     assert not found.added
     assert found.taken_back == ("scale_asymmetry",)
@@ -162,18 +161,16 @@ def test_effects_that_the_recordings_cannot_show_are_left_out_by_name() -> None:
 
 
 def test_faults_of_the_data_are_named_and_cost_only_what_they_spoil() -> None:
-    calibration, exploration, verification = recordings_of(Case((), 1.0, 6))
+    _, exploration, verification = recordings_of(Case((), 1.0, 6))
     rate = exploration.sources["array"].rate_rps.copy()
     rate[10_000:10_400, 1] = rate[10_000, 1]
-    found = investigate([calibration, changed(exploration, rate_rps=rate)], [verification])
+    found = investigate([changed(exploration, rate_rps=rate)], [verification])
     assert [(a.effect, a.gyros) for a in found.added] == [("stuck", ("gyro2",))]
     assert found.added[0].parameters["gyro2 from"].value == pytest.approx(100.0, abs=0.1)
     assert len(found.gyros) == 4
 
-    held = [
-        changed(r, rate_rps=np.repeat(r.sources["array"].rate_rps[::4], 4, axis=0)) for r in (calibration, exploration)
-    ]
-    found = investigate(held)
+    held = np.repeat(exploration.sources["array"].rate_rps[::4], 4, axis=0)
+    found = investigate([changed(exploration, rate_rps=held)])
     assert [a.effect for a in found.added] == ["sample_hold"]
     assert found.added[0].parameters["delay"].value == pytest.approx(0.015, abs=0.003)
 

@@ -16,8 +16,8 @@ from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
 from estimator.effects.catalogue import catalogue
 from estimator.estimation.sample_columns import SampleColumns, white_solution
 from estimator.geometry.array import tetrahedron
-from estimator.recordings.recording import write_recording
 from estimator.recordings.reference import TableReadings
+from estimator.recordings.writing import write_recording
 from sims.physics.hidden import Hidden
 from station.bench.bench import default_bench_text
 from station.cli import main

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from estimator.geometry.array import triad
-from estimator.recordings.recording import ImuData, Recording, write_recording
+from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings
+from estimator.recordings.writing import write_recording
 from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
 from station.errors import BenchError

@@ -22,10 +22,10 @@ import pytest
 from chores import die_at_three, own_threads, square, square_but_three, unwelcome
 from support import command, direct_recording, station
 
-from estimator.recordings.recording import write_recording
+from estimator.recordings.writing import write_recording
+from station.campaigns import ONE_BLAS_THREAD
 from station.campaigns.campaigns import Failure, run_all
 from station.campaigns.cluster import run_on_cluster
-from station.campaigns.worker_pool import ONE_BLAS_THREAD
 from station.cli import main
 from station.commands.calibrate import Estimated, estimate
 from station.errors import UsageError

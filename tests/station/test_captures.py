@@ -16,7 +16,8 @@ import pytest
 from drivers.imus.stim300.codec import Datagrams, encode, encode_special
 from drivers.imus.stim300.special import Configuration
 from drivers.imus.vectornav.codec import COMMON, IMU, Sentence, encode_frames, encode_sentence, layout_of
-from estimator.recordings.recording import ImuData, read_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import TableReadings
 from station.bench.can_mappings import load_mapping
 from station.cli import main

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from drivers.imus.registry import IMUS
-from drivers.plugins import load_file, records
+from drivers.plugins import load_file, records_of
 from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.registry import TABLES
 from station.cli import main
@@ -93,7 +93,7 @@ def test_what_is_wrong_with_one_is_told(
     path = tmp_path / "mine.py"
     path.write_text(text.replace(right, wrong))
     module = load_file(path)
-    (spec,) = [*records(module, ImuSpec), *records(module, TableSpec)]
+    (spec,) = [*records_of(module, ImuSpec), *records_of(module, TableSpec)]
     assert re.search(told, complaint(spec, suite, [path]))
 
 

@@ -53,7 +53,12 @@ def test_a_run_ends_once_every_sigma_is_reached_and_says_so(
     script: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first, second = tmp_path / "first.h5", tmp_path / "second.h5"
-    bench = bench_file(tmp_path, 'sd_bias = "5 deg/h"', 'sd_bias = "12 deg/h"')
+    bench_file(tmp_path, 'sd_bias = "5 deg/h"', 'sd_bias = "12 deg/h"')
+    bench = str(tmp_path / "bench.toml")
+    # A timing that is stated as poor keeps no run going whose ramps have told the offset.
+    stated = Path(bench).read_text(encoding="utf-8")
+    assert 'timing = "50 us"' in stated
+    Path(bench).write_text(stated.replace('timing = "50 us"', 'timing = "20 ms"'), encoding="utf-8")
     arguments = ["run", "--bench", bench, "--script", script, "--end-early", "-o"]
     assert main([*arguments, str(first)]) == 0
     printed = capsys.readouterr().out

@@ -22,14 +22,16 @@ from estimator.calibration.calibration_file import write_calibration
 from estimator.calibration.compensation import Compensation
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
 from estimator.calibration.values import Calibration, EffectValue, GyroCalibration
-from estimator.effects.entries import entries
+from estimator.effects.catalogue import everything
 from estimator.geometry.array import SensorArray, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.geometry.noise import NoiseFound, NoiseModel
-from estimator.recordings.recording import ImuData, Recording, write_recording
+from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import TableReadings
+from estimator.recordings.writing import write_recording
 from station.cli import main
 from station.exports.exported import Exported, exported_of
 from station.exports.formats import FORMATS
+from station.exports.written import yaml_text
 
 SAMPLES = 400
 PERIOD_S = 0.01
@@ -125,7 +127,7 @@ def record(tmp_path: Path) -> Record:
 
 
 def _model(sizes: dict[str, tuple[float, ...]]) -> ErrorModel:
-    listed = {entry.name.removesuffix("_1"): entry for entry in entries() if entry.parameters}
+    listed = {entry.name.removesuffix("_1"): entry for entry in everything() if entry.parameters}
     effects = []
     for called, values in sizes.items():
         name, _, law = called.partition(" ")
@@ -605,3 +607,8 @@ def test_whatever_the_locale_the_file_is_utf_8(record: Record) -> None:
     done = station("export", path, "--format", "yaml")
     assert done.returncode == 0
     assert "Müller" in done.stdout
+
+
+def test_a_text_that_looks_like_a_number_stays_a_text_in_every_version_of_yaml() -> None:
+    text = yaml_text({"serial": "1e5", "device": "yes", "rows": [[1.0, 1e-9]]})
+    assert text == "serial: \"1e5\"\ndevice: 'yes'\nrows:\n- [1.0, 1.0e-09]\n"

@@ -27,7 +27,8 @@ from test_run import bench_file, events, run_json
 
 from station.errors import UsageError
 from station.remote.attaching import RemoteSession, running_sessions
-from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot, json_object, snapshot_of
+from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot, snapshot_of
+from station.views.json_values import json_object
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="Unix sockets")
 

@@ -75,7 +75,7 @@ def test_links_given_as_options_are_in_the_file_and_the_rest_are_twins(tmp_path:
 def test_answers_are_checked_at_once_and_asked_again(tmp_path: Path) -> None:
     done = answered(
         tmp_path,
-        "Lab 3", "galil", "serial:///dev/ttyUSB0?bud=1", "tcp://10.0.0.2", "z z", "z y x",
+        "Lab 3", "galil", "serial:///dev/ttyUSB0?bud=1", "tcp://[::1", "tcp://10.0.0.2", "z z", "z y x",
         "Q", "A", "1.5", "1296000", "100", "60 deg/s", "20 deg/s2", "-90 deg, 90 deg",
         "", "", "", "", "", "", "", "", "", "-",
         "stim", "a/b", "unit", "", "600 Hz", "1000 Hz", "", "", "no",
@@ -84,6 +84,7 @@ def test_answers_are_checked_at_once_and_asked_again(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     for reproach in (
         "no serial port has",
+        "'tcp://[::1' is no link",
         "named twice",
         "'Q' is not one of A",
         "whole number",

@@ -10,13 +10,13 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from support import SITE, TABLE_1
+from support import ASYMMETRY, SITE, tetrahedron_recording, three_recordings
 
 import station.commands.investigate
-from estimator.effects.constructed import in_words
-from estimator.estimation.runs.run import runs_of
-from estimator.geometry.array import tetrahedron
-from estimator.recordings.recording import Recording, write_recording
+from estimator.effects.law import in_words
+from estimator.estimation.runs.making import runs_of
+from estimator.recordings.recording import Recording
+from estimator.recordings.writing import write_recording
 from estimator.tracing.investigation import (
     Added,
     Errors,
@@ -30,18 +30,17 @@ from estimator.tracing.investigation import (
     Unexplained,
     Value,
 )
-from sims.physics.hidden import Hidden
 from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
-from station.opening import DeviceTruth, simulate
-from station.render.investigation_printed import human, investigation_object, print_investigation, probability
+from station.render.investigation_printed import print_investigation
 from station.render.terminal import stdout
 from station.scripts.loop_scripts import candidates, exploration_script, there_and_back, verification_script
 from station.scripts.next_script import NextScript, Past, next_script
 from station.scripts.script import Rest, Script, check, load_script, paper_script
+from station.views.investigation import investigation_view
+from station.views.words import human, probability
 
 DEG = np.pi / 180
-ASYMMETRY = {"scale_asymmetry": {"size": ["2000 ppm", "-2000 ppm", "1500 ppm", "2000 ppm"]}}
 KEYS = {"verdict", "added", "rivals", "unexplained", "before", "after", "in_sample", "next_script", "models", "gyros"}
 
 
@@ -49,20 +48,19 @@ def simulated(
     script: Script, seed: int, hidden: dict[str, Any] | None = None, started_s: float = 0.0, bench: bool = True
 ) -> Recording:
     """Return a recording of the tetrahedron, with what is hidden in it."""
-    noise = {"arw_rps_rthz": 0.005 * DEG, "bias_instability_rps": 2 * DEG / 3600}
-    device = DeviceTruth(tetrahedron(), np.tile(TABLE_1, (4, 1)), **noise, kind="tetrahedron")
-    hides = Hidden.of(hidden) if hidden else None
-    recording = simulate(script, {"array": device}, seed, site=SITE, hidden=hides, started_s=started_s)
+    return on_bench(tetrahedron_recording(script, seed, hidden or {}, started_s), bench)
+
+
+def on_bench(recording: Recording, bench: bool = True) -> Recording:
     return replace(recording, attributes={"bench": load_bench(None).text}) if bench else recording
 
 
 def files(folder: Path, hidden: dict[str, Any] | None = None, *, seed: int = 1) -> list[Path]:
     """Write a calibration, an exploration and a verification recording."""
-    paths, clock_s = [], 0.0
-    for number, script in enumerate((paper_script(), exploration_script(), verification_script())):
-        paths.append(folder / f"{number}-{script.name}.h5")
-        write_recording(paths[-1], simulated(script, 10 * seed + number, hidden, clock_s))
-        clock_s += script.duration_s + 20
+    recordings = three_recordings(seed, hidden or {})
+    paths = [folder / f"{number}.h5" for number in range(len(recordings))]
+    for path, recording in zip(paths, recordings, strict=True):
+        write_recording(path, on_bench(recording))
     return paths
 
 
@@ -185,13 +183,13 @@ def test_bad_input_ends_with_2_and_without_a_verdict(
 
 
 def test_values_are_read_in_units_of_people_to_two_digits_of_their_doubt() -> None:
-    assert human(Value(0.00500 * DEG, 0.00012 * DEG, "rad/s/K")) == "0.00500 ± 0.00012 deg/s/degC"
-    assert human(Value(0.0041, 0.00003, "s")) == "4.100 ± 0.030 ms"
-    assert human(Value(61.0, 2.2, "s")) == "61.0 ± 2.2 s"
-    assert human(Value(2e-3, 31e-6, "1")) == "2000 ± 31 ppm"
-    assert human(Value(4e-6 / DEG**2, 1e-7 / DEG**2, "1/(rad/s)2")) == "4.00 ± 0.10 ppm per (deg/s)2"
-    assert human(Value(0.02 * DEG, 0.0, "rad/s/g")) == "0.02 deg/s/g"
-    assert human(Value(3.0, 0.5, "furlong")) == "3.00 ± 0.50 furlong"
+    assert human(0.00500 * DEG, 0.00012 * DEG, "rad/s/K") == "18.00 ± 0.43 deg/h/degC"
+    assert human(0.0041, 0.00003, "s") == "4.100 ± 0.030 ms"
+    assert human(61.0, 2.2, "s") == "61.0 ± 2.2 s"
+    assert human(2e-3, 31e-6, "1") == "2000 ± 31 ppm"
+    assert human(4e-6 / DEG**2, 1e-7 / DEG**2, "1/(rad/s)2") == "4.00 ± 0.10 ppm per (deg/s)2"
+    assert human(0.02 * DEG, 0.0, "rad/s/g") == "72 deg/h/g"
+    assert human(3.0, 0.5, "furlong") == "3.00 ± 0.50 furlong"
 
 
 def test_no_probability_is_rounded_to_certainty() -> None:
@@ -248,8 +246,8 @@ def test_parameters_of_one_gyro_share_a_line(capsys: pytest.CaptureFixture[str])
     added = Added("g_sensitivity", ("gyro1", "gyro2"), 0.99, {**sizes, names[3]: Value(60.0, 2.0, "s")})
     print_investigation(replace(made(Finding.ADDED), added=(added,)), None, None, stdout())
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
-    assert "gyro1: along body x 0.0200 ± 0.0010 deg/s/g, along body y 0.0200 ± 0.0010 deg/s/g" in lines
-    assert "gyro2: along body x 0.0200 ± 0.0010 deg/s/g" in lines
+    assert "gyro1: along body x 72.0 ± 3.6 deg/h/g, along body y 72.0 ± 3.6 deg/h/g" in lines
+    assert "gyro2: along body x 72.0 ± 3.6 deg/h/g" in lines
     assert "time constant: 60.0 ± 2.0 s" in lines
 
 
@@ -261,9 +259,9 @@ def test_an_effect_without_a_name_is_said_as_the_law_that_it_is(capsys: pytest.C
     print_investigation(found, None, None, stdout())
     said = "CONSTRUCTED: bias proportional to temperature above 25 degC lagged by 58.1 ± 4.2 s; not in the catalogue"
     assert f"{said}, probability 98.0 %" in " ".join(capsys.readouterr().out.split())
-    (entry,) = investigation_object(found, None, [], [])["added"]
+    (entry,) = investigation_view(found, None, [], [])["added"]
     assert (entry["constructed"], entry["expression"], entry["effect"]) == (True, law, in_words(law))
-    (entry,) = investigation_object(made(Finding.ADDED), None, [], [])["added"]
+    (entry,) = investigation_view(made(Finding.ADDED), None, [], [])["added"]
     assert (entry["constructed"], entry["expression"]) == (False, "")
 
 
@@ -273,7 +271,7 @@ def test_what_is_unexplained_is_said_with_what_it_depends_on(capsys: pytest.Capt
 
 
 def test_json_has_null_where_a_number_is_not_known() -> None:
-    found = investigation_object(made(Finding.ADDED), None, ["a.h5"], ["verify.h5"])
+    found = investigation_view(made(Finding.ADDED), None, ["a.h5"], ["verify.h5"])
     assert json.loads(json.dumps(found, allow_nan=False))["gyros"]["gyro1"]["phases"][0]["after_rps"] is None
     assert found["added"][0]["parameters"] == {"delay": [0.004, 3e-5, "s"]}
 

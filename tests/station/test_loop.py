@@ -18,7 +18,8 @@ from support import command
 from test_investigate import made
 
 import station.commands.loop
-from estimator.recordings.recording import Recording, read_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.recording import Recording
 from estimator.tracing.investigation import Finding, Investigation
 from station.bench.bench import default_bench_text
 from station.cli import main

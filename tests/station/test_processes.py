@@ -16,7 +16,9 @@ import kill
 import numpy as np
 import pytest
 from support import TABLE_1, TwinProcess, station
-from test_run import KEYS, SHORT_SCRIPT, bench_file
+from test_run import BRIEF_SCRIPT, KEYS, SHORT_SCRIPT, bench_file
+
+from station.cli import main
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX only")
 
@@ -44,8 +46,10 @@ def worst_error(result: dict[str, Any]) -> float:
     return float(np.abs(errors).max())
 
 
-def test_a_run_against_twins_in_another_process_finds_the_truth(tmp_path: Path, short: Path) -> None:
-    result = run_between_processes(tmp_path, "3", "array", "--bench", bench_file(tmp_path), "--script", short)
+def test_a_run_against_twins_in_another_process_finds_the_truth(tmp_path: Path) -> None:
+    script = tmp_path / "brief.toml"
+    script.write_text(BRIEF_SCRIPT)
+    result = run_between_processes(tmp_path, "3", "array", "--bench", bench_file(tmp_path), "--script", script)
     assert len(result["gyros"]) == 4
     assert worst_error(result) < 4
 
@@ -68,7 +72,7 @@ def test_a_killed_station_leaves_its_samples_and_a_table_that_stops_by_itself(tm
     script = tmp_path / "script.toml"
     script.write_text(kill.SCRIPT)
     with TwinProcess("--bench", kill.watched_bench(tmp_path)) as twin:
-        left = kill.kill_once(twin, tmp_path / "r.h5", script, after_s=5.0)
+        left = kill.kill_once(twin, tmp_path / "r.h5", script, after_s=2.5)
     assert left.turning
     assert left.missing_s <= 0.5
     assert left.at_rest
@@ -103,22 +107,23 @@ def babbling_server(seed: int) -> Iterator[int]:
 
 @pytest.mark.parametrize(("device", "options"), [("table", []), ("stim300", ["--device", "stim300"])])
 def test_garbage_on_a_link_ends_with_the_device_named_and_no_traceback(
-    tmp_path: Path, device: str, options: list[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], device: str, options: list[str]
 ) -> None:
     with babbling_server(1) as port:
-        done = station("run", "--link", f"{device}=tcp://127.0.0.1:{port}", *options, "--json", "-o", tmp_path / "r.h5")
-    result = json.loads(done.stdout)
-    assert done.returncode == 4
+        link = ["--link", f"{device}=tcp://127.0.0.1:{port}", *options]
+        code = main(["run", *link, "--json", "-o", str(tmp_path / "r.h5")])
+    said = capsys.readouterr()
+    result = json.loads(said.out)
+    assert code == 4
     assert result["outcome"] == "FAULT"
     assert result["reason"].startswith(f"{device}: ")
-    assert "Traceback" not in done.stderr
+    assert "Traceback" not in said.err
 
 
-def test_two_twins_cannot_share_a_port_and_the_second_says_so() -> None:
+def test_two_twins_cannot_share_a_port_and_the_second_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     with TwinProcess() as twin:
-        done = station("twin", "--port", twin.links["table"].rsplit(":", 1)[1])
-    assert done.returncode == 4
-    assert "is the port free?" in done.stderr
+        assert main(["twin", "--port", twin.links["table"].rsplit(":", 1)[1]]) == 4
+    assert "is the port free?" in capsys.readouterr().err
 
 
 def test_help_needs_no_library(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +18,19 @@ import pytest
 from compensating import compensate
 from test_investigate import ASYMMETRY, simulated
 
-from estimator.calibration.compensation import ADDED, OF_THE_PAST, OF_THE_RATE, Compensation
+from estimator.calibration.compensation import Compensation
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
 from estimator.calibration.stored_calibration import read_calibration
 from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.effects.catalogue import everything
+from estimator.effects.effect import Acts
 from estimator.geometry.array import tetrahedron
 from estimator.geometry.model import predicted_output
-from estimator.recordings.recording import read_recording, write_recording
+from estimator.recordings.reading import read_recording
+from estimator.recordings.writing import write_recording
 from station.bench.bench import default_bench_text
 from station.cli import main
 from station.exports.hashes import raw_sha256
-from station.exports.terms import FORMULAS
 from station.report.chapters.correction import Correction
 from station.report.chapters.front import links_of, local_links
 from station.report.chapters.snippet import snippet
@@ -446,11 +448,7 @@ def test_the_snippet_undoes_every_effect_as_our_compensation_does() -> None:
         KnownEffect("bandwidth", False, (Size("time constant", "s", 0.0, 4e-3),)),
         KnownEffect("acceleration_sensitivity", False, tuple(Size(f"about {a}", "s", 0.0, 2e-3) for a in "jk")),
     ]
-    assert (
-        {effect.name for effect in effects}
-        == {*ADDED, *OF_THE_RATE, *OF_THE_PAST}
-        == {name for name in FORMULAS if name != "constructed"}
-    )
+    assert {effect.name for effect in effects} == {e.name for e in everything() if e.acts and e.acts is not Acts.STAMPS}
     effects += [law(text) for text in LAWS]
     gyros, model = gyros_with(effects)
     compensation = Compensation.of(gyros, {"array": tetrahedron()}, model)
@@ -617,6 +615,22 @@ def test_without_a_browser_the_html_is_kept_and_said_what_to_install(
     assert str(tmp_path / "r.html") in said
     assert (tmp_path / "r.html").is_file()
     assert not (tmp_path / "r.pdf").exists()
+
+
+def test_the_page_of_the_recording_names_all_that_a_run_writes(run: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs/pages/reference/recording.md").read_text(encoding="utf-8")
+    with h5py.File(run) as recording:
+        assert not {name for name in names_in(recording) if f"`{name}`" not in page}
+
+
+def names_in(group: h5py.Group) -> Iterator[str]:
+    """Yield the names of all datasets and attributes."""
+    yield from group.attrs
+    for name, item in group.items():
+        if isinstance(item, h5py.Group):
+            yield from names_in(item)
+        else:
+            yield from (name, *item.attrs)
 
 
 @pytest.fixture(scope="module")

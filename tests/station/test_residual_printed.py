@@ -10,24 +10,21 @@ import h5py
 import numpy as np
 import pytest
 
-from estimator.tracing.investigate import investigate
+from estimator.calibration.error_model import ErrorModel
 from estimator.tracing.investigation import Investigation
 from estimator.tracing.residuals.dependence import Dependence
 from estimator.tracing.residuals.origin import Origin, Split
 from estimator.tracing.residuals.residual import GyroResidual, Residual, Spectrum
 from station.exports.investigation_file import write_investigation
-from station.render.investigation_pictures import draw_investigation
-from station.render.investigation_printed import investigation_object, print_investigation
-from station.render.residual_printed import origin_line
+from station.render.investigation_printed import origin_line, print_investigation
 from station.render.terminal import stdout
-from station.studies.detection import Case, recordings_of
+from station.report.residual_picture import draw_investigation
+from station.views.investigation import ResidualView, investigation_view, residual_view
 
 
-@pytest.fixture(scope="module")
-def found() -> Investigation:
-    """Return what comes of recordings with an asymmetry."""
-    calibration, exploration, verification = recordings_of(Case(("scale_asymmetry",), 1.0, 4))
-    return investigate([calibration, exploration], [verification])
+@pytest.fixture
+def found(asymmetry: tuple[Investigation, ErrorModel]) -> Investigation:
+    return asymmetry[0]
 
 
 def left(nis: float, *depends_on: tuple[str, float], origin: Origin = Origin.NOISE, spare: int = 1) -> Residual:
@@ -65,15 +62,15 @@ def test_a_verification_run_that_is_not_noise_is_shown(
 
 
 def test_it_is_said_how_far_the_gyros_can_tell_what_they_share() -> None:
-    four, five = (left(2.0, origin=Origin.COMMON, spare=spare) for spare in (1, 2))
+    four, five = (residual_view(left(2.0, origin=Origin.COMMON, spare=spare)) for spare in (1, 2))
     assert origin_line(four, four).endswith("common to all gyros, as far as one gyro more than axes can tell")
     assert origin_line(five, five).endswith("common to all gyros")
-    three = replace(four, split=None, no_split="3 gyros on 3 axes: why")
+    three: ResidualView = {**four, "split": None, "no_split": "3 gyros on 3 axes: why"}
     assert "cannot be told: 3 gyros on 3 axes: why" in origin_line(three, three)
 
 
 def test_json_holds_what_is_left_before_and_after_of_all_runs(found: Investigation) -> None:
-    kept = json.loads(json.dumps(investigation_object(found, None, [], []), allow_nan=False))["residual"]
+    kept = json.loads(json.dumps(investigation_view(found, None, [], []), allow_nan=False))["residual"]
     assert set(kept) == {"before", "after", "verification"}
     for before, after in ((kept["before"], kept["after"]), tuple(kept["verification"].values())):
         assert before["split"]["origin"] == "own to each"
@@ -91,7 +88,7 @@ def test_json_holds_what_is_left_before_and_after_of_all_runs(found: Investigati
 
 def test_files_and_pictures_hold_the_spectra(found: Investigation, tmp_path: Path) -> None:
     path, picture = tmp_path / "found.h5", tmp_path / "found.png"
-    write_investigation(path, found, investigation_object(found, None, [], []))
+    write_investigation(path, found, investigation_view(found, None, [], []))
     with h5py.File(path) as file:
         for group in ("spectrum", "spectrum_verification"):
             gyro = file["investigation"][group]["gyro2"]

@@ -108,6 +108,7 @@ def test_the_paper_script_passes_on_the_built_in_twins_and_finds_the_truth(
     assert result["lost"] == 0
     with h5py.File(tmp_path / "run.h5") as file:
         assert file["calibration"].attrs["live_batch_difference_sigma"] < 1e-6
+        assert not file["calibration"].attrs["notes"].size
         last = file["table/angle_rad"][-1]
         assert np.abs(last - 8 * np.pi).max() < 2 * np.pi / 65536  # four turns each, home to the count
 
@@ -252,6 +253,8 @@ def test_a_script_that_cannot_be_done_is_refused_before_motion(
         ("table=tcp://127.0.0.1:1", 4, "table: nothing answers at 127.0.0.1:1"),
         ("table=serial:///dev/null", 4, "table: cannot open serial port /dev/null"),
         ("table=udp://1.2.3.4:5", 2, "is no link it can use"),
+        ("table=tcp://[::1", 2, "table: 'tcp://[::1' is no link"),
+        ("table=rfc2217://1.2.3.4:99999", 2, "is no link"),
         ("array=can:nosuch:0", 4, "array: cannot open CAN bus"),
         ("array=tcp://1.2.3.4:5", 2, "is no CAN link"),
         ("stim300=serial:///dev/nosuch", 4, "stim300: cannot open serial port"),

@@ -48,6 +48,12 @@ def test_samples_that_come_late_are_named_where_a_run_fails() -> None:
     assert re.search(r"stim300 is \+1[45]\.\d\d ± \d\.\d\d ms against the table", found.reason), found.reason
 
 
+def test_a_table_that_answers_late_is_named_where_a_run_fails() -> None:
+    found = ended(("galil_xsens", (Fault("table", "latency", 'late = "5 %"\nlate_by = "150 ms"'),), 0))
+    assert found.outcome == "FAIL"  # of its sigmas: the script is short
+    assert re.search(r"the table took up to 1[5-9]\d ms to answer", found.reason), found.reason
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("case", campaign(200), ids=lambda case: f"{case[2]}-{case[0]}")
 def test_random_pairs_of_faults_end_as_they_should(case: tuple[str, tuple[Fault, ...], int]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from estimator.geometry.array import tetrahedron_as_printed
-from estimator.recordings.recording import read_recording
+from estimator.recordings.reading import read_recording
 from station.cli import main
 from station.studies import baselines, paper, paper_text
 from station.studies.printed import baselines_object, print_baselines, print_paper
@@ -29,8 +29,8 @@ def test_the_linear_model_loses_half_a_percent_of_sigma_and_exact_decoding_does_
     assert relative(errors.decoded).max() < 2e-5
 
 
-def test_our_default_is_within_a_sixteenth_of_a_percent_at_the_papers_noise() -> None:
-    assert relative(paper.our_errors(paper.PAPER_NOISE, 0)).max() < 6e-4
+def test_our_default_is_within_a_twenty_fifth_of_a_percent_at_the_papers_noise() -> None:
+    assert relative(paper.our_errors(paper.PAPER_NOISE, 0)).max() < 4e-4
 
 
 def test_earth_rate_that_is_not_modelled_leaves_bias_errors_of_the_papers_size_but_not_its_scale() -> None:

@@ -209,6 +209,10 @@ def test_another_link_of_the_table_is_that_of_all_its_axes(tmp_path: Path) -> No
         ("two_triads", ("[table]\n", '[table]\nvelocity_window = "1 s"\n'), "table.velocity_window: unknown key"),
         ("two_triads", ("[table]\n", "[table]\nfault_mask = 1\n"), "table.fault_mask: unknown key"),
         ("galil_xsens", ('"galil"', '"galil"\nvelocity_window = "0 s"'), "table.velocity_window: must be above zero"),
+        ("two_triads", ("[table]\n", '[table]\nlink = "tcp://[::1"\n'), r"line \d+: table.link: 'tcp://\[::1' is no"),
+        ("two_triads", ("[table]\n", '[table]\nlink = "tcp://1.2.3.4:99999"\n'), r"line \d+: table.link: .* is no"),
+        ("two_triads", axis("x", 'link = "tcp://[::1"'), r"line \d+: table.x.link: 'tcp://\[::1' is no link"),
+        ("galil_xsens", ("[[imu]]\n", '[[imu]]\nlink = "rfc2217://a:b"\n'), r"line \d+: imu.0.link: .* is no link"),
     ],
 )
 def test_what_a_table_cannot_have_is_told_with_its_key(

@@ -6,13 +6,42 @@ import numpy as np
 import pytest
 from timing import CASES, ended
 
-LONG = [pytest.param(name, marks=pytest.mark.full) for name in ("clean-40", "table+10ms")]
+from drivers.types import AxisState
+from estimator.recordings.reference import BodyRates
+from sims.physics.motion import AxisMotion
+from station.run.live import LiveEstimate
+from station.run.table_watch import Aligner
+
+# A Galil tells the mean rate of the last quarter of a second, half of a ramp of 40 deg/s2.
+CASES_LONG = [("clean-40", ""), ("table+10ms", ""), ("clean-40", "galil_xsens")]
+LONG = [pytest.param(*case, marks=pytest.mark.full) for case in CASES_LONG]
 
 
-@pytest.mark.parametrize("name", ["gyros+30ms", "1 in 20 by 150 ms", *LONG])
-def test_a_run_off_the_grid_is_true_whatever_is_late(name: str) -> None:
-    found = ended(name, CASES[name], seed=1, turn_s=4.0)
+@pytest.mark.parametrize(("name", "bench"), [("gyros+30ms", ""), ("1 in 20 by 150 ms", ""), *LONG])
+def test_a_run_off_the_grid_is_true_whatever_is_late(name: str, bench: str) -> None:
+    found = ended(name, CASES[name], seed=1, bench_name=bench, turn_s=4.0)
     assert found.outcome == "PASS", found.reason
     assert 0.85 < found.nis < 1.15  # of some 150 blocks of 16 degrees of freedom
     assert np.abs(found.errors).max() < 4
     assert abs(found.offset_ms) < 3 * found.offset_sd_ms
+
+
+@pytest.mark.parametrize("ramp_dps2", [20.0, 40.0, 160.0])
+def test_rates_are_known_through_ramps_of_a_controller_that_tells_mean_rates(ramp_dps2: float) -> None:
+    motion, count, window_s = AxisMotion(0.0, 1.0, 3.0), 2 * np.pi / 65536, 0.25
+    motion.move(4.0123, 2.0, np.radians(20), np.radians(ramp_dps2))
+    aligner, live = Aligner(("z",)), LiveEstimate(("z",), None)
+    live.keep_blocks()
+    for t in np.arange(0.0, 14.0, 0.0253).tolist():
+        told = t + 0.008  # the rate is asked for after the angle
+        mean_rps = (motion.at(told)[0] - motion.at(told - window_s)[0]) / window_s
+        angle_rad, times = round(motion.at(t)[0] / count) * count, (round(t * 1e9), round((told - window_s / 2) * 1e9))
+        state = AxisState(times[0], angle_rad, times[1], round(mean_rps / count) * count, 0, round(window_s * 1e9))
+        for row in aligner.add({"z": state}):
+            live.add_row(row)
+    live.finish()
+    t_s = np.arange(3.0, 12.0, 0.001)
+    t_ns = np.round(t_s * 1e9).astype(np.int64)
+    wrong_rps = live.rates.at(t_ns)[:, 2] - motion.rates(t_s)
+    assert np.abs(wrong_rps).max() < 5e-4 * np.radians(ramp_dps2)  # 0.5 ms; NaN where it is not known
+    np.testing.assert_allclose(BodyRates.of(live.readings(None), None).at(t_ns), live.rates.at(t_ns), atol=1e-12)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import random
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from faults import BENCHES
 from test_run import bench_file, events
 
 import station
-from estimator.recordings.recording import read_recording
+from estimator.recordings.reading import read_recording
 from station.bench.bench import load_bench
 from station.cli import main
 from station.opening import open_bench
@@ -166,3 +167,74 @@ def test_a_device_that_is_not_there_is_known_before_the_table_is_touched(
     with h5py.File(tmp_path / "run.h5") as file:
         assert "table_model" not in file.attrs
         assert "text" not in file.get("events", {})
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of a POSIX terminal")
+@pytest.mark.parametrize(("number", "name"), [("SIGQUIT", "Ctrl-\\"), ("SIGTSTP", "Ctrl-Z"), ("SIGTERM", "SIGTERM")])
+def test_no_key_of_a_terminal_leaves_the_table_turning(tmp_path: Path, number: str, name: str) -> None:
+    (tmp_path / "script.toml").write_text(SCRIPT)
+    bench, script = load_bench(bench_without_watchdog(tmp_path)), load_script(tmp_path / "script.toml")
+    before = signal.signal(getattr(signal, number), signal.SIG_IGN)
+
+    async def run() -> tuple[Result, bool]:
+        async with open_bench(bench) as opened:
+            session = Session(opened, script, tmp_path / "run.h5")
+            asyncio.get_running_loop().call_later(4.0, signal.raise_signal, getattr(signal, number))
+            result = await session.run()
+            await asyncio.sleep(0.01)
+            return result, opened.at_rest()
+
+    try:
+        with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+            result, at_rest = run_to_end(runner, run())
+        assert signal.getsignal(getattr(signal, number)) is signal.SIG_IGN
+    finally:
+        signal.signal(getattr(signal, number), before)
+    assert at_rest
+    assert result.verdict.reason.startswith(f"stopped by {name} in step")
+    assert events(result.recording)[-1] == "table at rest"
+
+
+def test_a_table_that_brakes_for_half_a_minute_is_stopped_and_not_cut_off(tmp_path: Path) -> None:
+    turn = 'kind = "rotate"\naxis = "x"\nrate = "60 deg/s"\nacceleration = "2 deg/s2"\nduration = "60 s"\n'
+    (tmp_path / "script.toml").write_text(f"[[step]]\n{turn}")
+    slow = bench_file(tmp_path, ('"50 deg/s2"', '"2 deg/s2"'), end='\n[twin.array.fault]\nsilent_from = "35 s"\n')
+    bench, script = load_bench(slow), load_script(tmp_path / "script.toml")
+
+    async def run() -> tuple[Result, bool]:
+        async with open_bench(bench) as opened:
+            result = await Session(opened, script, tmp_path / "run.h5").run()
+            await asyncio.sleep(0.01)  # rates that a drive calls zero end within that
+            return result, opened.at_rest()
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        result, at_rest = run_to_end(runner, run())
+    assert at_rest
+    assert result.verdict.reason == "array: gyro1, gyro2, gyro3, gyro4 fell silent for 1 s"
+    assert events(result.recording)[-1] == "table at rest"
+    with h5py.File(result.recording) as file:
+        assert file["events/t_ns"][-1] > 55e9
+
+
+@pytest.mark.parametrize("busy_s", [0.0, 1.2])
+def test_silence_while_the_computer_did_not_keep_up_says_so(tmp_path: Path, busy_s: float) -> None:
+    (tmp_path / "script.toml").write_text(SCRIPT)
+    silent = bench_file(tmp_path, end='\n[twin.array.fault]\nsilent_from = "4 s"\n')
+    bench, script = load_bench(silent), load_script(tmp_path / "script.toml")
+
+    async def run() -> Result:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+
+        def be_busy(so_long_s: float) -> None:
+            loop._now += so_long_s
+
+        loop.call_later(1.0, be_busy, 0.1)  # long before, and no cause of anything
+        loop.call_later(4.1, be_busy, busy_s)
+        async with open_bench(bench) as opened:
+            return await Session(opened, script, tmp_path / "run.h5").run()
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        reason = run_to_end(runner, run()).verdict.reason
+    assert "fell silent for 1 s" in reason
+    assert ("this computer did not keep up" in reason) == bool(busy_s), reason

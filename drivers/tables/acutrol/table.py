@@ -128,6 +128,7 @@ class AcutrolTable(LineTable):
 
     async def home(self) -> None:
         """Turn every axis to the zero of its encoder, on the shorter way; angles count from there."""
+        self.homing = set(self.limits)
         for name, axis in self._axes.items():
             axis.unwrapper.restart()
             limits = axis.own.limits

@@ -100,6 +100,7 @@ class AerosmithTable(LineTable):
 
     async def home(self) -> None:
         """Turn to the table's home position and wait for it; angles count from there."""
+        self.homing = set(self.limits)
         await self._set_acceleration(self.limits[self._axis].acceleration_rps2)
         await self._start("HOM")
         self._target_deg, self._jog_dps = 0.0, None

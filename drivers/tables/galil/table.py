@@ -104,6 +104,7 @@ class GalilTable(LineTable):
 
     async def home(self) -> None:
         """Run the controller's own homing on all axes at once, then define zero there."""
+        self.homing = set(self.limits)
         for axis, own in self._axes.items():
             if (await self._switches(axis)).moving:
                 await self._halt(axis)
@@ -184,7 +185,12 @@ class GalilTable(LineTable):
 
     async def stop(self) -> str:
         """Stop every axis with the deceleration it is allowed, over a new connection if need be."""
-        return await self._rest(lambda axis: (self._hardest_deceleration(), f"ST{self._axes[axis].letter}"), self.read)
+
+        async def idle(axis: str) -> bool:
+            return not (await self._switches(axis)).moving
+
+        braking = self._hardest_deceleration()
+        return await self._rest(lambda axis: (braking, f"ST{self._axes[axis].letter}"), self.read, idle)
 
     async def abort(self) -> None:
         """Stop at once, without a ramp, and wait for rest; the motors go off, as off-on-error is set."""

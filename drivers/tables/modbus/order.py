@@ -161,6 +161,7 @@ class TcpGate:
         self._counts = counts
         self._heads: tuple[bytes, ...] = ()
         self._seen = 0
+        self._unanswered: set[int] = set()  # transaction numbers whose replies may still come
         self.answered = True
         """Whether the reply to the last request has come."""
         self.wrong = ""
@@ -169,6 +170,8 @@ class TcpGate:
     def __call__(self, sending: bool, data: bytes) -> bytes:
         """Return what the client may send or see of these bytes."""
         if sending:
+            if not self.answered:
+                self._unanswered.add(int.from_bytes(self._heads[0][:2]))
             self._heads = tuple(_tcp_heads(data))
             self._seen, self.answered, self.wrong = 0, False, ""
             return data
@@ -198,9 +201,8 @@ class TcpGate:
             if len(frame) < _TCP_HEADER + size:
                 return
             self._seen += _TCP_HEADER + size
-            # Numbers count up from 1, and begin again long after everything old has come.
             number, asked = int.from_bytes(frame[:2]), int.from_bytes(self._heads[0][:2])
-            if 0 < number < asked:
+            if number != asked and number in self._unanswered:
                 self._counts.late += 1
             else:
                 self._counts.foreign += number != asked

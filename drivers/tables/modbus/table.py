@@ -102,6 +102,7 @@ class ModbusTable(Table):
 
     async def home(self) -> None:
         """Run the drives' own homing on all axes at once; DeviceRefused if one does not end."""
+        self.homing = set(self._axes)
         for axis in self._axes:
             await self._write(axis, "mode", cia402.MODE_HOMING)
             await self._write(axis, "homing_method", self._profile.homing_method)
@@ -111,23 +112,21 @@ class ModbusTable(Table):
             await self._command(axis, "home")
             await self._hail(self._axes)
         deadline = asyncio.get_running_loop().time() + _HOMING_LIMIT_S
-        waiting = set(self._axes)
-        while waiting:
+        while self.homing:
             for axis in self._axes:  # also those at home: each drive watches for its master's silence by itself
                 word = int(await self._read(axis, "statusword"))
                 if cia402.state_of(word) in _FAULTS:
                     raise DeviceFault(self._device, await self._fault_text(axis, word))
-                if axis not in waiting:
+                if axis not in self.homing:
                     continue
                 if word & cia402.BIT_13:
                     raise DeviceRefused(self._device, f"axis {axis} reports a homing error")
                 if word & cia402.BIT_12 and word & cia402.TARGET_REACHED:
-                    waiting.discard(axis)
+                    self.homing.discard(axis)
                     await self._command(axis, "enable")  # takes the start bit back
-            if waiting and asyncio.get_running_loop().time() > deadline:
-                raise DeviceRefused(
-                    self._device, f"axis {', '.join(sorted(waiting))} found no home within {_HOMING_LIMIT_S:.0f} s"
-                )
+            if self.homing and asyncio.get_running_loop().time() > deadline:
+                waiting = ", ".join(sorted(self.homing))
+                raise DeviceRefused(self._device, f"axis {waiting} found no home within {_HOMING_LIMIT_S:.0f} s")
             await asyncio.sleep(_POLL_S)
 
     async def _hail(self, axes: Iterable[str]) -> None:

@@ -1,4 +1,4 @@
-"""The mapping file: what the columns of a foreign recording mean. TOML, read strictly; see the package README.
+"""The mapping file: what the columns of a foreign recording mean. Read strictly (docs/pages/reference/mapping.md).
 
 Units are those of the foreign file here and only here; what leaves this module is SI.
 """
@@ -9,8 +9,9 @@ import tomllib
 from collections.abc import Callable, Sequence
 from collections.abc import Mapping as Dict
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ from estimator.importing.mapping.reference import (
     read_reference,
 )
 from estimator.strict_toml import StrictTable
+
+T = TypeVar("T")
 
 _COLUMN = re.compile(r"(?P<name>\S+) (?P<many>\d*)(?P<kind>[iu][1248]|f[48]|V)")
 
@@ -150,15 +153,14 @@ def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
             how = ", with column and unit of the stamps, or rate_hz if there are none" if name == "time" else ""
             raise RecordingError(f"{path.name} has no table [{name}]: add it{how}")
     protocols, folder = protocols or {}, path.parent
-    device = top.table("device")
-    named = (device.string("name"), device.string("licence", ""), device.string("source", ""))
-    device.done()
+    named = _whole(top, "device", lambda t: (t.string("name"), t.string("licence", ""), t.string("source", "")))
     file_format = _format(top.table("file"), protocols, folder)
     timing = _timing(top.table("time"), file_format)
-    gyro = _gyro(top.table("gyro"), file_format)
-    accelerometer = _accelerometer(top.table("accelerometer")) if top.has("accelerometer") else None
-    temperature = _temperature(top.table("temperature")) if top.has("temperature") else None
-    site = _site(top.table("site")) if top.has("site") else None
+    gyro = _whole(top, "gyro", lambda table: _gyro(table, file_format))
+    accelerometer = _whole(top, "accelerometer", _accelerometer) if top.has("accelerometer") else None
+    columns = partial(stated_columns, quantity="temperature", key="column")
+    temperature = _whole(top, "temperature", columns) if top.has("temperature") else None
+    site = _whole(top, "site", _site) if top.has("site") else None
     section = top.table("reference")
     other = _reference_file(section, file_format, timing, protocols, folder) if section.has("file") else None
     reference = read_reference(section, wide=(other.format if other else file_format).kind != "csv")
@@ -168,6 +170,14 @@ def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
     )
     _check(mapping, section)
     return mapping
+
+
+def _whole(top: StrictTable, name: str, read: Callable[[StrictTable], T]) -> T:
+    """Return what is made of a table, of which every key must have been taken."""
+    section = top.table(name)
+    found = read(section)
+    section.done()
+    return found
 
 
 def _check(mapping: Mapping, section: StrictTable) -> None:
@@ -303,7 +313,6 @@ def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
         array = sensor_array(p, names=names, part_of_array=True)
     except GeometryError as error:
         raise section.fail("axes", f"cannot be used: {error}") from None
-    section.done()
     return GyroColumns(columns, array, sign, scale)
 
 
@@ -316,20 +325,11 @@ def _accelerometer(section: StrictTable) -> Accelerometer:
     square = np.array([x, y, z])
     if np.abs(square @ square.T - np.eye(3)).max() > 0.01:
         raise section.fail("axes", "must be three directions of length 1 at right angles")
-    section.done()
     return Accelerometer(columns, (x, y, z))
-
-
-def _temperature(section: StrictTable) -> Columns:
-    columns = stated_columns(section, "temperature", "column")
-    section.done()
-    return columns
 
 
 def _site(section: StrictTable) -> Site:
     latitude = section.number("latitude_deg", least=-90.0)
     if latitude > 90:
         raise section.fail("latitude_deg", f"{latitude:g}: write -90 to 90")
-    site = Site(math.radians(latitude), math.radians(section.number("heading_deg", 0.0)))
-    section.done()
-    return site
+    return Site(math.radians(latitude), math.radians(section.number("heading_deg", 0.0)))

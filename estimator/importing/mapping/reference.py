@@ -2,13 +2,17 @@
 
 import math
 import re
+from collections.abc import Callable
 from collections.abc import Mapping as Dict
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
 from estimator.importing.mapping.columns import Columns, Vector, body_axis, signed_axis, stated_columns
 from estimator.strict_toml import StrictTable
+
+T = TypeVar("T")
 
 KINDS = ("attitude", "rate", "angle", "turns", "rest", "gravity")
 
@@ -201,21 +205,16 @@ def _turns(section: StrictTable) -> FileTurns | SectionTurns:
     )
     if section.has("sections"):
         cuts, tables = _sections(section)
-        turns = {}
-        for name, table in tables.items():
-            angle_deg, axis = table.number("angle_deg"), table.string("axis", "")
-            table.done()
-            turns[name] = _turn(table, axis, angle_deg)
-        return SectionTurns(cuts, turns, checks)
+        return SectionTurns(cuts, _each(tables, _turn), checks)
     if section.has("file_name"):
         return FileTurns(_pattern(section), None, checks)
     if not section.has("angle_deg"):
         raise section.fail("angle_deg", "is missing: give it, or file_name (an expression), or sections")
-    axis, angle_deg = section.string("axis", ""), section.number("angle_deg")
-    return FileTurns(None, _turn(section, axis, angle_deg), checks)
+    return FileTurns(None, _turn(section), checks)
 
 
-def _turn(section: StrictTable, axis: str, angle_deg: float) -> Turn:
+def _turn(section: StrictTable) -> Turn:
+    angle_deg, axis = section.number("angle_deg"), section.string("axis", "")
     try:
         return turn_about(axis, angle_deg)
     except ValueError as error:
@@ -248,20 +247,21 @@ def _rests(section: StrictTable, *, by_gravity: bool) -> Rests:
             if section.has(key):
                 raise section.fail(key, "is not for a mapping with sections: they say where, each with its own up")
         cuts, tables = _sections(section)
-        sections = _poses(tables)
+        sections = _each(tables, _pose)
     else:
         everywhere = section.string("where", "found", one_of=("found", "everywhere")) == "everywhere"
     listed = section.table("files", optional=True)
-    files = _poses({name: listed.table(name) for name in listed.remaining()})
+    files = _each({name: listed.table(name) for name in listed.remaining()}, _pose)
     return Rests(everywhere, _pose(section), files, cuts, sections, limit_rps, least_s, earth_rate, gravity)
 
 
-def _poses(tables: dict[str, StrictTable]) -> dict[str, Pose]:
-    poses = {}
+def _each(tables: dict[str, StrictTable], read: Callable[[StrictTable], T]) -> dict[str, T]:
+    """Return what is made of each table, of which every key must have been taken."""
+    found = {}
     for name, table in tables.items():
-        poses[name] = _pose(table)
+        found[name] = read(table)
         table.done()
-    return poses
+    return found
 
 
 def _pose(section: StrictTable) -> Pose:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.effects.disturbances import SATURATION, STUCK
 from estimator.observations.defects.held import updates
 from estimator.recordings.recording import ImuData
 
@@ -15,7 +16,7 @@ _UNUSUAL = 5  # a value that sticks does so this much longer than values repeat 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A fault of one gyro: "stuck", "saturation" or "sample_hold"; ``values`` are its numbers: name, value, unit."""
+    """A fault of one gyro, by the name that the catalogue gives it; ``values`` are its numbers: name, value, unit."""
 
     kind: str
     gyro: str
@@ -49,7 +50,7 @@ def without_stuck(data: ImuData) -> tuple[ImuData, list[Fault]]:
                 rate = data.rate_rps.copy()
             rate[start : start + length, i] = np.nan
             first, last = data.t_ns[start] * 1e-9, data.t_ns[start + length - 1] * 1e-9
-            faults.append(Fault("stuck", name, (("from", float(first), "s"), ("until", float(last), "s"))))
+            faults.append(Fault(STUCK.name, name, (("from", float(first), "s"), ("until", float(last), "s"))))
     return (data if rate is data.rate_rps else replace(data, rate_rps=rate)), faults
 
 
@@ -70,5 +71,5 @@ def saturations(notes: Sequence[str], data: ImuData) -> list[Fault]:
     for i, name in enumerate(data.array.names):
         if any(note.startswith(f"{name}: saturates") for note in notes):
             limit = float(np.nanmax(np.abs(data.rate_rps[:, i])))
-            faults.append(Fault("saturation", name, (("limit", limit, "rad/s"),)))
+            faults.append(Fault(SATURATION.name, name, (("limit", limit, "rad/s"),)))
     return faults

@@ -12,8 +12,8 @@ from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Stretch, Z, g
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigation import OutOfSample
 from estimator.tracing.judging.verification import phases_of
+from estimator.types import Floats
 
-Floats = NDArray[np.float64]
 Mask = list[NDArray[np.bool_]]
 """Which blocks of each run are left out."""
 Fold = Callable[[int, Stretch], bool]

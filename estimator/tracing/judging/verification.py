@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.estimation.runs.run import Run
 from estimator.estimation.spectra import Stretch
@@ -21,8 +20,7 @@ from estimator.geometry.model import decode
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigation import Errors, GyroErrors, Improvement, PhaseErrors, ResidualView
 from estimator.tracing.residuals.origin import shape_of
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 _PIECE_S, _FEWEST_IN_PIECE = 5.0, 5  # without a table: phases of this length, and no fewer blocks than these
 _RAMP_SHARE = 0.02  # of the steepest acceleration of a run: what counts as a ramp

@@ -8,28 +8,11 @@ from numpy.typing import NDArray
 
 from estimator.estimation.runs.run import Run
 from estimator.tracing.candidates import candidates_of
+from estimator.types import Floats
 
-Floats = NDArray[np.float64]
 Columns = NDArray[np.intp]
 
 _VARIABLES = ("time", "rate", "direction", "angle", "acceleration", "temperature", "gravity")
-_OF_CATALOGUE = {
-    "bias_drift": "time",
-    "scale_asymmetry": "rate",
-    "scale_quadratic": "rate",
-    "scale_cubic": "rate",
-    "table_harmonic": "angle",
-    "table_axes": "angle",
-    "earth_rate": "angle",
-    "latency": "acceleration",
-    "acceleration_sensitivity": "acceleration",
-    "thermal_bias": "temperature",
-    "thermal_bias_quadratic": "temperature",
-    "thermal_gradient": "temperature",
-    "thermal_scale": "temperature",
-    "g_sensitivity": "gravity",
-}
-"""Linear effects of the catalogue: what the general dependences add to them, they do not hold themselves."""
 _BY_CHANCE = 1e-4  # a dependence more probable than this beside white noise is none
 _INDEPENDENT = 1e-8  # share of a column's squares that must be left beside the others
 
@@ -62,7 +45,7 @@ class Regressors:
         """Take those functions that these runs have the conditions for."""
         self._runs = [run.coarse() for run in runs]
         candidates = [c for c in candidates_of(runs)[0] if (c.theta is None or c.by_size) and c.run is None]
-        of = {c.name: c.depends_on or _OF_CATALOGUE.get(c.called, "") for c in candidates}
+        of = {c.name: c.depends_on or c.effect.record.depends_on for c in candidates}
         self._candidates = sorted((c for c in candidates if of[c.name]), key=lambda c: _VARIABLES.index(of[c.name]))
         self.count = sum(len(c.effect.parameters) for c in self._candidates)
         self.where: Mapping[str, Columns] = {

@@ -17,8 +17,7 @@ from estimator.estimation.runs.run import Run
 from estimator.estimation.spectra import NoiseShapes, Stretch, cosines
 from estimator.geometry.model import decode
 from estimator.tracing.augmented import Augmented
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 WHITE_DOUBT = 2.33
 """Over the root of half the coefficients: doubt of a white noise's variance that their median gave."""

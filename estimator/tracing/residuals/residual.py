@@ -15,15 +15,15 @@ from estimator.estimation.spectra import Stretch, cosines
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.residuals.dependence import Dependence, Group, Regressors, dependences
 from estimator.tracing.residuals.origin import WHITE_DOUBT, Origin, Split, shape_of, split_of
-
-Floats = NDArray[np.float64]
+from estimator.types import Floats
 
 _LAGS = 20
 _BANDS_A_DECADE = 5
 _FEWEST_IN_BAND = 4
 _FEWEST_BLOCKS = 10
-_BY_CHANCE = 1e-4  # what white noise shows less often than this is not white
 _BEYOND = 4.0  # sigmas
+BY_CHANCE = 1e-4
+"""What white noise shows less often than this is not white."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +58,7 @@ class GyroResidual:
     @property
     def white(self) -> bool:
         """Whether it passes for white noise."""
-        return self.white_p >= _BY_CHANCE
+        return self.white_p >= BY_CHANCE
 
     @property
     def clean(self) -> bool:

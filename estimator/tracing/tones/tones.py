@@ -6,19 +6,15 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.effects.dynamics import tone
+from estimator.effects.disturbances import TONE
 from estimator.estimation.evidence import SCALES, log_mean
 from estimator.estimation.runs.run import Run
 from estimator.estimation.runs.tone_columns import Samples
 from estimator.observations.turned import by_turns
 from estimator.tracing.tones.peaks import highest
+from estimator.types import Floats
 
-Floats = NDArray[np.float64]
-
-TONE = "tone"
-"""What a tone is called."""
 _LOWEST_HZ = 0.05  # below it a tone is told from slow effects by them, not by its line
 _LOWEST_BY_HAND_HZ = 5.0  # below it hands move what they hold, and a reference that is off by it shows it
 _FLOOR_BINS = 60  # the noise about a line is the median over so many frequencies to each side
@@ -247,7 +243,7 @@ def _peak(gain: Callable[[float], tuple[float, list[float], list[float]]], low: 
 
 def _log_evidence(squares: Floats, information: Floats) -> float:
     """Return the evidence of amplitudes, cosine and sine each, over the scales of their prior."""
-    largest = tone(1.0).parameters[0].largest
+    largest = TONE.effect(frequency_hz=1.0).largest[0]
     values = []
     for scale in SCALES:
         told = information * (scale * largest) ** 2

@@ -7,13 +7,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sims.physics.hidden import biases, converter, sensed, table, timing
+from sims.physics.hidden.biases import KINDS as BIASES
+from sims.physics.hidden.converter import KINDS as CONVERTER
 from sims.physics.hidden.errors import HiddenError
 from sims.physics.hidden.fields import check, read, refuse_unknown
+from sims.physics.hidden.sensed import KINDS as SENSED
+from sims.physics.hidden.table import KINDS as TABLE
 from sims.physics.hidden.table import OfTable, TableFaults
 from sims.physics.hidden.temperature import Temperature
+from sims.physics.hidden.timing import KINDS as TIMING
 
-KINDS = biases.KINDS | sensed.KINDS | timing.KINDS | converter.KINDS | table.KINDS
+KINDS = BIASES | SENSED | TIMING | CONVERTER | TABLE
 """Effects by the name of their table in the file."""
 
 

@@ -16,14 +16,16 @@ AP_InertialSensor_tempcal.cpp).
 import numpy as np
 
 from drivers.types import Floats
-from estimator.calibration.compensation import OF_THE_RATE, Compensation
-from estimator.effects.thermal import REFERENCE_C
+from estimator.calibration.compensation import Compensation
+from estimator.effects.conditions import REFERENCE_C
+from estimator.effects.effect import Acts
+from estimator.effects.thermal import THERMAL_BIAS, THERMAL_BIAS_QUADRATIC
 from estimator.geometry.array import TOLERANCE
 from station.errors import UsageError
 from station.exports.exported import Exported
 from station.exports.written import Written, as_triad, delay_line, head, lines_of, number
 
-_KEPT = ("thermal_bias", "thermal_bias_quadratic")
+_KEPT = (THERMAL_BIAS.name, THERMAL_BIAS_QUADRATIC.name)
 _PX4_MOST, _ARDUPILOT_MOST = 4, 3
 _PX4_STEP_RPS = 0.01
 _ARDUPILOT_REFERENCE_C = 35.0
@@ -107,7 +109,7 @@ def _bias_only(exported: Exported, form: str) -> tuple[Compensation, list[str]]:
     """Return what an autopilot can hold, and what it cannot."""
     as_triad(exported, form)
     held, dropped = exported.compensation.simplified(_KEPT, exported.seen.temperature_c[1])
-    dropped |= {effect: "it is not corrected" for effect in dropped if effect in OF_THE_RATE}
+    dropped |= {e.known.called: "it is not corrected" for e in exported.compensation.effects if e.acts is Acts.RATE}
     k = ", ".join(f"{state * 1e6:.0f}" for state in exported.compensation.states[:, 0])
     return held, [
         f"scale factor errors ({k} ppm) and misalignments: {form} has no parameters for them",

@@ -2,10 +2,10 @@
 
 import re
 
-from estimator.calibration.compensation import Acts
+from estimator.effects.effect import Acts
 from station.exports.exported import Exported
 from station.exports.forms.function_text import argument_names, arguments_said, cautions, function_text
-from station.exports.terms import terms_of
+from station.exports.terms import AXIS_TABLES, terms_of
 from station.exports.written import Written, head
 
 
@@ -28,7 +28,8 @@ def write_c(exported: Exported) -> Written:
         exported,
         terms,
         lambda term: f"{prefix}_{term.table}",
-        {"axis": f"{prefix}_axis", "value": "(", "sign": f"{prefix}_sign"}
+        {"value": "(", "sign": f"{prefix}_sign"}
+        | {axis: f"{prefix}_{axis}" for axis in AXIS_TABLES}
         | {name: f"{prefix}_{name}(state, " for name in ("follow", "last")},
         head=list(map(_said_line, head(exported, what, not_held, " *"))),
         said=list(map(_said, arguments_said(exported, terms))),

@@ -5,10 +5,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from drivers.types import Floats
-from estimator.calibration.compensation import MOST_ITERATIONS, TOLERANCE_RPS, Acts
-from estimator.effects.conditions import SLOPE_S
-from estimator.effects.constructed import LAST_SHARE
-from estimator.effects.thermal import REFERENCE_C
+from estimator.calibration.compensation import MOST_ITERATIONS, TOLERANCE_RPS
+from estimator.effects.conditions import REFERENCE_C, SLOPE_S
+from estimator.effects.effect import Acts
+from estimator.effects.law import LAST_SHARE
 from station.exports.exported import Exported
 from station.exports.terms import Term, Terms
 from station.exports.written import delay_line, lines_of, number
@@ -47,8 +47,8 @@ def cautions(exported: Exported, terms: Terms) -> list[str]:
     if terms.lag is not None and np.isfinite(exported.seen.rate_hz):
         share = float(terms.lag.values.max()) * exported.seen.rate_hz
         lines.append(
-            f"bandwidth: the lag is undone by differences of samples, which at {exported.seen.rate_hz:.6g} samples a "
-            f"second makes the noise {np.hypot(1 + share, share):.2g} times as large"
+            f"{terms.lag.table}: the lag is undone by differences of samples, which at {exported.seen.rate_hz:.6g} "
+            f"samples a second makes the noise {np.hypot(1 + share, share):.2g} times as large"
         )
     return lines
 
@@ -82,7 +82,6 @@ def function_text(
         "law": terms.uses("value"),
         "state": terms.keeps_state,
         "dt_s": terms.timed,
-        "bandwidth": terms.lag is not None,
         "lag": name_of(terms.lag) if terms.lag is not None else "",
         "tables": _tables(exported, terms),
         "numbers": lambda row: ", ".join(map(number, row)),
@@ -107,5 +106,7 @@ def _tables(exported: Exported, terms: Terms) -> list[tuple[str, str, Floats]]:
         ("Body rate per output: the inverse of the sensitivity, rows x, y, z.", "solution", held.solution),
         ("Biases, to be added to the outputs, in rad/s.", "bias", held.bias_rps),
         *([("Nominal sense axes.", "axis", held.array.p)] if terms.uses("u") or terms.uses("axis") else []),
+        *([("Nominal tilt axes j.", "axis_j", held.array.j)] if terms.uses("axis_j") else []),
+        *([("Nominal tilt axes k.", "axis_k", held.array.k)] if terms.uses("axis_k") else []),
         *((f"{term.effect.replace('_', ' ')}: {term.unit}", term.table, term.values) for term in terms.all),
     ]

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,8 @@ import numpy as np
 from estimator.calibration.compensation import CompensationError
 from estimator.calibration.values import GyroCalibration
 from estimator.geometry.model import STATES
-from station.errors import UsageError
 from station.exports.exported import Exported
-from station.exports.forms.yaml_text import yaml_lines
-from station.exports.written import NOT_FINITE, Written, lines_of, number
+from station.exports.written import Written, json_text, lines_of, number, yaml_text
 
 FORMAT = "turntable-calibration"
 FORMAT_VERSION = 1
@@ -22,15 +19,12 @@ _FORMULA = "y = G w - b + effects, so w = H (y + b - effects); rows of G: (1 - k
 
 def write_json(exported: Exported) -> Written:
     """Return everything as one JSON object, SI units."""
-    try:
-        return Written(json.dumps(_object(exported), indent=1, allow_nan=False) + "\n")
-    except ValueError:
-        raise UsageError(NOT_FINITE) from None
+    return Written(json_text(_object(exported)))
 
 
 def write_yaml(exported: Exported) -> Written:
     """Return the same as YAML."""
-    return Written("\n".join(yaml_lines(_object(exported))) + "\n")
+    return Written(yaml_text(_object(exported)))
 
 
 def write_csv(exported: Exported) -> Written:

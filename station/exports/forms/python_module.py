@@ -2,10 +2,10 @@
 
 import re
 
-from estimator.calibration.compensation import Acts
+from estimator.effects.effect import Acts
 from station.exports.exported import Exported
 from station.exports.forms.function_text import argument_names, arguments_said, cautions, function_text
-from station.exports.terms import terms_of
+from station.exports.terms import AXIS_TABLES, terms_of
 from station.exports.written import Written, head
 
 
@@ -20,7 +20,8 @@ def write_python(exported: Exported) -> Written:
         exported,
         terms,
         lambda term: term.table.upper(),
-        {"axis": "AXIS", "value": "_value(lambda: ", "sign": "_sign"}
+        {"value": "_value(lambda: ", "sign": "_sign"}
+        | {axis: axis.upper() for axis in AXIS_TABLES}
         | {name: f"self._{name}(" for name in ("follow", "last")},
         head=head(exported, what, not_held, "#"),
         said=[line.replace("\\", "/").replace('"""', "'''") for line in arguments_said(exported, terms)],

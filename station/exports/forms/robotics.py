@@ -11,11 +11,11 @@ kalibr_common/ConfigReader.py).
 import numpy as np
 
 from drivers.types import Floats
+from estimator.effects.site import G_SENSITIVITY
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.errors import UsageError
 from station.exports.exported import Exported
-from station.exports.forms.yaml_text import Plain, yaml_lines
-from station.exports.written import Written, as_triad, delay_line, head, lines_of, number
+from station.exports.written import Written, as_triad, delay_line, head, lines_of, number, yaml_text
 
 
 def write_ros(exported: Exported) -> Written:
@@ -37,7 +37,7 @@ def write_ros(exported: Exported) -> Written:
         "gyro_bias": (-solution @ constants.bias_rps).tolist(),
     }
     what = "imu_calib: corrected = SM raw - bias, SM by rows; gyros likewise: gyro_SM raw - gyro_bias (rad/s)"
-    return Written("\n".join([*head(exported, what, not_held, "#"), *yaml_lines(content)]) + "\n", tuple(not_held))
+    return Written("\n".join([*head(exported, what, not_held, "#"), yaml_text(content)]), tuple(not_held))
 
 
 def write_kalibr(exported: Exported) -> Written:
@@ -46,9 +46,9 @@ def write_kalibr(exported: Exported) -> Written:
     Raises UsageError for gyros that are not three, or form a left-handed triad.
     """
     as_triad(exported, "Kalibr")
-    constants, dropped = exported.compensation.simplified(("g_sensitivity",), exported.seen.temperature_c[1])
+    constants, dropped = exported.compensation.simplified((G_SENSITIVITY.name,), exported.seen.temperature_c[1])
     m, c = _lower_and_rotation(constants.sensitivity)
-    felt = constants.held("g_sensitivity")
+    felt = constants.held(G_SENSITIVITY.name)
     per_force = np.zeros((3, 3)) if felt is None else felt / GRAVITY_MPS2
     bias = ", ".join(number(-b) for b in constants.bias_rps)
     not_held = [
@@ -59,7 +59,7 @@ def write_kalibr(exported: Exported) -> Written:
         *delay_line(exported, "time_offset is zero, since Kalibr counts it from its first IMU"),
     ]
     density, walk = _noise(exported)
-    content: dict[str, Plain] = {
+    content: dict[str, object] = {
         "rostopic": "/imu0",
         "update_rate": exported.seen.rate_hz,
         "gyroscope_noise_density": density,
@@ -75,9 +75,9 @@ def write_kalibr(exported: Exported) -> Written:
         *head(exported, what, not_held, "#"),
         "#accelerometer_noise_density: m/s^2/sqrt(Hz)",
         "#accelerometer_random_walk: m/s^3/sqrt(Hz)",
-        *yaml_lines(content),
+        yaml_text(content),
     ]
-    return Written("\n".join(lines) + "\n", tuple(not_held))
+    return Written("\n".join(lines), tuple(not_held))
 
 
 def _lower_and_rotation(sensitivity: Floats) -> tuple[Floats, Floats]:

@@ -1,31 +1,22 @@
 """What the run could not see."""
 
-import numpy as np
 from markupsafe import Markup
 
 from estimator.effects.effect import Effect
 from estimator.planning.planning import EffectForecast
-from estimator.tracing.investigation import Value
-from station.render.investigation_printed import human
 from station.render.plan_printed import combination
 from station.report.chapters.unseen import MARKED, Unseen, by_state
 from station.report.figures import SYMBOLS, Unit, figure, significant, typographic
 from station.report.recorded import Recorded
+from station.views.seen import Seen, seen_by
+from station.views.words import human
 
 _ABSURD = 10.0  # times the largest plausible size: an effect that would have to be larger cannot be seen
 
 
-def temperatures(recorded: Recorded) -> tuple[float, float] | None:
-    """Return within which temperatures the results were found, in degC; None if they were not recorded."""
-    of_all = (data.temperature_c for data in recorded.recording.sources.values())
-    known = [t[np.isfinite(t)] for t in of_all if t is not None and np.isfinite(t).any()]
-    return (min(float(t.min()) for t in known), max(float(t.max()) for t in known)) if known else None
-
-
-def largest_rps(recorded: Recorded) -> float:
-    """Return the largest output of the gyros, rad/s."""
-    rates = (data.rate_rps for data in recorded.recording.sources.values())
-    return max(float(np.abs(rate[np.isfinite(rate)]).max(initial=0.0)) for rate in rates)
+def conditions(recorded: Recorded) -> Seen:
+    """Return within which temperatures and rates the results were found."""
+    return seen_by(recorded.recording.sources.values())
 
 
 def lacking(recorded: Recorded, unseen: Unseen) -> list[str]:
@@ -61,5 +52,5 @@ def smallest(effect: EffectForecast) -> str:
 def size(effect: Effect, value: float) -> Markup:
     """Return a size of an effect to two digits."""
     unit = effect.parameters[0].unit
-    number, _, name = human(Value(value, 0.0, unit)).partition(" ")
+    number, _, name = human(value, 0.0, unit).partition(" ")
     return figure(value, Unit(unit, 1.0), typographic(f"{significant(float(number), 2)} {name}"))

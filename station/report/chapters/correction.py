@@ -3,8 +3,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from estimator.calibration.compensation import Acts, Compensation, CompensationError, HeldEffect
+from estimator.calibration.compensation import Compensation, CompensationError, HeldEffect
 from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.effects.effect import Acts
 from estimator.geometry.array import SensorArray
 from station.report.recorded import Recorded
 from station.report.traced import Traced, found_of

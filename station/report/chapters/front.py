@@ -18,6 +18,7 @@ from station.report.pictures import Picture, rates_picture
 from station.report.recorded import Recorded, Step
 from station.report.standing import begun_utc, is_simulated
 from station.scripts.script import Rotate
+from station.views.seen import seen_by
 
 _LOCAL = re.compile(r"//(?:127\.|localhost|\[::1\])|/dev/pts/|udp_multicast|can:virtual")
 
@@ -86,10 +87,8 @@ def rate_hz(data: ImuData) -> float:
 
 def temperatures(data: ImuData) -> list[str | None]:
     """Return the lowest, the mean and the highest temperature of a source."""
-    known = data.temperature_c[np.isfinite(data.temperature_c)] if data.temperature_c is not None else np.empty(0)
-    if not len(known):
-        return ["not recorded", None, None]
-    return [fixed(float(f(known)), CELSIUS, 2) for f in (np.min, np.mean, np.max)]
+    span_c = seen_by([data]).temperature_c
+    return ["not recorded", None, None] if math.isnan(span_c[1]) else [fixed(t, CELSIUS, 2) for t in span_c]
 
 
 def turns(recorded: Recorded) -> int:

@@ -7,11 +7,14 @@ from typing import Any
 
 from markupsafe import Markup
 
-from station.render.investigation_printed import probability, words
+from station.render.investigation_printed import verdict_lines
 from station.report.figures import COVERAGE, worded
-from station.report.pictures import Picture, residual_picture
+from station.report.pictures import Picture
 from station.report.recorded import Recorded
+from station.report.residual_picture import residual_picture
 from station.report.traced import Traced
+from station.views.investigation import InvestigationView
+from station.views.words import probability, words
 
 
 def file_names(paths: Sequence[str]) -> str:
@@ -43,19 +46,9 @@ def added_rows(added: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, Marku
     ]
 
 
-def findings(what: Mapping[str, Any]) -> list[str]:
+def findings(what: InvestigationView) -> list[str]:
     """Return what else an investigation says, in sentences."""
-    said = []
-    for rivals in what["rivals"]:
-        how = "These recordings cannot tell apart" if len(rivals) > 1 else "These recordings do not prove"
-        said.append(f"{how}: {' or '.join(map(words, rivals))}.")
-    unexplained = what["unexplained"]
-    if unexplained:
-        said.append(
-            f"Unexplained: {unexplained['share']:.0%} of the power of what is left depends on "
-            f"{unexplained['depends_on']}, and no effect of the catalogue explains it."
-        )
-    return [*said, *(sentence(note) for note in what["notes"])]
+    return [sentence(said) for said in (*verdict_lines({**what, "added": []}), *what["notes"])]
 
 
 def _number(value: float | None) -> float:

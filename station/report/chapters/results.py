@@ -8,11 +8,12 @@ from markupsafe import Markup
 from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A, Contribution
 from estimator.calibration.values import Calibration
-from station.render.investigation_printed import words
-from station.report.figures import COVERAGE, STATES, figure, plain, worded
+from station.report.figures import COVERAGE, ONE, PERCENT, STATES, Unit, figure, plain, worded
 from station.report.recorded import Recorded
-from station.report.standing import Line, Standing
+from station.report.standing import Standing
 from station.report.traced import Traced
+from station.views.limits import MEAN_NIS, SAMPLES_LOST, LimitLine
+from station.views.words import words
 
 _NEXT_TO_NOTHING = 0.01  # ppm, deg/h, urad
 _SOURCES = packaged_toml("station.views", "budget.toml")["report"]
@@ -41,12 +42,21 @@ def effect_values(recorded: Recorded, found: Calibration) -> list[list[str]]:
     return rows
 
 
-def limits_by_gyro(standing: Standing) -> Mapping[str, list[tuple[Line | None, Line | None]]]:
+def quantity(line: LimitLine) -> tuple[str, Unit, str | None]:
+    """Return what a limit is of, its unit, and where the recording has the value."""
+    if line.state is not None:
+        return *STATES[line.state], f"calibration/{'sd' if line.of_u else 'states'}[{line.row},{line.state}]"
+    if line.what == SAMPLES_LOST:
+        return line.what, PERCENT, None
+    return line.what, ONE, "calibration@nis_mean" if line.what == MEAN_NIS else None
+
+
+def limits_by_gyro(standing: Standing) -> Mapping[str, list[tuple[LimitLine | None, LimitLine | None]]]:
     """Return by gyro the limits of each quantity, and of its standard uncertainty."""
-    quantities: dict[tuple[str, str, str], dict[bool, Line]] = {}
+    quantities: dict[tuple[str, str, str], dict[bool, LimitLine]] = {}
     for line in standing.lines:
         quantities.setdefault((line.gyro, line.what, line.note), {})[line.of_u] = line
-    gyros: dict[str, list[tuple[Line | None, Line | None]]] = {}
+    gyros: dict[str, list[tuple[LimitLine | None, LimitLine | None]]] = {}
     for (gyro, _, _), lines in quantities.items():
         gyros.setdefault(gyro, []).append((lines.get(False), lines.get(True)))
     return gyros

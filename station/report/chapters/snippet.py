@@ -8,33 +8,22 @@ import re
 from collections.abc import Iterator, Mapping
 
 from drivers.types import Floats
-from estimator.calibration.compensation import MOST_ITERATIONS, TOLERANCE_RPS, Acts, HeldEffect
-from estimator.effects.conditions import SLOPE_S
-from estimator.effects.constructed import LAST_SHARE, REFERENCE_C
+from estimator.calibration.compensation import MOST_ITERATIONS, TOLERANCE_RPS, HeldEffect
+from estimator.effects.conditions import REFERENCE_C, SLOPE_S
+from estimator.effects.constructed import CONSTRUCTED
+from estimator.effects.effect import Acts
+from estimator.effects.law import LAST_SHARE
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.exports.law_text import law_terms
-from station.exports.terms import FORMULAS
+from station.exports.terms import VARIABLES
 from station.render.template import rendered
 from station.report.chapters.correction import Correction
 
-_WARMTH = f"(t - {REFERENCE_C:g})"
 _STEPS = "np.maximum(np.diff(t_s, prepend=t_s[:1]), 0)"
-_WARMING = f"(t - follow(t, {SLOPE_S:g} / ({SLOPE_S:g} + {_STEPS}), np.inf)) / {SLOPE_S:g}"
-_FORCE = f"(np.asarray(accel_mps2) / {GRAVITY_MPS2})"
-_PARTS = {"warmth": _WARMTH, "warming": _WARMING, "force": _FORCE}
-_VARIABLES: Mapping[str, str] = {
-    "u": "u",
-    **{f"w{axis}": f"w[:, [{r}]]" for r, axis in enumerate("xyz")},
-    "speed": "np.linalg.norm(w, axis=1, keepdims=True)",
-    "a": "(slope(w, t_s) @ SENSE_AXES.T)",
-    "jolt": "np.linalg.norm(slope(w, t_s), axis=1, keepdims=True)",
-    "T": _WARMTH,
-    "Tdot": f"({_WARMING})",
-    "t": "(since - since[0])",
-    **{f"g{axis}": f"{_FORCE}[:, [{r}]]" for r, axis in enumerate("xyz")},
-    "gs": f"({_FORCE} @ SENSE_AXES.T)",
+_NUMBERS = {"GRAVITY": str(GRAVITY_MPS2), "REFERENCE": f"{REFERENCE_C:g}", "SLOPE": f"{SLOPE_S:g}"}
+_ROWS = {
+    name: re.sub("|".join(_NUMBERS), lambda found: _NUMBERS[found[0]], text) for name, text in VARIABLES["rows"].items()
 }
-"""The variables of laws, (N, n) or (N, 1)."""
 _NEEDS: Mapping[str, str] = {"temperature_c": r"\bt\b", "accel_mps2": "accel_mps2", "t_s": r"\bt_s\b|since"}
 """The arguments beside the outputs, and what needs them in the code of the effects."""
 _U = re.compile(r"\bu\b")
@@ -63,7 +52,7 @@ def snippet(correction: Correction, origin: str) -> str:
         "motion_uses_u": any(_U.search(term) for term in of_motion),
         "needs": [argument for argument, names in _NEEDS.items() if re.search(names, code)],
         "arguments": _ARGUMENTS,
-        "warms_up": any(effect.name == "warm_up" for effect in correction.held),
+        "warms_up": "since" in code,
         "share": f"{LAST_SHARE:g}",
         "iterations": MOST_ITERATIONS,
         "tolerance": TOLERANCE_RPS,
@@ -75,10 +64,9 @@ def _of(correction: Correction, acts: Acts) -> Iterator[str]:
     """Yield the expressions of the effects that act like this."""
     for effect in correction.held:
         if effect.acts is acts:
-            table, tau = _constant(correction, effect), effect.known.settings.get("time_constant_s")
-            law = law_terms(effect.known.law, _VARIABLES, _called) if effect.known.law else []
-            terms = " + ".join(f"{table}[:, {n}] * {term}" for n, term in enumerate(law))
-            yield f"({terms})" if terms else FORMULAS[effect.name]["numpy"].format(a=table, tau=tau, **_PARTS)
+            table, law = _constant(correction, effect), effect.known.law
+            terms = law_terms(law, _ROWS, _called) if law else ["slope(left, t_s)"]  # a lag of the output
+            yield f"({' + '.join(f'{table}[:, {n}] * {term}' for n, term in enumerate(terms))})"
 
 
 def _called(name: str, inner: str, constant: str) -> str:
@@ -102,15 +90,12 @@ def _tables(correction: Correction, code: str) -> dict[str, Floats]:
         tables["SENSITIVITY"] = compensation.sensitivity
     if "SENSE_AXES" in code or _U.search(code) or any(effect.acts is Acts.RATE for effect in correction.held):
         tables["SENSE_AXES"] = compensation.array.p
-    for effect in correction.held:
-        values = effect.values
-        if effect.name == "acceleration_sensitivity":  # about the tilt axes of each gyro; here about x, y, z
-            values = values[:, [0]] * compensation.array.j + values[:, [1]] * compensation.array.k
-        tables[_constant(correction, effect)] = values
-    return tables
+    tilts = {"AXES_J": compensation.array.j, "AXES_K": compensation.array.k}
+    tables |= {name: axes for name, axes in tilts.items() if name in code}
+    return tables | {_constant(correction, effect): effect.values for effect in correction.held}
 
 
 def _constant(correction: Correction, effect: HeldEffect) -> str:
-    if effect.known.law:
+    if effect.known.record is CONSTRUCTED:
         return f"LAW_{correction.held.index(effect) + 1}"
     return "".join(c if c.isalnum() else "_" for c in effect.known.called).upper()

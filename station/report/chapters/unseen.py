@@ -7,24 +7,24 @@ import numpy as np
 
 from drivers.types import Floats
 from estimator.calibration.values import Calibration
-from estimator.effects.catalogue import catalogue
+from estimator.effects.catalogue import catalogue, records
+from estimator.effects.site import EARTH_RATE
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.rests import REST_RPS
 from estimator.planning.planning import Forecast, PlannedDevice, forecast
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import TableReadings
-from station.render.investigation_printed import words
 from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
 from station.scripts.script import Rest, Rotate, Script
 from station.scripts.script import Step as ScriptStep
+from station.views.words import words
 
 _PERIOD_S = 0.1
 _MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser steps
 _PLATEAU = 0.9  # of the largest rate: above it an axis is taken to be at its steady rate
 _FINEST_DEG = 0.01  # to which rates and turns of a script are told from the readings of the table
 _SHORTEST_RAMP_S = 0.05
-_OF_THE_TABLE = frozenset({"table_axes", "table_rate"})
 MARKED = 1.0
 """Shifts of the states below so many sigmas are not worth a word."""
 
@@ -56,7 +56,7 @@ class Unseen:
 
     def words(self, effect: str) -> str:
         """Return what people call an effect."""
-        return "wrong Earth rate" if effect == "earth_rate" and self.site_known else words(effect)
+        return "wrong Earth rate" if effect == EARTH_RATE.name and self.site_known else words(effect)
 
 
 def unseen_of(recorded: Recorded) -> Unseen | None:
@@ -76,7 +76,8 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
     ]
     known = _known_effects(found)
     effects = [e for e in catalogue(motion.gimbals, script.duration_s) if e.name not in known]
-    budgeted = _OF_THE_TABLE if reference.uncertainty is not None else frozenset[str]()
+    of_table = frozenset(record.name for record in records() if record.of_table)
+    budgeted = of_table if reference.uncertainty is not None else frozenset[str]()
     return Unseen(script, forecast(conditions, devices, effects), budgeted, recorded.recording.site is not None)
 
 

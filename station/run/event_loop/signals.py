@@ -11,11 +11,14 @@ _HANG_UP = getattr(signal, "SIGHUP", None)
 
 @contextmanager
 def heeded_signals(stop: Callable[[str], None], hang_up: Callable[[], None] | None = None) -> Iterator[None]:
-    """Call ``stop(name)`` on the event loop for Ctrl-C, SIGTERM and SIGHUP; for SIGHUP ``hang_up()`` if given."""
+    """Call ``stop(name)`` on the event loop for Ctrl-C, SIGTERM and SIGHUP; for SIGHUP ``hang_up()`` if given.
+
+    For Ctrl-\\ and Ctrl-Z, too: a process that is dead or frozen leaves the table turning.
+    """
     loop = asyncio.get_running_loop()
     names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
     if _HANG_UP is not None:
-        names[_HANG_UP] = "SIGHUP (the terminal is gone)"
+        names |= {_HANG_UP: "SIGHUP (the terminal is gone)", signal.SIGQUIT: "Ctrl-\\", signal.SIGTSTP: "Ctrl-Z"}
 
     def handle(number: int, _frame: Any) -> None:
         if number == _HANG_UP and hang_up is not None:

@@ -19,6 +19,8 @@ from station.run.snapshot import of_type
 _LIMIT_S = 10.0
 _WRITE_LIMIT_S = 120.0
 _MOST_BYTES = 64 * 1024 * 1024
+INVESTIGATION = "-investigation"
+"""What is added to the name of a recording for the file of its investigation."""
 
 
 @dataclass(frozen=True, slots=True)

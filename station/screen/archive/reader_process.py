@@ -13,8 +13,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-INVESTIGATION = "-investigation"
-"""What is added to the name of a recording for the file of its investigation."""
+import h5py
+
+from estimator.errors import RecordingError, first_line
+from estimator.recordings.recording import FORMAT, FORMAT_VERSION
+from estimator.recordings.writing import plain, write_attributes
+from station.screen.archive.archive import INVESTIGATION
+
 _MOST_POINTS = 400
 _TEXTS = (
     "station",
@@ -38,7 +43,7 @@ def main() -> None:
         try:
             answer = _answer(request)
         except Exception as error:  # whatever a file made by hand holds, the next one is to be read
-            answer = {"wrong": _words(error)}
+            answer = {"wrong": f"it cannot be read, it is damaged or not whole ({first_line(error)})"}
         print(json.dumps(answer), flush=True)
 
 
@@ -46,10 +51,6 @@ def _answer(request: Mapping[str, Any]) -> dict[str, Any]:
     path = Path(request["path"])
     if request["do"] == "accept":
         return _accept(path, request["attributes"])
-    import h5py
-
-    from estimator.recordings.recording import FORMAT_VERSION
-
     # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
     with h5py.File(path, "r", locking=False) as file:
         version = _version(file)
@@ -69,9 +70,6 @@ def _accept(path: Path, attributes: Mapping[str, str]) -> dict[str, Any]:
 
     A write that fails within HDF5 leaves a file that cannot be opened any more.
     """
-    from estimator.errors import RecordingError
-    from estimator.recordings.recording import write_attributes
-
     path = path.resolve()  # a link to a recording stays one
     copy = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -90,18 +88,16 @@ def _accept(path: Path, attributes: Mapping[str, str]) -> dict[str, Any]:
 
 def _version(file: Any) -> Any:
     """Return the format's version, None if the file is of another format."""
-    from estimator.recordings.recording import FORMAT
-
-    is_recording = _plain(file.attrs.get("format")) == FORMAT
-    return _plain(file.attrs.get("format_version", 0)) if is_recording else None
+    is_recording = plain(file.attrs.get("format")) == FORMAT
+    return plain(file.attrs.get("format_version", 0)) if is_recording else None
 
 
 def _entry(file: Any) -> dict[str, Any]:
-    found: dict[str, Any] = {name: str(_plain(file.attrs.get(name, ""))) for name in _TEXTS}
-    began = _plain(file.attrs.get("clock_zero_utc_s"))
+    found: dict[str, Any] = {name: str(plain(file.attrs.get(name, ""))) for name in _TEXTS}
+    began = plain(file.attrs.get("clock_zero_utc_s"))
     found["began_utc_s"] = float(began) if began is not None else None
     sources = file.get("imu", {})
-    devices = [str(_plain(sources[name].attrs.get("device", ""))) for name in sources]
+    devices = [str(plain(sources[name].attrs.get("device", ""))) for name in sources]
     found["devices"] = [device for device in dict.fromkeys(devices) if device] or [found["device"]]
     found["gyros"] = []
     group = file.get("calibration")
@@ -109,8 +105,8 @@ def _entry(file: Any) -> dict[str, Any]:
         rows = zip(*(group[name][()] for name in ("name", "source", "states", "sd", "noise_rps")), strict=True)
         found["gyros"] = [
             {
-                "name": _plain(name),
-                "source": _plain(source),
+                "name": plain(name),
+                "source": plain(source),
                 "states": list(map(_number, states)),
                 "sd": list(map(_number, sd)),
                 "noise_rps": _number(noise),
@@ -121,19 +117,19 @@ def _entry(file: Any) -> dict[str, Any]:
 
 
 def _whole(file: Any) -> dict[str, Any]:
-    found: dict[str, Any] = {"limits": _limits(str(_plain(file.attrs.get("bench", "")))), "events": [], "curves": {}}
+    found: dict[str, Any] = {"limits": _limits(str(plain(file.attrs.get("bench", "")))), "events": [], "curves": {}}
     group = file.get("calibration")
     if group is not None:
-        found |= {key: _plain(group.attrs.get(key)) for key in ("samples", "lost")}
+        found |= {key: plain(group.attrs.get(key)) for key in ("samples", "lost")}
         found["nis_mean"] = _number(group.attrs.get("nis_mean", math.nan))
         for key in ("notes", "excluded"):
-            found[key] = [str(_plain(text)) for text in group.attrs.get(key, [])]
+            found[key] = [str(plain(text)) for text in group.attrs.get(key, [])]
     events = file.get("events")
     if events is not None and "text" in events:
         rows = zip(events["t_ns"][()], events["text"][()], strict=False)
-        found["events"] = [[float(t) * 1e-9, _plain(text)] for t, text in rows]
+        found["events"] = [[float(t) * 1e-9, plain(text)] for t, text in rows]
     for source, estimate in file.get("estimate", {}).items():
-        names = [str(_plain(name)) for name in file[f"imu/{source}"].attrs.get("names", [source])]
+        names = [str(plain(name)) for name in file[f"imu/{source}"].attrs.get("names", [source])]
         step = max(len(estimate["t_ns"]) // _MOST_POINTS, 1)
         t_s = [float(t) * 1e-9 for t in estimate["t_ns"][::step]]
         states, sd = estimate["states"][::step], estimate["sd"][::step]
@@ -144,13 +140,11 @@ def _whole(file: Any) -> dict[str, Any]:
 
 def _investigation(recording: Path) -> Any:
     """Return what the newest investigation that is kept beside a recording found, null if there is none."""
-    import h5py
-
     kept = sorted(recording.parent.glob(f"{recording.stem}{INVESTIGATION}*.h5"), key=lambda path: path.stat().st_mtime)
     if not kept:
         return None
     with h5py.File(kept[-1], "r", locking=False) as file:
-        return json.loads(_plain(file["investigation"].attrs["json"]))
+        return json.loads(plain(file["investigation"].attrs["json"]))
 
 
 def _limits(bench: str) -> dict[str, float | None]:
@@ -170,21 +164,6 @@ def _rows(values: Any) -> list[list[float | None]]:
 def _number(value: Any) -> float | None:
     found = float(value)
     return found if math.isfinite(found) else None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, bytes):
-        return value.decode(errors="replace")
-    return value.item() if hasattr(value, "item") else value
-
-
-def _words(error: Exception) -> str:
-    return f"it cannot be read, it is damaged or not whole ({_first_line(error)})"
-
-
-def _first_line(error: Exception) -> str:
-    lines = str(error).splitlines()
-    return lines[0] if lines else type(error).__name__
 
 
 if __name__ == "__main__":

@@ -15,12 +15,12 @@ from textual.widgets import Button, Input, Label, Static
 
 from station.screen.base import Field, StationScreen
 from station.screen.choices import Choices
-from station.screen.figures import columns, headed, templated, titled
-from station.screen.link import sessions_on
-from station.screen.live_run import LiveRun
-from station.screen.programs import Answer, ask
+from station.screen.figures import columns, templated, titled
+from station.screen.sessions.link import sessions_on
+from station.screen.sessions.live_run import LiveRun
+from station.screen.sessions.programs import Answer, ask
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
-from station.views.figures import STATE_UNITS, clock, number
+from station.views.figures import STATE_UNITS, clock, number, three_digits
 
 _FIELDS = (
     ("bench", "Bench file", "built-in twins"),
@@ -247,7 +247,7 @@ class PrepareScreen(StationScreen):
         values = {"title": self._bench_title(), "check": self._check, "checking": self._checking}
         self.query_one("#check", Static).update(templated("check.rich", {**values, "degrees": _degrees}))
         width = max(self.query_one("#plan").size.width, 40)
-        self.query_one("#plan", Static).update(titled(*_plan_lines(prospect, self._plan, width)))
+        self.query_one("#plan", Static).update(_plan(prospect, self._plan, width))
 
     def _bench_title(self) -> str:
         return (
@@ -276,39 +276,25 @@ def _degrees(angle_rad: float) -> str:
     return number(math.degrees(angle_rad), 3)
 
 
-def _plan_lines(prospect: Prospect | None, plan: Answer | None, width: int) -> tuple[str, list[Text]]:
-    if prospect is None:
-        return "Script", []
-    if prospect.script_wrong or prospect.motion is None:
-        return "Script", [
-            Text.assemble(("WRONG ", _DOTS["WRONG"]), prospect.script_wrong)
-        ] if prospect.script_wrong else []
-    from station.scripts.axis_profile import profile_lines  # loaded by now, in the thread that read the script
+def _plan(prospect: Prospect | None, plan: Answer | None, width: int) -> Text:
+    profile: list[str] = []
+    rows: list[list[str]] = []
+    gyros = plan.found.get("gyros") or [] if plan is not None else []
+    if prospect is not None and prospect.motion is not None:
+        from station.scripts.axis_profile import profile_lines  # loaded by now, in the thread that read the script
 
-    title = f"Script {prospect.script}: {clock(prospect.duration_s)} min"
-    lines = [Text(line, no_wrap=True) for line in profile_lines(prospect.motion, width)]
-    if plan is None:
-        return title, [*lines, Text.assemble(("WAIT  ", _DOTS["WAIT"]), "sigmas are being predicted")]
-    gyros = plan.found.get("gyros")
-    if not gyros:
-        return title, [*lines, Text.assemble(("WRONG ", _DOTS["WRONG"]), plan.reason)]
-    rows = [
-        ["predicted", *(f"{name} {unit}" for name, unit, _ in STATE_UNITS)],
-        *(_sizes(g["name"], g["sd"]) for g in gyros),
-    ]
-    required = plan.found.get("required") or {}
-    if any(value is not None for value in required.values()):
-        rows.append(_sizes("required", required))
-    texts = headed(columns(rows, gap=" "))
-    for text, gyro in zip(texts[1:], gyros, strict=False):
-        if not gyro["reached"]:
-            text.stylize("yellow")
-    return title, [*lines, Text(""), *texts]
+        profile = profile_lines(prospect.motion, width)
+    if plan is not None and gyros:
+        required = plan.found.get("required") or {}
+        asked = any(value is not None for value in required.values())
+        rows = [["predicted", *(f"{name} {unit}" for name, unit, _ in STATE_UNITS)]]
+        rows += [_sizes(g["name"], g["sd"]) for g in gyros] + ([_sizes("required", required)] if asked else [])
+    table = columns(rows, gap=" ") if rows else []
+    values = {"prospect": prospect, "plan": plan, "profile": profile, "table": table, "gyros": gyros, "clock": clock}
+    return templated("plan.rich", values)
 
 
 def _sizes(name: str, by_state: Mapping[str, float | None]) -> list[str]:
     """Return a name and the sigmas of the four states, a dash for what is not there."""
-    cells = [
-        None if v is None else v * factor for v, (_, _, factor) in zip(by_state.values(), STATE_UNITS, strict=True)
-    ]
-    return [name, *("-" if v is None else f"{v:.3g}" if v < 1000 else f"{v:.0f}" for v in cells)]
+    pairs = zip(by_state.values(), STATE_UNITS, strict=True)
+    return [name, *(three_digits(None if v is None else v * factor) for v, (_, _, factor) in pairs)]

@@ -79,10 +79,9 @@ def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) ->
 def limit_lines(limits: Limits) -> tuple[str, ...]:
     """Return the limits that mean PASS, a line each; those that are not given are left out."""
     names = ("|k|", "|b|", "|sigma_j|, |sigma_k|")
-    sizes, sds = (limits.k, limits.b_rps, limits.sigma_rad), (limits.sd_k, limits.sd_b_rps, limits.sd_sigma_rad)
     lines = []
     for name, most, most_sd, state, (_, sd_unit, sd_factor) in zip(
-        names, sizes, sds, STATE_FIGURES[:3], STATE_UNITS[:3], strict=True
+        names, limits.sizes[:3], limits.sds[:3], STATE_FIGURES[:3], STATE_UNITS[:3], strict=True
     ):
         parts = [f"{name} up to {most * state.factor:g} {state.unit}"] if math.isfinite(most) else []
         parts += [f"its sigma up to {most_sd * sd_factor:g} {sd_unit}"] if math.isfinite(most_sd) else []

@@ -6,23 +6,22 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
+from rich.console import Group, RenderableType
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.containers import Horizontal
 from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
-from station.screen.archive.archive import Entry, GyroEntry, Whole, last_before
-from station.screen.archive.reader_process import INVESTIGATION
+from station.screen.archive.archive import INVESTIGATION, Entry, GyroEntry, Whole, last_before
 from station.screen.base import StationScreen
 from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.figures import columns, headed, state_heads, templated, titled
-from station.screen.live_run import Trend
+from station.screen.figures import columns, headed, state_cells, state_heads, templated, titled
 from station.screen.plots import gyro_plots
-from station.screen.programs import ask
-from station.screen.tabs.investigated import investigation_lines
+from station.screen.sessions.live_run import Trend
+from station.screen.sessions.programs import ask
 from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
 
 _MANY_SIGMAS = 3.0
@@ -59,7 +58,7 @@ class ResultScreen(StationScreen):
         self._whole: Whole | None = None
         self._same: list[Entry] = []
         self._found: Mapping[str, Any] = {}
-        self._model_lines: Sequence[Text] = ()
+        self._model: Sequence[RenderableType] = ()
         self._busy = ""
         self._said = ""
         self._gyro = 0
@@ -107,8 +106,7 @@ class ResultScreen(StationScreen):
 
     async def _take_investigation(self, found: Mapping[str, Any]) -> None:
         self._found = found
-        lines = await asyncio.to_thread(investigation_lines, found) if found else []
-        self._model_lines = lines
+        self._model = await asyncio.to_thread(_investigation, found) if found.get("verdict") else ()
         self._show()
 
     def action_investigate(self) -> None:
@@ -255,15 +253,15 @@ class ResultScreen(StationScreen):
         gyros = whole.entry.gyros
         self._block("states", titled("States and their sigmas", state_lines(gyros)) if gyros else None)
         self._block("change", _change(whole.entry, last_before(whole.entry, self._same)) if gyros else None)
-        lines = self._model_lines or [Text("I looks for what the four states lack", "dim")]
-        self._block("model", titled("Investigation", lines) if gyros else None)
+        lines = self._model or [Text("I looks for what the four states lack", "dim")]
+        self._block("model", Group(Text("Investigation", "bold underline"), *lines) if gyros else None)
         self._block("curves", self._curves(whole))
         self._block("record", _record(whole))
 
-    def _block(self, name: str, text: Text | None) -> None:
+    def _block(self, name: str, shown: RenderableType | None) -> None:
         block = self.query_one(f"#{name}", Static)
-        block.display = text is not None
-        block.update(text or "")
+        block.display = shown is not None
+        block.update("" if shown is None else shown)
 
     def _curves(self, whole: Whole) -> Text | None:
         curves = whole.found.get("curves") or {}
@@ -274,14 +272,24 @@ class ResultScreen(StationScreen):
         return Text("\n").join(gyro_plots(name, _trend(curves[name]), width))
 
 
+def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
+    """Return what `station investigate` prints, from its JSON.
+
+    Loads what renders it, which takes a moment: not for the thread that paints.
+    """
+    from station.render.investigation_printed import investigation_shown
+    from station.views.investigation import InvestigationView, is_investigation
+
+    if not is_investigation(found):
+        return [Text("kept by another version of the station: I investigates again", "yellow")]
+    shown = investigation_shown(cast(InvestigationView, found), "d drives it")
+    return [Text.from_markup(what, emoji=False) if isinstance(what, str) else what for what, _ in shown]
+
+
 def state_lines(gyros: Sequence[GyroEntry]) -> list[Text]:
     """Return the states with their sigmas, a line a gyro below a heading."""
-    rows = state_heads("gyro")
-    for gyro in gyros:
-        pairs = zip(STATE_FIGURES, gyro.states, gyro.sds, strict=True)
-        cells = [(s.text(value).rjust(s.width), s.text(sd).rjust(s.width - 1)) for s, value, sd in pairs]
-        rows.append([gyro.name, *(cell for pair in cells for cell in pair)])
-    return headed(columns(rows, gap=" "), 2)
+    rows = [[gyro.name, *state_cells(gyro.states, gyro.sds)] for gyro in gyros]
+    return headed(columns([*state_heads("gyro"), *rows], gap=" "), 2)
 
 
 def _change(entry: Entry, last: Entry | None) -> Text:

@@ -15,10 +15,10 @@ from textual.widgets import Input, Static
 from station.run.snapshot import PAUSED, Snapshot
 from station.screen.bars import SILENCE_S, Lines, StopBar
 from station.screen.base import Field, StationDialog, StationScreen
-from station.screen.figures import columns, headed, state_heads
-from station.screen.live_run import LiveRun, Stage, Trend
+from station.screen.figures import columns, headed, state_cells, state_heads
 from station.screen.plots import bar, gyro_plots
-from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, clock, number
+from station.screen.sessions.live_run import LiveRun, Stage, Trend
+from station.views.figures import OUTCOME_STYLES, clock, number
 
 PLOT_PERIOD_S = 1.0
 _BLOCKS = ("axes", "sources", "innovations", "estimates", "plots", "events")
@@ -244,15 +244,8 @@ def _judgement(snapshot: Snapshot) -> Text:
 def estimate_lines(snapshot: Snapshot) -> list[Text]:
     """Return the estimates, a line a gyro below a heading."""
     names, units = state_heads("gyro")
-    rows = [[*names, "NIS"], [*units, ""]]
-    for gyro in snapshot.gyros:
-        cells = [
-            text
-            for state, value, sd in zip(STATE_FIGURES, gyro.values, gyro.sds, strict=True)
-            for text in (state.text(value).rjust(state.width), state.text(sd).rjust(state.width - 1))
-        ]
-        rows.append([gyro.name, *cells, number(gyro.nis, 2).rjust(4)])
-    return headed(columns(rows, gap=" "), 2)
+    gyros = [[g.name, *state_cells(g.values, g.sds), number(g.nis, 2).rjust(4)] for g in snapshot.gyros]
+    return headed(columns([[*names, "NIS"], [*units, ""], *gyros], gap=" "), 2)
 
 
 def _event_lines(run: LiveRun) -> list[Text]:

@@ -27,8 +27,9 @@ from station.remote.hosting import introduction
 from station.render.printing import result_object
 from station.run.event_loop.loops import VirtualLoop
 from station.run.session import RunOptions, Session
-from station.run.snapshot import EventKind, json_object
+from station.run.snapshot import EventKind
 from station.scripts.script import load_script
+from station.views.json_values import json_object
 
 STREAMS = Path(__file__).parents[2] / "data" / "screen"
 RECORDING = "recordings/run-20261121-101502.h5"

@@ -9,13 +9,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 from conftest import HistoryFirst, until
 from textual.pilot import Pilot
 from textual.widgets import OptionList
 
+from estimator.tracing.investigation import Errors, Finding, GyroErrors, Investigation
+from station.exports.investigation_file import write_investigation
 from station.screen.archive.archive import Archive
 from station.screen.choices import Choices
+from station.views.investigation import investigation_view
 
 ACCEPTED = {"accepted_by": "A. Operator", "accepted_utc": "2026-11-21T12:00:00+00:00"}
 
@@ -73,5 +77,28 @@ def test_other_runs_of_the_device_are_offered_to_judge_an_investigation(recordin
         assert "cross-validation" in lines[0]
         assert "PASS" in lines[1]
         assert "first.h5" in lines[1]
+
+    asyncio.run(drive())
+
+
+def test_an_investigation_that_is_kept_beside_a_recording_is_shown_as_the_command_prints_it(recordings: Path) -> None:
+    errors = Errors(1e-5, 6e-5, 0.95)
+    gyro = GyroErrors("gyro1", errors, errors, (), np.zeros(4), np.zeros(4), np.array([0.1, -0.2, 0.3, 0.0]))
+    found = Investigation(
+        Finding.NOTHING, "it is noise", (), (), None, errors, errors, None, True, (gyro,), (), (), {}, ("a note",)
+    )
+    write_investigation(recordings / "second-investigation.h5", found, investigation_view(found, None))
+    app = HistoryFirst(Choices(folder=Path("recordings"), operator="A. Operator"))
+
+    def shown() -> str:
+        strips = app.screen._compositor.render_strips()
+        return "\n".join("".join(segment.text for segment in strip) for strip in strips)
+
+    async def drive() -> None:
+        async with app.run_test(size=(100, 60)) as pilot:
+            app.open_recording(Path("recordings/second.h5"))
+            await until(pilot, lambda: "NOTHING TO ADD  it is noise" in shown())
+            await until(pilot, lambda: "+0.1 / -0.2 / +0.3 / +0.0" in shown())
+            assert "note: a note" in shown()
 
     asyncio.run(drive())

@@ -14,7 +14,7 @@ from textual.widgets import Footer
 
 from station.screen.app import StationApp
 from station.screen.choices import Choices
-from station.screen.live_run import Stage
+from station.screen.sessions.live_run import Stage
 
 Compare = Callable[..., bool]
 Before = Callable[[Pilot[None]], Awaitable[None]]

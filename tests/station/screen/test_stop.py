@@ -15,13 +15,14 @@ from streams import Replay
 from textual import events
 from textual.pilot import Pilot
 
-from station.run.snapshot import GyroSnapshot, Phase, Snapshot, json_object
+from station.run.snapshot import GyroSnapshot, Phase, Snapshot
 from station.screen.app import StationApp
 from station.screen.bars import STOP_KEY, StopBar
 from station.screen.choices import Choices
 from station.screen.dialogs import ChooseDialog
-from station.screen.live_run import LiveRun, Stage
+from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.tabs.prospects import Prospect
+from station.views.json_values import json_object
 
 PROSPECT = Prospect(bench="built-in twins", all_twins=True)
 CHOICES = Choices("bench.toml", "short.toml", Path("recordings"), "A. Operator", "SN-0042", 1.0)

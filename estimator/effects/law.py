@@ -1,0 +1,292 @@
+"""Laws: what an effect adds to the output of a gyro, as an expression over what the gyro goes through.
+
+A law is text, as ``lag(T, 58)*gx``: names of variables, numbers, products, powers, quotients, and some functions.
+Three of these remember: ``lag(x, c)`` follows x as a first-order lag of c seconds, ``play(x, c)`` as a linkage with a
+play of c follows its drive (Krasnosel'skii, Pokrovskii 1989); ``last(x, c)`` is the sign that x had last beyond c,
+``last(x)`` beyond a twentieth of its largest size: of the recording, or so far where conditions are causal. Terms of
+one law are separated by semicolons, each with a coefficient of its own. Memory passes over what is not finite.
+"""
+
+import ast
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from estimator.effects.conditions import Axes, Conditions, follow
+from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, into_body
+from estimator.types import Floats
+
+LAST_SHARE = 0.05
+"""Share of the largest size beyond which a sign counts."""
+_MOST_CHARACTERS = 200
+_CHARACTERS = re.compile(r"[A-Za-z0-9_.+\-*/(),; ]*")  # no comments, no line ends: laws stand in source code
+
+VARIABLES: Mapping[str, tuple[str, str, str]] = {
+    name.format(axis=axis): (depends, unit, words.format(axis=axis))
+    for name, (depends, unit, words) in tomllib.loads(
+        files("estimator.effects").joinpath("law.toml").read_text(encoding="utf-8")
+    ).items()
+    for axis in (AXES if "{axis}" in name else AXES[:1])
+}
+"""What a law may name: what it depends on, its unit, and what it is."""
+_NEEDS = {"temperature": "temperature", "gravity": "specific force", "angle": "gimbals"}
+
+
+class LawError(ValueError):
+    """A text that is no law; the message says where."""
+
+
+def columns_of(law: str, conditions: Conditions, axes: Axes) -> Floats:
+    """Return the terms (N, terms) of a law for a gyro; LawError for a text that is none."""
+    known = _Values(conditions, axes)
+    return np.column_stack([np.broadcast_to(evaluated(tree, known), conditions.t_s.shape) for tree in parsed(law)])
+
+
+def needs_of(law: str) -> frozenset[str]:
+    """Return what conditions must offer for a law."""
+    names = variables_of(law)
+    needs = {_NEEDS[VARIABLES[name][0]] for name in names if VARIABLES[name][0] in _NEEDS}
+    return frozenset(needs | {"gimbals" for name in names if "_" in name})
+
+
+def settled(law: str, above_k: float) -> tuple[Floats, Floats] | None:
+    """Return what a law comes to at a steady temperature, long after the start: biases and gains (terms,).
+
+    Gains are those of the rate about the sense axis. None if it depends on more than that.
+    """
+    if not set(variables_of(law)) <= {"T", "t", "u"} or functions_of(law) & {"lag", "play", "last"}:
+        return None
+    steady = {"T": np.asarray(above_k), "t": np.asarray(np.inf)}
+    with np.errstate(all="ignore"):
+        none, one, other = (
+            np.array([evaluated(tree, {**steady, "u": np.asarray(u)}) for tree in parsed(law)])
+            for u in (0.0, 1.0, -2.0)
+        )
+    gain = one - none
+    linear = np.isfinite(gain) & np.isclose(other, none - 2 * gain)
+    return (none, gain) if linear.all() else None
+
+
+def variables_of(law: str) -> tuple[str, ...]:
+    """Return the variables that a law names, in the order in which they come."""
+    return tuple(dict.fromkeys(name for tree in parsed(law) for name in _names(tree)))
+
+
+def _names(tree: ast.expr) -> list[str]:
+    return [node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and node.id in VARIABLES]
+
+
+def functions_of(law: str) -> frozenset[str]:
+    """Return the functions that a law calls; "/" for a quotient by something that is no number."""
+    nodes = [node for tree in parsed(law) for node in ast.walk(tree)]
+    calls = {node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
+    divided = any(isinstance(n, ast.BinOp) and isinstance(n.op, ast.Div) and _names(n.right) for n in nodes)
+    return frozenset(calls | ({"/"} if divided else set()))
+
+
+def axes_of(law: str) -> tuple[str, ...]:
+    """Return the axes of a table that a law names."""
+    return tuple(dict.fromkeys(name.partition("_")[2] for name in variables_of(law) if "_" in name))
+
+
+def of_each_gyro(law: str) -> bool:
+    """Return whether a law differs from gyro to gyro: it names something along or about the sense axis."""
+    return any(name in ("u", "a", "aj", "ak", "gs") or name.startswith("u_") for name in variables_of(law))
+
+
+def in_words(law: str) -> str:
+    """Return a law as a sentence's object: "bias proportional to temperature lagged by 58 s"."""
+    words = [_words(tree) for tree in parsed(law)]
+    return "bias proportional to " + " and to ".join(words)
+
+
+@lru_cache(4096)
+def parsed(law: str) -> tuple[ast.expr, ...]:
+    """Return the terms of a law as trees; LawError for anything that the grammar does not hold."""
+    if not law.strip() or len(law) > _MOST_CHARACTERS:
+        raise LawError(f"a law has 1 to {_MOST_CHARACTERS} characters")
+    if not _CHARACTERS.fullmatch(law):
+        raise LawError(f"{law!r} has a character that no law has")
+    trees = []
+    for term in law.split(";"):
+        try:
+            tree = ast.parse(term.strip(), mode="eval").body
+        except (SyntaxError, RecursionError, ValueError):
+            raise LawError(f"{term.strip()!r} is no term of a law") from None
+        _check(tree)
+        trees.append(tree)
+    return tuple(trees)
+
+
+def _check(node: ast.expr) -> None:
+    match node:
+        case ast.Constant(value=int() | float()):
+            return
+        case ast.Name(id=name) if name in VARIABLES:
+            return
+        case ast.BinOp(op=ast.Mult() | ast.Div() | ast.Sub() | ast.Add()):
+            _check(node.left)
+            _check(node.right)
+        case ast.BinOp(op=ast.Pow(), right=ast.Constant(value=int())):
+            _check(node.left)
+        case ast.UnaryOp(op=ast.USub()):
+            _check(node.operand)
+        case ast.Call(func=ast.Name(id=name), args=[inner], keywords=[]) if name in _PLAIN:
+            _check(inner)
+        case ast.Call(func=ast.Name(id="last"), args=[inner], keywords=[]) if _names(inner):
+            _check(inner)
+        case ast.Call(
+            func=ast.Name(id="lag" | "play" | "last"),
+            args=[inner, ast.Constant(value=int() | float() as size)],
+            keywords=[],
+        ) if _names(inner) and 0 < size < np.inf:
+            _check(inner)
+        case _:
+            raise LawError(f"{ast.unparse(node)!r} is not of the grammar of laws")
+
+
+_PLAIN: Mapping[str, Callable[[Any], Any]] = {
+    "abs": np.abs,
+    "sign": np.sign,
+    "sqrt": np.sqrt,
+    "log1p": np.log1p,
+    "expm1": np.expm1,
+    "exp": np.exp,
+    "tanh": np.tanh,
+    "cos": np.cos,
+    "sin": np.sin,
+}
+
+
+class _Values:
+    """The variables of a law under some conditions, worked out when they are asked for."""
+
+    def __init__(self, conditions: Conditions, axes: Axes) -> None:
+        self.causal, self.t_s = conditions.causal, conditions.t_s
+        self._conditions, self._axes = conditions, axes
+
+    def __getitem__(self, name: str) -> Floats:
+        c, p = self._conditions, self._axes.p
+        if name in ("u", "wx", "wy", "wz"):
+            return np.asarray(c.w_rps @ p if name == "u" else c.w_rps[:, AXES.index(name[1])])
+        if name in ("a", "aj", "ak"):
+            return np.asarray(c.wdot_rps2 @ getattr(self._axes, name[1:] or "p"))
+        if name == "jolt":
+            return np.asarray(np.linalg.norm(c.wdot_rps2, axis=1))
+        if name == "speed":
+            return np.asarray(np.linalg.norm(c.w_rps, axis=1))
+        if name in ("T", "Tdot"):
+            warm = np.zeros(len(c.t_s)) if c.temperature_c is None else c.temperature_c - c.reference_c
+            return np.asarray(warm) if name == "T" else c.warming_kps
+        if name == "t":
+            return np.asarray(c.t_s - c.t_s[0])
+        if name in ("gx", "gy", "gz", "gs"):
+            force = c.specific_force_mps2 / GRAVITY_MPS2
+            return np.asarray(force @ p if name == "gs" else force[:, AXES.index(name[1])])
+        what, axis = name.split("_")
+        column = c.gimbals.index(axis)
+        if what == "angle":
+            return np.asarray(c.angle_rad[:, column])
+        if what == "rate":
+            return np.asarray(c.rate_rps[:, column])
+        part = np.zeros((len(c.t_s), 3))
+        part[:, AXES.index(axis)] = c.rate_rps[:, column]
+        return np.asarray(into_body(part, c.angle_rad[:, column + 1 :], c.gimbals[column + 1 :]) @ p)
+
+
+def evaluated(node: ast.expr, known: Any) -> Floats:
+    """Return the value (N,) of a checked tree under known conditions; numbers as they are."""
+    value = partial(evaluated, known=known)
+    match node:
+        case ast.Constant(value=number):
+            return np.asarray(float(number))  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            return np.asarray(known[name])
+        case ast.UnaryOp(operand=operand):
+            return -value(operand)
+        case ast.BinOp(left=left, op=op, right=right):
+            return _COMBINED[type(op)](value(left), value(right))
+        case ast.Call(func=ast.Name(id="lag"), args=[inner, ast.Constant(value=constant)]):
+            return lagged(value(inner), known.t_s, float(constant))  # type: ignore[arg-type]
+        case ast.Call(func=ast.Name(id="play"), args=[inner, ast.Constant(value=constant)]):
+            return played(value(inner), float(constant))  # type: ignore[arg-type]
+        case ast.Call(func=ast.Name(id="last"), args=[inner, *limit]):
+            x = value(inner)
+            so_far = LAST_SHARE * np.maximum.accumulate(_finite_sizes(x)) if known.causal else None
+            return last_sign(x, value(limit[0]) if limit else so_far)
+        case ast.Call(func=ast.Name(id=name), args=[inner]):
+            return np.asarray(_PLAIN[name](value(inner)))
+    raise LawError(ast.unparse(node))
+
+
+_COMBINED: Mapping[type[ast.operator], Callable[[Floats, Floats], Floats]] = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.Pow: np.power,
+}
+
+
+def lagged(values: Floats, t_s: Floats, lag_s: float) -> Floats:
+    """Return values (N,) at instants (N,) through a first-order lag that begins settled."""
+    from scipy.signal import lfilter
+
+    steps = np.diff(t_s)
+    if len(steps) and np.ptp(steps) < 1e-6 * steps[0] and np.isfinite(values).all():
+        keep = np.exp(-steps[0] / lag_s)
+        slow, _ = lfilter([1 - keep], [1, -keep], values - values[0], zi=[0.0])
+        return np.asarray(slow + values[0])
+    return follow(values, np.exp(-np.maximum(np.diff(t_s, prepend=t_s[:1]), 0.0) / lag_s))
+
+
+def played(values: Floats, width: float) -> Floats:
+    """Return what follows values (N,) with a play of ``width`` in all, beginning in its middle."""
+    return follow(values, np.ones(len(values)), 0.5 * width)
+
+
+def last_sign(values: Floats, limit: Floats | None = None) -> Floats:
+    """Return the sign (N,) of the last value beyond a limit, of the largest a twentieth; 0 before the first."""
+    size = _finite_sizes(values)
+    beyond = size > (LAST_SHARE * size.max(initial=0.0) if limit is None else limit)
+    sign = np.where(beyond, np.sign(values), 0.0)
+    last = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign)), -1))
+    return np.asarray(np.where(last >= 0, sign[np.maximum(last, 0)], 0.0))
+
+
+def _finite_sizes(values: Floats) -> Floats:
+    return np.where(np.isfinite(values), np.abs(values), 0.0)
+
+
+_POWERS = {"2": "square", "3": "cube"}
+
+
+def _words(node: ast.expr) -> str:
+    match node:
+        case ast.Name(id=name):
+            return VARIABLES[name][2]
+        case ast.Call(func=ast.Name(id="lag"), args=[inner, constant]):
+            return f"{_words(inner)} lagged by {ast.unparse(constant)} s"
+        case ast.Call(func=ast.Name(id="play"), args=[inner, constant]):
+            return f"{_words(inner)} with a play of {ast.unparse(constant)}"
+        case ast.Call(func=ast.Name(id="last"), args=[inner, *_]):
+            return f"the last direction of the {_words(inner)}"
+        case ast.Call(func=ast.Name(id="abs"), args=[inner]):
+            return f"the size of the {_words(inner)}"
+        case ast.Call(func=ast.Name(id="sign"), args=[inner]):
+            return f"the sign of the {_words(inner)}"
+        case ast.Call(func=ast.Name(id=name), args=[inner]):
+            return f"{name} of ({_words(inner)})"
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            return f"{_words(left)} times {_words(right)}"
+        case ast.BinOp(left=left, op=ast.Div(), right=right):
+            return f"{_words(left)} over {_words(right)}"
+        case ast.BinOp(left=left, op=ast.Pow(), right=right):
+            power = ast.unparse(right)
+            return f"the {_POWERS.get(power, f'power {power}')} of the {_words(left)}"
+    return ast.unparse(node)

@@ -1,0 +1,236 @@
+"""Runs as tracing sees them, made of recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from estimator.effects.conditions import Conditions
+from estimator.effects.disturbances import SAMPLE_HOLD
+from estimator.effects.scale import SCALE_ASYMMETRY, SCALE_CUBIC, SCALE_QUADRATIC
+from estimator.effects.thermal import THERMAL_BIAS, THERMAL_SCALE
+from estimator.errors import InvestigationError
+from estimator.estimation.runs.growth import weighed
+from estimator.estimation.runs.measured import even_grid, means_by_samples, means_by_turns
+from estimator.estimation.runs.run import BLOCK_S, FEWEST_TURNS, Run
+from estimator.estimation.runs.surroundings import GRID_S, conditions_of, force_at, temperature_at
+from estimator.geometry.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2
+from estimator.observations.defects.faults import Fault, held_samples, saturations, split_faulty, without_stuck
+from estimator.observations.health import usable
+from estimator.observations.rows import sample_noise, turn_rows
+from estimator.observations.turned import Turned, by_turns
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import Poses, TableReadings, Turns
+from estimator.types import Floats
+
+_FEWEST_BLOCKS = 40
+_TILTED = 0.02  # rad by which the direction up differs between poses
+_SENSED = 0.5  # of a turn: what it is off by shows in gyros about its axis
+_TURN_STEPS = 125  # instants within a turn, or a rest
+
+
+def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> tuple[list[Run], list[str], list[Fault]]:
+    """Return the sources of a recording that can be traced, notes on what was left out, and faults of the data.
+
+    Blocks last ``block_s``, longer in long recordings.
+
+    Raises InvestigationError if there is nothing to trace in it.
+    """
+    fine = isinstance(recording.reference, TableReadings)
+    runs: list[Run] = []
+    notes: list[str] = []
+    faults: list[Fault] = []
+    names = [name for data in recording.sources.values() for name in data.array.names]
+    for source, original in recording.sources.items():
+        data = original
+        if len(set(names)) < len(names):
+            data = replace(data, array=replace(data.array, names=tuple(f"{source} {n}" for n in data.array.names)))
+        held = held_samples(data) if fine else 1
+        if held > 1:
+            values = (("samples", float(held), "1"), ("delay", _hold_delay_s(data, held), "s"))
+            faults += [Fault(SAMPLE_HOLD.name, name, values) for name in data.array.names]
+        elif fine:
+            data, stuck = without_stuck(data)
+            faults += stuck
+        found = usable(data, fine=fine)
+        faults += saturations(found.notes, data)
+        notes += [f"{recording.name}: {note}" for note in found.notes]
+        notes += [f"{recording.name}: {e.name} is left out: {e.reason}" for e in found.excluded]
+        for number, part in enumerate(p for whole in found.parts for p in split_faulty(whole)):
+            label = source if not number else f"{source} ({number + 1})"
+            run = _run(recording, label, part, block_s, order, held)
+            if run is not None:
+                runs.append(run)
+    if isinstance(recording.reference, Poses):
+        raise InvestigationError(
+            f"{recording.name}: gravity between rests tells what three gyros do together, for which nothing is traced; "
+            'station calibrate gives the states, and imported with kind = "rest" the rests can be traced'
+        )
+    if not runs and isinstance(recording.reference, Turns):
+        raise InvestigationError(
+            f"{recording.name}: {len(recording.reference.sd_rad)} turns and rests of known angle are too few to trace "
+            f"anything: at least {FEWEST_TURNS} are needed, with turns of both signs, of several rates"
+        )
+    if not runs:
+        raise InvestigationError(
+            f"{recording.name}: too little data: no source has {_FEWEST_BLOCKS * BLOCK_S:g} s of samples that the "
+            "reference covers"
+        )
+    return runs, notes, faults
+
+
+def run_of(recording: Recording, source: str, data: ImuData) -> Run | None:
+    """Return one source, cleaned of what cannot be used, as tracing sees it; None if it holds too little."""
+    fine = isinstance(recording.reference, TableReadings)
+    return _run(recording, source, data, BLOCK_S, 0, held_samples(data) if fine else 1)
+
+
+def _hold_delay_s(data: ImuData, held: int) -> float:
+    """Return by how much held samples lag on the average."""
+    return 0.5 * (held - 1) * float(np.median(np.diff(data.t_ns))) * 1e-9
+
+
+def _run(recording: Recording, source: str, data: ImuData, block_s: float, order: int, held: int) -> Run | None:
+    if isinstance(recording.reference, Turns):
+        return _run_of_turns(recording, recording.reference, source, data, order)
+    measured = (
+        means_by_turns(recording, data, block_s)
+        if by_turns(recording.reference)
+        else means_by_samples(recording, data, block_s)
+    )
+    if measured is None or len(measured.index) < _FEWEST_BLOCKS:
+        return None
+    index, where = even_grid(measured.index, measured.length_s)
+    b, m, length_s = len(index), len(data.array), measured.length_s
+    w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)
+    w[where], z[where], weight[where] = measured.w_rps, measured.z_rps, measured.full
+    stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1).astype(np.intp)
+    growth_s = 0.0
+    if not by_turns(recording.reference):  # else what grows with the motion is what the other instrument gets wrong
+        weight, growth_s = weighed(w, z, weight, stretch)
+    t_s = np.asarray(measured.origin_s + (index + 0.5) * length_s, dtype=np.float64)
+    steps = max(round(length_s / GRID_S), 1)
+    offsets = (np.arange(steps) + 0.5) / steps * length_s
+    grid_s = (t_s[:, None] - 0.5 * length_s + offsets).ravel()
+
+    @lru_cache(maxsize=12)  # every gyro asks for the same
+    def delayed_rps(delay_s: float) -> Floats:
+        ago = w.copy()
+        past = measured.past_rps(delay_s)
+        ago[where] = np.where(np.isfinite(past), past, w[where])
+        return np.repeat(ago, steps, axis=0)
+
+    grid = replace(conditions_of(recording, data, grid_s, w, steps), delayed_rps=delayed_rps)
+    stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1)
+    run = Run(
+        recording.name,
+        source,
+        data,
+        length_s,
+        t_s,
+        w,
+        z,
+        weight,
+        stretch,
+        grid,
+        lambda columns: columns.reshape(b, steps, -1).mean(axis=1),
+        recording,
+        float(np.median(np.diff(data.t_ns))) * 1e-9,
+        order,
+        held,
+        growth_s=growth_s,
+    )
+    return run if run.turns or grid.gimbals else replace(run, **_unknown_earth(run))
+
+
+def _unknown_earth(run: Run) -> dict[str, Any]:
+    """Return ``pose`` and ``earth_rps`` of a run at rest, where there are several poses and north is not stated."""
+    up, good, site = run.fold(run.grid.specific_force_mps2) / GRAVITY_MPS2, run.weight > 0, run.recording.site
+    size = EARTH_RATE_RPS * (np.cos(site.latitude_rad) if site else np.sqrt(0.5))
+    if not good.any() or not np.isfinite(up).all():
+        return {}
+    level = run.w_rps - np.sum(run.w_rps * up, axis=1, keepdims=True) * up
+    if site and np.median(np.linalg.norm(level[good], axis=1)) > 0.5 * size:
+        return {}
+    # A pose ends where the body was moved and points elsewhere then.
+    pose, ups, before = np.zeros(len(up), dtype=np.intp), np.zeros_like(up), -1
+    begins = good & (np.diff(np.where(good, run.stretch, -1), prepend=-1) != 0)
+    starts = np.flatnonzero(begins).tolist()
+    for start, stop in pairwise([*starts, len(up)]):
+        mean = np.median(up[start:stop][good[start:stop]], axis=0)
+        new = before >= 0 and np.linalg.norm(mean - ups[before]) > _TILTED
+        pose[start:] += new
+        ups[start:] = mean if new or before < 0 else ups[before]
+        before = start
+    if not pose[-1]:
+        return {}
+    across = 1 - np.clip((ups @ run.array.p.T) ** 2, 0.0, 1.0)
+    return {"pose": pose, "earth_rps": size * np.sqrt(across / 2)}
+
+
+def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData, order: int) -> Run | None:
+    """Return turns and rests as blocks; how a body turned on the way to its stop the gyros themselves tell."""
+    rows, which = turn_rows(data, turns)
+    if len(which) < FEWEST_TURNS:
+        return None
+    assert rows.weight is not None
+    start_s, end_s = turns.t_start_ns[which] * 1e-9, turns.t_end_ns[which] * 1e-9
+    edges = np.linspace(start_s, end_s, _TURN_STEPS + 1, axis=1)
+    first, last = edges[:, :-1].ravel(), edges[:, 1:].ravel()
+    felt = Turned.of_rates(data.t_ns, data.rate_rps, np.inf).means(first, last) @ np.linalg.pinv(data.array.p).T
+    felt = np.nan_to_num(felt).reshape(len(which), _TURN_STEPS, 3)
+    turning = np.abs(turns.turn_rad[which]).max(axis=1) > 0
+    w = (felt - felt.mean(axis=1, keepdims=True)) * turning[:, None, None] + rows.w_rps[:, None]
+    grid_s, t_s = 0.5 * (first + last), 0.5 * (start_s + end_s)
+    slope = np.gradient(w, axis=1) / np.diff(edges, axis=1)[:, :, None]
+    none = np.empty((len(grid_s), 0))
+    grid = Conditions(
+        grid_s,
+        w.reshape(-1, 3),
+        slope.reshape(-1, 3),
+        *(none, none, none),
+        (),
+        force_at(recording, data, grid_s),
+        temperature_at(data, grid_s),
+        recording.site,
+    )
+    run = Run(
+        recording.name,
+        source,
+        data,
+        float(t_s[-1] - t_s[0]) / (len(t_s) - 1),
+        t_s,
+        rows.w_rps,
+        rows.y_rps - rows.w_rps @ data.array.p.T,
+        rows.weight / rows.weight.max(),
+        np.zeros(len(t_s), dtype=np.intp),
+        grid,
+        lambda columns: columns.reshape(len(t_s), len(columns) // len(t_s), -1).mean(axis=1),
+        recording,
+        float(np.median(np.diff(data.t_ns))) * 1e-9,
+        order,
+        1,
+        float(sample_noise(data).max() / rows.weight.max()),
+    )
+    return replace(run, weight=run.weight / np.where(turning, _more_than_stated(run), 1.0))
+
+
+def _more_than_stated(run: Run) -> float:
+    """Return how many times as wrong as stated turns are, at least 1, by what no law of scale or temperature fits."""
+    known = [SCALE_ASYMMETRY, SCALE_QUADRATIC, SCALE_CUBIC]
+    known += [THERMAL_SCALE, THERMAL_BIAS] if run.grid.temperature_c is not None else []
+    effects = [record.effect() for record in known]
+    squares = freedom = 0.0
+    for i, states in enumerate(run.state_columns()):
+        columns = np.hstack([states, *(run.columns(effect, i) for effect in effects)]) * run.weight[:, None]
+        left, size, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-30), full_matrices=False)
+        left = left[:, size > 1e-6 * size[0]]
+        turning = np.abs(run.w_rps @ run.array.p[i]) > _SENSED * np.linalg.norm(run.w_rps, axis=1)
+        z = run.z_rps[:, i] * run.weight
+        squares += float(np.sum((z - left @ (left.T @ z))[turning] ** 2))
+        freedom += float(np.sum(1 - np.sum(left**2, axis=1)[turning]))
+    return max(float(np.sqrt(squares / max(freedom, 1.0))) / run.stated_rps, 1.0)

@@ -1,0 +1,125 @@
+"""Block means of output errors and body rates, from samples or from turns between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.estimation.runs.run import BLOCK_S
+from estimator.observations.blocks import BlockSums
+from estimator.observations.rows import table_rows
+from estimator.observations.turned import Turned
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import BodyRates, TableReadings
+from estimator.types import Floats
+
+_FINE_S = 0.005  # samples closer than this are taken together where the rate of before is looked up
+_GAP_S = 5.0  # a longer gap ends a stretch: what the noise did meanwhile is not known
+_MOVED_S = 0.1  # where no table makes the motion: hands and shafts turn about within a second
+_TURNS_RAD = 0.5
+_SMOOTH_PERIODS = 10  # in a block: fewer would show what turns are smoothed by
+_MOST_BLOCKS = 8000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Measured:
+    """Blocks (B,) from ``origin_s`` on: number, mean body rate (B, 3), output error (B, m), whether they are ``full``.
+
+    ``past_rps`` gives their body rate (B, 3) some seconds ago, NaN where it is not known.
+    """
+
+    origin_s: float
+    length_s: float
+    index: NDArray[np.int64]
+    w_rps: Floats
+    z_rps: Floats
+    full: NDArray[np.bool_]
+    past_rps: Callable[[float], Floats]
+
+
+def means_by_samples(recording: Recording, data: ImuData, block_s: float) -> _Measured | None:
+    """Return means over samples, the body rate at each of them."""
+    reference = recording.reference
+    assert isinstance(reference, TableReadings)
+    period_s = float(np.median(np.diff(data.t_ns))) * 1e-9
+    length_s = _length_s(recording, data, block_s, period_s)
+    origin_ns = int(reference.t_ns[0])
+    sums = BlockSums(len(data.array), origin_ns, length_s, period_s)
+    known = []
+    for part in table_rows(recording, data):
+        assert part.t_ns is not None
+        sums.add(part.t_ns, part.w_rps, part.y_rps - part.w_rps @ data.array.p.T)
+        known.append(part.t_ns)
+    blocks = sums.blocks()
+    if not len(blocks.index):
+        return None
+    t_ns = np.concatenate(known)
+    # Every few samples together, by the middle of their instants: what is linear in between has the same means.
+    number = (t_ns - origin_ns) // round(length_s * 1e9)
+    first = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
+    within = np.arange(len(t_ns)) - np.repeat(first, np.diff(np.append(first, len(t_ns))))
+    group = np.flatnonzero(within % max(round(_FINE_S / period_s), 1) == 0)
+    count = np.diff(np.append(group, len(t_ns)))
+    instants = t_ns[0] + np.round(np.add.reduceat(t_ns - t_ns[0], group) / count).astype(np.int64)
+    start = np.searchsorted(group, first)
+    rates = BodyRates.of(reference, recording.site)
+
+    def past_rps(delay_s: float) -> Floats:
+        at = np.maximum(instants - round(delay_s * 1e9), origin_ns)
+        w = rates.at(np.minimum(at, rates.final_until_ns)) * count[:, None]
+        return np.asarray(np.add.reduceat(w, start, axis=0) / blocks.rows[:, None])
+
+    full = blocks.rows >= 0.5 * np.median(blocks.rows)
+    return _Measured(origin_ns * 1e-9, length_s, blocks.index, blocks.w_rps, blocks.z_rps, full, past_rps)
+
+
+def means_by_turns(recording: Recording, data: ImuData, block_s: float) -> _Measured | None:
+    """Return mean rates of the body and of the outputs over the same intervals."""
+    if len(data.t_ns) < 2:
+        return None
+    gyros, body = Turned.of_rates(data.t_ns, data.rate_rps), Turned.of_reference(recording.reference, recording.site)
+    least_s = 2 * _step_s(gyros)
+    if np.abs(body.integral).max() > _TURNS_RAD:  # of a body at rest a few readings tell all
+        period_s = max(_step_s(gyros), _step_s(body))
+        gyros, body = gyros.smoothed(period_s), body.smoothed(period_s)
+        block_s, least_s = min(block_s, _MOVED_S), _SMOOTH_PERIODS * period_s
+    length_s = _length_s(recording, data, block_s, least_s)
+    origin_s = max(gyros.t_s[0], body.t_s[0]) + np.ceil(body.reach_s / length_s) * length_s
+    count = int((min(gyros.t_s[-1], body.t_s[-1]) - body.reach_s - origin_s) / length_s + 1e-6)
+    edges = origin_s + np.arange(count + 1) * length_s
+    w, y = body.means(edges[:-1], edges[1:]), gyros.means(edges[:-1], edges[1:])
+    index = np.flatnonzero(np.isfinite(w).all(axis=1) & np.isfinite(y).all(axis=1))
+    first, last = edges[index], edges[index + 1]
+    return _Measured(
+        float(origin_s),
+        length_s,
+        index.astype(np.int64),
+        w[index],
+        (y - w @ data.array.p.T)[index],
+        np.ones(len(index), dtype=np.bool_),
+        lambda delay_s: body.means(first - delay_s, last - delay_s),
+    )
+
+
+def _step_s(turned: Turned) -> float:
+    return float(np.median(np.diff(turned.t_s)))
+
+
+def _length_s(recording: Recording, data: ImuData, block_s: float, least_s: float) -> float:
+    span_s = float(data.t_ns[-1] - data.t_ns[0]) * 1e-9
+    most = _MOST_BLOCKS * max(BLOCK_S / block_s, 1.0)
+    return max(block_s, least_s, np.ceil(span_s / most / 0.1 - 1e-9) * 0.1 if span_s > most * block_s else 0.0)
+
+
+def even_grid(known: NDArray[np.int64], length_s: float) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """Return block numbers with short gaps filled, and where the blocks that hold data are among them."""
+    most = max(int(_GAP_S / length_s), 1)
+    filled = [known[:1]]
+    for before, after in pairwise(known.tolist()):
+        filled.append(np.arange(before + 1, after + 1) if after - before <= most else np.array([after]))
+    index = np.concatenate(filled).astype(np.int64)
+    return index, np.searchsorted(index, known)

@@ -1,0 +1,106 @@
+"""What the gyros went through in a run, on a grid of instants: temperature, gimbals, specific force."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimator.effects.conditions import Conditions
+from estimator.geometry.kinematics import AXES, GRAVITY_MPS2, specific_force
+from estimator.observations.turned import Turned, by_turns
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import AttitudeReadings, BodyRates, TableReadings
+from estimator.types import Floats
+
+GRID_S = 0.02  # instants at which conditions are worked out, within blocks
+_JUMP, _JUMP_C = 8.0, 0.5  # sigmas, degC
+_SMOOTH_S = 0.2  # accelerometers also feel vibration
+
+
+def conditions_of(recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floats, steps: int) -> Conditions:
+    temperature = temperature_at(data, grid_s)
+    reference = recording.reference
+    if by_turns(reference):
+        return conditions_by_turns(recording, data, grid_s, w_rps, steps, temperature)
+    assert isinstance(reference, TableReadings)
+    rates, grid_ns = BodyRates.of(reference, recording.site), np.round(grid_s * 1e9).astype(np.int64)
+    motion = *rates.gimbals_at(grid_ns), rates.accelerations_at(grid_ns)
+    return Conditions.on_table(grid_s, *motion, reference.gimbals, temperature_c=temperature, site=recording.site)
+
+
+def conditions_by_turns(
+    recording: Recording, data: ImuData, grid_s: Floats, w_rps: Floats, steps: int, temperature_c: Floats | None
+) -> Conditions:
+    """Return conditions of which rate and acceleration are those of whole blocks."""
+    reference = recording.reference
+    body = Turned.of_reference(reference, recording.site)
+    period_s = grid_s[1] - grid_s[0]
+    length_s = steps * period_s
+    first_s = grid_s[::steps] - 0.5 * period_s
+    change = body.rates(first_s + length_s) - body.rates(first_s)
+    wdot = np.repeat(np.where(np.isfinite(change), change, 0.0) / length_s, steps, axis=0)
+    w = np.repeat(w_rps, steps, axis=0)
+    if isinstance(reference, TableReadings):
+        column = AXES.index(reference.gimbals[0])
+        angle = np.interp(grid_s, reference.t_ns * 1e-9, np.unwrap(reference.angle_rad[:, 0]))[:, None]
+        rate, slope, gimbals = w[:, [column]], wdot[:, [column]], reference.gimbals
+        force = specific_force(angle, gimbals) if data.accel_mps2 is None else force_at(recording, data, grid_s)
+    else:
+        angle = rate = slope = np.empty((len(grid_s), 0))
+        gimbals, force = (), force_at(recording, data, grid_s)
+    return Conditions(grid_s, w, wdot, angle, rate, slope, gimbals, force, temperature_c, recording.site)
+
+
+def temperature_at(data: ImuData, grid_s: Floats) -> Floats | None:
+    if data.temperature_c is None or not np.isfinite(data.temperature_c).any():
+        return None
+    known = np.isfinite(data.temperature_c)
+    t_s = np.asarray(data.t_ns[known] * 1e-9, dtype=np.float64)
+    return _smooth_temperature(t_s, data.temperature_c[known], grid_s)
+
+
+def _smooth_temperature(t_s: Floats, temperature_c: Floats, grid_s: Floats) -> Floats:
+    """Return the temperature at instants, with the steps of its readings smoothed over ten seconds."""
+    width = 10.0
+    edges = np.arange(t_s[0], t_s[-1] + width, width)
+    number = np.clip(np.searchsorted(edges, t_s, side="right") - 1, 0, None)
+    counts = np.bincount(number)
+    held = counts > 0
+    mean_t = np.bincount(number, t_s)[held] / counts[held]
+    mean_c = np.bincount(number, temperature_c)[held] / counts[held]
+    if len(mean_t) < 4:
+        return np.asarray(np.interp(grid_s, t_s, temperature_c))
+    from scipy.interpolate import PchipInterpolator
+
+    inside = np.clip(grid_s, mean_t[0], mean_t[-1])
+    smooth = np.asarray(PchipInterpolator(mean_t, mean_c)(inside))
+    # A temperature that jumps is not smoothed: where the two differ by more than noise, the readings count.
+    noise = float(np.median(np.abs(np.diff(temperature_c)))) / 0.954
+    raw = np.interp(inside, t_s, temperature_c)
+    smooth = np.where(np.abs(raw - smooth) > np.maximum(_JUMP * noise, _JUMP_C), raw, smooth)
+    # Beyond the first and last mean the temperature goes on as it began and ended.
+    first = (mean_c[1] - mean_c[0]) / (mean_t[1] - mean_t[0])
+    last = (mean_c[-1] - mean_c[-2]) / (mean_t[-1] - mean_t[-2])
+    return np.asarray(
+        smooth + first * np.minimum(grid_s - mean_t[0], 0.0) + last * np.maximum(grid_s - mean_t[-1], 0.0)
+    )
+
+
+def force_at(recording: Recording, data: ImuData, grid_s: Floats) -> Floats:
+    """Return the specific force (N, 3) in body axes: of the attitude if there is one, else of an accelerometer."""
+    reference = recording.reference
+    if isinstance(reference, AttitudeReadings):
+        good = np.isfinite(reference.attitude_wxyz).all(axis=1)
+        at = reference.t_ns[good] * 1e-9
+        w, x, y, z = reference.attitude_wxyz[good].T
+        up = np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]) * GRAVITY_MPS2
+        return np.column_stack([np.interp(grid_s, at, column) for column in up.T])
+    if data.accel_mps2 is None:
+        return np.full((len(grid_s), 3), np.nan)
+    good = np.isfinite(data.accel_mps2).all(axis=1)
+    t_s, accel = data.t_ns[good] * 1e-9, data.accel_mps2[good]
+    if not len(t_s):
+        return np.full((len(grid_s), 3), np.nan)
+    width = max(round(_SMOOTH_S / max(float(np.median(np.diff(t_s))), 1e-6)), 1)
+    kernel = np.ones(width) / width
+    smooth = [np.convolve(np.pad(c, width, mode="edge"), kernel, "same")[width:-width] for c in accel.T]
+    return np.column_stack([np.interp(grid_s, t_s, column) for column in smooth])

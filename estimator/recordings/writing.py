@@ -1,0 +1,303 @@
+"""A recording as an HDF5 file: written whole, or as the run goes.
+
+The layout is documented in docs/pages/reference/recording.md. Files are plain HDF5 (no filters, default
+library bounds), which is what survives a process that dies between two flushes.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import RecordingError, first_line
+from estimator.geometry.array import SensorArray
+from estimator.geometry.model import Prior
+from estimator.recordings.recording import FORMAT, FORMAT_VERSION, ImuData, Recording
+from estimator.recordings.reference import Reference, TableReadings, TableUncertainty
+from estimator.recordings.reserved_space import Ballast
+
+_RESERVE_BYTES = 2_000_000  # kept back on the disk: what is pending, and what HDF5 needs to close a file whole
+_CLOSING_BYTES = 300_000  # of them, HDF5's own
+_ATTRIBUTES_BYTES = 100_000  # and what attributes need, whatever was left for them
+_PLENTY_BYTES = 100_000_000  # more than another program takes while one block is written
+TEXT_BYTES = 240
+UNITS = {
+    **dict.fromkeys(("t_ns", "arrival_ns", "half_width_ns", "t_start_ns", "t_end_ns"), "ns"),
+    **dict.fromkeys(("angle_rad", "turn_rad", "sd_rad"), "rad"),
+    **dict.fromkeys(("rate_rps", "noise_rps"), "rad/s"),
+    **dict.fromkeys(("states", "sd"), "1, rad/s, rad, rad"),
+    "temperature_c": "degC",
+    "accel_mps2": "m/s2",
+}
+
+
+class RecordingWriter:
+    """Writes a recording as the run goes.
+
+    Rows are kept until ``flush``, then appended in blocks and handed to the operating system, so a killed
+    process loses what came after the last flush and nothing else. ``descriptor`` is for an fsync by the caller.
+    """
+
+    def __init__(self, path: Path, attributes: Mapping[str, Any]) -> None:
+        """Create the file; RecordingError if it exists or cannot be created."""
+        self.path = path
+        with ExitStack() as undone:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                self._ballast = Ballast(path.parent, _RESERVE_BYTES)
+                undone.callback(self._ballast.close)
+                if not self._ballast.hold():
+                    raise self._full()
+                self._file = h5py.File(path, "x")
+            except (OSError, ValueError) as error:
+                raise RecordingError(f"cannot create {path}: {first_line(error)}") from None
+            undone.pop_all()
+        self._pending: dict[str, list[Mapping[str, NDArray[Any]]]] = {}
+        self._datasets: dict[str, Any] = {}
+        self._lengths: dict[str, int] = {}
+        self._file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
+        self.set_attributes(attributes)
+        self.flush()
+
+    def set_attributes(self, attributes: Mapping[str, Any]) -> None:
+        """Set attributes of the file."""
+        self._file.attrs.update(attributes)
+
+    def add_table(
+        self, gimbals: tuple[str, ...], uncertainty: TableUncertainty | None = None, rate_window_ns: int = 0
+    ) -> None:
+        """Declare the table: its columns are its gimbals, outermost first, its rates means over the window."""
+        group = self._file.require_group("table")
+        if uncertainty is not None:
+            group.attrs.update({f"u_{key}": value for key, value in asdict(uncertainty).items()})
+        group.attrs["axes"] = list(gimbals)
+        group.attrs["gimbals"] = list(gimbals)
+        group.attrs["rate_window_ns"] = rate_window_ns
+
+    def add_source(self, name: str, array: SensorArray, prior: Prior, attributes: Mapping[str, Any]) -> None:
+        """Declare a source with the axes of its channels and what its data sheet promises."""
+        group = self._file.require_group(f"imu/{name}")
+        group.attrs["prior"] = [prior.k, prior.b_rps, prior.sigma_rad]
+        group.attrs.update({"names": list(array.names), "p": array.p, "j": array.j, "k": array.k, **attributes})
+
+    def set_source(self, name: str, attributes: Mapping[str, Any]) -> None:
+        """Set attributes of a source, for instance its counts of lost samples."""
+        self._file[f"imu/{name}"].attrs.update(attributes)
+
+    def append(self, path: str, rows: NDArray[Any]) -> None:
+        """Append rows to the dataset at ``path``, created by its first rows."""
+        group, _, name = path.rpartition("/")
+        self.append_rows(group, {name: rows})
+
+    def append_rows(self, group: str, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Append rows to several datasets of a group: all of them or, if this is interrupted, none."""
+        self._pending.setdefault(group, []).append(columns)
+
+    def append_text(
+        self, group: str, t_ns: Mapping[str, int], field_name: str, text: str, **more: NDArray[Any]
+    ) -> None:
+        """Append one row of stamps, one text (cut at 240 bytes) and ``more`` to a group such as events or steps."""
+        raw = text.encode()[:TEXT_BYTES].decode(errors="ignore").encode()
+        stamps = {key: np.array([value], dtype=np.int64) for key, value in t_ns.items()}
+        self.append_rows(group, {**stamps, field_name: np.array([raw], dtype=f"S{TEXT_BYTES}"), **more})
+
+    def flush(self) -> None:
+        """Append what is pending and hand it to the operating system.
+
+        Raises RecordingError when the disk is full. A write that fails within HDF5 leaves a file that cannot be read,
+        or ends the process; so what is pending goes into room that was kept back, which then cannot be had again, and
+        what does not fit in there is given up.
+        """
+        wanted = self._pending_bytes()
+        if self._allowed_bytes() < wanted + _RESERVE_BYTES:
+            self._pending.clear()
+            raise RecordingError(
+                f"{self.path} is as large as this process may make a file: raise the limit (ulimit -f)"
+            )
+        free = shutil.disk_usage(self.path.parent).free
+        if free > wanted + _PLENTY_BYTES:
+            self._write()
+            return
+        if free + self._ballast.held_bytes < wanted + _CLOSING_BYTES:
+            self._pending.clear()
+            raise self._full()
+        self._ballast.drop()
+        self._write()
+        if not self._ballast.hold():
+            raise self._full()
+
+    def _full(self) -> RecordingError:
+        free = shutil.disk_usage(self.path.parent).free
+        return RecordingError(
+            f"the disk of {self.path} is full ({free / 1e6:.1f} MB left, {_RESERVE_BYTES / 1e6:.0f} MB are kept for "
+            "closing the file): make room, or give another place with --output"
+        )
+
+    def _allowed_bytes(self) -> float:
+        """Return by how much the file may still grow, whatever room there is on the disk."""
+        if sys.platform == "win32":
+            return math.inf
+        import resource
+
+        most, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+        return math.inf if most == resource.RLIM_INFINITY else most - self.path.stat().st_size
+
+    def _pending_bytes(self) -> int:
+        return sum(rows.nbytes for blocks in self._pending.values() for block in blocks for rows in block.values())
+
+    def _write(self) -> None:
+        with _told_of(self.path):
+            for group, blocks in self._pending.items():
+                lengths = {}
+                for name in dict.fromkeys(name for block in blocks for name in block):
+                    path, rows = f"{group}/{name}", np.concatenate([block[name] for block in blocks if name in block])
+                    if path not in self._datasets:
+                        self._datasets[path], lengths[path] = _create(self._file, path, rows, growing=True), len(rows)
+                    else:
+                        lengths[path] = _extend(self._datasets[path], self._lengths.get(path, 0), rows)
+                # At once: what was interrupted is written over, from where it began, the next time.
+                self._lengths, self._pending[group] = {**self._lengths, **lengths}, []
+            self._pending = {}
+            self._file.flush()
+
+    @property
+    def descriptor(self) -> int:
+        """File descriptor, for os.fsync: HDF5's own flush issues none."""
+        return int(self._file.id.get_vfd_handle())
+
+    def close(self) -> None:
+        """Flush and close; twice is once. What cannot be written any more shows when the file is read."""
+        if self._file:
+            self._ballast.close()
+            with suppress(RecordingError):
+                room = min(shutil.disk_usage(self.path.parent).free, self._allowed_bytes())
+                if room >= self._pending_bytes() + _CLOSING_BYTES:
+                    self._write()
+            with suppress(RecordingError), _told_of(self.path):
+                self._file.close()
+
+
+def write_recording(path: Path, recording: Recording) -> None:
+    """Write a whole recording, for instance an imported one; RecordingError if the file exists."""
+    writer = RecordingWriter(path, recording.attributes)
+    try:
+        if recording.site is not None:
+            writer.set_attributes(
+                {"site_latitude_rad": recording.site.latitude_rad, "site_heading_rad": recording.site.heading_rad}
+            )
+        reference = recording.reference
+        if isinstance(reference, TableReadings):
+            writer.add_table(reference.gimbals, reference.uncertainty, reference.rate_window_ns)
+        root = "table" if isinstance(reference, TableReadings) else "reference"
+        for name, values in columns_of(reference).items():
+            writer.append(f"{root}/{name}", values)
+        for source, data in recording.sources.items():
+            writer.add_source(source, data.array, data.prior, _stated(data))
+            for name, values in columns_of(data).items():
+                writer.append(f"imu/{source}/{name}", values)
+    finally:
+        writer.close()
+
+
+def columns_of(readings: ImuData | Reference) -> dict[str, Any]:
+    """Return the arrays of a source or a reference by name, those that are there."""
+    values = {column.name: getattr(readings, column.name) for column in fields(readings)}
+    return {name: column for name, column in values.items() if isinstance(column, np.ndarray)}
+
+
+def _stated(data: ImuData) -> dict[str, Any]:
+    attributes: dict[str, Any] = {"lost": data.lost}
+    if data.noise is not None:
+        attributes["noise"] = [data.noise.arw, data.noise.instability, data.noise.walk]
+    if data.device:
+        attributes["device"] = data.device
+    return attributes
+
+
+def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:
+    """Write a group of results into an existing recording, in place of what stood there; RecordingError if not."""
+    wanted = sum(np.asarray(values).nbytes for values in datasets.values())
+    with _changing(path, wanted + _CLOSING_BYTES) as file:
+        if group in file:
+            del file[group]
+        held = file.create_group(group)
+        held.attrs.update(attributes)
+        for name, values in datasets.items():
+            _create(held, name, np.asarray(values), growing=False)
+
+
+def write_attributes(path: Path, attributes: Mapping[str, Any]) -> None:
+    """Set attributes of an existing recording; RecordingError if it cannot be written."""
+    with _changing(path, _ATTRIBUTES_BYTES) as file:
+        file.attrs.update(attributes)
+
+
+def write_source_attributes(path: Path, by_source: Mapping[str, Mapping[str, Any]]) -> None:
+    """Set attributes of the sources of an existing recording; RecordingError if it cannot be written."""
+    with _changing(path, _ATTRIBUTES_BYTES) as file:
+        for name, attributes in by_source.items():
+            file[f"imu/{name}"].attrs.update(attributes)
+
+
+@contextmanager
+def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
+    """Open a recording that is there to write into it; RecordingError, with the file as it was, if there is no room."""
+    free = shutil.disk_usage(path.parent).free
+    if free < wanted_bytes:
+        raise RecordingError(
+            f"the disk of {path} is full ({free / 1e6:.1f} MB left, {wanted_bytes / 1e6:.1f} MB are needed): the file "
+            "is as it was; make room"
+        )
+    with _told_of(path), h5py.File(path, "r+") as file:
+        yield file
+
+
+@contextmanager
+def _told_of(path: Path) -> Iterator[None]:
+    """Let what HDF5 could not write be a RecordingError."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:  # HDF5 has both
+        number = getattr(error, "errno", None)
+        why = os.strerror(number) if number else first_line(error)
+        raise RecordingError(f"{path} cannot be written: {why}") from None
+
+
+def _extend(dataset: Any, length: int, rows: NDArray[Any]) -> int:
+    """Append rows to a dataset of known length by HDF5's own calls: h5py's indexing costs ten times as much."""
+    rows = np.ascontiguousarray(rows)
+    total = length + len(rows)
+    dataset.id.set_extent((total, *rows.shape[1:]))
+    space = dataset.id.get_space()
+    space.select_hyperslab((length, *(0 for _ in rows.shape[1:])), rows.shape)
+    dataset.id.write(h5py.h5s.create_simple(rows.shape), space, rows)
+    return total
+
+
+def _create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> Any:
+    row_bytes = max(rows.dtype.itemsize * int(np.prod(rows.shape[1:])), 1)
+    chunk = max(min(32768 // row_bytes, 4096), 16)
+    extra = {"maxshape": (None, *rows.shape[1:]), "chunks": (chunk, *rows.shape[1:])} if growing else {}
+    dataset = file.create_dataset(path, data=rows, **extra)
+    name = path.rsplit("/", 1)[-1]
+    if name in UNITS:
+        dataset.attrs["units"] = UNITS[name]
+    return dataset
+
+
+def plain(value: Any) -> Any:
+    """Return a value from an HDF5 file as Python's own: text, number, or array."""
+    if isinstance(value, bytes):
+        return value.decode(errors="replace")
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,33 @@
+"""What bars and screens ask of the app that shows them."""
+
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any, Protocol
+
+from station.screen.archive.archive import Archive
+from station.screen.choices import Choices
+from station.screen.memory import Remembered
+from station.screen.sessions.live_run import LiveRun
+from station.screen.tabs.prospects import Prospect
+
+
+class SeenApp(Protocol):
+    """The session that is shown, what the operator has chosen, and what can be asked for; ``StationApp`` is one."""
+
+    shown: LiveRun | None
+    others: int
+    choices: Choices
+    archive: Archive
+    remembered: Remembered
+
+    @property
+    def busy(self) -> bool: ...
+    def action_stop(self) -> None: ...
+    def start_run(self, prospect: Prospect) -> None: ...
+    def pause_run(self) -> None: ...
+    def note_run(self, text: str | None) -> None: ...
+    def prepare(self, script: str | None) -> None: ...
+    def open_recording(self, path: Path, *, fresh: bool = False) -> None: ...
+    def choose_session(self) -> None: ...
+    def take_fresh(self) -> Path | None: ...
+    async def guarded(self, what: Callable[[], Coroutine[Any, Any, None]]) -> None: ...

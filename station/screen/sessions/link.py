@@ -1,0 +1,175 @@
+"""The screen's connection to a session: found, followed, found again after a break, told to stop at once."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from station.errors import UsageError
+from station.remote.attaching import RemoteSession, running_sessions
+from station.screen.sessions.live_run import LiveRun, Stage
+from station.screen.sessions.programs import SessionProcess
+
+_LOOK_S = 0.1
+_AGAIN_S = 1.0
+
+
+class SessionLink:
+    """Follows one session: one that this screen started, or one that runs already."""
+
+    def __init__(self, run: LiveRun, *, process: SessionProcess | None = None, socket: Path | None = None) -> None:
+        """Give the process that was started, or the socket of a session."""
+        self.run = run
+        self._process, self._socket = process, socket
+        self._remote: RemoteSession | None = None
+
+    async def follow(self, changed: Callable[[], None]) -> None:
+        """Take in what the session says until it has ended; ``changed`` is called when its stage changes."""
+        try:
+            while self.run.stage is not Stage.ENDED:
+                socket = await self._find()
+                if socket is None:
+                    self.run.end(self._why_gone())
+                else:
+                    await self._listen(socket, changed)
+                changed()
+        finally:
+            self.close()
+
+    def stop(self) -> bool:
+        """Stop the run, at once and from any thread; return whether there was a way to tell it.
+
+        It is told again by every connection that comes after: a word that a break has swallowed is not lost.
+        """
+        self.run.ask_to_stop()
+        remote = self._remote
+        return (remote is not None and remote.stop()) or self._interrupt()
+
+    def pause(self) -> None:
+        """Hold after the step under way, or go on."""
+        if self._remote is not None:
+            holds = self.run.snapshot is not None and self.run.snapshot.paused
+            self._remote.resume() if holds else self._remote.pause()
+
+    def note(self, text: str) -> bool:
+        """Have a note kept in the recording; return whether there was a way to tell the session."""
+        if self._remote is None:
+            return False
+        self._remote.note(text)
+        return True
+
+    def close(self) -> None:
+        """Hang up; the session goes on."""
+        self._hang_up()
+        if self._process is not None:
+            self._process.close()
+
+    def _interrupt(self) -> bool:
+        """Send the signal that means Ctrl-C: the way without a connection."""
+        if self._process is not None:
+            return self._process.stop()
+        return self._socket is not None and _interrupt(self._socket)
+
+    def _hang_up(self) -> None:
+        if self._remote is not None:
+            self._remote.close()
+            self._remote = None
+
+    async def _find(self) -> Path | None:
+        """Return the session's socket, None if the session is gone."""
+        while True:
+            sockets = await asyncio.to_thread(running_sessions)
+            if self._socket is not None:
+                return self._socket if self._socket in sockets else None
+            assert self._process is not None
+            self._socket = next((path for path in sockets if path.stem == str(self._process.pid)), None)
+            if self._socket is None and not self._process.running:
+                return None
+            if self._socket is None:
+                await asyncio.sleep(_LOOK_S)
+
+    async def _listen(self, socket: Path, changed: Callable[[], None]) -> None:
+        why = "the connection to the session broke"
+        try:
+            remote = self._remote = await RemoteSession.connect(socket)
+        except UsageError as error:
+            why = str(error)
+            if self.run.stop_asked:
+                self._interrupt()
+        else:
+            if self.run.stop_asked:
+                remote.stop()
+            self.run.greet(remote.hello)
+            changed()
+            await self._take(remote)
+        self._hang_up()
+        if self.run.stage is not Stage.ENDED:
+            self.run.lose(why)
+            changed()
+            await asyncio.sleep(_AGAIN_S)
+
+    async def _take(self, remote: RemoteSession) -> None:
+        """Take in what a session says, and first of all how its estimates went before this screen was there."""
+        asked = bool(self.run.trends)
+        async for message in remote.messages():
+            self.run.take(message)
+            if not asked and message.get("kind") == "snapshot":
+                asked = True
+                remote.ask_course()
+
+    def _why_gone(self) -> str:
+        if self._process is not None and not self.run.hello:
+            return "stopped while it was starting" if self.run.stop_asked else self._process.reason()
+        last = f" ({self._process.reason()})" if self._process is not None else ""
+        return f"the session is gone without a word{last}; if it was killed, look at the table: it may turn on"
+
+
+async def sessions_on(bench: str, bench_file: str) -> list[str]:
+    """Return the numbers of the processes that run sessions on a bench, known by its name or its file.
+
+    A session that does not say what it is counts: it may hold the same devices.
+    """
+    file = await asyncio.to_thread(lambda: str(Path(bench_file).resolve())) if bench_file else None
+    return [
+        path.stem
+        for path, hello in await sessions_there()
+        if not hello or hello["bench"] == bench or (file is not None and hello["bench_file"] == file)
+    ]
+
+
+async def sessions_there() -> list[tuple[Path, dict[str, object]]]:
+    """Return the running sessions, the newest first, and what each says of itself: nothing, if it does not answer."""
+    paths = await asyncio.to_thread(running_sessions)
+    return list(zip(paths, await asyncio.gather(*map(_hello, paths)), strict=True))
+
+
+async def _hello(path: Path) -> dict[str, object]:
+    try:
+        remote = await RemoteSession.connect(path)
+    except UsageError:
+        return {}
+    remote.close()
+    return remote.hello
+
+
+async def stop_session(path: Path) -> None:
+    """Stop the session of a socket."""
+    try:
+        remote = await RemoteSession.connect(path)
+    except UsageError:
+        _interrupt(path)
+    else:
+        remote.stop()
+        remote.close()
+
+
+def _interrupt(socket: Path) -> bool:
+    """Send the process of a session's socket the signal that means Ctrl-C; return whether there is one."""
+    with suppress(ValueError, ProcessLookupError, PermissionError):
+        os.kill(int(socket.stem), signal.SIGINT)
+        return True
+    return False

@@ -1,0 +1,118 @@
+"""An investigation as it is shown: by the terminal, the screen and reports to people, by --json to machines.
+
+SI units, shares between 0 and 1, None for what is not known.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, astuple
+from pathlib import Path
+from typing import Any, TypedDict, cast
+
+from estimator.tracing.investigation import Added, GyroErrors, Investigation
+from estimator.tracing.residuals.residual import GyroResidual, Residual
+from station.views.json_values import by_state, json_object, named
+
+_ADDED = ("effect", "constructed", "expression", "gyros", "probability", "out_of_sample", "same")
+_NUMBERS = ("nis", "nis_sd", "lag1", "lag1_sd", "white_p", "beyond")
+_SPECTRUM = ("frequency_hz", "density", "noise")
+
+
+class ErrorsView(TypedDict):
+    """Error of the compensated rate: rms and largest, rad/s; the share of its 95 % intervals that hold."""
+
+    rms_rps: float | None
+    max_rps: float | None
+    coverage95: float | None
+
+
+class ResidualView(TypedDict):
+    """What is left of the output errors: of each gyro its NIS and what it depends on; whose it is (``split``)."""
+
+    gyros: dict[str, dict[str, Any]]
+    split: dict[str, Any] | None
+    no_split: str | None
+
+
+class InvestigationView(TypedDict):
+    """What --json says. ``parameters`` of what was added are (value, standard deviation, unit).
+
+    ``residual`` has "before" and "after" of the recordings fitted and, or None, both of the "verification" run.
+    """
+
+    verdict: str
+    reason: str
+    added: list[dict[str, Any]]
+    rivals: list[list[str]]
+    unexplained: dict[str, Any] | None
+    before: ErrorsView
+    after: ErrorsView
+    improvement: dict[str, float | None] | None
+    in_sample: bool
+    next_script: str | None
+    models: list[dict[str, Any]]
+    gyros: dict[str, dict[str, Any]]
+    suspects: list[dict[str, Any]]
+    residual: dict[str, Any] | None
+    left_out: dict[str, str]
+    taken_back: list[str]
+    notes: list[str]
+    recordings: list[str]
+    verification: list[str]
+
+
+def investigation_view(
+    found: Investigation, next_script: Path | None, recordings: Sequence[str] = (), verification: Sequence[str] = ()
+) -> InvestigationView:
+    """Return what is shown of an investigation of these recordings, judged by those that verify."""
+    models = [{"effects": m.effects, "log_evidence": m.log_evidence, **asdict(m.errors)} for m in found.models]
+    whole = {
+        "verdict": str(found.finding),
+        "reason": found.reason,
+        "added": list(map(_added, found.added)),
+        **named(found, ("rivals", "unexplained", "before", "after", "improvement", "in_sample")),
+        "next_script": None if next_script is None else str(next_script),
+        "models": models,
+        "gyros": {gyro.name: _gyro(gyro) for gyro in found.gyros},
+        "suspects": found.suspects,
+        "residual": _residuals(found),
+        **named(found, ("left_out", "taken_back", "notes")),
+        "recordings": recordings,
+        "verification": verification,
+    }
+    return cast(InvestigationView, json_object(whole))
+
+
+def is_investigation(found: Mapping[str, Any]) -> bool:
+    """Return whether an object of JSON is an investigation of this version, with a verdict."""
+    return InvestigationView.__required_keys__ <= found.keys() and all(set(_ADDED) <= a.keys() for a in found["added"])
+
+
+def _added(added: Added) -> dict[str, Any]:
+    return named(added, _ADDED) | {"parameters": {name: astuple(v) for name, v in added.parameters.items()}}
+
+
+def _gyro(gyro: GyroErrors) -> dict[str, Any]:
+    states = {key: by_state(getattr(gyro, key)) for key in ("states_before", "states_after", "sd_before", "sd_after")}
+    moved = {"moved_sigmas": by_state(gyro.moved)}
+    return {"before": gyro.before, "after": gyro.after, **states, **moved, "phases": gyro.phases}
+
+
+def _residuals(found: Investigation) -> dict[str, Any] | None:
+    fitted = _both(found.residual_before, found.residual_after)
+    return None if fitted is None else {**fitted, "verification": _both(found.verified_before, found.verified_after)}
+
+
+def _both(before: Residual | None, after: Residual | None) -> dict[str, ResidualView] | None:
+    return None if before is None or after is None else {"before": residual_view(before), "after": residual_view(after)}
+
+
+def residual_view(residual: Residual) -> ResidualView:
+    """Return what is shown of a residual."""
+    split = None if residual.split is None else asdict(residual.split)
+    gyros = {gyro.name: _gyro_residual(gyro) for gyro in residual.gyros}
+    return {"gyros": gyros, "split": split, "no_split": residual.no_split or None}
+
+
+def _gyro_residual(gyro: GyroResidual) -> dict[str, Any]:
+    depends_on = {d.variable: {"share": d.share, "p_value": d.p_value} for d in gyro.dependences}
+    return {**named(gyro, _NUMBERS), "spectrum": named(gyro.spectrum, _SPECTRUM), "depends_on": depends_on}

@@ -1,0 +1,33 @@
+"""Values as JSON can hold them: null for what is not finite."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import is_dataclass
+from typing import Any
+
+from estimator.geometry.model import STATES
+
+
+def json_object(value: Any) -> Any:
+    """Return dataclasses, dicts, sequences, arrays and numbers as what JSON can hold: null for what is not finite."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: json_object(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_object(item) for item in value]
+    if hasattr(value, "tolist"):
+        return json_object(value.tolist())
+    if is_dataclass(value):  # dataclasses.asdict copies all that it meets, and costs four times as much
+        return {name: json_object(getattr(value, name)) for name in value.__dataclass_fields__}
+    return value
+
+
+def named(value: Any, names: Iterable[str]) -> dict[str, Any]:
+    """Return some attributes of a value by their names."""
+    return {name: getattr(value, name) for name in names}
+
+
+def by_state(values: Any) -> dict[str, Any]:
+    """Return what there is of each state (4,) by the state's name, as JSON can hold it."""
+    return dict(zip(STATES, json_object(values), strict=True))
