@@ -34,7 +34,6 @@ from station.render.printing import (
 )
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Verdict, judge
-from station.views.figures import OUTCOME_STYLES
 
 _IN_FULL = 5  # more recordings than this are printed a line each: a person compares them
 _KEPT = ("device", "devices", "script", "seed", "clock_zero_utc_s", "outcome", "reason")
@@ -189,5 +188,4 @@ def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> Non
         sources = dict.fromkeys(gyro.source for gyro in end.calibration.gyros)
         device = str(end.attributes.get("device", "")) or ", ".join(carried or sources)
         lines.append((os.path.relpath(name, folder), device, str(end.attributes.get("script", "")), end))
-    values = {"lines": lines, "folder": folder, "styles": OUTCOME_STYLES, "isfinite": np.isfinite}
-    print_rendered(stdout(), "station.render", "overview.rich", values)
+    print_rendered(stdout(), "station.render", "overview.rich", {"lines": lines, "folder": folder})

@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import math
 import sys
 
 from rich.console import Console
@@ -40,5 +39,4 @@ def command_check(arguments: argparse.Namespace) -> int:
 
 def print_check(bench: Bench, found: list[DeviceCheck], console: Console) -> None:
     """Print what answered and how well, then what is wrong and what to do."""
-    values = {"bench": bench, "found": found, "degrees": math.degrees, "isfinite": math.isfinite}
-    print_rendered(console, "station.render", "check.rich", values)
+    print_rendered(console, "station.render", "check.rich", {"bench": bench, "found": found})

@@ -8,11 +8,11 @@ from typing import Any
 from rich.markup import escape
 
 from estimator.effects.catalogue import everything
+from estimator.effects.constructed import readable as words
 from estimator.effects.effect import Effect, Kind
-from station.render.rich_table import rich_table
-from station.render.terminal import stdout
+from station.render.terminal import rich_table, stdout
 from station.run.outcome import Outcome
-from station.views.words import human, words
+from station.views.words import human
 
 
 def command_effects(arguments: argparse.Namespace) -> int:

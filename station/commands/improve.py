@@ -238,7 +238,7 @@ def _refuse(reason: str, as_json: bool) -> int:
 def script_text(script: Script, origin: str) -> str:
     """Return a script as TOML that ``station.scripts.script.load_script`` reads; ``origin`` is its first comment."""
     steps = zip((_KINDS[type(step)] for step in script.steps), script.steps, script.durations_s(), strict=True)
-    values = {"origin": origin, "script": script, "steps": steps, "degrees": math.degrees}
+    values = {"origin": origin, "script": script, "steps": steps}
     return rendered("station.commands", "script.toml", values)
 
 
@@ -299,8 +299,6 @@ def _print(improved: Improved, path: Path) -> None:
         "found": improved.found,
         "wanted": improved.wanted,
         "with_sequencer_s": _with_sequencer_s(script),
-        "units": STATE_UNITS,
-        "infinite": math.inf,
         "steps": list(zip(script.steps, script.durations_s(), strict=True)),
         "path": path,
     }

@@ -9,16 +9,16 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from estimator.effects.constructed import readable as words
 from estimator.tracing.investigation import Finding, Investigation
 from estimator.tracing.residuals.origin import Origin
 from estimator.tracing.residuals.residual import BY_CHANCE
-from station.render.rich_table import rich_table
 from station.render.template import rendered
-from station.render.terminal import Shown, print_all, shown_of, stdout
+from station.render.terminal import Shown, print_all, rich_table, shown_of, stdout
 from station.scripts.next_script import NextScript
 from station.views.figures import FINDING_STYLES, number
 from station.views.investigation import InvestigationView, ResidualView, investigation_view
-from station.views.words import dph, human, probability, words
+from station.views.words import dph, human, percent
 
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
 _MOST_SHOWN = 8
@@ -56,15 +56,10 @@ def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> l
         "how": how,
         "shown": shown,
         "others": ranked[len(shown) :],
-        "words": words,
-        "probability": probability,
-        "percent": _percent,
-        "number": number,
         "figure": lambda value: "inf" if value is None else f"{value:.3g}",
         "residuals": _residual_tables(what["residual"]),
         "models": _models(what["models"]) if len(what["models"]) > 1 else None,
         "left_out": left_out,
-        "dph": dph,
     }
     return shown_of("station.render", "investigation.rich", values)
 
@@ -75,9 +70,6 @@ def verdict_lines(what: InvestigationView) -> list[str]:
         "what": what,
         "called": lambda added: _constructed_line(added) if added["constructed"] else words(added["effect"]),
         "parameters": _parameters,
-        "same": lambda added: ", ".join(map(words, added["same"])),
-        "either": lambda rivals: " or ".join(map(words, rivals)),
-        "probability": probability,
     }
     return rendered("station.render", "verdict.txt", values).splitlines()
 
@@ -100,10 +92,6 @@ def _constructed_line(added: Mapping[str, Any]) -> str:
     return f"CONSTRUCTED: {said}; not in the catalogue"
 
 
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{share:.1%}"
-
-
 def _models(models: Sequence[Mapping[str, Any]]) -> Table:
     """Return one row a model: what it added, its evidence, its error."""
     rows = [
@@ -112,7 +100,7 @@ def _models(models: Sequence[Mapping[str, Any]]) -> Table:
             number(model["log_evidence"], 1, signed=True) if place else "0",
             dph(model["rms_rps"]),
             dph(model["max_rps"]),
-            _percent(model["coverage95"]),
+            percent(model["coverage95"]),
         )
         for place, model in enumerate(models)
     ]

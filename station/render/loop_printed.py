@@ -8,20 +8,13 @@ from station.render.investigation_printed import print_investigation, verdict_li
 from station.render.terminal import print_rendered, stdout
 from station.run.closed_loop import Loop, Round
 from station.views.investigation import investigation_view
-from station.views.words import dph
 
 
 def print_loop(loop: Loop) -> None:
     """Print the report: runs, what each investigation led to, the last one in full."""
     console, last = stdout(), loop.rounds[-1]
     views = [investigation_view(turn.found, turn.script_file) for turn in loop.rounds]
-    values = {
-        "runs_driven": loop.runs,
-        "rounds": loop.rounds,
-        "views": views,
-        "verdict_lines": verdict_lines,
-        "dph": dph,
-    }
+    values = {"runs_driven": loop.runs, "rounds": loop.rounds, "views": views, "verdict_lines": verdict_lines}
     print_rendered(console, "station.render", "loop.rich", values)
     print_investigation(last.found, last.following, last.script_file, console)
     console.print(escape(f"ended: {loop.ended}"), highlight=False)

@@ -11,15 +11,14 @@ from rich.table import Table
 
 from drivers.types import Flags, Floats
 from estimator.effects.conditions import REFERENCE_C
+from estimator.effects.constructed import readable as words
 from estimator.effects.disturbances import TONE
 from estimator.planning.planning import ALIKE, EffectForecast, Forecast
-from station.render.rich_table import rich_table
-from station.render.terminal import print_rendered
+from station.render.terminal import print_rendered, rich_table
 from station.scripts.axis_profile import profile_lines
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
 from station.views.figures import STATE_UNITS, shown_unit
-from station.views.words import words
 
 _MARKED = 1.0  # shifts of the states below so many of their sigmas are not worth a word
 
@@ -39,7 +38,6 @@ def print_plan(plan: Plan, console: Console) -> None:
         "warnings": [*plan.rounded, *too_steep(plan.script, plan.bench.table.read_time_s)],
         "partly_seen": any(f.seen.any() and not f.seen.all() for f in found.effects),
         "corrupted": [line for forecast in found.effects for line in _corrupted(forecast, found)],
-        "words": words,
         "alike": ALIKE,
         "reference_c": REFERENCE_C,
         "warming_time_s": WARMING_TIME_S,

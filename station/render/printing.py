@@ -16,10 +16,9 @@ from estimator.estimation.repeatability import Repeatability
 from estimator.geometry.noise import NoiseFound
 from estimator.observations.rests import RestNoise
 from station.errors import EXIT_USAGE
-from station.render.rich_table import rich_table
-from station.render.terminal import print_rendered, stdout
+from station.render.terminal import print_rendered, rich_table, stdout
 from station.run.outcome import Outcome, Verdict
-from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, STATE_UNITS
+from station.views.figures import OUTCOME_STYLES, STATE_UNITS
 from station.views.json_values import by_state
 
 _BUDGET_WORDS = packaged_toml("station.views", "budget.toml")["terminal"]
@@ -29,15 +28,9 @@ _SCALES = np.array([factor for _, _, factor in STATE_UNITS])
 
 def print_calibration(calibration: Calibration) -> None:
     """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from."""
-    from station.views.words import human, words
-
     nis = f"mean NIS {calibration.nis_mean:.3f} per degree of freedom (1 = the filter's sigmas are true), "
     values = {
         "calibration": calibration,
-        "figures": STATE_FIGURES,
-        "degrees": math.degrees,
-        "words": words,
-        "human": human,
         "budget": _budget(calibration),
         "noise": _noise([gyro.noise for gyro in calibration.gyros if gyro.noise is not None]),
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),

@@ -1,7 +1,6 @@
 """The whole document: one HTML file that needs nothing beside itself."""
 
 import importlib.metadata
-import math
 import platform
 import re
 from dataclasses import dataclass
@@ -20,7 +19,6 @@ from station.report.chapters.unseen import unseen_of
 from station.report.recorded import Recorded
 from station.report.standing import Standing, number_of, standing_of
 from station.report.traced import Traced
-from station.views.words import words
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
@@ -30,12 +28,10 @@ _MADE_OF = {
     "course": course,
     "figures": figures,
     "front": front,
-    "inf": math.inf,
     "raw_rule": RAW_RULE,
     "residual": residual,
     "results": results,
     "snippet": snippet,
-    "words": words,
 }
 """What the templates ask for values."""
 

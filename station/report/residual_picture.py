@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from estimator.effects.constructed import readable as words
 from estimator.tracing.investigation import Investigation, ResidualView
 from station.errors import UsageError
 from station.report.figures import ARW, DEG_PER_H, DEG_PER_S
 from station.report.pictures import BLUE, GREY, ORANGE, WIDTH_IN, Picture, done, drawn, every, means
 from station.views.residuals import Spectra, judged_spectra, judged_views
-from station.views.words import words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

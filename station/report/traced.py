@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.types import Floats
 from estimator.calibration.error_model import ErrorModel
+from estimator.effects.constructed import readable as words
 from estimator.errors import RecordingError, first_line
 from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain
@@ -19,7 +20,6 @@ from estimator.tracing.investigation import ResidualView
 from station.report.recorded import Recorded, labels_of
 from station.views.investigation import InvestigationView
 from station.views.residuals import Spectra, judged_views
-from station.views.words import words
 
 if TYPE_CHECKING:
     from h5py import Group

@@ -1,14 +1,8 @@
-"""What a person reads of effects and of errors: names, values with their doubt, probabilities; None is not known."""
+"""What a person reads of effects and of errors: values with their doubt, probabilities; None is not known."""
 
 import math
 
-from estimator.effects.constructed import readable
 from station.views.figures import UNKNOWN, shown_unit, three_digits
-
-
-def words(name: str) -> str:
-    """Return the name of an effect as people say it; "a + b" for several."""
-    return readable(name)
 
 
 def probability(share: float | None) -> str:
@@ -18,6 +12,11 @@ def probability(share: float | None) -> str:
     if share > 0.999:
         return "above 99.9 %"
     return "below 0.1 %" if share < 0.001 else f"{share * 100:.1f} %"
+
+
+def percent(share: float | None) -> str:
+    """Return a share in percent."""
+    return UNKNOWN if share is None else f"{share:.1%}"
 
 
 def human(value: float | None, sd: float | None, unit: str) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from estimator.effects.constructed import readable as words
 from station.render.investigation_printed import verdict_lines
 from station.report.figures import COVERAGE, worded
 from station.report.pictures import Picture
@@ -14,7 +15,7 @@ from station.report.recorded import Recorded
 from station.report.residual_picture import residual_picture
 from station.report.traced import Traced
 from station.views.investigation import InvestigationView
-from station.views.words import probability, words
+from station.views.words import probability
 
 
 def file_names(paths: Sequence[str]) -> str:

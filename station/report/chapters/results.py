@@ -8,12 +8,12 @@ from markupsafe import Markup
 from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A, Contribution
 from estimator.calibration.values import Calibration
+from estimator.effects.constructed import readable as words
 from station.report.figures import COVERAGE, ONE, PERCENT, STATES, Unit, figure, plain, worded
 from station.report.recorded import Recorded
 from station.report.standing import Standing
 from station.report.traced import Traced
 from station.views.limits import MEAN_NIS, SAMPLES_LOST, LimitLine
-from station.views.words import words
 
 _NEXT_TO_NOTHING = 0.01  # ppm, deg/h, urad
 _SOURCES = packaged_toml("station.views", "budget.toml")["report"]

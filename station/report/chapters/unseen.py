@@ -8,6 +8,7 @@ import numpy as np
 from drivers.types import Floats
 from estimator.calibration.values import Calibration
 from estimator.effects.catalogue import catalogue, records
+from estimator.effects.constructed import readable as words
 from estimator.effects.site import EARTH_RATE
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.rests import REST_RPS
@@ -18,7 +19,6 @@ from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
 from station.scripts.script import Rest, Rotate, Script
 from station.scripts.script import Step as ScriptStep
-from station.views.words import words
 
 _PERIOD_S = 0.1
 _MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser steps
