@@ -14,7 +14,7 @@ from estimator.calibration.error_model import WHERE
 from estimator.tracing.investigation import Investigation
 from estimator.tracing.type_model import error_model_of
 from station.errors import UsageError
-from station.views.residuals import spectra_of
+from station.views.investigation import spectra_of
 
 FORMAT = "turntable-investigation"
 FORMAT_VERSION = 1

@@ -1,4 +1,4 @@
-"""An investigation as a person reads it, in a terminal and on the screen."""
+"""An investigation, and a closed loop of them, as a person reads it, in a terminal and on the screen."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +14,8 @@ from estimator.tracing.investigation import Finding, Investigation
 from estimator.tracing.residuals.origin import Origin
 from estimator.tracing.residuals.residual import BY_CHANCE
 from station.render.template import rendered
-from station.render.terminal import Shown, print_all, rich_table, shown_of, stdout
+from station.render.terminal import Shown, print_all, print_rendered, rich_table, shown_of, stdout
+from station.run.closed_loop import Loop
 from station.scripts.next_script import NextScript
 from station.views.figures import FINDING_STYLES, number
 from station.views.investigation import InvestigationView, ResidualView, investigation_view
@@ -39,6 +40,18 @@ def print_investigation(
     drive = next_script.words() if next_script else ""
     what = investigation_view(found, path)
     print_all(console or stdout(), investigation_shown(what, f"station run --script {path}", drive))
+
+
+def print_loop(loop: Loop) -> None:
+    """Print the report: runs, what each investigation led to, the last one in full."""
+    console, last = stdout(), loop.rounds[-1]
+    views = [investigation_view(turn.found, turn.script_file) for turn in loop.rounds]
+    values = {"runs_driven": loop.runs, "rounds": loop.rounds, "views": views, "verdict_lines": verdict_lines}
+    print_rendered(console, "station.render", "loop.rich", values)
+    print_investigation(last.found, last.following, last.script_file, console)
+    console.print(escape(f"ended: {loop.ended}"), highlight=False)
+    console.print(f"table time: {loop.used_s / 60:.1f} of {loop.budget_s / 60:g} min", highlight=False)
+    console.print(f"recordings, scripts, results: {loop.folder}", highlight=False, markup=False, soft_wrap=True)
 
 
 def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> list[Shown]:

@@ -13,7 +13,7 @@ from estimator.tracing.investigation import Investigation, ResidualView
 from station.errors import UsageError
 from station.report.figures import ARW, DEG_PER_H, DEG_PER_S
 from station.report.pictures import BLUE, GREY, ORANGE, WIDTH_IN, Picture, done, drawn, every, means
-from station.views.residuals import Spectra, judged_spectra, judged_views
+from station.views.investigation import Spectra, judged_spectra, judged_views
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

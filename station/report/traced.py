@@ -18,8 +18,7 @@ from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain
 from estimator.tracing.investigation import ResidualView
 from station.report.recorded import Recorded, labels_of
-from station.views.investigation import InvestigationView
-from station.views.residuals import Spectra, judged_views
+from station.views.investigation import InvestigationView, Spectra, judged_views
 
 if TYPE_CHECKING:
     from h5py import Group
