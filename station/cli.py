@@ -17,7 +17,7 @@ from estimator.effects import GROUP as EFFECTS
 from estimator.errors import EstimatorError
 from station.campaigns import ONE_BLAS_THREAD
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
-from station.exports.held import HELD
+from station.exports import HELD
 
 _MODULES = dict.fromkeys(("run", "twin", "import"), "station.commands.common") | {"study": "station.studies.command"}
 """Where the function of a command is, if not in a module of its name: ``command_NAME(arguments) -> exit code``."""

@@ -20,7 +20,7 @@ from station.commands.common import chosen_bench, clock, drive
 from station.commands.investigate import Limits, following_script, write_next
 from station.errors import EXIT_ABORTED, EXIT_USAGE, UsageError
 from station.exports.investigation_file import write_investigation
-from station.render.investigation_printed import exit_code_of, print_loop
+from station.render.investigation_printed import exit_code_of, loop_object, print_loop, runs_object
 from station.render.progress import TracingProgress
 from station.run.closed_loop import CALIBRATION, EXPLORATION, NEXT, VERIFICATION, Driven, Loop, Round
 from station.run.event_loop.loops import run_to_end
@@ -28,7 +28,6 @@ from station.run.outcome import Outcome
 from station.run.session import RunOptions
 from station.scripts.loop_scripts import exploration_script, verification_script
 from station.scripts.script import Script, check, paper_script
-from station.views.investigation import loop_object, runs_object
 
 _AROUND_S = 10.0  # connecting, homing and coming to rest, beside the script
 _LEAST_CHANCE = 0.05  # of settling it: below it table time is wasted

@@ -15,7 +15,7 @@ from estimator.tracing.residuals.origin import Origin
 from estimator.tracing.residuals.residual import BY_CHANCE
 from station.render.template import rendered
 from station.render.terminal import Shown, print_all, print_rendered, rich_table, shown_of, stdout
-from station.run.closed_loop import Loop
+from station.run.closed_loop import Loop, Round
 from station.scripts.next_script import NextScript
 from station.views.figures import FINDING_STYLES, number
 from station.views.investigation import InvestigationView, ResidualView, investigation_view
@@ -199,3 +199,45 @@ def _depends_on(gyro: Mapping[str, Any]) -> str:
     shares = {variable: d["share"] for variable, d in gyro["depends_on"].items() if d["share"] >= _LEAST_DEPENDENCE}
     ranked = sorted(shares, key=lambda variable: -shares[variable])[:_DEPENDENCES_SHOWN]
     return ", ".join(f"{variable} {shares[variable]:.0%}" for variable in ranked) or "nothing"
+
+
+def loop_object(loop: Loop) -> dict[str, Any]:
+    """Return what --json prints: the last investigation, and how it came to that."""
+    last = loop.rounds[-1]
+    fitted, judging = ([str(path) for path in loop.recordings(judging=j)] for j in (False, True))
+    return {
+        **investigation_view(last.found, last.script_file, fitted, judging),
+        "rounds": [_round_object(turn) for turn in loop.rounds],
+        "runs": runs_object(loop),
+        "folder": str(loop.folder),
+        "minutes_used": loop.used_s / 60,
+        "minutes": loop.budget_s / 60,
+        "ended": loop.ended,
+    }
+
+
+def runs_object(loop: Loop) -> list[dict[str, Any]]:
+    """Return the runs as what --json prints."""
+    return [
+        {
+            "purpose": run.purpose,
+            "script": run.script.name,
+            "recording": str(run.result.recording),
+            "outcome": str(run.result.verdict.outcome),
+            "reason": run.result.verdict.reason,
+            "table_s": run.table_s,
+        }
+        for run in loop.runs
+    ]
+
+
+def _round_object(turn: Round) -> dict[str, Any]:
+    whole = dict(investigation_view(turn.found, turn.script_file))
+    kept = ("verdict", "reason", "added", "rivals", "unexplained", "before", "after", "models", "next_script")
+    following = turn.following
+    return {
+        "runs": turn.runs,
+        **{key: whole[key] for key in kept},
+        "next_name": following and following.script.name,
+        "next_probability": following and following.probability,
+    }

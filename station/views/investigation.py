@@ -12,7 +12,6 @@ from drivers.types import Floats
 from estimator.tracing.investigation import Added, GyroErrors, Investigation
 from estimator.tracing.investigation import ResidualView as ResidualCourse
 from estimator.tracing.residuals.residual import GyroResidual, Residual
-from station.run.closed_loop import Loop, Round
 from station.views.json_values import by_state, json_object, named
 
 _ADDED = ("effect", "constructed", "expression", "gyros", "probability", "out_of_sample", "same")
@@ -119,48 +118,6 @@ def residual_view(residual: Residual) -> ResidualView:
 def _gyro_residual(gyro: GyroResidual) -> dict[str, Any]:
     depends_on = {d.variable: {"share": d.share, "p_value": d.p_value} for d in gyro.dependences}
     return {**named(gyro, _NUMBERS), "spectrum": named(gyro.spectrum, _SPECTRUM), "depends_on": depends_on}
-
-
-def loop_object(loop: Loop) -> dict[str, Any]:
-    """Return what --json prints: the last investigation, and how it came to that."""
-    last = loop.rounds[-1]
-    fitted, judging = ([str(path) for path in loop.recordings(judging=j)] for j in (False, True))
-    return {
-        **investigation_view(last.found, last.script_file, fitted, judging),
-        "rounds": [_round_object(turn) for turn in loop.rounds],
-        "runs": runs_object(loop),
-        "folder": str(loop.folder),
-        "minutes_used": loop.used_s / 60,
-        "minutes": loop.budget_s / 60,
-        "ended": loop.ended,
-    }
-
-
-def runs_object(loop: Loop) -> list[dict[str, Any]]:
-    """Return the runs as what --json prints."""
-    return [
-        {
-            "purpose": run.purpose,
-            "script": run.script.name,
-            "recording": str(run.result.recording),
-            "outcome": str(run.result.verdict.outcome),
-            "reason": run.result.verdict.reason,
-            "table_s": run.table_s,
-        }
-        for run in loop.runs
-    ]
-
-
-def _round_object(turn: Round) -> dict[str, Any]:
-    whole = dict(investigation_view(turn.found, turn.script_file))
-    kept = ("verdict", "reason", "added", "rivals", "unexplained", "before", "after", "models", "next_script")
-    following = turn.following
-    return {
-        "runs": turn.runs,
-        **{key: whole[key] for key in kept},
-        "next_name": following and following.script.name,
-        "next_probability": following and following.probability,
-    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,8 +14,7 @@ from estimator.effects.constructed import CONSTRUCTED
 from estimator.effects.effect import Acts
 from estimator.effects.law import LAST_SHARE
 from estimator.geometry.kinematics import GRAVITY_MPS2
-from station.exports.law_text import law_terms
-from station.exports.terms import VARIABLES
+from station.exports.terms import VARIABLES, law_terms
 from station.render.template import rendered
 from station.report.chapters.correction import Correction
 
