@@ -11,23 +11,20 @@ from markupsafe import Markup
 from drivers.packaged import packaged_text
 from station.exports.hashes import RAW_RULE, file_sha256, raw_sha256
 from station.render.template import rendered
-from station.report import figures
-from station.report.chapters import blind_spots, corrected, course, front, residual, results
-from station.report.chapters.correction import corrections_of
+from station.report import figures, pictures
+from station.report.chapters import correction, front, residual, results, unseen
 from station.report.chapters.snippet import snippet
-from station.report.chapters.unseen import unseen_of
 from station.report.recorded import Recorded
 from station.report.standing import Standing, number_of, standing_of
 from station.report.traced import Traced
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
-    "blind_spots": blind_spots,
-    "corrected": corrected,
-    "corrections_of": corrections_of,
-    "course": course,
+    "blind_spots": unseen,
+    "correction": correction,
     "figures": figures,
     "front": front,
+    "pictures": pictures,
     "raw_rule": RAW_RULE,
     "residual": residual,
     "results": results,
@@ -64,7 +61,7 @@ def make_report(recorded: Recorded, traced: Traced | None) -> Report:
         "recorded": recorded,
         "found": recorded.calibration,
         "standing": standing,
-        "unseen": unseen_of(recorded),
+        "unseen": unseen.unseen_of(recorded),
         "traced": traced,
         "hashes": hashes,
         "number": number,

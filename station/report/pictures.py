@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.types import Floats
+from estimator.calibration.values import Calibration
 from station.render.template import rendered
 from station.report.figures import DEG_PER_H, DEG_PER_S, STATES
-from station.report.recorded import Course
+from station.report.recorded import Course, Recorded
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,8 +63,18 @@ def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str
         return done(figure, "rates", what=what, span_s=t_s[-1] - t_s[0], largest=largest)
 
 
-def convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, turns_s: Sequence[float]) -> Picture:
-    """Return how the states of one gyro and their sigmas went, a panel a state; grey lines where steps begin."""
+def convergence_pictures(recorded: Recorded) -> list[Picture]:
+    """Return how the states of each gyro and their sigmas went, a panel a state; grey lines where steps begin."""
+    turns_s = [(step.start_ns - recorded.start_ns) * 1e-9 for step in recorded.steps]
+    return [
+        _convergence_picture(recorded.label(source, name), course, i, recorded.start_ns, turns_s)
+        for source, course in recorded.courses.items()
+        for i, name in enumerate(recorded.recording.sources[source].array.names)
+        if len(course.t_ns)
+    ]
+
+
+def _convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, turns_s: Sequence[float]) -> Picture:
     t_s = np.asarray((course.t_ns - start_ns) * 1e-9, dtype=np.float64)
     each = slice((len(t_s) - 1) % every(t_s), None, every(t_s))  # the last among them
     with drawn((WIDTH_IN, 1.45), 1, 4, left=0.42, top=0.2) as (figure, panels):
@@ -87,15 +98,18 @@ def convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, 
         return done(figure, "convergence", gyro=gyro, last=last)
 
 
-def nis_picture(courses: Sequence[tuple[str, Course]], start_ns: int) -> Picture:
-    """Return the normalised innovations squared of each source over time, means of some seconds."""
+def nis_picture(recorded: Recorded) -> Picture | None:
+    """Return the normalised innovations squared of each source, means of some seconds; None if none are kept."""
+    courses = [(name, course) for name, course in recorded.courses.items() if len(course.nis)]
+    if not courses:
+        return None
     columns = min(len(courses) + 1, 6)
     bottom = 0.4 + 0.15 * -(-(len(courses) + 1) // columns)
     with drawn((WIDTH_IN, 1.25 + bottom), 1, 1, bottom=bottom) as (figure, panels):
         panel = panels[0, 0]
         means = []
         for number, (name, course) in enumerate(courses):
-            t_s = (course.nis_t_ns - start_ns) * 1e-9
+            t_s = (course.nis_t_ns - recorded.start_ns) * 1e-9
             rows = max(len(t_s) // 60, 1)
             edges = np.arange(0, len(t_s) - rows + 1, rows)
             dof = np.add.reduceat(course.dof, edges)
@@ -114,8 +128,11 @@ def nis_picture(courses: Sequence[tuple[str, Course]], start_ns: int) -> Picture
         return done(figure, "nis", means=[f"{name} {mean:.3f}" for name, mean, _ in means])
 
 
-def allan_picture(names: Sequence[str], tau_s: Floats, deviation_rps: Floats) -> Picture:
-    """Return the Allan deviations (n, t) of the gyros at rest."""
+def allan_picture(recorded: Recorded, found: Calibration) -> Picture | None:
+    """Return the Allan deviations of the gyros at rest, None if they are not kept."""
+    if recorded.allan is None:
+        return None
+    names, (tau_s, deviation_rps) = [recorded.label(g.source, g.name) for g in found.gyros], recorded.allan
     with drawn((WIDTH_IN / 2 + 0.6, 2.1), 1, 1) as (figure, panels):
         panel = panels[0, 0]
         for number, name in enumerate(names):

@@ -1,30 +1,37 @@
-"""What a run could not see: its motion as it was driven, and what such a motion shows."""
+"""What a run could not see: its motion as it was driven, what such a motion shows, and how the report says so."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from drivers.types import Floats
 from estimator.calibration.values import Calibration
 from estimator.effects.catalogue import catalogue, records
 from estimator.effects.constructed import readable as words
+from estimator.effects.effect import Effect
 from estimator.effects.site import EARTH_RATE
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.rests import REST_RPS
-from estimator.planning.planning import Forecast, PlannedDevice, forecast
+from estimator.planning.planning import EffectForecast, Forecast, PlannedDevice, forecast
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import TableReadings
+from station.render.plan_printed import combination
+from station.report.figures import SYMBOLS, Unit, figure, significant, typographic
 from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
 from station.scripts.script import Rest, Rotate, Script
 from station.scripts.script import Step as ScriptStep
+from station.views.seen import Seen, seen_by
+from station.views.words import human
 
 _PERIOD_S = 0.1
 _MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser steps
 _PLATEAU = 0.9  # of the largest rate: above it an axis is taken to be at its steady rate
 _FINEST_DEG = 0.01  # to which rates and turns of a script are told from the readings of the table
 _SHORTEST_RAMP_S = 0.05
+_ABSURD = 10.0  # times the largest plausible size: an effect that would have to be larger cannot be seen
 MARKED = 1.0
 """Shifts of the states below so many sigmas are not worth a word."""
 
@@ -161,3 +168,45 @@ def by_state(found: Forecast) -> Mapping[str, Floats]:
         hidden = np.where(effect.seen[:, :, None], 0.0, np.abs(effect.shift_sigmas))
         shifts[effect.effect.name] = hidden.max(axis=(0, 1), initial=0.0)
     return shifts
+
+
+def conditions(recorded: Recorded) -> Seen:
+    """Return within which temperatures and rates the results were found."""
+    return seen_by(recorded.recording.sources.values())
+
+
+def lacking(recorded: Recorded, unseen: Unseen) -> list[str]:
+    """Return by gyro the combinations of its states that the motion does not show."""
+    gyros = [gyro for gyro in unseen.forecast.gyros if len(gyro.unseen)]
+    return [f"{recorded.label(g.source, g.name)}: {'; '.join(map(combination, g.unseen))}" for g in gyros]
+
+
+def hidden(unseen: Unseen) -> list[tuple[EffectForecast, list[tuple[Markup, float]]]]:
+    """Return the effects that the motion does not show, the worst first, each with the states that it moves unnoticed.
+
+    Those come with their shifts in sigmas.
+    """
+    shifts = by_state(unseen.forecast)
+    effects = [effect for effect in unseen.forecast.effects if not effect.seen.all()]
+    effects.sort(key=lambda effect: -float(shifts[effect.effect.name].max()))
+    pairs = [list(zip(SYMBOLS, shifts[effect.effect.name].tolist(), strict=True)) for effect in effects]
+    marked = ([(symbol, size) for symbol, size in moved if size >= MARKED] for moved in pairs)
+    return list(zip(effects, marked, strict=True))
+
+
+def visible(unseen: Unseen) -> list[EffectForecast]:
+    """Return the effects that the motion shows."""
+    return [effect for effect in unseen.forecast.effects if effect.seen.all()]
+
+
+def smallest(effect: EffectForecast) -> str:
+    """Return the smallest size of an effect that is shown, of its parameters and the gyros the worst."""
+    worst = float(effect.smallest.max())
+    return "∞" if not worst < _ABSURD * float(effect.largest.max()) else size(effect.effect, worst)
+
+
+def size(effect: Effect, value: float) -> Markup:
+    """Return a size of an effect to two digits."""
+    unit = effect.parameters[0].unit
+    number, _, name = human(value, 0.0, unit).partition(" ")
+    return figure(value, Unit(unit, 1.0), typographic(f"{significant(float(number), 2)} {name}"))
