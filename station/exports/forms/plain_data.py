@@ -4,13 +4,12 @@ import csv
 import io
 from typing import Any
 
-import numpy as np
-
 from estimator.calibration.compensation import CompensationError
 from estimator.calibration.values import GyroCalibration
 from estimator.geometry.model import STATES
 from station.exports.exported import Exported
 from station.exports.written import Written, json_text, lines_of, number, yaml_text
+from station.views.json_values import budget_and_noise, by_state, json_object, named
 
 FORMAT = "turntable-calibration"
 FORMAT_VERSION = 1
@@ -57,7 +56,7 @@ def write_csv(exported: Exported) -> Written:
 
 
 def _object(exported: Exported) -> dict[str, Any]:
-    compensation, seen = exported.compensation, exported.seen
+    compensation = exported.compensation
     try:
         solution: Any = compensation.solution.tolist()
     except CompensationError:
@@ -68,11 +67,7 @@ def _object(exported: Exported) -> dict[str, Any]:
         "identity": {key.replace(" ", "_"): value for key, value in exported.identity.items()},
         "units": "SI: rad, rad/s, s, degC; axes and body rates in the body frame of the recording",
         "formula": _FORMULA,
-        "calibrated_at": {
-            "temperature_c": [None if np.isnan(t) else t for t in seen.temperature_c],
-            "largest_rps": seen.largest_rps,
-            "rate_hz": None if np.isnan(seen.rate_hz) else seen.rate_hz,
-        },
+        "calibrated_at": json_object(exported.seen),
         "gyros": [_gyro(exported, i, gyro) for i, gyro in enumerate(exported.gyros)],
         "sensitivity_g": compensation.sensitivity.tolist(),
         "bias_b_rps": compensation.bias_rps.tolist(),
@@ -90,9 +85,8 @@ def _object(exported: Exported) -> dict[str, Any]:
         "not_corrected": lines_of(compensation.left_out),
         "excluded": {e.name: e.reason for e in exported.calibration.excluded},
         "notes": list(exported.calibration.notes),
-        "nis_mean": _known(exported.calibration.nis_mean),
-        "samples": exported.calibration.samples,
-        "lost": exported.calibration.lost,
+        "nis_mean": json_object(exported.calibration.nis_mean),
+        **named(exported.calibration, ("samples", "lost")),
     }
 
 
@@ -102,26 +96,11 @@ def _gyro(exported: Exported, number_of: int, gyro: GyroCalibration) -> dict[str
         "name": array.names[number_of],
         "source": gyro.source,
         "device": gyro.device,
-        "p": array.p[number_of].tolist(),
-        "j": array.j[number_of].tolist(),
-        "k": array.k[number_of].tolist(),
+        **{axis: getattr(array, axis)[number_of].tolist() for axis in "pjk"},
         "states": dict(zip(STATES, gyro.states.tolist(), strict=True)),
-        "sd": dict(zip(STATES, gyro.sd.tolist(), strict=True)),
+        "sd": by_state(gyro.sd),
         "covariance": gyro.covariance.tolist(),
-        "budget": {line.name: dict(zip(STATES, line.u.tolist(), strict=True)) for line in gyro.budget},
+        **budget_and_noise(gyro),
         "noise_of_a_sample_rps": gyro.noise_rps,
-        "noise": gyro.noise
-        and {
-            "arw_rps_rthz": gyro.noise.mean.arw,
-            "instability_rps": gyro.noise.mean.instability,
-            "walk_rps_rts": gyro.noise.mean.walk,
-        },
-        "effects": [
-            {"effect": e.effect, "parameter": e.parameter, "value": e.value, "sd": e.sd, "unit": e.unit}
-            for e in gyro.effects
-        ],
+        "effects": [named(value, ("effect", "parameter", "value", "sd", "unit")) for value in gyro.effects],
     }
-
-
-def _known(value: float) -> float | None:
-    return value if np.isfinite(value) else None
