@@ -154,7 +154,7 @@ def _used(bench: Bench) -> list[ImuConfig]:
 
 
 def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Wanted:
-    margin, rest_s = _quantity(arguments, "margin", "ratio"), _quantity(arguments, "rest", "time")
+    margin, rest_s = quantity(arguments, "margin", "ratio"), quantity(arguments, "rest", "time")
     if not 0 <= margin < 1 or not 1 <= rest_s <= LONGEST_S / 4:
         raise UsageError('--margin must be from "0 %" to below "100 %", --rest "1 s" or more')
     columns = _columns(arguments.states)
@@ -171,19 +171,19 @@ def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Want
             if arguments.sigmas == "bench"
             else f"nothing to reach: {script.name} shows none of these states"
         )
-    total_s = None if arguments.time_given is None else _quantity(arguments, "time_given", "time")
+    total_s = None if arguments.time_given is None else quantity(arguments, "time_given", "time")
     if total_s is not None and not 0 < total_s <= LONGEST_S:
         raise UsageError(f"--for {arguments.time_given}: give a time above 0 s and up to {LONGEST_S / 3600:g} h")
     return Wanted(sd, total_s, rest_s, arguments.criterion, arguments.one_way)
 
 
-def _quantity(arguments: argparse.Namespace, option: str, kind: str) -> float:
-    text = getattr(arguments, option)
+def quantity(arguments: argparse.Namespace, option: str, kind: str) -> float:
+    """Return what an option was given, in SI; UsageError for what is no such quantity."""
     try:
-        return parse(text, kind)
+        return parse(getattr(arguments, option), kind)
     except QuantityError as error:
-        name = "for" if option == "time_given" else option
-        raise UsageError(f"--{name} {text}: {error}") from None
+        name = "for" if option == "time_given" else option.replace("_", "-")
+        raise UsageError(f"--{name} {error}") from None
 
 
 def _columns(text: str) -> list[int]:

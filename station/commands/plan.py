@@ -7,13 +7,11 @@ from typing import Any
 
 from estimator.planning.planning import EffectForecast, Forecast
 from station.bench.bench import load_bench
-from station.commands.improve import improve
-from station.errors import UsageError
+from station.commands.improve import improve, quantity
 from station.opening import with_links
 from station.render.plan_printed import print_plan
 from station.render.terminal import stdout
 from station.run.outcome import Outcome
-from station.schema.quantities import QuantityError, parse
 from station.scripts.plan import TEMPERATURE_RISE_K, WARMING_TIME_S, Plan, make_plan
 from station.scripts.script import Rest, Script, load_script, paper_script
 from station.views.json_values import by_state, json_object
@@ -26,21 +24,15 @@ def command_plan(arguments: argparse.Namespace) -> int:
     script = load_script(Path(arguments.script)) if arguments.script else paper_script()
     if arguments.improve:
         return improve(arguments, bench, script)
-    plan = make_plan(script, bench, temperature_rise_k=_rise(arguments.temperature_rise))
+    rise_k = TEMPERATURE_RISE_K
+    if arguments.temperature_rise is not None:
+        rise_k = quantity(arguments, "temperature_rise", "temperature")
+    plan = make_plan(script, bench, temperature_rise_k=rise_k)
     if arguments.json:
         print(json.dumps(plan_object(plan)))
     else:
         print_plan(plan, stdout())
     return (Outcome.PASS if plan.reached.all() else Outcome.FAIL).exit_code
-
-
-def _rise(text: str | None) -> float:
-    if text is None:
-        return TEMPERATURE_RISE_K
-    try:
-        return parse(text, "temperature")
-    except QuantityError as error:
-        raise UsageError(f"--temperature-rise {error}") from None
 
 
 def plan_object(plan: Plan) -> dict[str, Any]:

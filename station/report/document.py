@@ -15,8 +15,10 @@ from station.report import figures, pictures
 from station.report.chapters import correction, front, residual, results, unseen
 from station.report.chapters.snippet import snippet
 from station.report.recorded import Recorded
+from station.report.residual_picture import residual_picture
 from station.report.standing import Standing, number_of, standing_of
 from station.report.traced import Traced
+from station.views.seen import seen_by
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
@@ -27,7 +29,9 @@ _MADE_OF = {
     "pictures": pictures,
     "raw_rule": RAW_RULE,
     "residual": residual,
+    "residual_picture": residual_picture,
     "results": results,
+    "seen_by": seen_by,
     "snippet": snippet,
 }
 """What the templates ask for values."""

@@ -4,7 +4,7 @@ SI units, shares between 0 and 1, None for what is not known.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypedDict, cast
 
@@ -14,7 +14,6 @@ from estimator.tracing.investigation import ResidualView as ResidualCourse
 from estimator.tracing.residuals.residual import GyroResidual, Residual
 from station.views.json_values import by_state, json_object, named
 
-_ADDED = ("effect", "constructed", "expression", "gyros", "probability", "out_of_sample", "same")
 _NUMBERS = ("nis", "nis_sd", "lag1", "lag1_sd", "white_p", "beyond")
 _SPECTRUM = ("frequency_hz", "density", "noise")
 
@@ -70,8 +69,7 @@ def investigation_view(
     whole = {
         "verdict": str(found.finding),
         "reason": found.reason,
-        "added": list(map(_added, found.added)),
-        **named(found, ("rivals", "unexplained", "before", "after", "improvement", "in_sample")),
+        **named(found, ("added", "rivals", "unexplained", "before", "after", "improvement", "in_sample")),
         "next_script": None if next_script is None else str(next_script),
         "models": models,
         "gyros": {gyro.name: _gyro(gyro) for gyro in found.gyros},
@@ -86,11 +84,9 @@ def investigation_view(
 
 def is_investigation(found: Mapping[str, Any]) -> bool:
     """Return whether an object of JSON is an investigation of this version, with a verdict."""
-    return InvestigationView.__required_keys__ <= found.keys() and all(set(_ADDED) <= a.keys() for a in found["added"])
-
-
-def _added(added: Added) -> dict[str, Any]:
-    return named(added, _ADDED) | {"parameters": {name: astuple(v) for name, v in added.parameters.items()}}
+    return InvestigationView.__required_keys__ <= found.keys() and all(
+        set(Added.__dataclass_fields__) <= added.keys() for added in found["added"]
+    )
 
 
 def _gyro(gyro: GyroErrors) -> dict[str, Any]:

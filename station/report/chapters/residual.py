@@ -10,10 +10,7 @@ from markupsafe import Markup
 from estimator.effects.constructed import readable as words
 from station.render.investigation_printed import verdict_lines
 from station.report.figures import COVERAGE, worded
-from station.report.pictures import Picture
 from station.report.recorded import Recorded
-from station.report.residual_picture import residual_picture
-from station.report.traced import Traced
 from station.views.investigation import InvestigationView
 from station.views.words import probability
 
@@ -26,11 +23,6 @@ def file_names(paths: Sequence[str]) -> str:
 def is_among(recorded: Recorded, what: Mapping[str, Any]) -> bool:
     """Return whether an investigation was made with a recording."""
     return recorded.path.name in {Path(path).name for key in ("recordings", "verification") for path in what[key]}
-
-
-def residual_pictures(traced: Traced) -> list[Picture]:
-    """Return the residual of each gyro before and after."""
-    return [residual_picture(residual, traced.spectra.get(residual.gyro)) for residual in traced.residuals]
 
 
 def added_rows(added: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, Markup, str]]:

@@ -16,7 +16,8 @@ from station.report.traced import Traced
 from station.views.limits import MEAN_NIS, SAMPLES_LOST, LimitLine
 
 _NEXT_TO_NOTHING = 0.01  # ppm, deg/h, urad
-_SOURCES = packaged_toml("station.views", "budget.toml")["report"]
+SOURCES = packaged_toml("station.views", "budget.toml")["report"]
+"""What lines of the budget are called."""
 
 
 def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:
@@ -65,11 +66,6 @@ def limits_by_gyro(standing: Standing) -> Mapping[str, list[tuple[LimitLine | No
 def has_type_b(found: Calibration) -> bool:
     """Return whether a line of the budget is no scatter of the data."""
     return any(line.name not in TYPE_A for gyro in found.gyros for line in gyro.budget)
-
-
-def source_words(line: Contribution) -> str:
-    """Return what a line of the budget is called."""
-    return str(_SOURCES.get(line.name, line.name))
 
 
 def shares(line: Contribution, source: str) -> list[Markup]:

@@ -23,7 +23,6 @@ from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
 from station.scripts.script import Rest, Rotate, Script
 from station.scripts.script import Step as ScriptStep
-from station.views.seen import Seen, seen_by
 from station.views.words import human
 
 _PERIOD_S = 0.1
@@ -168,11 +167,6 @@ def by_state(found: Forecast) -> Mapping[str, Floats]:
         hidden = np.where(effect.seen[:, :, None], 0.0, np.abs(effect.shift_sigmas))
         shifts[effect.effect.name] = hidden.max(axis=(0, 1), initial=0.0)
     return shifts
-
-
-def conditions(recorded: Recorded) -> Seen:
-    """Return within which temperatures and rates the results were found."""
-    return seen_by(recorded.recording.sources.values())
 
 
 def lacking(recorded: Recorded, unseen: Unseen) -> list[str]:
