@@ -21,7 +21,7 @@ from station.studies.paper_text import (
     relative_percent,
     sentences,
 )
-from station.views.json_values import json_object
+from station.views.json_values import json_object, named
 
 _STATES = [f"{name}, {unit}" for name, unit in zip(NAMES, UNITS, strict=True)]
 _FORMATS = (".4f", ".1f", ".4f", ".4f")
@@ -134,26 +134,21 @@ def paper_object(study: PaperStudy) -> dict[str, Any]:
 
 def baselines_object(study: BaselineStudy) -> dict[str, Any]:
     """Return the comparison as what --json prints; null where a method does not see a state."""
-    return {
+    found = {
         "study": "baselines",
         "states": list(NAMES),
         "units": list(UNITS),
         "seeds": study.seeds,
         "methods": [
-            {
-                "name": method.name,
-                "rms_error": json_object(method.rms),
-                "rms_stated_sigma": json_object(method.stated),
-                "error_over_sigma": json_object(method.ratio),
-                "seconds": method.seconds,
-                "operations_a_sample": method.operations_a_sample,
-            }
+            {"rms_error": method.rms, "rms_stated_sigma": method.stated, "error_over_sigma": method.ratio}
+            | named(method, ("name", "seconds", "operations_a_sample"))
             for method in study.methods
         ],
         "not_seen_directly": list(study.unseen),
         "findings": baseline_findings(study),
         "failed": _failed(study),
     }
+    return dict(json_object(found))
 
 
 def _failed(study: PaperStudy | BaselineStudy) -> list[dict[str, str]]:
