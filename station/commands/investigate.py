@@ -26,7 +26,7 @@ from station.errors import UsageError
 from station.exports.investigation_file import check_new_file, write_investigation
 from station.render.investigation_printed import exit_code_of, print_investigation
 from station.render.progress import TracingProgress
-from station.report.residual_picture import draw_investigation
+from station.report.pictures import draw_investigation
 from station.schema.tables import Table
 from station.scripts.next_script import NextScript, Past, next_script
 from station.studies.pictures import check_picture

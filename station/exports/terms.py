@@ -19,10 +19,10 @@ from station.exports.written import number
 
 AXIS_TABLES = ("axis", "axis_j", "axis_k")
 """Names of the tables of sense and tilt axes."""
-VARIABLES: Mapping[str, Mapping[str, str]] = packaged_toml("station.exports", "variables.toml")
+SPELLED: Mapping[str, Mapping[str, str]] = packaged_toml("station.exports", "variables.toml")
 """What the variables of laws are called: in "scalar" code for gyro ``i`` of one sample, in numpy for "rows" of them."""
 _OPERATORS: Mapping[type[ast.operator], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
-_SCALAR = {name: text.replace("GRAVITY", number(GRAVITY_MPS2)) for name, text in VARIABLES["scalar"].items()}
+_SCALAR = {name: text.replace("GRAVITY", number(GRAVITY_MPS2)) for name, text in SPELLED["scalar"].items()}
 _MAY_FAIL = re.compile(r"(?!fabs)\b[a-z0-9]+\(|/ \(")
 """What may be no number: functions, quotients by what is measured; products are infinite at the worst."""
 _PLACES = {"lag": 1, "play": 1, "last": 2}

@@ -12,10 +12,9 @@ from drivers.packaged import packaged_text
 from station.exports.hashes import RAW_RULE, file_sha256, raw_sha256
 from station.render.template import rendered
 from station.report import figures, pictures
-from station.report.chapters import correction, front, residual, results, unseen
-from station.report.chapters.snippet import snippet
+from station.report import traced as residual
+from station.report.chapters import correction, front, results, unseen
 from station.report.recorded import Recorded
-from station.report.residual_picture import residual_picture
 from station.report.standing import Standing, number_of, standing_of
 from station.report.traced import Traced
 from station.views.seen import seen_by
@@ -29,10 +28,8 @@ _MADE_OF = {
     "pictures": pictures,
     "raw_rule": RAW_RULE,
     "residual": residual,
-    "residual_picture": residual_picture,
     "results": results,
     "seen_by": seen_by,
-    "snippet": snippet,
 }
 """What the templates ask for values."""
 
