@@ -23,13 +23,12 @@ from station.bench.bench import load_bench
 from station.commands.calibrate import recordings_of
 from station.commands.improve import write_script
 from station.errors import UsageError
-from station.exports.investigation_file import check_new_file, write_investigation
+from station.exports.investigation_file import check_new_file, check_picture, write_investigation
 from station.render.investigation_printed import exit_code_of, print_investigation
 from station.render.progress import TracingProgress
 from station.report.pictures import draw_investigation
 from station.schema.tables import Table
 from station.scripts.next_script import NextScript, Past, next_script
-from station.studies.pictures import check_picture
 from station.views.investigation import investigation_view
 
 _NEXT_FILE = "next-script.toml"

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from station.errors import UsageError
-from station.exports.investigation_file import check_new_file
+from station.exports.investigation_file import check_new_file, check_picture
 from station.studies import baselines, detection, paper, printed
-from station.studies.pictures import check_picture, draw_convergence
 
 EXIT_INCOMPLETE = 1
 
@@ -44,7 +43,7 @@ def _paper(arguments: argparse.Namespace, **where: Any) -> paper.PaperStudy:
         recording = paper.our_recording(paper.MEMS_NOISE, 0)
         ours = paper.our_curve(recording)
         if picture is not None:
-            draw_convergence(picture, ours, study.letter)
+            printed.draw_convergence(picture, ours, study.letter)
         if output is not None:
             paper.write_curves(output, recording, ours, study.letter)
     return study
