@@ -19,7 +19,7 @@ from estimator.geometry.kinematics import body_rate
 from estimator.geometry.model import regressor_maps
 from estimator.observations.rows import BLOCK_S
 from estimator.planning.planning import UNSEEN, weighed
-from station.atomic_write import free_path
+from station.atomic_write import check_new_file, free_path, write_whole
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
 from station.errors import UsageError
@@ -75,8 +75,7 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
     began_s = time.perf_counter()
     wanted = _wanted(arguments, bench, script)
     path = Path(arguments.output) if arguments.output else free_path(Path(DEFAULT_FILE))
-    if path.exists():
-        raise UsageError(f"{path} is there already: give another name")
+    check_new_file(path, "--output")
     say = Console(stderr=True, quiet=arguments.json)
     search = search_of(bench, wanted, lambda text: say.print(f"[dim]{text}[/]", highlight=False))
     found = search.least_time() if wanted.total_s is None else search.least_sigmas(wanted.total_s)
@@ -85,7 +84,7 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
         return _refuse(_why_not(search, bench, wanted, gyros), arguments.json)
     check(found.script, bench.table.limits)
     improved = Improved(script, wanted, found, gyros, time.perf_counter() - began_s)
-    write_script(path, found.script, _origin(improved, bench))
+    write_whole(path, script_text(found.script, _origin(improved, bench)))
     if arguments.json:
         print(json.dumps(improved_object(improved, path)))
     else:
@@ -240,15 +239,6 @@ def script_text(script: Script, origin: str) -> str:
     steps = zip((_KINDS[type(step)] for step in script.steps), script.steps, script.durations_s(), strict=True)
     values = {"origin": origin, "script": script, "steps": steps}
     return rendered("station.commands", "script.toml", values)
-
-
-def write_script(path: Path, script: Script, origin: str) -> None:
-    """Write a script as TOML into a new file; UsageError if that fails."""
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(script_text(script, origin))
-    except OSError as error:
-        raise UsageError(f"cannot write {path}: {error}") from None
 
 
 def _origin(improved: Improved, bench: Bench) -> str:

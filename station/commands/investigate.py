@@ -18,12 +18,12 @@ from estimator.recordings.recording import Recording
 from estimator.recordings.reference import TableReadings
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Finding, Investigation
-from station.atomic_write import free_path
+from station.atomic_write import check_new_file, check_picture, free_path, write_whole
 from station.bench.bench import load_bench
 from station.commands.calibrate import recordings_of
-from station.commands.improve import write_script
+from station.commands.improve import script_text
 from station.errors import UsageError
-from station.exports.investigation_file import check_new_file, check_picture, write_investigation
+from station.exports.investigation_file import write_investigation
 from station.render.investigation_printed import exit_code_of, print_investigation
 from station.render.progress import TracingProgress
 from station.report.pictures import draw_investigation
@@ -183,4 +183,4 @@ def write_next(path: Path, following: NextScript, limits: Limits | None) -> None
     rivals = "; ".join(" or ".join(names) for names in following.rivals)
     origin = f"Found by station investigate, within the limits of {limits.stated_in if limits else 'a table'}.\n"
     origin += f"To tell apart: {rivals}. Predicted probability of that: {following.probability:.2f}."
-    write_script(path, following.script, origin)
+    write_whole(path, script_text(following.script, origin))

@@ -6,9 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from station.atomic_write import free_path, write_whole
+from station.atomic_write import check_new_file, free_path, write_whole
 from station.errors import EXIT_USAGE, UsageError
-from station.exports.investigation_file import check_new_file
 
 
 def command_report(arguments: argparse.Namespace) -> int:

@@ -18,23 +18,6 @@ from station.views.investigation import spectra_of
 
 FORMAT = "turntable-investigation"
 FORMAT_VERSION = 1
-_PICTURES = (".png", ".svg", ".pdf")
-
-
-def check_new_file(path: Path, option: str) -> None:
-    """See, before any long work, that a file can be created there; UsageError if not."""
-    if path.exists():
-        raise UsageError(f"{option} {path} is there already: give another name")
-    if not path.resolve().parent.is_dir():
-        raise UsageError(f"{option} {path}: there is no directory {path.parent}")
-
-
-def check_picture(path: Path) -> None:
-    """See that a picture can be drawn and saved there, before any long work; UsageError if not."""
-    if path.suffix.lower() not in _PICTURES:
-        raise UsageError(f"--plot {path}: the name must end in one of {', '.join(_PICTURES)}")
-    if not path.resolve().parent.is_dir():
-        raise UsageError(f"--plot {path}: there is no directory {path.parent}")
 
 
 def write_investigation(path: Path, found: Investigation, what: Mapping[str, Any]) -> None:

@@ -1,6 +1,6 @@
 """An investigation, and a closed loop of them, as a person reads it, in a terminal and on the screen."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,8 @@ from station.run.closed_loop import Loop, Round
 from station.scripts.next_script import NextScript
 from station.views.figures import FINDING_STYLES, number
 from station.views.investigation import InvestigationView, ResidualView, investigation_view
-from station.views.words import dph, human, percent
+from station.views.json_values import named
+from station.views.words import human
 
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
 _MOST_SHOWN = 8
@@ -71,7 +72,6 @@ def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> l
         "others": ranked[len(shown) :],
         "figure": lambda value: "inf" if value is None else f"{value:.3g}",
         "residuals": _residual_tables(what["residual"]),
-        "models": _models(what["models"]) if len(what["models"]) > 1 else None,
         "left_out": left_out,
     }
     return shown_of("station.render", "investigation.rich", values)
@@ -103,25 +103,6 @@ def _constructed_line(added: Mapping[str, Any]) -> str:
     if lag is not None:
         said = said.replace(f"lagged by {lag[0]:.4g} s", f"lagged by {human(*lag)}")
     return f"CONSTRUCTED: {said}; not in the catalogue"
-
-
-def _models(models: Sequence[Mapping[str, Any]]) -> Table:
-    """Return one row a model: what it added, its evidence, its error."""
-    rows = [
-        (
-            " + ".join(["four states", *map(words, model["effects"])]),
-            number(model["log_evidence"], 1, signed=True) if place else "0",
-            dph(model["rms_rps"]),
-            dph(model["max_rps"]),
-            percent(model["coverage95"]),
-        )
-        for place, model in enumerate(models)
-    ]
-    table = rich_table(
-        "Chain of models", ("model", "log evidence", "rms deg/h", "largest deg/h", "in 95 %"), "lr", rows
-    )
-    table.columns[0].overflow = "fold"
-    return table
 
 
 def _residual_tables(residual: Mapping[str, Any] | None) -> list[tuple[Table, str]]:
@@ -220,12 +201,11 @@ def runs_object(loop: Loop) -> list[dict[str, Any]]:
     """Return the runs as what --json prints."""
     return [
         {
-            "purpose": run.purpose,
+            **named(run, ("purpose", "table_s")),
             "script": run.script.name,
             "recording": str(run.result.recording),
             "outcome": str(run.result.verdict.outcome),
             "reason": run.result.verdict.reason,
-            "table_s": run.table_s,
         }
         for run in loop.runs
     ]

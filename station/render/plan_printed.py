@@ -20,7 +20,8 @@ from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
 from station.views.figures import STATE_UNITS, shown_unit
 
-_MARKED = 1.0  # shifts of the states below so many of their sigmas are not worth a word
+MARKED = 1.0
+"""Shifts of the states below so many of their sigmas are not worth a word."""
 
 
 def print_plan(plan: Plan, console: Console) -> None:
@@ -108,14 +109,13 @@ def _smallest(forecast: EffectForecast, own: Sequence[int], factor: float) -> st
 def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
     """Return what the worst parameter that is not seen does to the states, a line for each kind of state."""
     hidden = np.flatnonzero(~forecast.seen.all(axis=1))
-    # A gyro whose own parameter is seen is not corrupted unnoticed; a shared one is unseen by all or none.
-    sigmas = np.where(forecast.seen[:, :, None], 0.0, np.abs(forecast.shift_sigmas))
-    if not len(hidden) or sigmas.max() < _MARKED:
+    sigmas = unnoticed(forecast)
+    if not len(hidden) or sigmas.max() < MARKED:
         return []
     worst = int(hidden[np.argmax(sigmas[hidden].max(axis=(1, 2)))])
     parameter = forecast.effect.parameters[worst]
     unit, factor = shown_unit(parameter.unit)
-    others = int(np.sum(sigmas[hidden].max(axis=(1, 2)) >= _MARKED)) - 1
+    others = int(np.sum(sigmas[hidden].max(axis=(1, 2)) >= MARKED)) - 1
     more = f" (and {others} more of its parameters)" if others > 0 else ""
     size = f"{_number(parameter.largest * factor)} {unit}"
     lines = [
@@ -128,11 +128,17 @@ def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
             for gyro, shift, sigma in zip(
                 found.gyros, forecast.shift[worst, :, state], sigmas[worst, :, state], strict=True
             )
-            if sigma >= _MARKED
+            if sigma >= MARKED
         ]
         if parts:
             lines.append(f"  {name} of {', '.join(parts)} {state_unit}")
     return lines
+
+
+def unnoticed(forecast: EffectForecast) -> Floats:
+    """Return by how many sigmas each parameter moves the states of each gyro (P, gyros, 4) where it is not seen."""
+    # A gyro whose own parameter is seen is not corrupted unnoticed; a shared one is unseen by all or none.
+    return np.where(forecast.seen[:, :, None], 0.0, np.abs(forecast.shift_sigmas))
 
 
 def _signed(value: float) -> str:

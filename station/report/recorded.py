@@ -122,7 +122,8 @@ def read_recorded(path: Path) -> Recorded:
     recording = read_recording(path)
     if not any(len(data.t_ns) for data in recording.sources.values()):
         raise RecordingError(f"{path} holds no samples: there is nothing to report")
-    with _laid_out(path), h5py.File(path, "r") as file:
+    told = "its results are not laid out as the station writes them: {}"
+    with laid_out(path, told), h5py.File(path, "r") as file:
         calibration = None
         if "calibration" in file or recording.attributes.get("outcome") not in _MAY_LACK_ESTIMATE:
             calibration = read_calibration(path, trusted=True)
@@ -147,14 +148,12 @@ def labels_of(recording: Recording) -> dict[tuple[str, str], str]:
 
 
 @contextmanager
-def _laid_out(path: Path) -> Iterator[None]:
-    """Turn what a group made by hand, or cut short, can raise into a RecordingError."""
+def laid_out(path: Path, message: str) -> Iterator[None]:
+    """Turn what a group made by hand, or cut short, can raise into a RecordingError; ``message`` has {} for it."""
     try:
         yield
     except (OSError, AttributeError, TypeError, ValueError, KeyError, IndexError) as error:
-        raise RecordingError(
-            f"{path}: its results are not laid out as the station writes them: {first_line(error)}"
-        ) from None
+        raise RecordingError(f"{path}: {message.format(first_line(error))}") from None
 
 
 def _allan(group: Group) -> tuple[Floats, Floats] | None:

@@ -15,13 +15,13 @@ from markupsafe import Markup
 from drivers.types import Floats
 from estimator.calibration.error_model import ErrorModel
 from estimator.effects.constructed import readable as words
-from estimator.errors import RecordingError, first_line
+from estimator.errors import RecordingError
 from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain
 from estimator.tracing.investigation import ResidualView
 from station.render.investigation_printed import verdict_lines
 from station.report.figures import COVERAGE, worded
-from station.report.recorded import Recorded, labels_of
+from station.report.recorded import Recorded, labels_of, laid_out
 from station.views.investigation import InvestigationView, Spectra, judged_views
 from station.views.words import probability
 
@@ -69,18 +69,15 @@ def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
     where = path or recorded.path
     if path is not None:
         probe(path)
-    try:
-        with h5py.File(where, "r") as file:
-            if "investigation" not in file:
-                if path is None:
-                    return None
-                raise RecordingError(
-                    f"{path} holds no investigation: give the file that `station investigate ... -o FILE` wrote"
-                )
-            traced = _read(where, file["investigation"])
-    except (OSError, AttributeError, TypeError, ValueError, KeyError, IndexError) as error:
-        reason = first_line(error)
-        raise RecordingError(f"{where}: its investigation cannot be read ({reason}): investigate again") from None
+    told = "its investigation cannot be read ({}): investigate again"
+    with laid_out(where, told), h5py.File(where, "r") as file:
+        if "investigation" not in file:
+            if path is None:
+                return None
+            raise RecordingError(
+                f"{path} holds no investigation: give the file that `station investigate ... -o FILE` wrote"
+            )
+        traced = _read(where, file["investigation"])
     ours = set(labels_of(recorded.recording).values())
     if not set(traced.names) <= ours:
         raise RecordingError(

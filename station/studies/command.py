@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from station.atomic_write import check_new_file, check_picture
 from station.errors import UsageError
-from station.exports.investigation_file import check_new_file, check_picture
 from station.studies import baselines, detection, paper, printed
 
 EXIT_INCOMPLETE = 1

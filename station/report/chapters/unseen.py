@@ -17,7 +17,7 @@ from estimator.observations.rests import REST_RPS
 from estimator.planning.planning import EffectForecast, Forecast, PlannedDevice, forecast
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import TableReadings
-from station.render.plan_printed import combination
+from station.render.plan_printed import MARKED, combination, unnoticed
 from station.report.figures import SYMBOLS, Unit, figure, significant, typographic
 from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
@@ -31,8 +31,6 @@ _PLATEAU = 0.9  # of the largest rate: above it an axis is taken to be at its st
 _FINEST_DEG = 0.01  # to which rates and turns of a script are told from the readings of the table
 _SHORTEST_RAMP_S = 0.05
 _ABSURD = 10.0  # times the largest plausible size: an effect that would have to be larger cannot be seen
-MARKED = 1.0
-"""Shifts of the states below so many sigmas are not worth a word."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,11 +160,7 @@ def _known_effects(found: Calibration) -> frozenset[str]:
 
 def by_state(found: Forecast) -> Mapping[str, Floats]:
     """Return by effect the largest shift of each state (4,), in sigmas, that it makes without being seen."""
-    shifts = {}
-    for effect in found.effects:
-        hidden = np.where(effect.seen[:, :, None], 0.0, np.abs(effect.shift_sigmas))
-        shifts[effect.effect.name] = hidden.max(axis=(0, 1), initial=0.0)
-    return shifts
+    return {effect.effect.name: unnoticed(effect).max(axis=(0, 1), initial=0.0) for effect in found.effects}
 
 
 def lacking(recorded: Recorded, unseen: Unseen) -> list[str]:
