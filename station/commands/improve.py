@@ -286,8 +286,6 @@ def _print(improved: Improved, path: Path) -> None:
     script = improved.found.script
     values = {
         "improved": improved,
-        "found": improved.found,
-        "wanted": improved.wanted,
         "with_sequencer_s": _with_sequencer_s(script),
         "steps": list(zip(script.steps, script.durations_s(), strict=True)),
         "path": path,

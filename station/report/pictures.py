@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.types import Floats
-from estimator.calibration.values import Calibration
 from estimator.effects.constructed import readable as words
 from estimator.tracing.investigation import Investigation, ResidualView
 from station.errors import UsageError
@@ -134,11 +133,11 @@ def nis_picture(recorded: Recorded) -> Picture | None:
         return _done(figure, "nis", means=[f"{name} {mean:.3f}" for name, mean, _ in means])
 
 
-def allan_picture(recorded: Recorded, found: Calibration) -> Picture | None:
+def allan_picture(recorded: Recorded) -> Picture | None:
     """Return the Allan deviations of the gyros at rest, None if they are not kept."""
     if recorded.allan is None:
         return None
-    names, (tau_s, deviation_rps) = [recorded.label(g.source, g.name) for g in found.gyros], recorded.allan
+    names, (tau_s, deviation_rps) = recorded.labels, recorded.allan
     with _drawn((WIDTH_IN / 2 + 0.6, 2.1), 1, 1) as (figure, panels):
         panel = panels[0, 0]
         for number, name in enumerate(names):

@@ -87,6 +87,11 @@ class Recorded:
         """Return what to call a gyro, different for each."""
         return labels_of(self.recording).get((source, name), name)
 
+    @property
+    def labels(self) -> list[str]:
+        """What to call the gyros of the calibration."""
+        return [self.label(gyro.source, gyro.name) for gyro in self.calibration.gyros] if self.calibration else []
+
     def has(self, name: str) -> bool:
         """Return whether the file has an attribute."""
         return name in self.recording.attributes

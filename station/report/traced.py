@@ -49,13 +49,8 @@ class Traced:
     spectra: Mapping[str, Spectra]
 
     @property
-    def added(self) -> bool:
-        """Whether effects were added."""
-        return bool(self.what.get("added"))
-
-    @property
-    def added_words(self) -> list[str]:
-        """What people call these."""
+    def added(self) -> list[str]:
+        """What people call the effects that were added."""
         return [words(name) for name in dict.fromkeys(str(effect["effect"]) for effect in self.what["added"])]
 
 

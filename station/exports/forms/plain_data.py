@@ -28,31 +28,27 @@ def write_yaml(exported: Exported) -> Written:
 
 def write_csv(exported: Exported) -> Written:
     """Return a line a gyro: axes, states, sigmas, row of the sensitivity, effects; SI units are in the headings."""
-    compensation = exported.compensation
-    units = ("1", "rad/s", "rad", "rad")
-    headings = ["gyro", "source", "device"]
-    headings += [f"{axis}_{component}" for axis in "pjk" for component in "xyz"]
-    for key, unit in zip(STATES, units, strict=True):
-        headings += [f"{key} ({unit})", f"sd {key} ({unit})"]
-    headings += [f"g_{component}" for component in "xyz"]
-    headings += ["noise of a sample (rad/s)"]
-    for effect in exported.gyros[0].effects:
-        named = f"{effect.effect}: {effect.parameter} ({effect.unit})"
-        headings += [named, f"sd {named}"]
+    lines = [_line(exported, i, gyro) for i, gyro in enumerate(exported.gyros)]
     file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(headings)
-    array = compensation.array
-    for i, gyro in enumerate(exported.gyros):
-        values = [*array.p[i], *array.j[i], *array.k[i]]
-        for state, sd in zip(gyro.states, gyro.sd, strict=True):
-            values += [state, sd]
-        values += [*compensation.sensitivity[i], gyro.noise_rps]
-        for effect in gyro.effects:
-            values += [effect.value, effect.sd]
-        writer.writerow([array.names[i], gyro.source, gyro.device, *map(number, values)])
+    writer = csv.DictWriter(file, lines[0], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
     lacking = ("covariances, uncertainty budget and where it comes from: json and yaml hold them",)
     return Written(file.getvalue(), lacking)
+
+
+def _line(exported: Exported, i: int, gyro: GyroCalibration) -> dict[str, str]:
+    array, gain = exported.compensation.array, exported.compensation.sensitivity
+    values = {f"{a}_{part}": x for a in "pjk" for part, x in zip("xyz", getattr(array, a)[i], strict=True)}
+    for key, unit, state, sd in zip(STATES, ("1", "rad/s", "rad", "rad"), gyro.states, gyro.sd, strict=True):
+        values |= {f"{key} ({unit})": state, f"sd {key} ({unit})": sd}
+    values |= {f"g_{part}": x for part, x in zip("xyz", gain[i], strict=True)}
+    values["noise of a sample (rad/s)"] = gyro.noise_rps
+    for effect in gyro.effects:
+        named = f"{effect.effect}: {effect.parameter} ({effect.unit})"
+        values |= {named: effect.value, f"sd {named}": effect.sd}
+    who = {"gyro": array.names[i], "source": gyro.source, "device": gyro.device}
+    return who | {heading: number(value) for heading, value in values.items()}
 
 
 def _object(exported: Exported) -> dict[str, Any]:

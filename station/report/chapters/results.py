@@ -6,7 +6,7 @@ import numpy as np
 from markupsafe import Markup
 
 from drivers.packaged import packaged_toml
-from estimator.calibration.budget import TYPE_A, Contribution
+from estimator.calibration.budget import TYPE_A
 from estimator.calibration.values import Calibration
 from estimator.effects.constructed import readable as words
 from station.report.figures import COVERAGE, ONE, PERCENT, STATES, Unit, figure, plain, worded
@@ -22,10 +22,9 @@ SOURCES = packaged_toml("station.views", "budget.toml")["report"]
 
 def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:
     """Return by how many of their sigmas an investigation moved the states, the largest."""
-    labelled = [(gyro, recorded.label(gyro.source, gyro.name)) for gyro in found.gyros]
     moved = [
         np.abs(traced.states[traced.names.index(label)] - gyro.states) / gyro.sd
-        for gyro, label in labelled
+        for gyro, label in zip(found.gyros, recorded.labels, strict=True)
         if label in traced.names
     ]
     return float(np.max(moved, initial=0.0))
@@ -68,17 +67,11 @@ def has_type_b(found: Calibration) -> bool:
     return any(line.name not in TYPE_A for gyro in found.gyros for line in gyro.budget)
 
 
-def shares(line: Contribution, source: str) -> list[Markup]:
-    """Return a line of the budget, state by state; what is next to nothing is said to be so."""
+def shares(u: Iterable[float], source: str) -> list[Markup]:
+    """Return standard uncertainties state by state; what is next to nothing is said to be so. ``source``: %d, state."""
     return [
-        figure(u, unit, "< 0.01", source % s)
-        if u * unit.factor < _NEXT_TO_NOTHING
-        else plain(float(u), unit, 2, source % s)
-        for s, (u, (_, unit)) in enumerate(zip(line.u, STATES, strict=True))
+        figure(value, unit, "< 0.01", source % s)
+        if value * unit.factor < _NEXT_TO_NOTHING
+        else plain(float(value), unit, 2, source % s)
+        for s, (value, (_, unit)) in enumerate(zip(u, STATES, strict=True))
     ]
-
-
-def sigmas(sd: Iterable[float], source: str) -> list[Markup]:
-    """Return the combined standard uncertainties of the states of a gyro; ``source`` has %d for the state."""
-    pairs = zip(sd, STATES, strict=True)
-    return [plain(float(value), unit, 2, source % s) for s, (value, (_, unit)) in enumerate(pairs)]

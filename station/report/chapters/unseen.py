@@ -35,13 +35,12 @@ _ABSURD = 10.0  # times the largest plausible size: an effect that would have to
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unseen:
-    """The script as it was driven, and what its motion shows of the gyros and of the effects of the catalogue.
+    """What the motion shows, as it was driven, of the gyros and of the effects of the catalogue.
 
     ``budgeted`` are effects of the table that the uncertainty budget holds, at the size that is stated of the table.
     ``site_known``: Earth rate is in the model, so that only an error of it can be hidden.
     """
 
-    script: Script
     forecast: Forecast
     budgeted: frozenset[str]
     site_known: bool
@@ -82,7 +81,7 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
     effects = [e for e in catalogue(motion.gimbals, script.duration_s) if e.name not in known]
     of_table = frozenset(record.name for record in records() if record.of_table)
     budgeted = of_table if reference.uncertainty is not None else frozenset[str]()
-    return Unseen(script, forecast(conditions, devices, effects), budgeted, recorded.recording.site is not None)
+    return Unseen(forecast(conditions, devices, effects), budgeted, recorded.recording.site is not None)
 
 
 def driven_script(table: TableReadings, steps: Sequence[Step], name: str) -> Script | None:
