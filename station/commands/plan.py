@@ -13,7 +13,7 @@ from station.render.plan_printed import print_plan
 from station.render.terminal import stdout
 from station.run.outcome import Outcome
 from station.scripts.plan import TEMPERATURE_RISE_K, WARMING_TIME_S, Plan, make_plan
-from station.scripts.script import Rest, Script, load_script, paper_script
+from station.scripts.script import load_script, paper_script
 from station.views.json_values import by_state, json_object
 
 
@@ -41,7 +41,11 @@ def plan_object(plan: Plan) -> dict[str, Any]:
     return {
         "script": plan.script.name,
         "duration_s": plan.script.duration_s,
-        "steps": _steps(plan.script),
+        "steps": [
+            {"label": timed.step.label, "duration_s": timed.duration_s}
+            | {key: getattr(timed.step, key, None) for key in ("axis", "rate_rps")}  # None of a rest
+            for timed in plan.script.timeline()
+        ],
         "reached": bool(plan.reached.all()),
         "required": by_state(plan.required),
         "gyros": [
@@ -94,15 +98,3 @@ def _effect(forecast: EffectForecast, found: Forecast) -> dict[str, Any]:
             for i, parameter in enumerate(forecast.effect.parameters)
         ],
     }
-
-
-def _steps(script: Script) -> list[dict[str, Any]]:
-    return [
-        {
-            "label": timed.step.label,
-            "duration_s": timed.duration_s,
-            "axis": None if isinstance(timed.step, Rest) else timed.step.axis,
-            "rate_rps": None if isinstance(timed.step, Rest) else timed.step.rate_rps,
-        }
-        for timed in script.timeline()
-    ]

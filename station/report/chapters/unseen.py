@@ -77,7 +77,7 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
         PlannedDevice(source, data.array, _noise(found, source, data), data.prior)
         for source, data in recorded.recording.sources.items()
     ]
-    known = _known_effects(found)
+    known = {value.effect.split()[0] for gyro in found.gyros for value in gyro.effects}
     effects = [e for e in catalogue(motion.gimbals, script.duration_s) if e.name not in known]
     of_table = frozenset(record.name for record in records() if record.of_table)
     budgeted = of_table if reference.uncertainty is not None else frozenset[str]()
@@ -150,11 +150,6 @@ def _noise(found: Calibration, source: str, data: ImuData) -> NoiseModel:
         return data.noise or NoiseModel(1e-4)
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9
     return NoiseModel(float(np.mean([gyro.noise_rps for gyro in own])) * float(np.sqrt(period_s)))
-
-
-def _known_effects(found: Calibration) -> frozenset[str]:
-    """Return the effects that the calibration holds already."""
-    return frozenset(value.effect.split()[0] for gyro in found.gyros for value in gyro.effects)
 
 
 def by_state(found: Forecast) -> Mapping[str, Floats]:
