@@ -20,7 +20,6 @@ from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import Repeatability, repeatability, same_device
 from estimator.recordings.reading import read_recording
-from estimator.recordings.recording import Recording
 from station.bench.bench import Bench, load_bench, read_excluded, read_limits
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
@@ -106,13 +105,9 @@ def estimate(name: str, *, bench: Bench | None, write: bool, model: ErrorModel |
         except OSError as error:
             raise RecordingError(f"{name} cannot be written into: {error}") from None
     attributes = {key: recording.attributes[key] for key in _KEPT if key in recording.attributes}
-    return Estimated(calibration, verdict, attributes, _worst_share(recording, calibration))
-
-
-def _worst_share(recording: Recording, calibration: Calibration) -> float:
-    """Return the largest sigma of the gyros' states as a share of what the data sheet says."""
     promised = {name: np.sqrt(data.prior.variances()) for name, data in recording.sources.items()}
-    return max(float((gyro.sd / promised[gyro.source]).max()) for gyro in calibration.gyros)
+    seen = max(float((gyro.sd / promised[gyro.source]).max()) for gyro in calibration.gyros)
+    return Estimated(calibration, verdict, attributes, seen)
 
 
 def _print_json(ends: Sequence[tuple[str, Estimated | str]]) -> int:

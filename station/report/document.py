@@ -9,6 +9,7 @@ from itertools import count
 from markupsafe import Markup
 
 from drivers.packaged import packaged_text
+from estimator.calibration.budget import TYPE_A
 from station.exports.hashes import RAW_RULE, file_sha256, raw_sha256
 from station.render.template import rendered
 from station.report import figures, pictures
@@ -30,6 +31,7 @@ _MADE_OF = {
     "residual": residual,
     "results": results,
     "seen_by": seen_by,
+    "type_a": TYPE_A,
 }
 """What the templates ask for values."""
 

@@ -282,16 +282,12 @@ def _done(figure: Figure, picture: str, **values: object) -> Picture:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.DOTALL)
     text = text.replace("'DejaVu Sans'", _FONTS.replace("'", "&#39;"))
-    text = re.sub(r'(?<= )(d|x|y|transform)="[^"]*"', _shortened, text)
+    # A place on the paper to a tenth of a point, which is 0.04 mm.
+    text = re.sub(r'(?<= )(d|x|y|transform)="[^"]*"', lambda found: re.sub(r"(\.\d)\d+", r"\1", found.group()), text)
     text = re.sub(r">\s+<", "><", text)
     data = base64.b64encode(text.encode()).decode()
     width, height = figure.get_size_inches()
     return Picture(f"data:image/svg+xml;base64,{data}", alternative, caption, (float(width), float(height)))
-
-
-def _shortened(attribute: re.Match[str]) -> str:
-    """Return a place on the paper to a tenth of a point, which is 0.04 mm."""
-    return re.sub(r"(\.\d)\d+", r"\1", attribute.group())
 
 
 def _every(t_s: Floats) -> int:

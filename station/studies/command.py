@@ -49,10 +49,6 @@ def _paper(arguments: argparse.Namespace, **where: Any) -> paper.PaperStudy:
     return study
 
 
-def _baselines(arguments: argparse.Namespace, **where: Any) -> baselines.BaselineStudy:
-    return baselines.run_study(arguments.seeds, **where)
-
-
 def _detection(arguments: argparse.Namespace, **where: Any) -> detection.DetectionStudy:
     groups = [name.strip() for name in arguments.effects.split(",")]
     known = {*detection.GROUPS, *detection.KNOWN, *detection.UNKNOWN}
@@ -69,7 +65,11 @@ def _detection(arguments: argparse.Namespace, **where: Any) -> detection.Detecti
 _FILES = {"plot": "picture", "output": "curves"}
 _STUDIES: dict[str, tuple[Callable[..., Any], Callable[[Any], None], Callable[[Any], dict[str, Any]]]] = {
     "paper": (_paper, printed.print_paper, printed.paper_object),
-    "baselines": (_baselines, printed.print_baselines, printed.baselines_object),
+    "baselines": (
+        lambda arguments, **where: baselines.run_study(arguments.seeds, **where),
+        printed.print_baselines,
+        printed.baselines_object,
+    ),
     "detection": (_detection, printed.print_detection, printed.detection_object),
 }
 """By name: what runs a study, what prints it, what --json says of it."""

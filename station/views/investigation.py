@@ -66,6 +66,7 @@ def investigation_view(
 ) -> InvestigationView:
     """Return what is shown of an investigation of these recordings, judged by those that verify."""
     models = [{"effects": m.effects, "log_evidence": m.log_evidence, **asdict(m.errors)} for m in found.models]
+    fitted = _both(found.residual_before, found.residual_after)
     whole = {
         "verdict": str(found.finding),
         "reason": found.reason,
@@ -74,7 +75,7 @@ def investigation_view(
         "models": models,
         "gyros": {gyro.name: _gyro(gyro) for gyro in found.gyros},
         "suspects": found.suspects,
-        "residual": _residuals(found),
+        "residual": fitted and {**fitted, "verification": _both(found.verified_before, found.verified_after)},
         **named(found, ("left_out", "taken_back", "notes")),
         "recordings": recordings,
         "verification": verification,
@@ -95,12 +96,7 @@ def _gyro(gyro: GyroErrors) -> dict[str, Any]:
     return {"before": gyro.before, "after": gyro.after, **states, **moved, "phases": gyro.phases}
 
 
-def _residuals(found: Investigation) -> dict[str, Any] | None:
-    fitted = _both(found.residual_before, found.residual_after)
-    return None if fitted is None else {**fitted, "verification": _both(found.verified_before, found.verified_after)}
-
-
-def _both(before: Residual | None, after: Residual | None) -> dict[str, ResidualView] | None:
+def _both(before: Residual | None, after: Residual | None) -> dict[str, Any] | None:
     return None if before is None or after is None else {"before": residual_view(before), "after": residual_view(after)}
 
 

@@ -41,7 +41,7 @@ def write_c(exported: Exported) -> Written:
         {"value": "(", "sign": f"{prefix}_sign"}
         | {axis: f"{prefix}_{axis}" for axis in AXIS_TABLES}
         | {name: f"{prefix}_{name}(state, " for name in ("follow", "last")},
-        head=list(map(_said_line, head(exported, what, not_held, " *"))),
+        head=[f" *{_said(line.removeprefix(' *'))}" for line in head(exported, what, not_held, " *")],
         said=list(map(_said, _arguments_said(exported, terms))),
         p=prefix,
         upper=prefix.upper(),
@@ -82,10 +82,6 @@ def identifier(name: str) -> str:
     """Return what a device is called in source code."""
     word = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "imu"
     return word if word[0].isalpha() else f"imu_{word}"
-
-
-def _said_line(line: str) -> str:
-    return " *" + _said(line.removeprefix(" *"))
 
 
 def _said(text: str) -> str:

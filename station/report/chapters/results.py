@@ -6,7 +6,6 @@ import numpy as np
 from markupsafe import Markup
 
 from drivers.packaged import packaged_toml
-from estimator.calibration.budget import TYPE_A
 from estimator.calibration.values import Calibration
 from estimator.effects.constructed import readable as words
 from station.report.figures import COVERAGE, ONE, PERCENT, STATES, Unit, figure, plain, worded
@@ -60,11 +59,6 @@ def limits_by_gyro(standing: Standing) -> Mapping[str, list[tuple[LimitLine | No
     for (gyro, _, _), lines in quantities.items():
         gyros.setdefault(gyro, []).append((lines.get(False), lines.get(True)))
     return gyros
-
-
-def has_type_b(found: Calibration) -> bool:
-    """Return whether a line of the budget is no scatter of the data."""
-    return any(line.name not in TYPE_A for gyro in found.gyros for line in gyro.budget)
 
 
 def shares(u: Iterable[float], source: str) -> list[Markup]:

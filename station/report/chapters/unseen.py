@@ -1,6 +1,6 @@
 """What a run could not see: its motion as it was driven, what such a motion shows, and how the report says so."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,9 +67,10 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
     reference, found = recorded.recording.reference, recorded.calibration
     if not isinstance(reference, TableReadings) or not recorded.steps or found is None:
         return None
-    script = driven_script(reference, recorded.steps, recorded.text("script") or "script")
-    if script is None:
+    driven = [part for step in recorded.steps for part in driven_step(reference, step)]
+    if not any(isinstance(part, Rotate) for part in driven):
         return None
+    script = Script(recorded.text("script") or "script", tuple(driven))
     period_s = max(_PERIOD_S, script.duration_s / _MOST_ROWS)
     motion = planned_motion(script, reference.gimbals, period_s)
     conditions = motion.conditions(_temperature(recorded, motion.t_s), recorded.recording.site)
@@ -84,19 +85,11 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
     return Unseen(forecast(conditions, devices, effects), budgeted, recorded.recording.site is not None)
 
 
-def driven_script(table: TableReadings, steps: Sequence[Step], name: str) -> Script | None:
-    """Return the script that readings of a table say was driven, None if they say of no step that anything moved.
+def driven_step(table: TableReadings, step: Step) -> list[ScriptStep]:
+    """Return what was driven in one step: a turn and the rest after it, or a rest; nothing if it took no time.
 
     Rates and turns are told to 0.01 deg: finer differences are those of the readings.
     """
-    found: list[ScriptStep] = []
-    for step in steps:
-        found += driven_step(table, step)
-    return Script(name, tuple(found)) if any(isinstance(step, Rotate) for step in found) else None
-
-
-def driven_step(table: TableReadings, step: Step) -> list[ScriptStep]:
-    """Return what was driven in one step: a turn and the rest after it, or a rest; nothing if it took no time."""
     duration_s = (step.end_ns - step.start_ns) * 1e-9
     inside = (table.t_ns >= step.start_ns) & (table.t_ns <= step.end_ns)
     if duration_s <= 0:
