@@ -147,7 +147,8 @@ def _print(ends: Sequence[tuple[str, Estimated | str]]) -> int:
     worst = max((end.verdict.outcome.exit_code for _, end in judged), default=0)
     sys.stdout.flush()  # what failed comes last, wherever the two streams lead
     failed = [(name, reason) for name, reason in ends if isinstance(reason, str)]
-    return max([worst, *(refuse(_named(name, reason), False) for name, reason in failed)])
+    named = [reason if Path(name).name in reason else f"{name}: {reason}" for name, reason in failed]
+    return max([worst, *(refuse(reason, False) for reason in named)])
 
 
 def _devices(ends: Sequence[tuple[str, Estimated | str]]) -> list[list[tuple[str, Estimated]]]:
@@ -169,10 +170,6 @@ def _devices(ends: Sequence[tuple[str, Estimated | str]]) -> list[list[tuple[str
 
 def _repeats(runs: Sequence[tuple[str, Estimated]]) -> list[Repeatability]:
     return repeatability([end.calibration.gyros for _, end in runs])
-
-
-def _named(name: str, reason: str) -> str:
-    return reason if Path(name).name in reason else f"{name}: {reason}"
 
 
 def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> None:

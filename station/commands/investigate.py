@@ -49,7 +49,7 @@ def command_investigate(arguments: argparse.Namespace) -> int:
     arguments.recordings, arguments.verify = recordings_of(arguments.recordings), recordings_of(arguments.verify)
     fitted, judging = arguments.recordings, arguments.verify
     _check_apart(fitted, judging)
-    recordings, verification = read(fitted), read(judging)
+    recordings, verification = ([read_recording(Path(name)) for name in names] for names in (fitted, judging))
     limits = limits_of(recordings, Path(arguments.bench) if arguments.bench else None)
     with TracingProgress(arguments.json) as progress:
         found = investigate(recordings, verification, most_effects=arguments.most_effects, progress=progress.show)
@@ -98,11 +98,6 @@ def _check_apart(fitted: Sequence[str], judging: Sequence[str]) -> None:
     both = {Path(name).resolve() for name in fitted} & {Path(name).resolve() for name in judging}
     if both:
         raise UsageError(f"{min(both)} is to be fitted and to verify: a run that is fitted cannot judge")
-
-
-def read(names: Sequence[str]) -> list[Recording]:
-    """Return recordings by name."""
-    return [read_recording(Path(name)) for name in names]
 
 
 def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | None:

@@ -124,7 +124,7 @@ def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
     ]
     for state, (name, state_unit, scale) in enumerate(STATE_UNITS):
         parts = [
-            f"{gyro.name} {_signed(shift * scale)} ({sigma:.0f})"
+            f"{gyro.name} {'-' if shift < 0 else '+'}{_number(abs(shift * scale))} ({sigma:.0f})"
             for gyro, shift, sigma in zip(
                 found.gyros, forecast.shift[worst, :, state], sigmas[worst, :, state], strict=True
             )
@@ -139,10 +139,6 @@ def unnoticed(forecast: EffectForecast) -> Floats:
     """Return by how many sigmas each parameter moves the states of each gyro (P, gyros, 4) where it is not seen."""
     # A gyro whose own parameter is seen is not corrupted unnoticed; a shared one is unseen by all or none.
     return np.where(forecast.seen[:, :, None], 0.0, np.abs(forecast.shift_sigmas))
-
-
-def _signed(value: float) -> str:
-    return f"{'-' if value < 0 else '+'}{_number(abs(value))}"
 
 
 def _number(value: float) -> str:
