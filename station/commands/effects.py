@@ -12,7 +12,7 @@ from estimator.effects.constructed import readable as words
 from estimator.effects.effect import Effect, Kind
 from station.render.terminal import rich_table, stdout
 from station.run.outcome import Outcome
-from station.views.words import human
+from station.views.figures import human
 
 
 def command_effects(arguments: argparse.Namespace) -> int:

@@ -17,10 +17,9 @@ from station.render.template import rendered
 from station.render.terminal import Shown, print_all, print_rendered, rich_table, shown_of, stdout
 from station.run.closed_loop import Loop, Round
 from station.scripts.next_script import NextScript
-from station.views.figures import FINDING_STYLES, number
+from station.views.figures import FINDING_STYLES, human, number
 from station.views.investigation import InvestigationView, ResidualView, investigation_view
 from station.views.json_values import named
-from station.views.words import human
 
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
 _MOST_SHOWN = 8

@@ -50,20 +50,17 @@ def print_plan(plan: Plan, console: Console) -> None:
 def _states(plan: Plan) -> Table:
     asked = bool(np.isfinite(plan.required).any())
     several = len({gyro.source for gyro in plan.forecast.gyros}) > 1
-    heads = [*(["device"] if several else []), "gyro", *(f"{name}\n{unit}" for name, unit, _ in STATE_UNITS)]
-    align = "l" * (1 + several) + "rrrr"
-    if asked:
-        heads, align = [*heads, "required"], f"{align}l"
-    table = rich_table("Predicted sigmas of the states", heads, align)
+    shown = slice(0 if several else 1, None if asked else -1)
+    heads = ["device", "gyro", *(f"{name}\n{unit}" for name, unit, _ in STATE_UNITS), "required"]
+    table = rich_table("Predicted sigmas of the states", heads[shown], "llrrrrl"[shown])
     for gyro, sd, reached in zip(plan.forecast.gyros, plan.sd, plan.reached, strict=True):
-        cells = [gyro.source] if several else []
-        cells += [gyro.name, *(_number(v * f) for v, (_, _, f) in zip(sd, STATE_UNITS, strict=True))]
-        table.add_row(*cells, *([_reached(reached)] if asked else []), end_section=gyro is plan.forecast.gyros[-1])
+        sizes = [_number(v * f) for v, (_, _, f) in zip(sd, STATE_UNITS, strict=True)]
+        cells = [gyro.source, gyro.name, *sizes, _reached(reached)]
+        table.add_row(*cells[shown], end_section=gyro is plan.forecast.gyros[-1])
     if asked:
-        limits = [
-            _number(v * f) if np.isfinite(v) else "-" for v, (_, _, f) in zip(plan.required, STATE_UNITS, strict=True)
-        ]
-        table.add_row(*([""] if several else []), "required", *limits, "", style="dim")
+        pairs = zip(plan.required, STATE_UNITS, strict=True)
+        limits = [_number(v * f) if np.isfinite(v) else "-" for v, (_, _, f) in pairs]
+        table.add_row(*["", "required", *limits, ""][shown], style="dim")
     return table
 
 

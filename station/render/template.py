@@ -23,8 +23,16 @@ def _environment(package: str, rich: bool) -> "Environment":
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
     from estimator.effects.constructed import readable
-    from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, STATE_UNITS, number
-    from station.views.words import dph, human, percent, probability
+    from station.views.figures import (
+        OUTCOME_STYLES,
+        STATE_FIGURES,
+        STATE_UNITS,
+        dph,
+        human,
+        number,
+        percent,
+        probability,
+    )
 
     environment = Environment(
         loader=PackageLoader(package),

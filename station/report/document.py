@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from drivers.packaged import packaged_text
 from estimator.calibration.budget import TYPE_A
-from station.exports.hashes import RAW_RULE, file_sha256, raw_sha256
+from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
 from station.render.template import rendered
 from station.report import figures, pictures
 from station.report import traced as residual

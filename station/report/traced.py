@@ -22,8 +22,8 @@ from estimator.tracing.investigation import ResidualView
 from station.render.investigation_printed import verdict_lines
 from station.report.figures import COVERAGE, worded
 from station.report.recorded import Recorded, labels_of, laid_out
+from station.views.figures import probability
 from station.views.investigation import InvestigationView, Spectra, judged_views
-from station.views.words import probability
 
 if TYPE_CHECKING:
     from h5py import Group

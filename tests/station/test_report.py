@@ -30,7 +30,7 @@ from estimator.recordings.reading import read_recording
 from estimator.recordings.writing import write_recording
 from station.bench.bench import default_bench_text
 from station.cli import main
-from station.exports.hashes import raw_sha256
+from station.exports.exported import raw_sha256
 from station.report.chapters.correction import Correction, snippet
 from station.report.chapters.front import links_of, local_links
 from station.report.recorded import read_recorded

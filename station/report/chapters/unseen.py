@@ -23,7 +23,7 @@ from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
 from station.scripts.script import Rest, Rotate, Script
 from station.scripts.script import Step as ScriptStep
-from station.views.words import human
+from station.views.figures import human
 
 _PERIOD_S = 0.1
 _MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser steps
