@@ -1,4 +1,4 @@
-"""Text files that are there whole or not at all, and are not written over unasked."""
+"""Files that are there whole or not at all, and are not written over unasked."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -7,6 +7,24 @@ from datetime import datetime
 from pathlib import Path
 
 from station.errors import UsageError
+
+_PICTURES = (".png", ".svg", ".pdf")
+
+
+def check_new_file(path: Path, option: str) -> None:
+    """See, before any long work, that a file can be created there; UsageError if not."""
+    if path.exists():
+        raise UsageError(f"{option} {path} is there already: give another name")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"{option} {path}: there is no directory {path.parent}")
+
+
+def check_picture(path: Path) -> None:
+    """See that a picture can be drawn and saved there, before any long work; UsageError if not."""
+    if path.suffix.lower() not in _PICTURES:
+        raise UsageError(f"--plot {path}: the name must end in one of {', '.join(_PICTURES)}")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"--plot {path}: there is no directory {path.parent}")
 
 
 def free_path(path: Path, *, beside: Sequence[str] = ()) -> Path:
@@ -27,9 +45,9 @@ def new_recording(folder: Path) -> Path:
 
 
 def write_whole(
-    path: Path, text: str, *, replace: bool = False, verify: Callable[[Path], object] | None = None
+    path: Path, text: str | bytes, *, replace: bool = False, verify: Callable[[Path], object] | None = None
 ) -> None:
-    """Write a text as UTF-8; with ``replace`` in place of a file that is there.
+    """Write bytes, or a text as UTF-8; with ``replace`` in place of a file that is there.
 
     ``verify`` is shown the file before it has its name, in the same folder, and may refuse it with UsageError.
 
@@ -41,8 +59,8 @@ def write_whole(
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("x", encoding="utf-8", newline="\n") as file:
-            file.write(text)
+        with part.open("xb") as file:
+            file.write(text.encode() if isinstance(text, str) else text)
             file.flush()
             os.fsync(file.fileno())
         if verify is not None:

@@ -17,7 +17,7 @@ from estimator.effects import GROUP as EFFECTS
 from estimator.errors import EstimatorError
 from station.campaigns import ONE_BLAS_THREAD
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
-from station.exports.held import HELD
+from station.exports import HELD
 
 _MODULES = dict.fromkeys(("run", "twin", "import"), "station.commands.common") | {"study": "station.studies.command"}
 """Where the function of a command is, if not in a module of its name: ``command_NAME(arguments) -> exit code``."""
@@ -65,9 +65,9 @@ def _take(parser: argparse._ActionsContainer, spelled: str, help: str, **more: A
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code: 0 pass, 1 fail, 2 wrong usage, 3 aborted, 4 device fault."""
-    parser = make_parser()
-    arguments = parser.parse_args(argv)
-    arguments.parser = parser  # what a shell completes is read from it
+    parser, typed = make_parser(), sys.argv[1:] if argv is None else list(argv)
+    arguments = parser.parse_args(typed)
+    arguments.parser, arguments.typed = parser, typed  # what a shell completes; what a browser's screen is begun with
     # Before any command imports numpy. Matrices here are small: threads of the linear algebra library gain nothing,
     # and on a busy machine they wait for each other for seconds.
     os.environ.update(ONE_BLAS_THREAD)

@@ -51,7 +51,7 @@ def run_all(
                 results[ended.index] = ended.value
             else:
                 reasons[ended.index] = ended.reason
-            bar.advance(len(reasons))
+            bar.count(len(reasons))
     return results, [Failure(name_of(items[i]), reasons[i]) for i in sorted(reasons)]
 
 
@@ -81,7 +81,7 @@ class _Bar(Bar):
         self._label, self._total = label, total
         self._done = 0
 
-    def advance(self, failed: int) -> None:
+    def count(self, failed: int) -> None:
         """Count one item more; ``failed`` of all so far failed."""
         self._done += 1
         said = f"{failed} failed" if failed else ""

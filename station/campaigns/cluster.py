@@ -184,12 +184,9 @@ def _check_scheduler(distributed: Any, address: str) -> None:
 @contextmanager
 def _silenced() -> Iterator[None]:
     """Keep distributed's log from the terminal: what matters of it comes back as a reason."""
-    names = [n for n in logging.root.manager.loggerDict if n.partition(".")[0] in ("distributed", "tornado")]
-    levels = {name: logging.getLogger(name).level for name in names}
-    for name in names:
-        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    before = logging.root.manager.disable
+    logging.disable()
     try:
         yield
     finally:
-        for name, level in levels.items():
-            logging.getLogger(name).setLevel(level)
+        logging.disable(before)

@@ -20,7 +20,6 @@ from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import Repeatability, repeatability, same_device
 from estimator.recordings.reading import read_recording
-from estimator.recordings.recording import Recording
 from station.bench.bench import Bench, load_bench, read_excluded, read_limits
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
@@ -34,7 +33,6 @@ from station.render.printing import (
 )
 from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Verdict, judge
-from station.views.figures import OUTCOME_STYLES
 
 _IN_FULL = 5  # more recordings than this are printed a line each: a person compares them
 _KEPT = ("device", "devices", "script", "seed", "clock_zero_utc_s", "outcome", "reason")
@@ -107,13 +105,9 @@ def estimate(name: str, *, bench: Bench | None, write: bool, model: ErrorModel |
         except OSError as error:
             raise RecordingError(f"{name} cannot be written into: {error}") from None
     attributes = {key: recording.attributes[key] for key in _KEPT if key in recording.attributes}
-    return Estimated(calibration, verdict, attributes, _worst_share(recording, calibration))
-
-
-def _worst_share(recording: Recording, calibration: Calibration) -> float:
-    """Return the largest sigma of the gyros' states as a share of what the data sheet says."""
     promised = {name: np.sqrt(data.prior.variances()) for name, data in recording.sources.items()}
-    return max(float((gyro.sd / promised[gyro.source]).max()) for gyro in calibration.gyros)
+    seen = max(float((gyro.sd / promised[gyro.source]).max()) for gyro in calibration.gyros)
+    return Estimated(calibration, verdict, attributes, seen)
 
 
 def _print_json(ends: Sequence[tuple[str, Estimated | str]]) -> int:
@@ -153,7 +147,8 @@ def _print(ends: Sequence[tuple[str, Estimated | str]]) -> int:
     worst = max((end.verdict.outcome.exit_code for _, end in judged), default=0)
     sys.stdout.flush()  # what failed comes last, wherever the two streams lead
     failed = [(name, reason) for name, reason in ends if isinstance(reason, str)]
-    return max([worst, *(refuse(_named(name, reason), False) for name, reason in failed)])
+    named = [reason if Path(name).name in reason else f"{name}: {reason}" for name, reason in failed]
+    return max([worst, *(refuse(reason, False) for reason in named)])
 
 
 def _devices(ends: Sequence[tuple[str, Estimated | str]]) -> list[list[tuple[str, Estimated]]]:
@@ -177,10 +172,6 @@ def _repeats(runs: Sequence[tuple[str, Estimated]]) -> list[Repeatability]:
     return repeatability([end.calibration.gyros for _, end in runs])
 
 
-def _named(name: str, reason: str) -> str:
-    return reason if Path(name).name in reason else f"{name}: {reason}"
-
-
 def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> None:
     """Print one line a recording: what it is of, how it was judged, how well it shows its states, how true it is."""
     lines = []
@@ -189,5 +180,4 @@ def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> Non
         sources = dict.fromkeys(gyro.source for gyro in end.calibration.gyros)
         device = str(end.attributes.get("device", "")) or ", ".join(carried or sources)
         lines.append((os.path.relpath(name, folder), device, str(end.attributes.get("script", "")), end))
-    values = {"lines": lines, "folder": folder, "styles": OUTCOME_STYLES, "isfinite": np.isfinite}
-    print_rendered(stdout(), "station.render", "overview.rich", values)
+    print_rendered(stdout(), "station.render", "overview.rich", {"lines": lines, "folder": folder})

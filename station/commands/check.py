@@ -2,10 +2,7 @@
 
 import argparse
 import json
-import math
 import sys
-
-from rich.console import Console
 
 from station.bench.bench import Bench
 from station.commands.common import chosen_bench, clock
@@ -34,11 +31,5 @@ def command_check(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps({"ok": well, "devices": json_object(found)}))
     else:
-        print_check(bench, found, stdout())
+        print_rendered(stdout(), "station.render", "check.rich", {"bench": bench, "found": found})
     return (Outcome.PASS if well else Outcome.FAULT).exit_code
-
-
-def print_check(bench: Bench, found: list[DeviceCheck], console: Console) -> None:
-    """Print what answered and how well, then what is wrong and what to do."""
-    values = {"bench": bench, "found": found, "degrees": math.degrees, "isfinite": math.isfinite}
-    print_rendered(console, "station.render", "check.rich", values)

@@ -8,11 +8,11 @@ from typing import Any
 from rich.markup import escape
 
 from estimator.effects.catalogue import everything
+from estimator.effects.constructed import readable as words
 from estimator.effects.effect import Effect, Kind
-from station.render.rich_table import rich_table
-from station.render.terminal import stdout
+from station.render.terminal import rich_table, stdout
 from station.run.outcome import Outcome
-from station.views.words import human, words
+from station.views.figures import human
 
 
 def command_effects(arguments: argparse.Namespace) -> int:
@@ -39,17 +39,14 @@ def command_effects(arguments: argparse.Namespace) -> int:
 
 
 def _parameters(one: dict[str, Any]) -> list[str]:
-    sizes = [_largest(**parameter) for parameter in one["parameters"]]
+    largest = [(p["largest"], p["unit"]) for p in one["parameters"]]
+    sizes = ["all of it" if (size, unit) == (1, "1") else human(size, 0.0, unit) for size, unit in largest]
     lines = [f"{p['name']} {size}" for p, size in zip(one["parameters"], sizes, strict=True)]
     if len(lines) > 2 and len(set(sizes)) == 1:
         lines = [f"{len(lines)} of {sizes[0]} each"]
     if one["non_linear"]:
         lines.append(", ".join(free["name"] for free in one["non_linear"]) + ": found from the data")
     return lines
-
-
-def _largest(name: str, unit: str, largest: float) -> str:
-    return "all of it" if unit == "1" and largest == 1 else human(largest, 0.0, unit)
 
 
 def _object(effect: Effect) -> dict[str, Any]:

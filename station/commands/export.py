@@ -9,12 +9,11 @@ from rich.markup import escape
 
 from station.atomic_write import write_whole
 from station.errors import UsageError
+from station.exports import HELD
 from station.exports.exported import Exported, exported_of
 from station.exports.formats import FORMATS
-from station.exports.held import HELD
 from station.exports.written import Written
-from station.render.rich_table import rich_table
-from station.render.terminal import stdout
+from station.render.terminal import rich_table, stdout
 from station.run.outcome import Outcome
 
 _STDOUT = "-"

@@ -19,7 +19,7 @@ from estimator.geometry.kinematics import body_rate
 from estimator.geometry.model import regressor_maps
 from estimator.observations.rows import BLOCK_S
 from estimator.planning.planning import UNSEEN, weighed
-from station.atomic_write import free_path
+from station.atomic_write import check_new_file, free_path, write_whole
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
 from station.errors import UsageError
@@ -75,8 +75,7 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
     began_s = time.perf_counter()
     wanted = _wanted(arguments, bench, script)
     path = Path(arguments.output) if arguments.output else free_path(Path(DEFAULT_FILE))
-    if path.exists():
-        raise UsageError(f"{path} is there already: give another name")
+    check_new_file(path, "--output")
     say = Console(stderr=True, quiet=arguments.json)
     search = search_of(bench, wanted, lambda text: say.print(f"[dim]{text}[/]", highlight=False))
     found = search.least_time() if wanted.total_s is None else search.least_sigmas(wanted.total_s)
@@ -85,7 +84,7 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
         return _refuse(_why_not(search, bench, wanted, gyros), arguments.json)
     check(found.script, bench.table.limits)
     improved = Improved(script, wanted, found, gyros, time.perf_counter() - began_s)
-    write_script(path, found.script, _origin(improved, bench))
+    write_whole(path, script_text(found.script, _origin(improved, bench)))
     if arguments.json:
         print(json.dumps(improved_object(improved, path)))
     else:
@@ -154,7 +153,7 @@ def _used(bench: Bench) -> list[ImuConfig]:
 
 
 def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Wanted:
-    margin, rest_s = _quantity(arguments, "margin", "ratio"), _quantity(arguments, "rest", "time")
+    margin, rest_s = quantity(arguments, "margin", "ratio"), quantity(arguments, "rest", "time")
     if not 0 <= margin < 1 or not 1 <= rest_s <= LONGEST_S / 4:
         raise UsageError('--margin must be from "0 %" to below "100 %", --rest "1 s" or more')
     columns = _columns(arguments.states)
@@ -171,19 +170,19 @@ def _wanted(arguments: argparse.Namespace, bench: Bench, script: Script) -> Want
             if arguments.sigmas == "bench"
             else f"nothing to reach: {script.name} shows none of these states"
         )
-    total_s = None if arguments.time_given is None else _quantity(arguments, "time_given", "time")
+    total_s = None if arguments.time_given is None else quantity(arguments, "time_given", "time")
     if total_s is not None and not 0 < total_s <= LONGEST_S:
         raise UsageError(f"--for {arguments.time_given}: give a time above 0 s and up to {LONGEST_S / 3600:g} h")
     return Wanted(sd, total_s, rest_s, arguments.criterion, arguments.one_way)
 
 
-def _quantity(arguments: argparse.Namespace, option: str, kind: str) -> float:
-    text = getattr(arguments, option)
+def quantity(arguments: argparse.Namespace, option: str, kind: str) -> float:
+    """Return what an option was given, in SI; UsageError for what is no such quantity."""
     try:
-        return parse(text, kind)
+        return parse(getattr(arguments, option), kind)
     except QuantityError as error:
-        name = "for" if option == "time_given" else option
-        raise UsageError(f"--{name} {text}: {error}") from None
+        name = "for" if option == "time_given" else option.replace("_", "-")
+        raise UsageError(f"--{name} {error}") from None
 
 
 def _columns(text: str) -> list[int]:
@@ -238,17 +237,8 @@ def _refuse(reason: str, as_json: bool) -> int:
 def script_text(script: Script, origin: str) -> str:
     """Return a script as TOML that ``station.scripts.script.load_script`` reads; ``origin`` is its first comment."""
     steps = zip((_KINDS[type(step)] for step in script.steps), script.steps, script.durations_s(), strict=True)
-    values = {"origin": origin, "script": script, "steps": steps, "degrees": math.degrees}
+    values = {"origin": origin, "script": script, "steps": steps}
     return rendered("station.commands", "script.toml", values)
-
-
-def write_script(path: Path, script: Script, origin: str) -> None:
-    """Write a script as TOML into a new file; UsageError if that fails."""
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(script_text(script, origin))
-    except OSError as error:
-        raise UsageError(f"cannot write {path}: {error}") from None
 
 
 def _origin(improved: Improved, bench: Bench) -> str:
@@ -296,11 +286,7 @@ def _print(improved: Improved, path: Path) -> None:
     script = improved.found.script
     values = {
         "improved": improved,
-        "found": improved.found,
-        "wanted": improved.wanted,
         "with_sequencer_s": _with_sequencer_s(script),
-        "units": STATE_UNITS,
-        "infinite": math.inf,
         "steps": list(zip(script.steps, script.durations_s(), strict=True)),
         "path": path,
     }

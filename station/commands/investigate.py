@@ -18,18 +18,17 @@ from estimator.recordings.recording import Recording
 from estimator.recordings.reference import TableReadings
 from estimator.tracing.investigate import investigate
 from estimator.tracing.investigation import Finding, Investigation
-from station.atomic_write import free_path
+from station.atomic_write import check_new_file, check_picture, free_path, write_whole
 from station.bench.bench import load_bench
 from station.commands.calibrate import recordings_of
-from station.commands.improve import write_script
+from station.commands.improve import script_text
 from station.errors import UsageError
-from station.exports.investigation_file import check_new_file, write_investigation
+from station.exports.investigation_file import write_investigation
 from station.render.investigation_printed import exit_code_of, print_investigation
 from station.render.progress import TracingProgress
-from station.report.residual_picture import draw_investigation
+from station.report.pictures import draw_investigation
 from station.schema.tables import Table
 from station.scripts.next_script import NextScript, Past, next_script
-from station.studies.pictures import check_picture
 from station.views.investigation import investigation_view
 
 _NEXT_FILE = "next-script.toml"
@@ -50,7 +49,7 @@ def command_investigate(arguments: argparse.Namespace) -> int:
     arguments.recordings, arguments.verify = recordings_of(arguments.recordings), recordings_of(arguments.verify)
     fitted, judging = arguments.recordings, arguments.verify
     _check_apart(fitted, judging)
-    recordings, verification = read(fitted), read(judging)
+    recordings, verification = ([read_recording(Path(name)) for name in names] for names in (fitted, judging))
     limits = limits_of(recordings, Path(arguments.bench) if arguments.bench else None)
     with TracingProgress(arguments.json) as progress:
         found = investigate(recordings, verification, most_effects=arguments.most_effects, progress=progress.show)
@@ -99,11 +98,6 @@ def _check_apart(fitted: Sequence[str], judging: Sequence[str]) -> None:
     both = {Path(name).resolve() for name in fitted} & {Path(name).resolve() for name in judging}
     if both:
         raise UsageError(f"{min(both)} is to be fitted and to verify: a run that is fitted cannot judge")
-
-
-def read(names: Sequence[str]) -> list[Recording]:
-    """Return recordings by name."""
-    return [read_recording(Path(name)) for name in names]
 
 
 def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | None:
@@ -184,4 +178,4 @@ def write_next(path: Path, following: NextScript, limits: Limits | None) -> None
     rivals = "; ".join(" or ".join(names) for names in following.rivals)
     origin = f"Found by station investigate, within the limits of {limits.stated_in if limits else 'a table'}.\n"
     origin += f"To tell apart: {rivals}. Predicted probability of that: {following.probability:.2f}."
-    write_script(path, following.script, origin)
+    write_whole(path, script_text(following.script, origin))

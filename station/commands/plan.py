@@ -7,15 +7,13 @@ from typing import Any
 
 from estimator.planning.planning import EffectForecast, Forecast
 from station.bench.bench import load_bench
-from station.commands.improve import improve
-from station.errors import UsageError
+from station.commands.improve import improve, quantity
 from station.opening import with_links
 from station.render.plan_printed import print_plan
 from station.render.terminal import stdout
 from station.run.outcome import Outcome
-from station.schema.quantities import QuantityError, parse
 from station.scripts.plan import TEMPERATURE_RISE_K, WARMING_TIME_S, Plan, make_plan
-from station.scripts.script import Rest, Script, load_script, paper_script
+from station.scripts.script import load_script, paper_script
 from station.views.json_values import by_state, json_object
 
 
@@ -26,21 +24,15 @@ def command_plan(arguments: argparse.Namespace) -> int:
     script = load_script(Path(arguments.script)) if arguments.script else paper_script()
     if arguments.improve:
         return improve(arguments, bench, script)
-    plan = make_plan(script, bench, temperature_rise_k=_rise(arguments.temperature_rise))
+    rise_k = TEMPERATURE_RISE_K
+    if arguments.temperature_rise is not None:
+        rise_k = quantity(arguments, "temperature_rise", "temperature")
+    plan = make_plan(script, bench, temperature_rise_k=rise_k)
     if arguments.json:
         print(json.dumps(plan_object(plan)))
     else:
         print_plan(plan, stdout())
     return (Outcome.PASS if plan.reached.all() else Outcome.FAIL).exit_code
-
-
-def _rise(text: str | None) -> float:
-    if text is None:
-        return TEMPERATURE_RISE_K
-    try:
-        return parse(text, "temperature")
-    except QuantityError as error:
-        raise UsageError(f"--temperature-rise {error}") from None
 
 
 def plan_object(plan: Plan) -> dict[str, Any]:
@@ -49,7 +41,11 @@ def plan_object(plan: Plan) -> dict[str, Any]:
     return {
         "script": plan.script.name,
         "duration_s": plan.script.duration_s,
-        "steps": _steps(plan.script),
+        "steps": [
+            {"label": timed.step.label, "duration_s": timed.duration_s}
+            | {key: getattr(timed.step, key, None) for key in ("axis", "rate_rps")}  # None of a rest
+            for timed in plan.script.timeline()
+        ],
         "reached": bool(plan.reached.all()),
         "required": by_state(plan.required),
         "gyros": [
@@ -102,15 +98,3 @@ def _effect(forecast: EffectForecast, found: Forecast) -> dict[str, Any]:
             for i, parameter in enumerate(forecast.effect.parameters)
         ],
     }
-
-
-def _steps(script: Script) -> list[dict[str, Any]]:
-    return [
-        {
-            "label": timed.step.label,
-            "duration_s": timed.duration_s,
-            "axis": None if isinstance(timed.step, Rest) else timed.step.axis,
-            "rate_rps": None if isinstance(timed.step, Rest) else timed.step.rate_rps,
-        }
-        for timed in script.timeline()
-    ]

@@ -6,16 +6,22 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from station.atomic_write import free_path, write_whole
+from station.atomic_write import check_new_file, free_path, write_whole
 from station.errors import EXIT_USAGE, UsageError
-from station.exports.investigation_file import check_new_file
 
 
 def command_report(arguments: argparse.Namespace) -> int:
     """Write the report of a recording; 0 if it is written, whatever it says."""
     html, pdf = _outputs(arguments)
     said = _write(Path(arguments.recording), arguments.investigation, html)
-    problem = _print(html, pdf)
+    problem = ""
+    if pdf is not None:
+        from station.report.browser import print_pdf
+
+        try:
+            print_pdf(html, pdf)
+        except UsageError as error:
+            problem = str(error)
     if arguments.json:
         print(json.dumps({**said, "html": str(html), "pdf": None if problem or pdf is None else str(pdf)}))
     else:
@@ -71,16 +77,3 @@ def _write(path: Path, investigation: str | None, html: Path) -> dict[str, Any]:
         "recording": str(path),
         "sha256": report.hashes,
     }
-
-
-def _print(html: Path, pdf: Path | None) -> str:
-    """Print the PDF if one is wanted; return what went wrong, in words."""
-    if pdf is None:
-        return ""
-    from station.report.browser import print_pdf
-
-    try:
-        print_pdf(html, pdf)
-    except UsageError as error:
-        return str(error)
-    return ""

@@ -21,11 +21,11 @@ _DEFECT = 1
 
 def command_ui(arguments: argparse.Namespace) -> int:
     """Show the screen until the operator leaves it; 2 if there is no terminal that can show it."""
-    if getattr(arguments, "web", None) is not None:
-        from station.screen.web import serve
-
-        return serve(arguments.web, _words_again(arguments))
     if "TEXTUAL_DRIVER" not in os.environ:  # else somebody else draws: the server of --web
+        if getattr(arguments, "web", None) is not None:
+            from station.screen.web import serve
+
+            return serve(arguments.web, arguments.typed[1:])
         _check_terminal()
     return _show(arguments)
 
@@ -108,16 +108,3 @@ def _option(name: str) -> str:
 
 def _repeated(option: str, values: list[str] | None) -> tuple[str, ...]:
     return tuple(word for value in values or () for word in (option, value))
-
-
-def _words_again(arguments: argparse.Namespace) -> list[str]:
-    """Return the options of `station ui` again, for the process that draws for a browser."""
-    words = [
-        word for name in ("bench", "script", "folder") if (v := getattr(arguments, name)) for word in (_option(name), v)
-    ]
-    if arguments.scale is not None:
-        words += ["--scale", f"{arguments.scale:g}"]
-    if arguments.seed is not None:
-        words += ["--seed", str(arguments.seed)]
-    words += _repeated("--link", arguments.link) + _repeated("--device", arguments.device)
-    return words + (["--attach"] if arguments.attach else [])

@@ -1,5 +1,6 @@
 """What is exported of a recording: its calibration, the compensation of some of its gyros, where they come from."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,10 +18,18 @@ from estimator.errors import EstimatorError, RecordingError
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
 from station.errors import UsageError
-from station.exports.hashes import file_sha256
 from station.run.outcome import Outcome
 from station.views.figures import STATE_FIGURES
 from station.views.seen import Seen, seen_by
+
+_RAW = ("imu", "table", "reference")
+_NUMBERS = "biuf"
+
+RAW_RULE = (
+    "over the datasets of numbers below /imu, /reference and /table, sorted by their paths: of each its path in "
+    "UTF-8, a line feed, and its values in little-endian order, row by row"
+)
+"""How the hash of the raw data is formed, in words."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,3 +139,27 @@ def _states(gyro: GyroCalibration) -> str:
         f"{shown.name} {state * shown.factor:.6g} ± {float(f'{sd * shown.factor:.2g}'):g} {shown.unit}"
         for shown, state, sd in zip(STATE_FIGURES, gyro.states, gyro.sd, strict=True)
     )
+
+
+def file_sha256(path: Path) -> str:
+    """Return the hash of a whole file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def raw_sha256(path: Path) -> str:
+    """Return the hash of what was measured, as ``RAW_RULE`` says: estimates and attributes do not change it."""
+    found = hashlib.sha256()
+    with h5py.File(path, "r") as file:
+        names: list[str] = []
+
+        def note(name: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset) and name.partition("/")[0] in _RAW and item.dtype.kind in _NUMBERS:
+                names.append(name)
+
+        file.visititems(note)
+        for name in sorted(names):
+            values = file[name][()]
+            found.update(f"/{name}\n".encode())
+            found.update(np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<"), copy=False)).data)
+    return found.hexdigest()

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 from station.exports.exported import Exported
 from station.exports.forms.autopilots import write_ardupilot, write_px4
-from station.exports.forms.c_header import write_c
 from station.exports.forms.plain_data import write_csv, write_json, write_yaml
-from station.exports.forms.python_module import write_python
 from station.exports.forms.robotics import write_kalibr, write_ros
+from station.exports.forms.source_code import write_c, write_python
 from station.exports.written import Written
 
 
@@ -31,4 +30,4 @@ FORMATS: dict[str, Format] = {
     "px4": Format(write_px4),
     "ardupilot": Format(write_ardupilot),
 }
-"""By name; what each holds is in ``station.exports.held``, which --help can read without numpy."""
+"""By name; what each holds is in ``station.exports.HELD``."""

@@ -14,18 +14,10 @@ from estimator.calibration.error_model import WHERE
 from estimator.tracing.investigation import Investigation
 from estimator.tracing.type_model import error_model_of
 from station.errors import UsageError
-from station.views.residuals import spectra_of
+from station.views.investigation import spectra_of
 
 FORMAT = "turntable-investigation"
 FORMAT_VERSION = 1
-
-
-def check_new_file(path: Path, option: str) -> None:
-    """See, before any long work, that a file can be created there; UsageError if not."""
-    if path.exists():
-        raise UsageError(f"{option} {path} is there already: give another name")
-    if not path.resolve().parent.is_dir():
-        raise UsageError(f"{option} {path}: there is no directory {path.parent}")
 
 
 def write_investigation(path: Path, found: Investigation, what: Mapping[str, Any]) -> None:

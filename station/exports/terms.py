@@ -4,23 +4,25 @@ What the languages write differently stands in braces: names of tables, helpers 
 ``variables.toml``, and ``step``, the time since the sample before.
 """
 
+import ast
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from drivers.packaged import packaged_toml
 from drivers.types import Floats
 from estimator.calibration.compensation import Compensation
 from estimator.effects.effect import Acts
+from estimator.effects.law import parsed
 from estimator.geometry.kinematics import GRAVITY_MPS2
-from station.exports.law_text import law_terms
 from station.exports.written import number
 
 AXIS_TABLES = ("axis", "axis_j", "axis_k")
 """Names of the tables of sense and tilt axes."""
-VARIABLES: Mapping[str, Mapping[str, str]] = packaged_toml("station.exports", "variables.toml")
+SPELLED: Mapping[str, Mapping[str, str]] = packaged_toml("station.exports", "variables.toml")
 """What the variables of laws are called: in "scalar" code for gyro ``i`` of one sample, in numpy for "rows" of them."""
-_SCALAR = {name: text.replace("GRAVITY", number(GRAVITY_MPS2)) for name, text in VARIABLES["scalar"].items()}
+_OPERATORS: Mapping[type[ast.operator], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+_SCALAR = {name: text.replace("GRAVITY", number(GRAVITY_MPS2)) for name, text in SPELLED["scalar"].items()}
 _MAY_FAIL = re.compile(r"(?!fabs)\b[a-z0-9]+\(|/ \(")
 """What may be no number: functions, quotients by what is measured; products are infinite at the worst."""
 _PLACES = {"lag": 1, "play": 1, "last": 2}
@@ -119,3 +121,30 @@ def _of_law(law: str, places: int) -> tuple[str, int]:
     column = "[{}]" if len(written) > 1 else ""
     guarded = ["{value}" + term + ")" if _MAY_FAIL.search(term) else term for term in written]
     return " + ".join(f"{{table}}[i]{column.format(n)} * {term}" for n, term in enumerate(guarded)), places
+
+
+def law_terms(law: str, names: Mapping[str, str], call: Callable[[str, str, str], str]) -> list[str]:
+    """Return each term of a law, every operation in brackets; ``names`` are those of its variables.
+
+    ``call`` writes a function from its name, its argument, and its constant: that of a power, too; "" if it has none.
+    """
+
+    def written(node: ast.expr) -> str:
+        match node:
+            case ast.Constant(value=int() | float() as value):
+                return number(float(value))
+            case ast.Name(id=name):
+                return names[name]
+            case ast.UnaryOp(operand=operand):
+                return f"(-{written(operand)})"
+            case ast.BinOp(left=ast.Name(id=name), op=ast.Pow(), right=ast.Constant(value=int() as n)) if 1 < n < 4:
+                return f"({' * '.join([names[name]] * n)})"
+            case ast.BinOp(left=left, op=ast.Pow(), right=right):
+                return call("pow", written(left), written(right))
+            case ast.BinOp(left=left, op=op, right=right):
+                return f"({written(left)} {_OPERATORS[type(op)]} {written(right)})"
+            case ast.Call(func=ast.Name(id=name), args=[inner, *constant]):
+                return call(name, written(inner), written(constant[0]) if constant else "")
+        raise AssertionError(ast.unparse(node))  # the grammar has been checked
+
+    return [written(tree) for tree in parsed(law)]

@@ -1,6 +1,6 @@
-"""An investigation as a person reads it, in a terminal and on the screen."""
+"""An investigation, and a closed loop of them, as a person reads it, in a terminal and on the screen."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,16 +9,17 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from estimator.effects.constructed import readable as words
 from estimator.tracing.investigation import Finding, Investigation
 from estimator.tracing.residuals.origin import Origin
 from estimator.tracing.residuals.residual import BY_CHANCE
-from station.render.rich_table import rich_table
 from station.render.template import rendered
-from station.render.terminal import Shown, print_all, shown_of, stdout
+from station.render.terminal import Shown, print_all, print_rendered, rich_table, shown_of, stdout
+from station.run.closed_loop import Loop, Round
 from station.scripts.next_script import NextScript
-from station.views.figures import FINDING_STYLES, number
+from station.views.figures import FINDING_STYLES, human, number
 from station.views.investigation import InvestigationView, ResidualView, investigation_view
-from station.views.words import dph, human, probability, words
+from station.views.json_values import named
 
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
 _MOST_SHOWN = 8
@@ -41,6 +42,18 @@ def print_investigation(
     print_all(console or stdout(), investigation_shown(what, f"station run --script {path}", drive))
 
 
+def print_loop(loop: Loop) -> None:
+    """Print the report: runs, what each investigation led to, the last one in full."""
+    console, last = stdout(), loop.rounds[-1]
+    views = [investigation_view(turn.found, turn.script_file) for turn in loop.rounds]
+    values = {"runs_driven": loop.runs, "rounds": loop.rounds, "views": views, "verdict_lines": verdict_lines}
+    print_rendered(console, "station.render", "loop.rich", values)
+    print_investigation(last.found, last.following, last.script_file, console)
+    console.print(escape(f"ended: {loop.ended}"), highlight=False)
+    console.print(f"table time: {loop.used_s / 60:.1f} of {loop.budget_s / 60:g} min", highlight=False)
+    console.print(f"recordings, scripts, results: {loop.folder}", highlight=False, markup=False, soft_wrap=True)
+
+
 def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> list[Shown]:
     """Return lines and tables of an investigation; ``how`` its next script is driven, ``drive`` what that is."""
     left_out: dict[str, list[str]] = {}
@@ -56,15 +69,9 @@ def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> l
         "how": how,
         "shown": shown,
         "others": ranked[len(shown) :],
-        "words": words,
-        "probability": probability,
-        "percent": _percent,
-        "number": number,
         "figure": lambda value: "inf" if value is None else f"{value:.3g}",
         "residuals": _residual_tables(what["residual"]),
-        "models": _models(what["models"]) if len(what["models"]) > 1 else None,
         "left_out": left_out,
-        "dph": dph,
     }
     return shown_of("station.render", "investigation.rich", values)
 
@@ -75,9 +82,6 @@ def verdict_lines(what: InvestigationView) -> list[str]:
         "what": what,
         "called": lambda added: _constructed_line(added) if added["constructed"] else words(added["effect"]),
         "parameters": _parameters,
-        "same": lambda added: ", ".join(map(words, added["same"])),
-        "either": lambda rivals: " or ".join(map(words, rivals)),
-        "probability": probability,
     }
     return rendered("station.render", "verdict.txt", values).splitlines()
 
@@ -98,29 +102,6 @@ def _constructed_line(added: Mapping[str, Any]) -> str:
     if lag is not None:
         said = said.replace(f"lagged by {lag[0]:.4g} s", f"lagged by {human(*lag)}")
     return f"CONSTRUCTED: {said}; not in the catalogue"
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{share:.1%}"
-
-
-def _models(models: Sequence[Mapping[str, Any]]) -> Table:
-    """Return one row a model: what it added, its evidence, its error."""
-    rows = [
-        (
-            " + ".join(["four states", *map(words, model["effects"])]),
-            number(model["log_evidence"], 1, signed=True) if place else "0",
-            dph(model["rms_rps"]),
-            dph(model["max_rps"]),
-            _percent(model["coverage95"]),
-        )
-        for place, model in enumerate(models)
-    ]
-    table = rich_table(
-        "Chain of models", ("model", "log evidence", "rms deg/h", "largest deg/h", "in 95 %"), "lr", rows
-    )
-    table.columns[0].overflow = "fold"
-    return table
 
 
 def _residual_tables(residual: Mapping[str, Any] | None) -> list[tuple[Table, str]]:
@@ -198,3 +179,44 @@ def _depends_on(gyro: Mapping[str, Any]) -> str:
     shares = {variable: d["share"] for variable, d in gyro["depends_on"].items() if d["share"] >= _LEAST_DEPENDENCE}
     ranked = sorted(shares, key=lambda variable: -shares[variable])[:_DEPENDENCES_SHOWN]
     return ", ".join(f"{variable} {shares[variable]:.0%}" for variable in ranked) or "nothing"
+
+
+def loop_object(loop: Loop) -> dict[str, Any]:
+    """Return what --json prints: the last investigation, and how it came to that."""
+    last = loop.rounds[-1]
+    fitted, judging = ([str(path) for path in loop.recordings(judging=j)] for j in (False, True))
+    return {
+        **investigation_view(last.found, last.script_file, fitted, judging),
+        "rounds": [_round_object(turn) for turn in loop.rounds],
+        "runs": runs_object(loop),
+        "folder": str(loop.folder),
+        "minutes_used": loop.used_s / 60,
+        "minutes": loop.budget_s / 60,
+        "ended": loop.ended,
+    }
+
+
+def runs_object(loop: Loop) -> list[dict[str, Any]]:
+    """Return the runs as what --json prints."""
+    return [
+        {
+            **named(run, ("purpose", "table_s")),
+            "script": run.script.name,
+            "recording": str(run.result.recording),
+            "outcome": str(run.result.verdict.outcome),
+            "reason": run.result.verdict.reason,
+        }
+        for run in loop.runs
+    ]
+
+
+def _round_object(turn: Round) -> dict[str, Any]:
+    whole = dict(investigation_view(turn.found, turn.script_file))
+    kept = ("verdict", "reason", "added", "rivals", "unexplained", "before", "after", "models", "next_script")
+    following = turn.following
+    return {
+        "runs": turn.runs,
+        **{key: whole[key] for key in kept},
+        "next_name": following and following.script.name,
+        "next_probability": following and following.probability,
+    }

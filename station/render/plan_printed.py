@@ -11,17 +11,17 @@ from rich.table import Table
 
 from drivers.types import Flags, Floats
 from estimator.effects.conditions import REFERENCE_C
+from estimator.effects.constructed import readable as words
 from estimator.effects.disturbances import TONE
 from estimator.planning.planning import ALIKE, EffectForecast, Forecast
-from station.render.rich_table import rich_table
-from station.render.terminal import print_rendered
+from station.render.terminal import print_rendered, rich_table
 from station.scripts.axis_profile import profile_lines
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
 from station.views.figures import STATE_UNITS, shown_unit
-from station.views.words import words
 
-_MARKED = 1.0  # shifts of the states below so many of their sigmas are not worth a word
+MARKED = 1.0
+"""Shifts of the states below so many of their sigmas are not worth a word."""
 
 
 def print_plan(plan: Plan, console: Console) -> None:
@@ -39,7 +39,6 @@ def print_plan(plan: Plan, console: Console) -> None:
         "warnings": [*plan.rounded, *too_steep(plan.script, plan.bench.table.read_time_s)],
         "partly_seen": any(f.seen.any() and not f.seen.all() for f in found.effects),
         "corrupted": [line for forecast in found.effects for line in _corrupted(forecast, found)],
-        "words": words,
         "alike": ALIKE,
         "reference_c": REFERENCE_C,
         "warming_time_s": WARMING_TIME_S,
@@ -51,20 +50,17 @@ def print_plan(plan: Plan, console: Console) -> None:
 def _states(plan: Plan) -> Table:
     asked = bool(np.isfinite(plan.required).any())
     several = len({gyro.source for gyro in plan.forecast.gyros}) > 1
-    heads = [*(["device"] if several else []), "gyro", *(f"{name}\n{unit}" for name, unit, _ in STATE_UNITS)]
-    align = "l" * (1 + several) + "rrrr"
-    if asked:
-        heads, align = [*heads, "required"], f"{align}l"
-    table = rich_table("Predicted sigmas of the states", heads, align)
+    shown = slice(0 if several else 1, None if asked else -1)
+    heads = ["device", "gyro", *(f"{name}\n{unit}" for name, unit, _ in STATE_UNITS), "required"]
+    table = rich_table("Predicted sigmas of the states", heads[shown], "llrrrrl"[shown])
     for gyro, sd, reached in zip(plan.forecast.gyros, plan.sd, plan.reached, strict=True):
-        cells = [gyro.source] if several else []
-        cells += [gyro.name, *(_number(v * f) for v, (_, _, f) in zip(sd, STATE_UNITS, strict=True))]
-        table.add_row(*cells, *([_reached(reached)] if asked else []), end_section=gyro is plan.forecast.gyros[-1])
+        sizes = [_number(v * f) for v, (_, _, f) in zip(sd, STATE_UNITS, strict=True)]
+        cells = [gyro.source, gyro.name, *sizes, _reached(reached)]
+        table.add_row(*cells[shown], end_section=gyro is plan.forecast.gyros[-1])
     if asked:
-        limits = [
-            _number(v * f) if np.isfinite(v) else "-" for v, (_, _, f) in zip(plan.required, STATE_UNITS, strict=True)
-        ]
-        table.add_row(*([""] if several else []), "required", *limits, "", style="dim")
+        pairs = zip(plan.required, STATE_UNITS, strict=True)
+        limits = [_number(v * f) if np.isfinite(v) else "-" for v, (_, _, f) in pairs]
+        table.add_row(*["", "required", *limits, ""][shown], style="dim")
     return table
 
 
@@ -110,14 +106,13 @@ def _smallest(forecast: EffectForecast, own: Sequence[int], factor: float) -> st
 def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
     """Return what the worst parameter that is not seen does to the states, a line for each kind of state."""
     hidden = np.flatnonzero(~forecast.seen.all(axis=1))
-    # A gyro whose own parameter is seen is not corrupted unnoticed; a shared one is unseen by all or none.
-    sigmas = np.where(forecast.seen[:, :, None], 0.0, np.abs(forecast.shift_sigmas))
-    if not len(hidden) or sigmas.max() < _MARKED:
+    sigmas = unnoticed(forecast)
+    if not len(hidden) or sigmas.max() < MARKED:
         return []
     worst = int(hidden[np.argmax(sigmas[hidden].max(axis=(1, 2)))])
     parameter = forecast.effect.parameters[worst]
     unit, factor = shown_unit(parameter.unit)
-    others = int(np.sum(sigmas[hidden].max(axis=(1, 2)) >= _MARKED)) - 1
+    others = int(np.sum(sigmas[hidden].max(axis=(1, 2)) >= MARKED)) - 1
     more = f" (and {others} more of its parameters)" if others > 0 else ""
     size = f"{_number(parameter.largest * factor)} {unit}"
     lines = [
@@ -126,19 +121,21 @@ def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
     ]
     for state, (name, state_unit, scale) in enumerate(STATE_UNITS):
         parts = [
-            f"{gyro.name} {_signed(shift * scale)} ({sigma:.0f})"
+            f"{gyro.name} {'-' if shift < 0 else '+'}{_number(abs(shift * scale))} ({sigma:.0f})"
             for gyro, shift, sigma in zip(
                 found.gyros, forecast.shift[worst, :, state], sigmas[worst, :, state], strict=True
             )
-            if sigma >= _MARKED
+            if sigma >= MARKED
         ]
         if parts:
             lines.append(f"  {name} of {', '.join(parts)} {state_unit}")
     return lines
 
 
-def _signed(value: float) -> str:
-    return f"{'-' if value < 0 else '+'}{_number(abs(value))}"
+def unnoticed(forecast: EffectForecast) -> Floats:
+    """Return by how many sigmas each parameter moves the states of each gyro (P, gyros, 4) where it is not seen."""
+    # A gyro whose own parameter is seen is not corrupted unnoticed; a shared one is unseen by all or none.
+    return np.where(forecast.seen[:, :, None], 0.0, np.abs(forecast.shift_sigmas))
 
 
 def _number(value: float) -> str:

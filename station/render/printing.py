@@ -16,11 +16,10 @@ from estimator.estimation.repeatability import Repeatability
 from estimator.geometry.noise import NoiseFound
 from estimator.observations.rests import RestNoise
 from station.errors import EXIT_USAGE
-from station.render.rich_table import rich_table
-from station.render.terminal import print_rendered, stdout
+from station.render.terminal import print_rendered, rich_table, stdout
 from station.run.outcome import Outcome, Verdict
-from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, STATE_UNITS
-from station.views.json_values import by_state
+from station.views.figures import OUTCOME_STYLES, STATE_UNITS
+from station.views.json_values import budget_and_noise, by_state, json_object, named
 
 _BUDGET_WORDS = packaged_toml("station.views", "budget.toml")["terminal"]
 _SIGMA_HEADS = tuple(f"{name} ({unit})" for name, unit, _ in STATE_UNITS)
@@ -29,15 +28,9 @@ _SCALES = np.array([factor for _, _, factor in STATE_UNITS])
 
 def print_calibration(calibration: Calibration) -> None:
     """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from."""
-    from station.views.words import human, words
-
     nis = f"mean NIS {calibration.nis_mean:.3f} per degree of freedom (1 = the filter's sigmas are true), "
     values = {
         "calibration": calibration,
-        "figures": STATE_FIGURES,
-        "degrees": math.degrees,
-        "words": words,
-        "human": human,
         "budget": _budget(calibration),
         "noise": _noise([gyro.noise for gyro in calibration.gyros if gyro.noise is not None]),
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
@@ -137,46 +130,24 @@ def empty_object(reason: str, outcome: str | None = None, recording: str | None 
 
 def result_object(verdict: Verdict, recording: str, calibration: Calibration | None) -> dict[str, Any]:
     """Return the result as what --json prints."""
-    gyros = [
-        {
-            "name": gyro.name,
-            **by_state(gyro.states),
-            "sd": by_state(gyro.sd),
-            "budget": {c.name: by_state(c.u) for c in gyro.budget},
-            "noise": gyro.noise
-            and {
-                "arw_rps_rthz": gyro.noise.mean.arw,
-                "instability_rps": gyro.noise.mean.instability,
-                "instability_below_rps": gyro.noise.instability_below,
-                "walk_rps_rts": gyro.noise.mean.walk,
-                "walk_below_rps_rts": gyro.noise.walk_below,
-            },
-            **({"effects": _effects_object(gyro)} if gyro.effects else {}),
-        }
-        for gyro in (calibration.gyros if calibration else ())
-    ]
-    nis = calibration.nis_mean if calibration and np.isfinite(calibration.nis_mean) else None
+    found = calibration or Calibration((), math.nan, 0, 0, ())
     return {
         "outcome": str(verdict.outcome),
         "reason": verdict.reason,
         "recording": recording,
-        "gyros": gyros,
-        "nis_mean": nis,
-        "samples": calibration.samples if calibration else 0,
-        "lost": calibration.lost if calibration else 0,
-        "holds_for": calibration.holds_for if calibration else "",
-        "doubts": list(calibration.doubts) if calibration else [],
-        "excluded": {e.name: e.reason for e in calibration.excluded} if calibration else {},
-        "parity": {
-            c.name: {"rms_sigma": c.rms_sigma, "worst_sigma": c.worst_sigma, "suspect": c.suspect}
-            for c in (calibration.parity if calibration else ())
-        },
+        "gyros": list(map(_gyro_object, found.gyros)),
+        "nis_mean": json_object(found.nis_mean),
+        **named(found, ("samples", "lost", "holds_for")),
+        "doubts": list(found.doubts),
+        "excluded": {e.name: e.reason for e in found.excluded},
+        "parity": {c.name: named(c, ("rms_sigma", "worst_sigma", "suspect")) for c in found.parity},
     }
 
 
-def _effects_object(gyro: GyroCalibration) -> dict[str, dict[str, list[float | str]]]:
-    """Return by effect and parameter the value, its standard deviation and its unit."""
-    found: dict[str, dict[str, list[float | str]]] = {}
+def _gyro_object(gyro: GyroCalibration) -> dict[str, Any]:
+    """Return a gyro: its states and sigmas, and by effect and parameter the value, its standard deviation, its unit."""
+    effects: dict[str, dict[str, list[float | str]]] = {}
     for value in gyro.effects:
-        found.setdefault(value.effect, {})[value.parameter] = [value.value, value.sd, value.unit]
-    return found
+        effects.setdefault(value.effect, {})[value.parameter] = [value.value, value.sd, value.unit]
+    found = {"name": gyro.name, **by_state(gyro.states), "sd": by_state(gyro.sd), **budget_and_noise(gyro)}
+    return found | ({"effects": effects} if effects else {})

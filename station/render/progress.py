@@ -2,8 +2,7 @@
 
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
@@ -14,8 +13,8 @@ from station.views.figures import clock, number
 _REFRESH_S = 0.1  # of the wall's clock: a person watches, however fast the loop's clock runs
 
 
-class Bar:
-    """A bar of one task."""
+class Bar(Progress):
+    """A bar of one task; without a terminal lines, when quiet nothing."""
 
     _EVERY = 0.1
     """Without a terminal: one line each tenth of the work."""
@@ -30,33 +29,19 @@ class Bar:
         **fields: Any,
     ) -> None:
         """``begins`` describes the task at first, ``fields`` are what its columns show beside that."""
-        self._quiet, self._refresh = quiet, not auto_refresh
-        self._console = Console(stderr=True)
-        self._bar: Progress | None = None
+        console = Console(stderr=True)
+        self._quiet, self._at_once = quiet, not auto_refresh
+        super().__init__(*columns, console=console, auto_refresh=auto_refresh, disable=quiet or not console.is_terminal)
         self._shown_share = 0.0
-        if not quiet and self._console.is_terminal:
-            self._bar = Progress(*columns, console=self._console, auto_refresh=auto_refresh)
-            self._task = self._bar.add_task(begins, total=total, **fields)
-
-    def __enter__(self) -> Self:
-        if self._bar is not None:
-            self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._bar is not None:
-            self._bar.refresh()
-            self._bar.stop()
+        self._task = self.add_task(begins, total=total, **fields)
 
     def _tell(self, line: str, share: float, due: bool | None = None, **told: Any) -> None:
         """Show in the bar what is ``told``; print the line where there is none and it is due, by default by share."""
-        if self._bar is not None:
-            self._bar.update(self._task, refresh=self._refresh, **told)
+        if not self.disable:
+            self.update(self._task, refresh=self._at_once, **told)
         elif not self._quiet and (share - self._shown_share >= self._EVERY if due is None else due):
             self._shown_share = share
-            self._console.print(line, highlight=False)
+            self.console.print(line, highlight=False)
 
 
 class RunProgress(Bar):

@@ -1,5 +1,6 @@
 """Texts made of templates that ship beside the modules: what is for people stands there, values are made in Python."""
 
+import math
 from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ def rendered(package: str, name: str, values: Mapping[str, Any]) -> str:
     """Return the text of a template in the folder templates of a package.
 
     In .html and in .rich every text is escaped but markupsafe.Markup; None is nothing; a name that is not given raises
-    jinja2.UndefinedError.
+    jinja2.UndefinedError. Every template has the functions of ``station.views`` that say values in everyday units.
     """
     return _environment(package, name.endswith(".rich")).get_template(name).render(values)
 
@@ -21,7 +22,19 @@ def rendered(package: str, name: str, values: Mapping[str, Any]) -> str:
 def _environment(package: str, rich: bool) -> "Environment":
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-    return Environment(
+    from estimator.effects.constructed import readable
+    from station.views.figures import (
+        OUTCOME_STYLES,
+        STATE_FIGURES,
+        STATE_UNITS,
+        dph,
+        human,
+        number,
+        percent,
+        probability,
+    )
+
+    environment = Environment(
         loader=PackageLoader(package),
         autoescape=select_autoescape(),
         undefined=StrictUndefined,
@@ -31,6 +44,12 @@ def _environment(package: str, rich: bool) -> "Environment":
         keep_trailing_newline=True,
         extensions=["jinja2.ext.do"],
     )
+    shared = (dph, human, number, percent, probability, math.degrees, math.isfinite)
+    environment.globals |= {function.__name__: function for function in shared}
+    environment.globals |= {"words": readable, "outcome_styles": OUTCOME_STYLES, "inf": math.inf}
+    environment.globals |= {"state_figures": STATE_FIGURES, "state_units": STATE_UNITS}
+    environment.filters["words"] = readable
+    return environment
 
 
 def _for_rich(value: Any) -> str:

@@ -1,13 +1,13 @@
 """What a person sees in the terminal, from templates: lines with the markup of rich, and tables."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from markupsafe import Markup
-from rich.console import Console, RenderableType
+from rich.console import Console, OverflowMethod, RenderableType
 from rich.markup import escape
+from rich.table import Table
 
-from station.render.rich_table import rich_table
 from station.render.template import rendered
 
 _PIPE_WIDTH = 120
@@ -46,3 +46,26 @@ def shown_of(package: str, name: str, values: Mapping[str, Any]) -> list[Shown]:
 
     lines = rendered(package, name, {"table": rich_table, "escape": escape, "show": show, **values}).splitlines()
     return [shown[int(line[1:])] if line.startswith("\0") else (line, {"highlight": False}) for line in lines]
+
+
+def rich_table(
+    title: str | None,
+    heads: Sequence[str],
+    align: str = "",
+    rows: Iterable[Sequence[str]] = (),
+    *,
+    fold: bool = False,
+    centred: bool = False,
+) -> Table:
+    """Return a table; ``align`` has "l" or "r" for each column, "d" for a dim "r", the last for all others.
+
+    With ``fold`` cells are broken into lines where there is no room, not cut. ``centred`` is the title.
+    """
+    table = Table(title=title, title_style="bold", title_justify="center" if centred else "left")
+    overflow: OverflowMethod = "fold" if fold else "ellipsis"
+    for head, side in zip(heads, align.ljust(len(heads), align[-1:] or "l"), strict=True):
+        style = "dim" if side == "d" else None
+        table.add_column(head, justify="left" if side == "l" else "right", style=style, overflow=overflow)
+    for row in rows:
+        table.add_row(*row)
+    return table

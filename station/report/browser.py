@@ -4,10 +4,10 @@ import os
 import shutil
 import subprocess
 import tempfile
-from contextlib import suppress
 from pathlib import Path
 
 from drivers.packaged import packaged_toml
+from station.atomic_write import write_whole
 from station.errors import UsageError
 
 _KNOWN = packaged_toml("station.report", "browser.toml")
@@ -52,12 +52,4 @@ def print_pdf(html: Path, pdf: Path) -> None:
             said = done.stderr.decode(errors="replace").strip().splitlines()
             last = f": {said[-1]}" if said else ""
             raise UsageError(f"{browser} made no PDF of {html}{last}; open it and print it")
-        try:
-            with pdf.open("xb") as file:
-                file.write(made.read_bytes())
-        except FileExistsError:
-            raise UsageError(f"{pdf} is there already, and is not written over") from None
-        except OSError as error:
-            with suppress(OSError):  # half of it, on a full disk
-                pdf.unlink()
-            raise UsageError(f"{pdf} cannot be written: {error.strerror or error}") from None
+        write_whole(pdf, made.read_bytes())

@@ -1,7 +1,6 @@
 """The whole document: one HTML file that needs nothing beside itself."""
 
 import importlib.metadata
-import math
 import platform
 import re
 from dataclasses import dataclass
@@ -10,32 +9,29 @@ from itertools import count
 from markupsafe import Markup
 
 from drivers.packaged import packaged_text
-from station.exports.hashes import RAW_RULE, file_sha256, raw_sha256
+from estimator.calibration.budget import TYPE_A
+from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
 from station.render.template import rendered
-from station.report import figures
-from station.report.chapters import blind_spots, corrected, course, front, residual, results
-from station.report.chapters.correction import corrections_of
-from station.report.chapters.snippet import snippet
-from station.report.chapters.unseen import unseen_of
+from station.report import figures, pictures
+from station.report import traced as residual
+from station.report.chapters import correction, front, results, unseen
 from station.report.recorded import Recorded
 from station.report.standing import Standing, number_of, standing_of
 from station.report.traced import Traced
-from station.views.words import words
+from station.views.seen import seen_by
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
-    "blind_spots": blind_spots,
-    "corrected": corrected,
-    "corrections_of": corrections_of,
-    "course": course,
+    "blind_spots": unseen,
+    "correction": correction,
     "figures": figures,
     "front": front,
-    "inf": math.inf,
+    "pictures": pictures,
     "raw_rule": RAW_RULE,
     "residual": residual,
     "results": results,
-    "snippet": snippet,
-    "words": words,
+    "seen_by": seen_by,
+    "type_a": TYPE_A,
 }
 """What the templates ask for values."""
 
@@ -68,7 +64,7 @@ def make_report(recorded: Recorded, traced: Traced | None) -> Report:
         "recorded": recorded,
         "found": recorded.calibration,
         "standing": standing,
-        "unseen": unseen_of(recorded),
+        "unseen": unseen.unseen_of(recorded),
         "traced": traced,
         "hashes": hashes,
         "number": number,

@@ -10,8 +10,7 @@ from markupsafe import Markup
 
 from drivers.packaged import packaged_toml
 from estimator.calibration.error_model import Size
-from station.views.figures import STATE_UNITS
-from station.views.words import human
+from station.views.figures import STATE_UNITS, human
 
 COVERAGE = 2.0
 """Coverage factor of expanded uncertainties: about 95 % of a normal distribution."""

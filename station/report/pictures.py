@@ -1,4 +1,4 @@
-"""Pictures of a report as SVG, the same bytes for the same data; matplotlib is imported only here."""
+"""Pictures of a report as SVG, the same bytes for the same data, and of a residual with --plot."""
 
 from __future__ import annotations
 
@@ -16,9 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.types import Floats
+from estimator.effects.constructed import readable as words
+from estimator.tracing.investigation import Investigation, ResidualView
+from station.errors import UsageError
 from station.render.template import rendered
-from station.report.figures import DEG_PER_H, DEG_PER_S, STATES
-from station.report.recorded import Course
+from station.report.figures import ARW, DEG_PER_H, DEG_PER_S, STATES
+from station.report.recorded import Course, Recorded
+from station.views.investigation import Spectra, judged_spectra, judged_views
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,6 +38,8 @@ _RIGHT_IN = 0.06
 _MOST_POINTS = 400  # of a curve as wide as the text: more are not seen on paper
 _FEW_POINTS = 200  # of one in a small panel
 _FONTS = "Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
+_NOISE = "#e0e0e0"
+_DPI = 200
 _STYLE = Path(__file__).with_name("report.mplstyle")
 
 
@@ -49,7 +55,7 @@ class Picture:
 
 def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str) -> Picture:
     """Return the rates (N, axes) of named axes over time."""
-    with drawn((WIDTH_IN, 0.62 * len(names) + 0.42), len(names), 1, between=0.12) as (figure, panels):
+    with _drawn((WIDTH_IN, 0.62 * len(names) + 0.42), len(names), 1, between=0.12) as (figure, panels):
         for column, (name, panel) in enumerate(zip(names, panels[:, 0], strict=True)):
             at, shown = _thinned(t_s, rate_rps[:, column] * DEG_PER_S.factor)
             panel.axhline(0, color=GREY, lw=0.5)
@@ -59,14 +65,24 @@ def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str
         panels[-1, 0].set_xlabel("time since the script began, s")
         of_each = zip(names, (rate_rps * DEG_PER_S.factor).T, strict=True)
         largest = [f"{name} {np.nanmin(r):.4g} to {np.nanmax(r):.4g}" for name, r in of_each]
-        return done(figure, "rates", what=what, span_s=t_s[-1] - t_s[0], largest=largest)
+        return _done(figure, "rates", what=what, span_s=t_s[-1] - t_s[0], largest=largest)
 
 
-def convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, turns_s: Sequence[float]) -> Picture:
-    """Return how the states of one gyro and their sigmas went, a panel a state; grey lines where steps begin."""
+def convergence_pictures(recorded: Recorded) -> list[Picture]:
+    """Return how the states of each gyro and their sigmas went, a panel a state; grey lines where steps begin."""
+    turns_s = [(step.start_ns - recorded.start_ns) * 1e-9 for step in recorded.steps]
+    return [
+        _convergence_picture(recorded.label(source, name), course, i, recorded.start_ns, turns_s)
+        for source, course in recorded.courses.items()
+        for i, name in enumerate(recorded.recording.sources[source].array.names)
+        if len(course.t_ns)
+    ]
+
+
+def _convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, turns_s: Sequence[float]) -> Picture:
     t_s = np.asarray((course.t_ns - start_ns) * 1e-9, dtype=np.float64)
-    each = slice((len(t_s) - 1) % every(t_s), None, every(t_s))  # the last among them
-    with drawn((WIDTH_IN, 1.45), 1, 4, left=0.42, top=0.2) as (figure, panels):
+    each = slice((len(t_s) - 1) % _every(t_s), None, _every(t_s))  # the last among them
+    with _drawn((WIDTH_IN, 1.45), 1, 4, left=0.42, top=0.2) as (figure, panels):
         for s, (panel, symbol) in enumerate(zip(panels[0], _SYMBOLS, strict=True)):
             unit = STATES[s][1]
             value, sd = course.states[each, channel, s] * unit.factor, course.sd[each, channel, s] * unit.factor
@@ -84,18 +100,21 @@ def convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, 
             f"{unit.name}"
             for s, (word, (_, unit)) in enumerate(zip(("k", "b", "sigma j", "sigma k"), STATES, strict=True))
         ]
-        return done(figure, "convergence", gyro=gyro, last=last)
+        return _done(figure, "convergence", gyro=gyro, last=last)
 
 
-def nis_picture(courses: Sequence[tuple[str, Course]], start_ns: int) -> Picture:
-    """Return the normalised innovations squared of each source over time, means of some seconds."""
+def nis_picture(recorded: Recorded) -> Picture | None:
+    """Return the normalised innovations squared of each source, means of some seconds; None if none are kept."""
+    courses = [(name, course) for name, course in recorded.courses.items() if len(course.nis)]
+    if not courses:
+        return None
     columns = min(len(courses) + 1, 6)
     bottom = 0.4 + 0.15 * -(-(len(courses) + 1) // columns)
-    with drawn((WIDTH_IN, 1.25 + bottom), 1, 1, bottom=bottom) as (figure, panels):
+    with _drawn((WIDTH_IN, 1.25 + bottom), 1, 1, bottom=bottom) as (figure, panels):
         panel = panels[0, 0]
         means = []
         for number, (name, course) in enumerate(courses):
-            t_s = (course.nis_t_ns - start_ns) * 1e-9
+            t_s = (course.nis_t_ns - recorded.start_ns) * 1e-9
             rows = max(len(t_s) // 60, 1)
             edges = np.arange(0, len(t_s) - rows + 1, rows)
             dof = np.add.reduceat(course.dof, edges)
@@ -111,12 +130,15 @@ def nis_picture(courses: Sequence[tuple[str, Course]], start_ns: int) -> Picture
         panel.margins(x=0)
         panel.set_ylim(bottom=0)
         figure.legend(loc="lower center", ncols=columns, frameon=False)
-        return done(figure, "nis", means=[f"{name} {mean:.3f}" for name, mean, _ in means])
+        return _done(figure, "nis", means=[f"{name} {mean:.3f}" for name, mean, _ in means])
 
 
-def allan_picture(names: Sequence[str], tau_s: Floats, deviation_rps: Floats) -> Picture:
-    """Return the Allan deviations (n, t) of the gyros at rest."""
-    with drawn((WIDTH_IN / 2 + 0.6, 2.1), 1, 1) as (figure, panels):
+def allan_picture(recorded: Recorded) -> Picture | None:
+    """Return the Allan deviations of the gyros at rest, None if they are not kept."""
+    if recorded.allan is None:
+        return None
+    names, (tau_s, deviation_rps) = recorded.labels, recorded.allan
+    with _drawn((WIDTH_IN / 2 + 0.6, 2.1), 1, 1) as (figure, panels):
         panel = panels[0, 0]
         for number, name in enumerate(names):
             colour, style = _STYLES[number % len(_STYLES)]
@@ -125,11 +147,97 @@ def allan_picture(names: Sequence[str], tau_s: Floats, deviation_rps: Floats) ->
         panel.set_ylabel("Allan deviation, °/h")
         panel.legend(frameon=False, ncols=1 + len(names) // 9)
         lowest = [f"{name} {np.nanmin(d) * DEG_PER_H.factor:.2g}" for name, d in zip(names, deviation_rps, strict=True)]
-        return done(figure, "allan", lowest=lowest)
+        return _done(figure, "allan", lowest=lowest)
+
+
+def residual_picture(view: ResidualView, spectra: Spectra | None) -> Picture:
+    """Return the residual of one gyro before and after: over time, against the rate, and its spectrum."""
+    columns = 3 if spectra is not None else 2
+    with _drawn((WIDTH_IN, 1.75), 1, columns, bottom=0.55, widths=[1.9, 1, 1][:columns]) as (figure, panels):
+        _draw(panels[0], view, spectra)
+        figure.legend(loc="lower center", ncols=4, frameon=False)
+        rms = [float(np.sqrt(np.mean(values**2))) * DEG_PER_H.factor for values in (view.before_rps, view.after_rps)]
+        return _done(figure, "residual", residual=view, spectrum=spectra is not None, rms=rms)
+
+
+def draw_investigation(path: Path, found: Investigation) -> None:
+    """Draw of each gyro the residual before and after: over time, against rate, temperature if there is one, spectrum.
+
+    The verification run is drawn, without one the first recording. Raises UsageError if there is nothing to draw or the
+    file cannot be written.
+    """
+    views, spectra = judged_views(found.views), judged_spectra(found)
+    if not views:
+        raise UsageError("--plot: nothing to draw, the investigation kept no residuals")
+    warm = any(view.temperature_c is not None for view in views)
+    widths = [1.9, *[1] * (1 + warm + bool(spectra))]
+    size = WIDTH_IN + 1.8 * warm, 1.3 * len(views) + 0.8
+    with _drawn(size, len(views), len(widths), bottom=0.55, top=0.3, widths=widths) as (figure, panels):
+        for row, view in zip(panels, views, strict=True):
+            if spectra:
+                row[-1].sharey(panels[0, -1])
+            _draw(row, view, spectra.get(view.gyro), warm=warm)
+            row[0].set_ylabel(f"{view.gyro}, °/h")
+        for panel in panels[:-1].ravel():
+            panel.set_xlabel("")
+        what = ", ".join(words(added.effect) for added in found.added)
+        kind = "verification" if views[0].verification else "in-sample"
+        verdict = f"{found.finding}: {what}" if what else str(found.finding)
+        figure.suptitle(f"Error of the compensated rate, {kind} run {views[0].run} ({verdict})", fontsize=8)
+        labelled = (panel.get_legend_handles_labels()[::-1] for panel in panels[0])
+        legend = {label: line for labels, lines in labelled for label, line in zip(labels, lines, strict=True)}
+        figure.legend(legend.values(), legend, loc="lower center", ncols=4, frameon=False)
+        try:
+            figure.savefig(path, dpi=_DPI)
+        except OSError as error:
+            raise UsageError(f"--plot {path} cannot be written: {error}") from None
+
+
+def _draw(row: Sequence[Axes], view: ResidualView, spectra: Spectra | None, *, warm: bool = False) -> None:
+    """Draw one gyro into a row of panels, each with its legend's labels."""
+    over_time, *beside = row
+    both = (("before", ORANGE, "x", view.before_rps), ("after", BLUE, "o", view.after_rps))
+    since = view.t_s - view.t_s[0]
+    noise = 2 * view.noise_rps * DEG_PER_H.factor
+    for label, colour, _, values in both:
+        at, shown = _means(since, values * DEG_PER_H.factor)
+        over_time.plot(at, shown, color=colour, label=label, lw=0.7)
+    band = noise * np.sqrt(len(at) / len(since))
+    over_time.axhspan(-band, band, color=_NOISE, lw=0, zorder=0, label="± 2 sigma of the noise")
+    over_time.set_xlabel("time, s")
+    over_time.set_ylabel("residual, °/h")
+    over_time.margins(x=0)
+    over = [(view.rate_rps * DEG_PER_S.factor, "rate about the sense axis, °/s")]
+    if warm:
+        over.append((np.full_like(since, np.nan) if view.temperature_c is None else view.temperature_c, "°C"))
+    each = slice(None, None, _every(since))  # over many rows a scatter is as plain with some of them
+    for panel, (x, label) in zip(beside, over, strict=False):
+        for _, colour, mark, values in both:
+            y = values[each] * DEG_PER_H.factor
+            panel.plot(x[each], y, mark, ms=1.4, mew=0.3, mfc="none", color=colour)
+        panel.axhspan(-noise, noise, color=_NOISE, lw=0, zorder=0)
+        panel.set_xlabel(label)
+        panel.sharey(over_time)
+        panel.tick_params(labelleft=False)
+    if spectra is not None:
+        _draw_spectra(row[-1], spectra)
+
+
+def _draw_spectra(panel: Axes, spectra: Spectra) -> None:
+    """Draw roots of one-sided densities."""
+    for colour, style, density, label in (
+        (ORANGE, "-", spectra.before, "_before"),
+        (BLUE, "-", spectra.after, "_after"),
+        (GREY, "--", spectra.noise, "noise model"),
+    ):
+        panel.loglog(spectra.frequency_hz, np.sqrt(density) * ARW.factor * 3600, style, color=colour, label=label)
+    panel.yaxis.set_minor_formatter("")
+    panel.set_xlabel("frequency, Hz")
+    panel.set_ylabel("°/h/√Hz")
 
 
 @contextmanager
-def drawn(
+def _drawn(
     size: tuple[float, float],
     rows: int,
     columns: int,
@@ -165,7 +273,7 @@ def drawn(
         yield figure, panels
 
 
-def done(figure: Figure, picture: str, **values: object) -> Picture:
+def _done(figure: Figure, picture: str, **values: object) -> Picture:
     """Return the figure with the text in its place and its caption, which stand in a template."""
     alternative, caption = rendered("station.report", "pictures.txt", {"picture": picture, **values}).splitlines()
     out = io.StringIO()
@@ -174,19 +282,15 @@ def done(figure: Figure, picture: str, **values: object) -> Picture:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.DOTALL)
     text = text.replace("'DejaVu Sans'", _FONTS.replace("'", "&#39;"))
-    text = re.sub(r'(?<= )(d|x|y|transform)="[^"]*"', _shortened, text)
+    # A place on the paper to a tenth of a point, which is 0.04 mm.
+    text = re.sub(r'(?<= )(d|x|y|transform)="[^"]*"', lambda found: re.sub(r"(\.\d)\d+", r"\1", found.group()), text)
     text = re.sub(r">\s+<", "><", text)
     data = base64.b64encode(text.encode()).decode()
     width, height = figure.get_size_inches()
     return Picture(f"data:image/svg+xml;base64,{data}", alternative, caption, (float(width), float(height)))
 
 
-def _shortened(attribute: re.Match[str]) -> str:
-    """Return a place on the paper to a tenth of a point, which is 0.04 mm."""
-    return re.sub(r"(\.\d)\d+", r"\1", attribute.group())
-
-
-def every(t_s: Floats) -> int:
+def _every(t_s: Floats) -> int:
     """Return how many rows make one point of a small panel."""
     return max(-(-len(t_s) // _FEW_POINTS), 1)
 
@@ -204,7 +308,7 @@ def _thinned(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     return t_s[kept], values[kept]
 
 
-def means(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+def _means(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Return means over stretches of a curve that is mostly noise."""
     rows = max(len(t_s) // _MOST_POINTS, 1)
     count = len(t_s) // rows

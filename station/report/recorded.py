@@ -87,6 +87,11 @@ class Recorded:
         """Return what to call a gyro, different for each."""
         return labels_of(self.recording).get((source, name), name)
 
+    @property
+    def labels(self) -> list[str]:
+        """What to call the gyros of the calibration."""
+        return [self.label(gyro.source, gyro.name) for gyro in self.calibration.gyros] if self.calibration else []
+
     def has(self, name: str) -> bool:
         """Return whether the file has an attribute."""
         return name in self.recording.attributes
@@ -122,7 +127,8 @@ def read_recorded(path: Path) -> Recorded:
     recording = read_recording(path)
     if not any(len(data.t_ns) for data in recording.sources.values()):
         raise RecordingError(f"{path} holds no samples: there is nothing to report")
-    with _laid_out(path), h5py.File(path, "r") as file:
+    told = "its results are not laid out as the station writes them: {}"
+    with laid_out(path, told), h5py.File(path, "r") as file:
         calibration = None
         if "calibration" in file or recording.attributes.get("outcome") not in _MAY_LACK_ESTIMATE:
             calibration = read_calibration(path, trusted=True)
@@ -147,14 +153,12 @@ def labels_of(recording: Recording) -> dict[tuple[str, str], str]:
 
 
 @contextmanager
-def _laid_out(path: Path) -> Iterator[None]:
-    """Turn what a group made by hand, or cut short, can raise into a RecordingError."""
+def laid_out(path: Path, message: str) -> Iterator[None]:
+    """Turn what a group made by hand, or cut short, can raise into a RecordingError; ``message`` has {} for it."""
     try:
         yield
     except (OSError, AttributeError, TypeError, ValueError, KeyError, IndexError) as error:
-        raise RecordingError(
-            f"{path}: its results are not laid out as the station writes them: {first_line(error)}"
-        ) from None
+        raise RecordingError(f"{path}: {message.format(first_line(error))}") from None
 
 
 def _allan(group: Group) -> tuple[Floats, Floats] | None:

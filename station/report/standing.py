@@ -40,11 +40,6 @@ class Standing:
         return self.kind is Kind.CERTIFICATE
 
     @property
-    def specimen(self) -> bool:
-        """Whether it would be one, had the devices been real."""
-        return self.kind is Kind.SPECIMEN
-
-    @property
     def title(self) -> str:
         """Title of the document."""
         return str(self.kind.value[0])
@@ -61,8 +56,7 @@ def standing_of(recorded: Recorded) -> Standing:
     """Judge a recording; BenchError if the bench text that it carries cannot be read."""
     limits = limits_of(recorded)
     found = recorded.calibration
-    labels = [recorded.label(gyro.source, gyro.name) for gyro in found.gyros] if found is not None else []
-    lines = tuple(limit_lines(found, limits, labels)) if found is not None and limits is not None else ()
+    lines = tuple(limit_lines(found, limits, recorded.labels)) if found is not None and limits is not None else ()
     simulated = is_simulated(recorded)
     kind, verdict = _kind_of(recorded, limits, lines)
     if kind is Kind.CERTIFICATE and simulated:

@@ -1,25 +1,29 @@
-"""An investigation read back: what the error model lacks, and the residual before and after."""
+"""An investigation read back: what the error model lacks, the residual before and after, and how the report says so."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 
 from drivers.types import Floats
 from estimator.calibration.error_model import ErrorModel
-from estimator.errors import RecordingError, first_line
+from estimator.effects.constructed import readable as words
+from estimator.errors import RecordingError
 from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain
 from estimator.tracing.investigation import ResidualView
-from station.report.recorded import Recorded, labels_of
-from station.views.investigation import InvestigationView
-from station.views.residuals import Spectra, judged_views
-from station.views.words import words
+from station.render.investigation_printed import verdict_lines
+from station.report.figures import COVERAGE, worded
+from station.report.recorded import Recorded, labels_of, laid_out
+from station.views.figures import probability
+from station.views.investigation import InvestigationView, Spectra, judged_views
 
 if TYPE_CHECKING:
     from h5py import Group
@@ -45,13 +49,8 @@ class Traced:
     spectra: Mapping[str, Spectra]
 
     @property
-    def added(self) -> bool:
-        """Whether effects were added."""
-        return bool(self.what.get("added"))
-
-    @property
-    def added_words(self) -> list[str]:
-        """What people call these."""
+    def added(self) -> list[str]:
+        """What people call the effects that were added."""
         return [words(name) for name in dict.fromkeys(str(effect["effect"]) for effect in self.what["added"])]
 
 
@@ -65,18 +64,15 @@ def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
     where = path or recorded.path
     if path is not None:
         probe(path)
-    try:
-        with h5py.File(where, "r") as file:
-            if "investigation" not in file:
-                if path is None:
-                    return None
-                raise RecordingError(
-                    f"{path} holds no investigation: give the file that `station investigate ... -o FILE` wrote"
-                )
-            traced = _read(where, file["investigation"])
-    except (OSError, AttributeError, TypeError, ValueError, KeyError, IndexError) as error:
-        reason = first_line(error)
-        raise RecordingError(f"{where}: its investigation cannot be read ({reason}): investigate again") from None
+    told = "its investigation cannot be read ({}): investigate again"
+    with laid_out(where, told), h5py.File(where, "r") as file:
+        if "investigation" not in file:
+            if path is None:
+                return None
+            raise RecordingError(
+                f"{path} holds no investigation: give the file that `station investigate ... -o FILE` wrote"
+            )
+        traced = _read(where, file["investigation"])
     ours = set(labels_of(recorded.recording).values())
     if not set(traced.names) <= ours:
         raise RecordingError(
@@ -129,3 +125,43 @@ def _residual(run: str, gyro: str, part: Group) -> ResidualView:
 
 def _spectrum(part: Group) -> Spectra:
     return Spectra(*(part[key][()].astype(np.float64) for key in ("frequency_hz", "before", "after", "noise")))
+
+
+def file_names(paths: Sequence[str]) -> str:
+    """Return the names of files."""
+    return ", ".join(Path(path).name for path in paths)
+
+
+def is_among(recorded: Recorded, what: Mapping[str, Any]) -> bool:
+    """Return whether an investigation was made with a recording."""
+    return recorded.path.name in {Path(path).name for key in ("recordings", "verification") for path in what[key]}
+
+
+def added_rows(added: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, Markup, str]]:
+    """Return the effects that were traced: name, parameter, value with its expanded uncertainty, probability."""
+    return [
+        (
+            words(effect["effect"]),
+            name,
+            worded(_number(value), COVERAGE * _number(sd), unit),
+            probability(_number(effect["probability"])),
+        )
+        for effect in added
+        for name, (value, sd, unit) in effect["parameters"].items()
+    ]
+
+
+def findings(what: InvestigationView) -> list[str]:
+    """Return what else an investigation says, in sentences."""
+    return [sentence(said) for said in (*verdict_lines({**what, "added": []}), *what["notes"])]
+
+
+def _number(value: float | None) -> float:
+    """Return a number of JSON, in which null stands for what is not known."""
+    return math.nan if value is None else float(value)
+
+
+def sentence(text: str) -> str:
+    """Return a text as a sentence, nothing if it is empty."""
+    text = text.strip()
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}" if text else ""

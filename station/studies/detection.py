@@ -77,11 +77,6 @@ class Ended:
         named = {name for names in self.rivals for name in names} | {name for name, _ in self.added}
         return self.finding == "cannot tell" and set(self.case.effects) <= named
 
-    @property
-    def wrong(self) -> bool:
-        """Whether something that is not there was named as certain."""
-        return any(name not in self.case.effects for name, _ in self.added)
-
 
 def hidden_of(effects: Sequence[str], size: float, seed: int, shape: str = "exponential") -> Hidden:
     """Return what the twin is given: size 1 is that of METHOD 3, gyros from 0.5 to 1.5 of it with either sign."""
@@ -202,7 +197,6 @@ class DetectionStudy:
     """Every line, and the cases that failed."""
 
     lines: tuple[Summary, ...]
-    ended: tuple[Ended, ...]
     failures: tuple[Failure, ...]
 
 
@@ -238,13 +232,12 @@ def run_study(groups: Sequence[str], sizes: Sequence[float], seeds: int, **where
     """Return what was found in every case. ``where`` is that of ``run_all``."""
     lines = cases_of(groups, sizes, seeds)
     made, failures = run_all(end_of, [case for cases in lines.values() for case in cases], label="cases", **where)
-    ended = [e for e in made if e is not None]
-    by_case = {e.case: e for e in ended}
+    by_case = {e.case: e for e in made if e is not None}
     summaries = [
         _summary(name, size, [by_case[case] for case in cases if case in by_case])
         for (name, size), cases in lines.items()
     ]
-    return DetectionStudy(tuple(s for s in summaries if s.seeds), tuple(ended), tuple(failures))
+    return DetectionStudy(tuple(s for s in summaries if s.seeds), tuple(failures))
 
 
 def _right(ended: Ended) -> bool:

@@ -24,6 +24,7 @@ from estimator.estimation.gram import Gram, solve
 from estimator.geometry.array import SensorArray, tetrahedron, tetrahedron_as_printed
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior, decode
+from estimator.geometry.noise import NoiseModel
 from estimator.observations.rows import BLOCK_S, block_rows, observations
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings
@@ -59,21 +60,8 @@ _WANDER_SHARE = 0.664 / 0.775
 _CURVE_EVERY = round(SAMPLE_HZ)
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """Angle random walk in rad/s/rtHz and bias instability in rad/s."""
-
-    arw: float
-    instability: float = 0.0
-
-    @property
-    def wander(self) -> tuple[tuple[float, float], ...]:
-        """Standard deviations in rad/s and correlation times in s of what the bias does."""
-        return tuple((_WANDER_SHARE * self.instability, time_s) for time_s in _WANDER_TIMES_S if self.instability)
-
-
-PAPER_NOISE = Noise(math.radians(NOISE_DPH / 3600) / math.sqrt(SAMPLE_HZ))
-MEMS_NOISE = Noise(math.radians(0.005), math.radians(2.0 / 3600))
+PAPER_NOISE = NoiseModel(math.radians(NOISE_DPH / 3600) / math.sqrt(SAMPLE_HZ))
+MEMS_NOISE = NoiseModel(math.radians(0.005), math.radians(2.0 / 3600))
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +190,7 @@ def letter_states(letter: Letter) -> Floats:
     return solve(Gram.of(w_rps, y_rps), array, _LETTER_PRIOR, np.full(len(array), _LETTER_R_ROOT_RPS)).x
 
 
-def our_device(noise: Noise) -> DeviceTruth:
+def our_device(noise: NoiseModel) -> DeviceTruth:
     """Return the tetrahedron with right-handed triads, the paper's set values and this noise."""
     array = tetrahedron()
     return DeviceTruth(
@@ -210,25 +198,26 @@ def our_device(noise: Noise) -> DeviceTruth:
     )
 
 
-def our_recording(noise: Noise, seed: int, script: Script | None = None) -> Recording:
+def our_recording(noise: NoiseModel, seed: int, script: Script | None = None) -> Recording:
     """Return a run of the 360 s script (or another) on a turning Earth, x of the table to the north."""
     return simulate(script or paper_script(), {SOURCE: our_device(noise)}, seed, site=_site(0.0))
 
 
-def our_errors(noise: Noise, seed: int) -> Floats:
+def our_errors(noise: NoiseModel, seed: int) -> Floats:
     """Return the errors (n, 4) of this station's calibration, in the paper's units and order."""
     calibration = calibrate(our_recording(noise, seed), innovations=False)
     return np.asarray(from_si(np.array([gyro.states for gyro in calibration.gyros])) - TABLE_1)
 
 
-def our_bound(noise: Noise) -> Floats:
+def our_bound(noise: NoiseModel) -> Floats:
     """Return the Cramer-Rao bound of one run as sigmas (n, 4), in the paper's units and order."""
     recording = our_recording(replace(noise, arw=0.0, instability=0.0), 0)
     w_rps = rows_of(recording)[0]
     rows = block_rows(recording.sources[SOURCE])
     means = w_rps[: len(w_rps) // rows * rows].reshape(-1, rows, 3).mean(axis=1)
     array = tetrahedron()
-    return from_si(bound(means, array, truth(array), Prior(), BLOCK_S, noise.arw, noise.wander))
+    wander = tuple((_WANDER_SHARE * noise.instability, time_s) for time_s in _WANDER_TIMES_S if noise.instability)
+    return from_si(bound(means, array, truth(array), Prior(), BLOCK_S, noise.arw, wander))
 
 
 def expected_percent(sd: Floats) -> Floats:

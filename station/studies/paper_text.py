@@ -4,6 +4,7 @@ Where it contradicts itself is worked out from these numbers, so that a note can
 """
 
 from collections.abc import Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -84,8 +85,5 @@ def errata(printed: SensorArray) -> list[str]:
 
 def _balanced_signs(values: Floats) -> tuple[int, ...] | None:
     """Return signs, the first plus, under which the values add up to zero to their last digit, if there are any."""
-    for code in range(1 << (len(values) - 1)):
-        signs = (1, *(1 if code >> i & 1 else -1 for i in range(len(values) - 1)))
-        if abs(float(np.dot(signs, values))) < 5e-5:
-            return signs
-    return None
+    every = ((1, *signs) for signs in product((-1, 1), repeat=len(values) - 1))
+    return next((signs for signs in every if abs(float(np.dot(signs, values))) < 5e-5), None)

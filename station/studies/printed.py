@@ -1,7 +1,10 @@
-"""The studies as people read them, and as --json gives them."""
+"""The studies as people read them, in tables and a picture, and as --json gives them."""
+
+from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -9,7 +12,7 @@ from estimator.geometry.array import tetrahedron_as_printed
 from station.render.terminal import print_rendered, stdout
 from station.studies.baselines import BaselineStudy
 from station.studies.detection import DetectionStudy
-from station.studies.paper import BARS_PERCENT, PaperStudy
+from station.studies.paper import BARS_PERCENT, Curve, PaperStudy
 from station.studies.paper_text import (
     NAMES,
     TABLE_1,
@@ -21,8 +24,14 @@ from station.studies.paper_text import (
     relative_percent,
     sentences,
 )
-from station.views.json_values import json_object
+from station.views.json_values import json_object, named
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_SHOWN = (0.06, 0.4, 0.4, 0.4)  # of each state, to each side of its set value, as a share of it
+_TURNS_S = (67.5, 142.5, 217.5, 292.5)
+_LABELS = ("$b$", "$k$", r"$\sigma_j$", r"$\sigma_k$")
 _STATES = [f"{name}, {unit}" for name, unit in zip(NAMES, UNITS, strict=True)]
 _FORMATS = (".4f", ".1f", ".4f", ".4f")
 """Of an error in b, k, sigma_j, sigma_k."""
@@ -134,27 +143,65 @@ def paper_object(study: PaperStudy) -> dict[str, Any]:
 
 def baselines_object(study: BaselineStudy) -> dict[str, Any]:
     """Return the comparison as what --json prints; null where a method does not see a state."""
-    return {
+    found = {
         "study": "baselines",
         "states": list(NAMES),
         "units": list(UNITS),
         "seeds": study.seeds,
         "methods": [
-            {
-                "name": method.name,
-                "rms_error": json_object(method.rms),
-                "rms_stated_sigma": json_object(method.stated),
-                "error_over_sigma": json_object(method.ratio),
-                "seconds": method.seconds,
-                "operations_a_sample": method.operations_a_sample,
-            }
+            {"rms_error": method.rms, "rms_stated_sigma": method.stated, "error_over_sigma": method.ratio}
+            | named(method, ("name", "seconds", "operations_a_sample"))
             for method in study.methods
         ],
         "not_seen_directly": list(study.unseen),
         "findings": baseline_findings(study),
         "failed": _failed(study),
     }
+    return dict(json_object(found))
 
 
 def _failed(study: PaperStudy | BaselineStudy) -> list[dict[str, str]]:
     return [{"seed": failure.item, "reason": failure.reason} for failure in study.failures]
+
+
+def draw_convergence(path: Path, ours: Curve, letter: Curve) -> None:
+    """Draw each state of each gyro against time as in the paper's Figures 4 to 7, one row a gyro."""
+    from matplotlib.figure import Figure
+
+    gyros = ours.states.shape[1]
+    figure = Figure(figsize=(13, 2.3 * gyros + 1.1), layout="constrained")
+    panels = figure.subplots(gyros, len(UNITS), sharex=True, sharey="col")
+    for gyro in range(gyros):
+        for state in range(len(UNITS)):
+            _draw_panel(panels[gyro, state], ours, letter, gyro, state)
+        panels[gyro, 0].set_ylabel(f"gyro {gyro + 1}")
+    for state, (label, unit) in enumerate(zip(_LABELS, UNITS, strict=True)):
+        panels[0, state].set_title(f"{label}, {unit}")
+        panels[-1, state].set_xlabel("time, s")
+    panels[0, 0].set_xticks(range(0, 361, 60))
+    figure.suptitle("Convergence: rest, x, y and z at 20 deg/s for 75 s each, rest; grey lines between them")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    figure.savefig(path, dpi=130)
+
+
+def _draw_panel(panel: Axes, ours: Curve, letter: Curve, gyro: int, state: int) -> None:
+    set_value, half = TABLE_1[state], _SHOWN[state] * abs(TABLE_1[state])
+    value, sd = ours.states[:, gyro, state], ours.sd[:, gyro, state]
+    for at_s in _TURNS_S:
+        panel.axvline(at_s, color="0.8", lw=0.6, zorder=0)
+    panel.axhline(set_value, color="tab:red", lw=0.8, label="set value", zorder=3)
+    panel.plot(ours.t_s, value, color="tab:blue", lw=1.4, label="this station, MEMS noise")
+    panel.fill_between(
+        ours.t_s, value - 2 * sd, value + 2 * sd, color="tab:blue", alpha=0.25, lw=0, label="its ± 2 sigma"
+    )
+    panel.plot(
+        letter.t_s,
+        letter.states[:, gyro, state],
+        color="tab:orange",
+        lw=1.2,
+        ls="--",
+        label="the paper's filter, the paper's noise",
+    )
+    panel.set_xlim(0, ours.t_s[-1])
+    panel.set_ylim(set_value - half, set_value + half)

@@ -3,16 +3,17 @@
 SI units, shares between 0 and 1, None for what is not known.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, astuple
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypedDict, cast
 
+from drivers.types import Floats
 from estimator.tracing.investigation import Added, GyroErrors, Investigation
+from estimator.tracing.investigation import ResidualView as ResidualCourse
 from estimator.tracing.residuals.residual import GyroResidual, Residual
 from station.views.json_values import by_state, json_object, named
 
-_ADDED = ("effect", "constructed", "expression", "gyros", "probability", "out_of_sample", "same")
 _NUMBERS = ("nis", "nis_sd", "lag1", "lag1_sd", "white_p", "beyond")
 _SPECTRUM = ("frequency_hz", "density", "noise")
 
@@ -65,16 +66,16 @@ def investigation_view(
 ) -> InvestigationView:
     """Return what is shown of an investigation of these recordings, judged by those that verify."""
     models = [{"effects": m.effects, "log_evidence": m.log_evidence, **asdict(m.errors)} for m in found.models]
+    fitted = _both(found.residual_before, found.residual_after)
     whole = {
         "verdict": str(found.finding),
         "reason": found.reason,
-        "added": list(map(_added, found.added)),
-        **named(found, ("rivals", "unexplained", "before", "after", "improvement", "in_sample")),
+        **named(found, ("added", "rivals", "unexplained", "before", "after", "improvement", "in_sample")),
         "next_script": None if next_script is None else str(next_script),
         "models": models,
         "gyros": {gyro.name: _gyro(gyro) for gyro in found.gyros},
         "suspects": found.suspects,
-        "residual": _residuals(found),
+        "residual": fitted and {**fitted, "verification": _both(found.verified_before, found.verified_after)},
         **named(found, ("left_out", "taken_back", "notes")),
         "recordings": recordings,
         "verification": verification,
@@ -84,11 +85,9 @@ def investigation_view(
 
 def is_investigation(found: Mapping[str, Any]) -> bool:
     """Return whether an object of JSON is an investigation of this version, with a verdict."""
-    return InvestigationView.__required_keys__ <= found.keys() and all(set(_ADDED) <= a.keys() for a in found["added"])
-
-
-def _added(added: Added) -> dict[str, Any]:
-    return named(added, _ADDED) | {"parameters": {name: astuple(v) for name, v in added.parameters.items()}}
+    return InvestigationView.__required_keys__ <= found.keys() and all(
+        set(Added.__dataclass_fields__) <= added.keys() for added in found["added"]
+    )
 
 
 def _gyro(gyro: GyroErrors) -> dict[str, Any]:
@@ -97,12 +96,7 @@ def _gyro(gyro: GyroErrors) -> dict[str, Any]:
     return {"before": gyro.before, "after": gyro.after, **states, **moved, "phases": gyro.phases}
 
 
-def _residuals(found: Investigation) -> dict[str, Any] | None:
-    fitted = _both(found.residual_before, found.residual_after)
-    return None if fitted is None else {**fitted, "verification": _both(found.verified_before, found.verified_after)}
-
-
-def _both(before: Residual | None, after: Residual | None) -> dict[str, ResidualView] | None:
+def _both(before: Residual | None, after: Residual | None) -> dict[str, Any] | None:
     return None if before is None or after is None else {"before": residual_view(before), "after": residual_view(after)}
 
 
@@ -116,3 +110,37 @@ def residual_view(residual: Residual) -> ResidualView:
 def _gyro_residual(gyro: GyroResidual) -> dict[str, Any]:
     depends_on = {d.variable: {"share": d.share, "p_value": d.p_value} for d in gyro.dependences}
     return {**named(gyro, _NUMBERS), "spectrum": named(gyro.spectrum, _SPECTRUM), "depends_on": depends_on}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectra:
+    """One-sided densities (f,) of the residual of a gyro before and after, and of its noise, (rad/s)^2/Hz."""
+
+    frequency_hz: Floats
+    before: Floats
+    after: Floats
+    noise: Floats
+
+
+def spectra_of(before: Residual | None, after: Residual | None) -> dict[str, Spectra]:
+    """Return the spectra by gyro, none if the residual was not looked at."""
+    if before is None or after is None:
+        return {}
+    pairs = zip(before.gyros, after.gyros, strict=True)
+    return {
+        old.name: Spectra(old.spectrum.frequency_hz, old.spectrum.density, new.spectrum.density, old.spectrum.noise)
+        for old, new in pairs
+    }
+
+
+def judged_spectra(found: Investigation) -> dict[str, Spectra]:
+    """Return the spectra of the run that verifies, without one of the recordings that were fitted."""
+    verified = spectra_of(found.verified_before, found.verified_after)
+    return verified or spectra_of(found.residual_before, found.residual_after)
+
+
+def judged_views(views: Iterable[ResidualCourse]) -> list[ResidualCourse]:
+    """Return the views that judge, of one run: the verification run, without one the first recording."""
+    known = list(views)
+    judging = [view for view in known if view.verification] or known
+    return [view for view in judging if view.run == judging[0].run]

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import is_dataclass
 from typing import Any
 
+from estimator.calibration.values import GyroCalibration
 from estimator.geometry.model import STATES
 
 
@@ -31,3 +32,15 @@ def named(value: Any, names: Iterable[str]) -> dict[str, Any]:
 def by_state(values: Any) -> dict[str, Any]:
     """Return what there is of each state (4,) by the state's name, as JSON can hold it."""
     return dict(zip(STATES, json_object(values), strict=True))
+
+
+def budget_and_noise(gyro: GyroCalibration) -> dict[str, Any]:
+    """Return of a gyro the uncertainty budget by source and state, and the noise found, None if there is none."""
+    noise = gyro.noise and {
+        "arw_rps_rthz": gyro.noise.mean.arw,
+        "instability_rps": gyro.noise.mean.instability,
+        "instability_below_rps": gyro.noise.instability_below,
+        "walk_rps_rts": gyro.noise.mean.walk,
+        "walk_below_rps_rts": gyro.noise.walk_below,
+    }
+    return {"budget": {line.name: by_state(line.u) for line in gyro.budget}, "noise": noise}

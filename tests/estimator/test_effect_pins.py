@@ -33,8 +33,7 @@ from estimator.tracing.residuals.dependence import Regressors
 from sims.physics.hidden import Hidden
 from station.cli import main
 from station.opening import DeviceTruth, simulate
-from station.report.chapters.correction import Correction
-from station.report.chapters.snippet import snippet
+from station.report.chapters.correction import Correction, snippet
 from station.scripts.script import Rest, Rotate, Script
 
 PINNED = Path(__file__).parents[1] / "data" / "effects" / "pinned.json"

@@ -37,8 +37,8 @@ from station.render.terminal import stdout
 from station.scripts.loop_scripts import candidates, exploration_script, there_and_back, verification_script
 from station.scripts.next_script import NextScript, Past, next_script
 from station.scripts.script import Rest, Script, check, load_script, paper_script
+from station.views.figures import human, probability
 from station.views.investigation import investigation_view
-from station.views.words import human, probability
 
 DEG = np.pi / 180
 KEYS = {"verdict", "added", "rivals", "unexplained", "before", "after", "in_sample", "next_script", "models", "gyros"}

@@ -30,10 +30,9 @@ from estimator.recordings.reading import read_recording
 from estimator.recordings.writing import write_recording
 from station.bench.bench import default_bench_text
 from station.cli import main
-from station.exports.hashes import raw_sha256
-from station.report.chapters.correction import Correction
+from station.exports.exported import raw_sha256
+from station.report.chapters.correction import Correction, snippet
 from station.report.chapters.front import links_of, local_links
-from station.report.chapters.snippet import snippet
 from station.report.recorded import read_recorded
 from station.report.standing import Kind, standing_of
 from station.report.traced import read_traced

@@ -18,7 +18,7 @@ from estimator.tracing.residuals.residual import GyroResidual, Residual, Spectru
 from station.exports.investigation_file import write_investigation
 from station.render.investigation_printed import origin_line, print_investigation
 from station.render.terminal import stdout
-from station.report.residual_picture import draw_investigation
+from station.report.pictures import draw_investigation
 from station.views.investigation import ResidualView, investigation_view, residual_view
 
 

@@ -4,13 +4,12 @@ import csv
 import io
 from typing import Any
 
-import numpy as np
-
 from estimator.calibration.compensation import CompensationError
 from estimator.calibration.values import GyroCalibration
 from estimator.geometry.model import STATES
 from station.exports.exported import Exported
 from station.exports.written import Written, json_text, lines_of, number, yaml_text
+from station.views.json_values import budget_and_noise, by_state, json_object, named
 
 FORMAT = "turntable-calibration"
 FORMAT_VERSION = 1
@@ -29,35 +28,31 @@ def write_yaml(exported: Exported) -> Written:
 
 def write_csv(exported: Exported) -> Written:
     """Return a line a gyro: axes, states, sigmas, row of the sensitivity, effects; SI units are in the headings."""
-    compensation = exported.compensation
-    units = ("1", "rad/s", "rad", "rad")
-    headings = ["gyro", "source", "device"]
-    headings += [f"{axis}_{component}" for axis in "pjk" for component in "xyz"]
-    for key, unit in zip(STATES, units, strict=True):
-        headings += [f"{key} ({unit})", f"sd {key} ({unit})"]
-    headings += [f"g_{component}" for component in "xyz"]
-    headings += ["noise of a sample (rad/s)"]
-    for effect in exported.gyros[0].effects:
-        named = f"{effect.effect}: {effect.parameter} ({effect.unit})"
-        headings += [named, f"sd {named}"]
+    lines = [_line(exported, i, gyro) for i, gyro in enumerate(exported.gyros)]
     file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(headings)
-    array = compensation.array
-    for i, gyro in enumerate(exported.gyros):
-        values = [*array.p[i], *array.j[i], *array.k[i]]
-        for state, sd in zip(gyro.states, gyro.sd, strict=True):
-            values += [state, sd]
-        values += [*compensation.sensitivity[i], gyro.noise_rps]
-        for effect in gyro.effects:
-            values += [effect.value, effect.sd]
-        writer.writerow([array.names[i], gyro.source, gyro.device, *map(number, values)])
+    writer = csv.DictWriter(file, lines[0], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
     lacking = ("covariances, uncertainty budget and where it comes from: json and yaml hold them",)
     return Written(file.getvalue(), lacking)
 
 
+def _line(exported: Exported, i: int, gyro: GyroCalibration) -> dict[str, str]:
+    array, gain = exported.compensation.array, exported.compensation.sensitivity
+    values = {f"{a}_{part}": x for a in "pjk" for part, x in zip("xyz", getattr(array, a)[i], strict=True)}
+    for key, unit, state, sd in zip(STATES, ("1", "rad/s", "rad", "rad"), gyro.states, gyro.sd, strict=True):
+        values |= {f"{key} ({unit})": state, f"sd {key} ({unit})": sd}
+    values |= {f"g_{part}": x for part, x in zip("xyz", gain[i], strict=True)}
+    values["noise of a sample (rad/s)"] = gyro.noise_rps
+    for effect in gyro.effects:
+        named = f"{effect.effect}: {effect.parameter} ({effect.unit})"
+        values |= {named: effect.value, f"sd {named}": effect.sd}
+    who = {"gyro": array.names[i], "source": gyro.source, "device": gyro.device}
+    return who | {heading: number(value) for heading, value in values.items()}
+
+
 def _object(exported: Exported) -> dict[str, Any]:
-    compensation, seen = exported.compensation, exported.seen
+    compensation = exported.compensation
     try:
         solution: Any = compensation.solution.tolist()
     except CompensationError:
@@ -68,11 +63,7 @@ def _object(exported: Exported) -> dict[str, Any]:
         "identity": {key.replace(" ", "_"): value for key, value in exported.identity.items()},
         "units": "SI: rad, rad/s, s, degC; axes and body rates in the body frame of the recording",
         "formula": _FORMULA,
-        "calibrated_at": {
-            "temperature_c": [None if np.isnan(t) else t for t in seen.temperature_c],
-            "largest_rps": seen.largest_rps,
-            "rate_hz": None if np.isnan(seen.rate_hz) else seen.rate_hz,
-        },
+        "calibrated_at": json_object(exported.seen),
         "gyros": [_gyro(exported, i, gyro) for i, gyro in enumerate(exported.gyros)],
         "sensitivity_g": compensation.sensitivity.tolist(),
         "bias_b_rps": compensation.bias_rps.tolist(),
@@ -90,9 +81,8 @@ def _object(exported: Exported) -> dict[str, Any]:
         "not_corrected": lines_of(compensation.left_out),
         "excluded": {e.name: e.reason for e in exported.calibration.excluded},
         "notes": list(exported.calibration.notes),
-        "nis_mean": _known(exported.calibration.nis_mean),
-        "samples": exported.calibration.samples,
-        "lost": exported.calibration.lost,
+        "nis_mean": json_object(exported.calibration.nis_mean),
+        **named(exported.calibration, ("samples", "lost")),
     }
 
 
@@ -102,26 +92,11 @@ def _gyro(exported: Exported, number_of: int, gyro: GyroCalibration) -> dict[str
         "name": array.names[number_of],
         "source": gyro.source,
         "device": gyro.device,
-        "p": array.p[number_of].tolist(),
-        "j": array.j[number_of].tolist(),
-        "k": array.k[number_of].tolist(),
+        **{axis: getattr(array, axis)[number_of].tolist() for axis in "pjk"},
         "states": dict(zip(STATES, gyro.states.tolist(), strict=True)),
-        "sd": dict(zip(STATES, gyro.sd.tolist(), strict=True)),
+        "sd": by_state(gyro.sd),
         "covariance": gyro.covariance.tolist(),
-        "budget": {line.name: dict(zip(STATES, line.u.tolist(), strict=True)) for line in gyro.budget},
+        **budget_and_noise(gyro),
         "noise_of_a_sample_rps": gyro.noise_rps,
-        "noise": gyro.noise
-        and {
-            "arw_rps_rthz": gyro.noise.mean.arw,
-            "instability_rps": gyro.noise.mean.instability,
-            "walk_rps_rts": gyro.noise.mean.walk,
-        },
-        "effects": [
-            {"effect": e.effect, "parameter": e.parameter, "value": e.value, "sd": e.sd, "unit": e.unit}
-            for e in gyro.effects
-        ],
+        "effects": [named(value, ("effect", "parameter", "value", "sd", "unit")) for value in gyro.effects],
     }
-
-
-def _known(value: float) -> float | None:
-    return value if np.isfinite(value) else None

@@ -1,14 +1,46 @@
-"""The correction of each device, by ``estimator.calibration.compensation``: what is undone, and what is not."""
+"""The correction of each device, by ``estimator.calibration.compensation``: what is undone, what is not, in letters."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from estimator.calibration.compensation import Compensation, CompensationError, HeldEffect
+from markupsafe import Markup, escape
+
+from drivers.types import Floats
+from estimator.calibration.compensation import (
+    MOST_ITERATIONS,
+    TOLERANCE_RPS,
+    Compensation,
+    CompensationError,
+    HeldEffect,
+)
 from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.effects.conditions import REFERENCE_C, SLOPE_S
+from estimator.effects.constructed import CONSTRUCTED
 from estimator.effects.effect import Acts
+from estimator.effects.law import LAST_SHARE, VARIABLES, variables_of
 from estimator.geometry.array import SensorArray
+from estimator.geometry.kinematics import GRAVITY_MPS2
+from station.exports.terms import SPELLED, law_terms
+from station.render.template import rendered
+from station.report.figures import ONE, figure
 from station.report.recorded import Recorded
 from station.report.traced import Traced, found_of
+
+_STEPS = "np.maximum(np.diff(t_s, prepend=t_s[:1]), 0)"
+_NUMBERS = {"GRAVITY": str(GRAVITY_MPS2), "REFERENCE": f"{REFERENCE_C:g}", "SLOPE": f"{SLOPE_S:g}"}
+_ROWS = {
+    name: re.sub("|".join(_NUMBERS), lambda found: _NUMBERS[found[0]], text) for name, text in SPELLED["rows"].items()
+}
+_NEEDS: Mapping[str, str] = {"temperature_c": r"\bt\b", "accel_mps2": "accel_mps2", "t_s": r"\bt_s\b|since"}
+"""The arguments beside the outputs, and what needs them in the code of the effects."""
+_U = re.compile(r"\bu\b")
+_ACTS = (Acts.LAG, Acts.ADDED, Acts.RATE, Acts.MOTION)
+_ARGUMENTS = {
+    "temperature_c": "temperature_c (N,) in degC",
+    "accel_mps2": "accel_mps2 (N, 3), specific force in body axes, m/s2",
+    "t_s": "t_s (N,), instants in s",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +68,7 @@ def corrections_of(recorded: Recorded, traced: Traced | None = None) -> list[Cor
     if traced is not None:
         assert traced.model is not None
         model = traced.model.text()
-        labelled = [(gyro, recorded.label(gyro.source, gyro.name)) for gyro in gyros]
+        labelled = zip(gyros, recorded.labels, strict=True)
         gyros = [_augmented(gyro, label, traced) for gyro, label in labelled if label in traced.names]
     arrays = {name: data.array for name, data in recorded.recording.sources.items()}
     return [_correction(device, own, arrays, model) for device, own in _by_device(gyros).items()]
@@ -71,3 +103,128 @@ def _correction(device: str, gyros: list[GyroCalibration], arrays: Mapping[str, 
         of_the_body = [h for h in compensation.effects if h.acts in (Acts.RATE, Acts.MOTION)]
         not_applied |= {held.known.called: "the rate of the body is not known" for held in of_the_body}
     return Correction(device, compensation, axes_only, not_applied)
+
+
+def origin(recorded: Recorded, data_sha256: str, title: str) -> str:
+    """Return the comment that Python for a device begins with."""
+    return f"Recording {recorded.path.name}, SHA-256 of its samples\n{data_sha256}\n{title}"
+
+
+def gains(one: Correction, gyro: int) -> list[Markup]:
+    """Return the row of the sensitivity of a gyro, or what it has of the rate about its own axis."""
+    compensation = one.compensation
+    values = [1 - compensation.states[gyro, 0]] if one.axes_only else compensation.sensitivity[gyro].tolist()
+    return [figure(float(value), ONE, f"{value:.7f}".replace("-", "−")) for value in values]
+
+
+def formula_of(effect: HeldEffect) -> Markup:
+    """Return what an effect adds to the outputs, with a factor a for each of its terms."""
+    known = effect.known
+    shown = "<code>{}</code>" if known.record is CONSTRUCTED else "{}"
+    terms = [term.strip() for term in (known.law or str(escape(known.record.formula))).split(";")]
+    if known.law and known.record is not CONSTRUCTED:
+        terms = list(map(_typeset, terms))
+    subs = [f"<sub>{n}</sub>" if len(terms) > 1 else "" for n in range(1, len(terms) + 1)]
+    return Markup(" + ".join(f"<var>a</var>{sub} {shown.format(term)}" for sub, term in zip(subs, terms, strict=True)))
+
+
+_SIGNS: Mapping[str, str | Callable[[re.Match[str]], str]] = {
+    r"-expm1\((.*)\)": r"(1 - exp(\1))",
+    r"abs\(([^()]*)\)": r"|\1|",
+    r" ?\*\* ?(\w+)": r"<sup>\1</sup>",
+    r" ?\* ?": " ",
+    "-": "−",
+    r"\bTdot\b": "dT/dt",
+    rf"\b({'|'.join(map(re.escape, VARIABLES))})\b": lambda found: _letter(found[1]),
+}
+
+
+def _typeset(law: str) -> str:
+    """Return a law, which holds no sign that HTML knows, as mathematics."""
+    for pattern, sign in _SIGNS.items():
+        law = re.sub(pattern, sign, law)
+    return law
+
+
+def _letter(name: str) -> str:
+    return f"<var>{name[0]}</var>" + (f"<sub>{name[1:].lstrip('_')}</sub>" if name[1:] else "")
+
+
+_MORE = {
+    "u": ", found by iteration",
+    "Tdot": f", taken over {SLOPE_S:g} s",
+    "t": ", from switching on",
+    **dict.fromkeys(("a", "aj", "ak", "jolt"), ", a difference of two samples"),
+}
+
+
+def variables_of_laws(effects: Sequence[HeldEffect]) -> list[str]:
+    """Return what the variables mean in the laws of effects."""
+    names = {name for effect in effects if effect.known.law for name in variables_of(effect.known.law)}
+    return [f"{name}: {VARIABLES[name][2]} in {VARIABLES[name][1]}{_MORE.get(name, '')}" for name in sorted(names)]
+
+
+def snippet(correction: Correction, origin: str) -> str:
+    """Return Python that turns outputs (N, n) into body rates (N, 3), rad/s; ``origin`` becomes its first comment."""
+    lag, added, of_the_rate, of_motion = (list(_of(correction, acts)) for acts in _ACTS)
+    code = "\n".join([*lag, *added, *of_the_rate, *of_motion])
+    values = {
+        "origin": origin,
+        "axes_only": correction.axes_only,
+        "gyros": correction.compensation.array.names,
+        "tables": _tables(correction, code),
+        "code": code,
+        "lag": lag,
+        "added": added,
+        "of_the_rate": of_the_rate,
+        "of_motion": of_motion,
+        "motion_uses_u": any(_U.search(term) for term in of_motion),
+        "needs": [argument for argument, names in _NEEDS.items() if re.search(names, code)],
+        "arguments": _ARGUMENTS,
+        "warms_up": "since" in code,
+        "share": f"{LAST_SHARE:g}",
+        "iterations": MOST_ITERATIONS,
+        "tolerance": TOLERANCE_RPS,
+    }
+    return rendered("station.report", "snippet.jinja", values)
+
+
+def _of(correction: Correction, acts: Acts) -> Iterator[str]:
+    """Yield the expressions of the effects that act like this."""
+    for effect in correction.held:
+        if effect.acts is acts:
+            table, law = _constant(correction, effect), effect.known.law
+            terms = law_terms(law, _ROWS, _called) if law else ["slope(left, t_s)"]  # a lag of the output
+            yield f"({' + '.join(f'{table}[:, {n}] * {term}' for n, term in enumerate(terms))})"
+
+
+def _called(name: str, inner: str, constant: str) -> str:
+    """Return the call of a function of laws, on arrays."""
+    if name == "pow":
+        return f"({inner} ** {constant})"
+    if name == "lag":
+        return f"follow({inner}, np.exp(-{_STEPS} / {constant}), np.inf)"
+    if name == "play":
+        return f"follow({inner}, np.ones(len(left)), 0.5 * {constant})"
+    return f"last({inner}, {constant or None})" if name == "last" else f"np.{name}({inner})"
+
+
+def _tables(correction: Correction, code: str) -> dict[str, Floats]:
+    """Return the numbers by the names that they have in the code."""
+    compensation = correction.compensation
+    tables = {"BIAS_RPS": compensation.bias_rps}
+    if correction.axes_only:
+        tables["GAIN"] = 1 - compensation.states[:, 0]
+    else:
+        tables["SENSITIVITY"] = compensation.sensitivity
+    if "SENSE_AXES" in code or _U.search(code) or any(effect.acts is Acts.RATE for effect in correction.held):
+        tables["SENSE_AXES"] = compensation.array.p
+    tilts = {"AXES_J": compensation.array.j, "AXES_K": compensation.array.k}
+    tables |= {name: axes for name, axes in tilts.items() if name in code}
+    return tables | {_constant(correction, effect): effect.values for effect in correction.held}
+
+
+def _constant(correction: Correction, effect: HeldEffect) -> str:
+    if effect.known.record is CONSTRUCTED:
+        return f"LAW_{correction.held.index(effect) + 1}"
+    return "".join(c if c.isalnum() else "_" for c in effect.known.called).upper()

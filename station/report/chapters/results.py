@@ -6,25 +6,24 @@ import numpy as np
 from markupsafe import Markup
 
 from drivers.packaged import packaged_toml
-from estimator.calibration.budget import TYPE_A, Contribution
 from estimator.calibration.values import Calibration
+from estimator.effects.constructed import readable as words
 from station.report.figures import COVERAGE, ONE, PERCENT, STATES, Unit, figure, plain, worded
 from station.report.recorded import Recorded
 from station.report.standing import Standing
 from station.report.traced import Traced
 from station.views.limits import MEAN_NIS, SAMPLES_LOST, LimitLine
-from station.views.words import words
 
 _NEXT_TO_NOTHING = 0.01  # ppm, deg/h, urad
-_SOURCES = packaged_toml("station.views", "budget.toml")["report"]
+SOURCES = packaged_toml("station.views", "budget.toml")["report"]
+"""What lines of the budget are called."""
 
 
 def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:
     """Return by how many of their sigmas an investigation moved the states, the largest."""
-    labelled = [(gyro, recorded.label(gyro.source, gyro.name)) for gyro in found.gyros]
     moved = [
         np.abs(traced.states[traced.names.index(label)] - gyro.states) / gyro.sd
-        for gyro, label in labelled
+        for gyro, label in zip(found.gyros, recorded.labels, strict=True)
         if label in traced.names
     ]
     return float(np.max(moved, initial=0.0))
@@ -62,27 +61,11 @@ def limits_by_gyro(standing: Standing) -> Mapping[str, list[tuple[LimitLine | No
     return gyros
 
 
-def has_type_b(found: Calibration) -> bool:
-    """Return whether a line of the budget is no scatter of the data."""
-    return any(line.name not in TYPE_A for gyro in found.gyros for line in gyro.budget)
-
-
-def source_words(line: Contribution) -> str:
-    """Return what a line of the budget is called."""
-    return str(_SOURCES.get(line.name, line.name))
-
-
-def shares(line: Contribution, source: str) -> list[Markup]:
-    """Return a line of the budget, state by state; what is next to nothing is said to be so."""
+def shares(u: Iterable[float], source: str) -> list[Markup]:
+    """Return standard uncertainties state by state; what is next to nothing is said to be so. ``source``: %d, state."""
     return [
-        figure(u, unit, "< 0.01", source % s)
-        if u * unit.factor < _NEXT_TO_NOTHING
-        else plain(float(u), unit, 2, source % s)
-        for s, (u, (_, unit)) in enumerate(zip(line.u, STATES, strict=True))
+        figure(value, unit, "< 0.01", source % s)
+        if value * unit.factor < _NEXT_TO_NOTHING
+        else plain(float(value), unit, 2, source % s)
+        for s, (value, (_, unit)) in enumerate(zip(u, STATES, strict=True))
     ]
-
-
-def sigmas(sd: Iterable[float], source: str) -> list[Markup]:
-    """Return the combined standard uncertainties of the states of a gyro; ``source`` has %d for the state."""
-    pairs = zip(sd, STATES, strict=True)
-    return [plain(float(value), unit, 2, source % s) for s, (value, (_, unit)) in enumerate(pairs)]

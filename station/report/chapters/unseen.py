@@ -1,43 +1,46 @@
-"""What a run could not see: its motion as it was driven, and what such a motion shows."""
+"""What a run could not see: its motion as it was driven, what such a motion shows, and how the report says so."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from drivers.types import Floats
 from estimator.calibration.values import Calibration
 from estimator.effects.catalogue import catalogue, records
+from estimator.effects.constructed import readable as words
+from estimator.effects.effect import Effect
 from estimator.effects.site import EARTH_RATE
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.rests import REST_RPS
-from estimator.planning.planning import Forecast, PlannedDevice, forecast
+from estimator.planning.planning import EffectForecast, Forecast, PlannedDevice, forecast
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import TableReadings
+from station.render.plan_printed import MARKED, combination, unnoticed
+from station.report.figures import SYMBOLS, Unit, figure, significant, typographic
 from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
 from station.scripts.script import Rest, Rotate, Script
 from station.scripts.script import Step as ScriptStep
-from station.views.words import words
+from station.views.figures import human
 
 _PERIOD_S = 0.1
 _MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser steps
 _PLATEAU = 0.9  # of the largest rate: above it an axis is taken to be at its steady rate
 _FINEST_DEG = 0.01  # to which rates and turns of a script are told from the readings of the table
 _SHORTEST_RAMP_S = 0.05
-MARKED = 1.0
-"""Shifts of the states below so many sigmas are not worth a word."""
+_ABSURD = 10.0  # times the largest plausible size: an effect that would have to be larger cannot be seen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unseen:
-    """The script as it was driven, and what its motion shows of the gyros and of the effects of the catalogue.
+    """What the motion shows, as it was driven, of the gyros and of the effects of the catalogue.
 
     ``budgeted`` are effects of the table that the uncertainty budget holds, at the size that is stated of the table.
     ``site_known``: Earth rate is in the model, so that only an error of it can be hidden.
     """
 
-    script: Script
     forecast: Forecast
     budgeted: frozenset[str]
     site_known: bool
@@ -64,9 +67,10 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
     reference, found = recorded.recording.reference, recorded.calibration
     if not isinstance(reference, TableReadings) or not recorded.steps or found is None:
         return None
-    script = driven_script(reference, recorded.steps, recorded.text("script") or "script")
-    if script is None:
+    driven = [part for step in recorded.steps for part in driven_step(reference, step)]
+    if not any(isinstance(part, Rotate) for part in driven):
         return None
+    script = Script(recorded.text("script") or "script", tuple(driven))
     period_s = max(_PERIOD_S, script.duration_s / _MOST_ROWS)
     motion = planned_motion(script, reference.gimbals, period_s)
     conditions = motion.conditions(_temperature(recorded, motion.t_s), recorded.recording.site)
@@ -74,26 +78,18 @@ def unseen_of(recorded: Recorded) -> Unseen | None:
         PlannedDevice(source, data.array, _noise(found, source, data), data.prior)
         for source, data in recorded.recording.sources.items()
     ]
-    known = _known_effects(found)
+    known = {value.effect.split()[0] for gyro in found.gyros for value in gyro.effects}
     effects = [e for e in catalogue(motion.gimbals, script.duration_s) if e.name not in known]
     of_table = frozenset(record.name for record in records() if record.of_table)
     budgeted = of_table if reference.uncertainty is not None else frozenset[str]()
-    return Unseen(script, forecast(conditions, devices, effects), budgeted, recorded.recording.site is not None)
-
-
-def driven_script(table: TableReadings, steps: Sequence[Step], name: str) -> Script | None:
-    """Return the script that readings of a table say was driven, None if they say of no step that anything moved.
-
-    Rates and turns are told to 0.01 deg: finer differences are those of the readings.
-    """
-    found: list[ScriptStep] = []
-    for step in steps:
-        found += driven_step(table, step)
-    return Script(name, tuple(found)) if any(isinstance(step, Rotate) for step in found) else None
+    return Unseen(forecast(conditions, devices, effects), budgeted, recorded.recording.site is not None)
 
 
 def driven_step(table: TableReadings, step: Step) -> list[ScriptStep]:
-    """Return what was driven in one step: a turn and the rest after it, or a rest; nothing if it took no time."""
+    """Return what was driven in one step: a turn and the rest after it, or a rest; nothing if it took no time.
+
+    Rates and turns are told to 0.01 deg: finer differences are those of the readings.
+    """
     duration_s = (step.end_ns - step.start_ns) * 1e-9
     inside = (table.t_ns >= step.start_ns) & (table.t_ns <= step.end_ns)
     if duration_s <= 0:
@@ -149,15 +145,43 @@ def _noise(found: Calibration, source: str, data: ImuData) -> NoiseModel:
     return NoiseModel(float(np.mean([gyro.noise_rps for gyro in own])) * float(np.sqrt(period_s)))
 
 
-def _known_effects(found: Calibration) -> frozenset[str]:
-    """Return the effects that the calibration holds already."""
-    return frozenset(value.effect.split()[0] for gyro in found.gyros for value in gyro.effects)
-
-
 def by_state(found: Forecast) -> Mapping[str, Floats]:
     """Return by effect the largest shift of each state (4,), in sigmas, that it makes without being seen."""
-    shifts = {}
-    for effect in found.effects:
-        hidden = np.where(effect.seen[:, :, None], 0.0, np.abs(effect.shift_sigmas))
-        shifts[effect.effect.name] = hidden.max(axis=(0, 1), initial=0.0)
-    return shifts
+    return {effect.effect.name: unnoticed(effect).max(axis=(0, 1), initial=0.0) for effect in found.effects}
+
+
+def lacking(recorded: Recorded, unseen: Unseen) -> list[str]:
+    """Return by gyro the combinations of its states that the motion does not show."""
+    gyros = [gyro for gyro in unseen.forecast.gyros if len(gyro.unseen)]
+    return [f"{recorded.label(g.source, g.name)}: {'; '.join(map(combination, g.unseen))}" for g in gyros]
+
+
+def hidden(unseen: Unseen) -> list[tuple[EffectForecast, list[tuple[Markup, float]]]]:
+    """Return the effects that the motion does not show, the worst first, each with the states that it moves unnoticed.
+
+    Those come with their shifts in sigmas.
+    """
+    shifts = by_state(unseen.forecast)
+    effects = [effect for effect in unseen.forecast.effects if not effect.seen.all()]
+    effects.sort(key=lambda effect: -float(shifts[effect.effect.name].max()))
+    pairs = [list(zip(SYMBOLS, shifts[effect.effect.name].tolist(), strict=True)) for effect in effects]
+    marked = ([(symbol, size) for symbol, size in moved if size >= MARKED] for moved in pairs)
+    return list(zip(effects, marked, strict=True))
+
+
+def visible(unseen: Unseen) -> list[EffectForecast]:
+    """Return the effects that the motion shows."""
+    return [effect for effect in unseen.forecast.effects if effect.seen.all()]
+
+
+def smallest(effect: EffectForecast) -> str:
+    """Return the smallest size of an effect that is shown, of its parameters and the gyros the worst."""
+    worst = float(effect.smallest.max())
+    return "∞" if not worst < _ABSURD * float(effect.largest.max()) else size(effect.effect, worst)
+
+
+def size(effect: Effect, value: float) -> Markup:
+    """Return a size of an effect to two digits."""
+    unit = effect.parameters[0].unit
+    number, _, name = human(value, 0.0, unit).partition(" ")
+    return figure(value, Unit(unit, 1.0), typographic(f"{significant(float(number), 2)} {name}"))

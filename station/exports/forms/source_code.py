@@ -1,5 +1,6 @@
-"""What C and Python have in common: the arguments of the correction function, what is left to its user, its text."""
+"""Source code with the function that turns outputs of the gyros into the rate of their body: C99, plain Python."""
 
+import re
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -10,19 +11,92 @@ from estimator.effects.conditions import REFERENCE_C, SLOPE_S
 from estimator.effects.effect import Acts
 from estimator.effects.law import LAST_SHARE
 from station.exports.exported import Exported
-from station.exports.terms import Term, Terms
-from station.exports.written import delay_line, lines_of, number
+from station.exports.terms import AXIS_TABLES, Term, Terms, terms_of
+from station.exports.written import Written, delay_line, head, lines_of, number
 from station.render.template import rendered
 
+_GIVEN = {"warmth": ", double warmth", "time_s": ", double time_s", "accel": ", const double accel[3]"}
+_MATH = ("cos", "exp", "expm1", "fabs", "isfinite", "isnan", "log1p", "nan", "sin", "sqrt", "tanh")
 
-def argument_names(terms: Terms) -> list[str]:
-    """Return what the function is given of a sample, in order; ``arguments_said`` says what each is."""
+
+def write_c(exported: Exported) -> Written:
+    """Return the header; CompensationError for gyros that do not span space."""
+    terms = terms_of(exported.compensation)
+    not_held = _cautions(exported, terms)
+    prefix = identifier(exported.name)
+    what = f"{prefix}_correct: outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s). C99."
+    declared = {
+        "rate_rps": f"const double rate_rps[{prefix}_gyros]",
+        "temperature_c": "double temperature_c",
+        "accel": "const double accel[3]",
+        "dt_s": "double dt_s",
+    }
+    arguments = [f"{prefix}_state *state"] if terms.keeps_state else []
+    arguments += [*(declared[name] for name in _argument_names(terms)), "double w_rps[3]"]
+    text = _function_text(
+        "header.jinja",
+        exported,
+        terms,
+        lambda term: f"{prefix}_{term.table}",
+        {"value": "(", "sign": f"{prefix}_sign"}
+        | {axis: f"{prefix}_{axis}" for axis in AXIS_TABLES}
+        | {name: f"{prefix}_{name}(state, " for name in ("follow", "last")},
+        head=[f" *{_said(line.removeprefix(' *'))}" for line in head(exported, what, not_held, " *")],
+        said=list(map(_said, _arguments_said(exported, terms))),
+        p=prefix,
+        upper=prefix.upper(),
+        arguments=", ".join(arguments),
+        beside="".join(_GIVEN[name] for name in terms.given_to_the_rate),
+        simple=f"void {prefix}_solve" if terms.of(Acts.RATE) else f"int {prefix}_invert",
+    )
+    return Written(text, tuple(not_held))
+
+
+def write_python(exported: Exported) -> Written:
+    """Return the module; CompensationError for gyros that do not span space."""
+    terms = terms_of(exported.compensation)
+    not_held = _cautions(exported, terms)
+    call = "Correction().correct" if terms.keeps_state else "correct"
+    what = f"{call}(...): outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s)."
+    text = _function_text(
+        "module.jinja",
+        exported,
+        terms,
+        lambda term: term.table.upper(),
+        {"value": "_value(lambda: ", "sign": "_sign"}
+        | {axis: axis.upper() for axis in AXIS_TABLES}
+        | {name: f"self._{name}(" for name in ("follow", "last")},
+        head=head(exported, what, not_held, "#"),
+        said=[line.replace("\\", "/").replace('"""', "'''") for line in _arguments_said(exported, terms)],
+        names=list(exported.compensation.array.names),
+        simple="_solve" if terms.of(Acts.RATE) else "_invert",
+        arguments=", ".join(_argument_names(terms)),
+        beside="".join(f", {name}" for name in terms.given_to_the_rate),
+    )
+    used = [name for name in _MATH if re.search(rf"\b{name}\b", text)]
+    imported = f"from math import {', '.join(used)}\n\n" if used else ""
+    return Written(text.replace("from math import _\n\n", imported), tuple(not_held))
+
+
+def identifier(name: str) -> str:
+    """Return what a device is called in source code."""
+    word = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "imu"
+    return word if word[0].isalpha() else f"imu_{word}"
+
+
+def _said(text: str) -> str:
+    """Return a text that may stand in a comment."""
+    return text.replace("*/", "* /").replace("/*", "/ *").replace("??/", "?? /")
+
+
+def _argument_names(terms: Terms) -> list[str]:
+    """Return what the function is given of a sample, in order; ``_arguments_said`` says what each is."""
     warm = terms.uses("warmth") or terms.uses("slope")
     asked = {"rate_rps": True, "temperature_c": warm, "accel": terms.uses("accel"), "dt_s": terms.timed}
     return [name for name, needed in asked.items() if needed]
 
 
-def arguments_said(exported: Exported, terms: Terms) -> list[str]:
+def _arguments_said(exported: Exported, terms: Terms) -> list[str]:
     """Return a line for each argument of the function, and what holds of them."""
     said = {
         "rate_rps": f"outputs of {', '.join(exported.compensation.array.names)}, in this order, in rad/s",
@@ -30,7 +104,7 @@ def arguments_said(exported: Exported, terms: Terms) -> list[str]:
         "accel": "specific force along body x, y, z, in m/s2 (at rest it points up)",
         "dt_s": "time since the sample before, in s",
     }
-    lines = [f"{name}: {said[name]}" for name in argument_names(terms)]
+    lines = [f"{name}: {said[name]}" for name in _argument_names(terms)]
     if terms.of(Acts.RATE):
         largest = np.degrees(exported.seen.largest_rps)
         lines.append(f"Effects of the rate were found up to {largest:.4g} deg/s; beyond they are extrapolated.")
@@ -41,7 +115,7 @@ def arguments_said(exported: Exported, terms: Terms) -> list[str]:
     return lines
 
 
-def cautions(exported: Exported, terms: Terms) -> list[str]:
+def _cautions(exported: Exported, terms: Terms) -> list[str]:
     """Return what of the calibration the function does not undo, and what undoing costs."""
     lines = [*lines_of(exported.compensation.left_out), *delay_line(exported)]
     if terms.lag is not None and np.isfinite(exported.seen.rate_hz):
@@ -53,7 +127,7 @@ def cautions(exported: Exported, terms: Terms) -> list[str]:
     return lines
 
 
-def function_text(
+def _function_text(
     template: str,
     exported: Exported,
     terms: Terms,
