@@ -250,12 +250,7 @@ def _spectra(
     if [gyro.name for gyro in spectra] != [name for run in runs for name in run.array.names]:
         raise TooShort("too few blocks of a gyro follow on each other")
     for gyro in spectra if columns[0].shape[2] else ():
-        parts = []
-        for stretch in gyro.stretches:
-            run = runs[stretch.run]
-            i = run.array.names.index(gyro.name)
-            parts.append(run.weighed(columns[stretch.run][i], i)[stretch.blocks])
-        gyro.add(parts)
+        gyro.add(gyro.parts(runs, lambda number, own: columns[number][own]))
     return spectra
 
 

@@ -30,12 +30,11 @@ class OpenWorld:
     @classmethod
     def beside(cls, evidence: Evidence, model: Sequence[Term], columns: Sequence[int], sizes: Floats) -> OpenWorld:
         """Return that of a model; ``columns``, times ``sizes`` (c,) of 1 rad/s rms, are the functions there may be."""
-        shared = [term for term in model if term.shared]
-        base = Base(evidence, [term for term in model if not term.shared])
-        closed = log_mean(base.by_noise(shared), evidence.shapes.log_prior)
+        base = Base(evidence, model)
+        closed = log_mean(base.by_noise(), evidence.shapes.log_prior)
         if not columns:
             return cls(closed, np.full(len(SIZES_RPS), -np.inf))
-        by_noise = base.with_functions(shared, np.array(columns), sizes, SIZES_RPS)
+        by_noise = base.with_functions(np.array(columns), sizes, SIZES_RPS)
         return cls(closed, np.array([log_mean(one, evidence.shapes.log_prior) for one in by_noise]))
 
     @property

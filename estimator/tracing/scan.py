@@ -62,12 +62,8 @@ class Scan:
         source = str([s.run for s in gyro.stretches])
         key = candidate.name, float(candidate.theta or 0.0), source if alike else gyro.name
         if key not in self._kept:
-            parts = []
-            for stretch in gyro.stretches:
-                run = self._runs[stretch.run]
-                own = run.array.names.index(gyro.name)
-                parts.append(cosines(run.weighed(candidate.columns(run, own), own)[stretch.blocks]))
-            self._kept[key] = np.vstack(parts)
+            parts = gyro.parts(self._runs, lambda number, own: candidate.columns(self._runs[number], own))
+            self._kept[key] = np.vstack([cosines(part) for part in parts])
         return self._kept[key]
 
     def size(self, candidate: Candidate) -> float:

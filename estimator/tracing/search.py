@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +99,7 @@ class Search:
         self._scored.clear()
         start = self._spectra[0].columns[0].shape[1]
         for spectra in self._spectra:
-            spectra.add(self._columns(spectra, candidates))
+            spectra.add(spectra.parts(self._runs, partial(self._columns, candidates)))
         for candidate in candidates:
             p = len(candidate.effect.parameters)
             term = Term(
@@ -324,7 +325,7 @@ class Search:
         """Return the share of the squares of columns (c,) that a term's own put out beside others, over all gyros."""
         best = int(np.argmax(self.evidence.noise_weight(beside)))
         mine = np.array(term.columns)
-        base = Base(self.evidence, [t for t in beside if not t.shared])
+        base = Base(self.evidence, beside)
         shown, whole = np.zeros(len(columns)), np.full(len(columns), 1e-300)
         for reduced in base.reduced:
             own = reduced[best]
@@ -370,14 +371,13 @@ class Search:
     def _take(self, tone: ToneFound, probability: float, model: Sequence[Term]) -> None:
         """Take a tone off the samples and off the blocks: from now on all is beside it."""
         fit = fit_tone(tone, self._runs, self._samples, self._slow(model))
+        waves = [tone_columns(tone.frequency_hz, run, own) for run, own in zip(self._runs, self._samples, strict=True)]
+
+        def heard(number: int, own: int) -> Floats:
+            return waves[number] @ fit.at(self._runs[number].array.names[own], number)[:, None]
+
         for gyro in self._spectra:
-            parts = []
-            for stretch in gyro.stretches:
-                run = self._runs[stretch.run]
-                waves = tone_columns(tone.frequency_hz, run, self._samples[stretch.run])
-                heard = (waves @ fit.at(gyro.name, stretch.run))[:, None]
-                parts.append(run.weighed(heard, run.array.names.index(gyro.name))[stretch.blocks, 0])
-            gyro.subtract(parts)
+            gyro.subtract(gyro.parts(self._runs, heard))
         self._samples = without_tone(fit, self._samples)
         self.evidence.refresh()
         self._scored.clear()
@@ -399,13 +399,12 @@ class Search:
         return {name: score for name, score in self._scored[key].items() if name not in chosen}
 
     def _score(self, terms: Sequence[Term]) -> dict[str, tuple[float, Term]]:
-        shared = [t for t in terms if t.shared]
-        base = Base(self.evidence, [t for t in terms if not t.shared])
+        base = Base(self.evidence, terms)
         found = {}
         taken = {t.name for t in terms}
         for name, (candidate, term) in self._known.items():
             if name not in taken and name not in self._barred and not candidate.depends_on:
-                value, scaled = base.with_term(shared, term)
+                value, scaled = base.with_term(term)
                 likelier = candidate.likelier if candidate.beside in taken else 0.0
                 found[name] = (value + candidate.log_prior + likelier, scaled)
         return found
@@ -495,8 +494,7 @@ class Search:
             if choice.tone is not None:
                 continue
             others = [c.term for m, c in enumerate(done) if m != n and c.tone is None]
-            base = Base(self.evidence, [t for t in others if not t.shared])
-            _, term = base.with_term([t for t in others if t.shared], choice.term)
+            _, term = Base(self.evidence, others).with_term(choice.term)
             done[n] = replace(choice, term=term)
         return done
 
@@ -504,7 +502,7 @@ class Search:
         """Return the effects that could put out what this one does, within chance, whatever was expected of them."""
         others = [t for t in terms if t.name != choice.candidate.name]
         posterior = self.evidence.posterior(terms)
-        base = Base(self.evidence, [t for t in others if not t.shared])
+        base = Base(self.evidence, others)
         best = int(np.argmax(self.evidence.noise_weight(terms)))
         own = [t for t in terms if not t.shared]
         if choice.term.shared:
@@ -575,17 +573,8 @@ class Search:
         candidate = self._known[name][0]
         return f"depends on {candidate.depends_on}" if candidate.depends_on else candidate.called
 
-    def _columns(self, spectra: GyroSpectra, candidates: Sequence[Candidate]) -> list[Floats]:
-        whole: dict[int, Floats] = {}
-        parts = []
-        for stretch in spectra.stretches:
-            if stretch.run not in whole:
-                run = self._runs[stretch.run]
-                gyro = run.array.names.index(spectra.name)
-                columns = [candidate.columns(run, gyro) for candidate in candidates]
-                whole[stretch.run] = run.weighed(np.hstack(columns), gyro)
-            parts.append(whole[stretch.run][stretch.blocks])
-        return parts
+    def _columns(self, candidates: Sequence[Candidate], number: int, gyro: int) -> Floats:
+        return np.hstack([candidate.columns(self._runs[number], gyro) for candidate in candidates])
 
     def _tuned(self, candidate: Candidate, scan: Scan) -> Candidate:
         """Return a candidate with the most telling value of what is not linear in it."""

@@ -12,7 +12,6 @@ from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Stretch, Z, g
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigation import OutOfSample
 from estimator.tracing.judging.verification import phases_of
-from estimator.types import Floats
 
 Mask = list[NDArray[np.bool_]]
 """Which blocks of each run are left out."""
@@ -128,13 +127,8 @@ def _spectra(runs: Sequence[Run], model: Augmented) -> tuple[list[GyroSpectra], 
             start += part.width
     for gyro in spectra:
         g = model.names.index(gyro.name)
-        whole: dict[int, Floats] = {}
-        for number in {stretch.run for stretch in gyro.stretches}:
-            run = runs[number]
-            own = run.array.names.index(gyro.name)
-            whole[number] = run.weighed(model.columns(run, number, own), own)
-        tones = [whole[s.run][s.blocks, start - 1 :] @ model.mean[g, start - 1 :] for s in gyro.stretches]
-        gyro.subtract(tones)
+        parts = gyro.parts(runs, lambda number, own: model.columns(runs[number], number, own))
+        gyro.subtract([part[:, start - 1 :] @ model.mean[g, start - 1 :, None] for part in parts])
         if terms:
-            gyro.add([whole[s.run][s.blocks, Z : start - 1] for s in gyro.stretches])
+            gyro.add([part[:, Z : start - 1] for part in parts])
     return spectra, terms
