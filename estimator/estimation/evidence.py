@@ -50,10 +50,19 @@ class Term:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """Estimate under terms: by gyro ``means`` (c,) and ``covariances`` (c, c) of [states, own terms, shared terms]."""
+    """Estimate under terms: by gyro ``means`` (c,) and ``covariances`` (c, c) of [states, own terms, shared terms].
 
+    ``columns`` (c,) are the columns that these belong to.
+    """
+
+    columns: list[int]
     means: list[Floats]
     covariances: list[Floats]
+
+    def of(self, term: Term) -> Floats:
+        """Return the parameters (gyros, p) of a term."""
+        first = self.columns.index(term.columns[0])
+        return np.array([mean[first : first + len(term.columns)] for mean in self.means])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,7 +276,7 @@ class Evidence:
             chance = its[matter] / its[matter].sum()
             parts.append((chance, inner, gain, left, left if weight.ndim == 1 else chance @ left.swapaxes(0, 1)))
         prior = np.diag(_precision(shared))
-        found = Posterior([], [])
+        found = Posterior([*columns.tolist(), *rest[:-1].tolist()], [], [])
         of_all = np.sum([said for *_, said in parts], axis=0)
         for chance, inner, gain, left, said in parts:
             # What the other gyros say of shared terms they say under their own noise.

@@ -20,6 +20,7 @@ from estimator.effects.effect import Acts
 from estimator.estimation.noise_evidence import Joint, Law, TooShort, expected_of, joint_estimate
 from estimator.estimation.runs.making import run_of
 from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes
+from estimator.estimation.runs.samples import means_of
 from estimator.estimation.spectra import Z
 from estimator.estimation.undeclared import undeclared_laws
 from estimator.geometry.noise import NoiseFound
@@ -215,14 +216,8 @@ def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
 
 def _sample_means(run: Run) -> Floats:
     """Return output errors (b, m) as means over the samples of each block: at rest there is nothing to integrate."""
-    first_s = run.t_s[0] - 0.5 * run.length_s
-    block = np.round((run.t_s - run.t_s[0]) / run.length_s).astype(np.intp)
-    number = np.floor((run.data.t_ns * 1e-9 - first_s) / run.length_s + 1e-9).astype(np.intp)
-    inside = (number >= 0) & (number <= block[-1])
-    number, rate = number[inside], run.data.rate_rps[inside]
-    counts = np.bincount(number, minlength=block[-1] + 1)[block, None]
-    sums = np.column_stack([np.bincount(number, own, block[-1] + 1)[block] for own in rate.T])
-    return np.where(counts > 0, sums / np.maximum(counts, 1) - run.w_rps @ run.array.p.T, run.z_rps)
+    means, counts = means_of(run, np.asarray(run.data.t_ns * 1e-9, dtype=np.float64), run.data.rate_rps)
+    return np.where(counts > 0, means - run.w_rps @ run.array.p.T, run.z_rps)
 
 
 def _model_laws(model: ErrorModel | None, recording: Recording, runs: Sequence[Run]) -> list[Law]:

@@ -1,6 +1,6 @@
 """States, and laws that stand beside them, estimated together under noise that is found from the data.
 
-Block means go through the cosine transform (``tracing.spectra``), in which coloured noise is a weight for each
+Block means go through the cosine transform (``spectra``), in which coloured noise is a weight for each
 frequency. Every noise model is gone through: how much of it is bias instability and how much rate random walk is not
 known beforehand. The estimate is the mean over them, so its covariance holds the doubt about the noise too. Gyros of
 one device are of one make: what the others say of the noise is the better part of what is expected of each. Where the
@@ -21,9 +21,9 @@ from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.errors import RecordingError
 from estimator.estimation.evidence import Evidence, Term
-from estimator.estimation.runs.growth import weighed
+from estimator.estimation.runs.measured import weighed
 from estimator.estimation.runs.run import Run
-from estimator.estimation.runs.tone_columns import samples_of, tone_columns
+from estimator.estimation.runs.samples import samples_of, tone_columns
 from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Z, gyro_spectra
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.blocks import Blocks

@@ -79,7 +79,7 @@ class EffectForecast:
     @property
     def largest(self) -> Floats:
         """Largest plausible size of each parameter (P,)."""
-        return np.array([parameter.largest for parameter in self.effect.parameters])
+        return self.effect.largest
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -150,8 +150,7 @@ def _information(conditions: Conditions, device: PlannedDevice, effects: Sequenc
     for gyro, gyro_map in enumerate(regressor_maps(device.array)):
         columns = [regressors @ (gyro_map.T * np.sqrt(device.prior.variances()))]
         for effect in effects:
-            largest = np.array([parameter.largest for parameter in effect.parameters])
-            columns.append(effect.columns(conditions, device.array, gyro) * largest)
+            columns.append(effect.columns(conditions, device.array, gyro) * effect.largest)
         found.append(weighting.products(np.hstack(columns)))
     return found
 
@@ -237,9 +236,8 @@ def _effect_forecast(
     alone = total.T
     if effect.shared:
         kept, alone = kept.sum(axis=1, keepdims=True), alone.sum(axis=1, keepdims=True)
-    largest = np.array([parameter.largest for parameter in effect.parameters])[:, None]
     shows = kept > _LEAST_SHARE * alone
-    smallest = np.where(shows, POWER_SIGMAS / np.sqrt(np.where(shows, kept, 1.0)), np.inf) * largest
+    smallest = np.where(shows, POWER_SIGMAS / np.sqrt(np.where(shows, kept, 1.0)), np.inf) * effect.largest[:, None]
     shift = response.transpose(2, 0, 1)
     return EffectForecast(effect, smallest, shift * scale, shift / sd)
 

@@ -42,7 +42,7 @@ class Candidate:
 
     name: str
     effect: Effect
-    log_prior: float
+    log_prior: float = 0.0
     depends_on: str = ""
     theta: float | None = None
     of: Callable[[float], Effect] | None = None

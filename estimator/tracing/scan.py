@@ -31,7 +31,6 @@ class Scan:
     def __init__(
         self,
         runs: Sequence[Run],
-        spectra: Sequence[GyroSpectra],
         evidence: Evidence,
         terms: Sequence[Term],
         turned: dict[tuple[str, float, str], Floats],
@@ -41,9 +40,9 @@ class Scan:
         self._kept = turned
         best = int(np.argmax(evidence.noise_weight(terms))) if noise is None else noise
         columns = [*range(4), *(c for t in terms for c in t.columns)]
-        self._runs, self._spectra = runs, spectra
+        self._runs, self._spectra = runs, evidence.gyros
         self._roots, self._bases, self._rest = [], [], []
-        for gyro in spectra:
+        for gyro in evidence.gyros:
             density = [evidence.density(gyro, s)[best][s.band] for s in gyro.stretches]
             root = (
                 np.concatenate([np.sqrt(s.length_s / d) for s, d in zip(gyro.stretches, density, strict=True)])
@@ -121,3 +120,35 @@ class Scan:
             right = new.T @ rest
             total += 0.5 * float(right @ np.linalg.solve(own + 1e-6 * np.eye(len(own)), right))
         return total
+
+    def width(self, candidate: Candidate) -> float:
+        """Return by how much what is not linear may move before half a natural logarithm is lost."""
+        assert candidate.theta is not None
+        top = self.gain(candidate)
+        step = 0.02 * candidate.theta
+        while step < candidate.theta:
+            sides = [self.gain(at(candidate, candidate.theta + sign * step)) for sign in (-1, 1)]
+            fall = top - 0.5 * sum(sides)
+            if fall > 0.5:
+                return float(step / np.sqrt(2 * fall))
+            step *= 2
+        return float(candidate.theta)
+
+    def tuned(self, candidate: Candidate) -> Candidate:
+        """Return a candidate with the most telling value of what is not linear in it."""
+        start = candidate.start
+        assert start is not None
+        if candidate.by_size:
+            return at(candidate, self.size(candidate))
+        gains = [self.gain(at(candidate, theta)) for theta in start.tolist()]
+        best = int(np.argmax(gains))
+        low, high = float(start[max(best - 1, 0)]), float(start[min(best + 1, len(start) - 1)])
+        theta = highest(lambda theta: self.gain(at(candidate, theta)), low, high)
+        if self.gain(at(candidate, theta)) < gains[best]:
+            theta = float(start[best])
+        tuned = at(candidate, theta)
+        # What it costs that the value was looked for: the share of its range that would do as well.
+        width = np.sqrt(2 * np.pi) * self.width(tuned)
+        spread = float(start[-1] - start[0])
+        share = width / spread if candidate.evenly else width / theta / candidate.range_log
+        return replace(tuned, log_tries=float(-np.log(np.clip(share, 1e-4, 1.0))))

@@ -22,7 +22,7 @@ def error_model_of(found: Augmented) -> ErrorModel:
     """
     effects: dict[str, KnownEffect] = {}
     left_out = {}
-    for number, part in enumerate(found.parts):
+    for part in found.parts:
         name = part.candidate.called
         record = part.candidate.effect.record
         if record_of(name) is None:
@@ -30,15 +30,16 @@ def error_model_of(found: Augmented) -> ErrorModel:
         elif record.not_kept:
             left_out[name] = record.not_kept
         else:
-            known = _known(found, part, found.slice_of(number))
+            known = _known(found, part)
             # A drift since the start of each run and one since the first are the same in one run.
             other = effects.get(known.called, known)
             effects[known.called] = max(known, other, key=lambda effect: float(effect.sd.sum()))
     return ErrorModel(tuple(effects.values()), left_out)
 
 
-def _known(found: Augmented, part: Part, where: slice) -> KnownEffect:
+def _known(found: Augmented, part: Part) -> KnownEffect:
     effect, p = part.candidate.effect, len(part.candidate.effect.parameters)
+    where = found.slice_of(part.candidate.name)
     largest = part.candidate.largest
     # A tone whose phase differs from run to run has its parameters once for each run.
     values = found.mean[:, where].reshape(len(found.names), -1, p) * largest

@@ -238,7 +238,7 @@ def expected_percent(sd: Floats) -> Floats:
 
 def rows_of(recording: Recording) -> tuple[Floats, Floats]:
     """Return the body rates (rows, 3) and outputs (rows, n) of a recording, in rad/s."""
-    parts = list(observations(recording, SOURCE))
+    parts = list(observations(recording, recording.sources[SOURCE]))
     return np.vstack([part.w_rps for part in parts]), np.vstack([part.y_rps for part in parts])
 
 

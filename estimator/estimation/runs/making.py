@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
@@ -14,8 +15,7 @@ from estimator.effects.disturbances import SAMPLE_HOLD
 from estimator.effects.scale import SCALE_ASYMMETRY, SCALE_CUBIC, SCALE_QUADRATIC
 from estimator.effects.thermal import THERMAL_BIAS, THERMAL_SCALE
 from estimator.errors import InvestigationError
-from estimator.estimation.runs.growth import weighed
-from estimator.estimation.runs.measured import even_grid, means_by_samples, means_by_turns
+from estimator.estimation.runs.measured import even_grid, means_by_samples, means_by_turns, weighed
 from estimator.estimation.runs.run import BLOCK_S, FEWEST_TURNS, Run
 from estimator.estimation.runs.surroundings import GRID_S, conditions_of, force_at, temperature_at
 from estimator.geometry.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2
@@ -80,6 +80,17 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
             f"{recording.name}: too little data: no source has {_FEWEST_BLOCKS * BLOCK_S:g} s of samples that the "
             "reference covers"
         )
+    return runs, notes, faults
+
+
+def runs_of_all(
+    recordings: Sequence[Recording], first: int = 0, block_s: float = BLOCK_S
+) -> tuple[list[Run], list[str], list[Fault]]:
+    """Return the same of several recordings, of which the ``first`` has this number among all."""
+    runs, notes, faults = list[Run](), list[str](), list[Fault]()
+    for order, recording in enumerate(recordings, first):
+        its = runs_of(recording, block_s, order)
+        runs, notes, faults = runs + its[0], notes + its[1], faults + its[2]
     return runs, notes, faults
 
 
