@@ -88,7 +88,8 @@ class Scan:
 
     def _first_size(self, candidate: Candidate) -> float:
         """Return the size by the candidate as it is: right where it is small."""
-        own, right = np.sum(self._products(candidate), axis=0)
+        products = self._products(candidate)
+        own, right = sum(own[0, 0] for own, _ in products), sum(right[0] for _, right in products)
         sign = -1.0 if candidate.theta and candidate.theta < 0 else 1.0  # a lag of the reference is a size of its own
         return float(np.clip(sign * right / max(own, 1e-30) * candidate.largest[0], -_LONGEST_S, _LONGEST_S))
 
@@ -98,28 +99,25 @@ class Scan:
         total = 0.0
         for rest, (own, right) in zip(self._rest, self._products(at(candidate, size)), strict=True):
             before = float(rest @ rest)
-            total -= 0.5 * len(rest) * np.log(max(before - 2 * share * right + share**2 * own, 1e-9 * before) / before)
+            left = before - 2 * share * right[0] + share**2 * own[0, 0]
+            total -= 0.5 * len(rest) * np.log(max(left, 1e-9 * before) / before)
         return float(total)
-
-    def _products(self, candidate: Candidate) -> list[tuple[float, float]]:
-        """Return by gyro the squares of a candidate's first column beside the model, and its product with the rest."""
-        products = []
-        for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
-            new = self._turn(candidate, gyro)[:, 0] * root
-            new = new - basis @ (basis.T @ new)
-            products.append((float(new @ new), float(new @ rest)))
-        return products
 
     def gain(self, candidate: Candidate) -> float:
         """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
         total = 0.0
+        for own, right in self._products(candidate):
+            total += 0.5 * float(right @ np.linalg.solve(own + 1e-6 * np.eye(len(own)), right))
+        return total
+
+    def _products(self, candidate: Candidate) -> list[tuple[Floats, Floats]]:
+        """Return by gyro the products (p, p) of a candidate's columns beside the model, and with the rest (p,)."""
+        products = []
         for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
             new = self._turn(candidate, gyro) * root[:, None]
             new = new - basis @ (basis.T @ new)
-            own = new.T @ new
-            right = new.T @ rest
-            total += 0.5 * float(right @ np.linalg.solve(own + 1e-6 * np.eye(len(own)), right))
-        return total
+            products.append((new.T @ new, new.T @ rest))
+        return products
 
     def width(self, candidate: Candidate) -> float:
         """Return by how much what is not linear may move before half a natural logarithm is lost."""

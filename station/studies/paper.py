@@ -19,8 +19,8 @@ import numpy as np
 from drivers.types import Floats
 from estimator.estimation.baselines import FilterRun, bound, covariance_filter
 from estimator.estimation.calibrate import calibrate
-from estimator.estimation.filter import LiveFilter
 from estimator.estimation.gram import Gram, solve
+from estimator.estimation.live.filter import LiveFilter
 from estimator.geometry.array import SensorArray, tetrahedron, tetrahedron_as_printed
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior, decode
