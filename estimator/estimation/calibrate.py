@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.calibration.budget import TYPE_A, Contribution, table_budget
+from estimator.calibration.budget import Contribution, table_budget
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration, GyroCalibration, GyroParity, unseen_notes
 from estimator.errors import RecordingError
@@ -18,9 +18,8 @@ from estimator.observations.defects.reading_doubts import reading_doubts
 from estimator.observations.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
 from estimator.observations.health import Excluded, usable
 from estimator.observations.rests import RestNoise, motion_notes, rest_noise
-from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.recording import Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
-from estimator.types import Floats
 
 _CHANCE = 4.0  # standard deviations of the mean NIS
 _NEAR = 0.05  # to which the noise is known beside that
@@ -48,35 +47,25 @@ def calibrate(
     if model is not None:
         check_model(model, recording)
         model = model if model.effects else None
-    notes: list[str] = []
-    defective: list[Excluded] = []
-    sources: list[tuple[str, ImuData]] = []
-    for source, data in recording.sources.items():
-        found = usable(data, fine=isinstance(recording.reference, TableReadings))
-        notes.extend(found.notes)
-        defective.extend(found.excluded)
-        sources.extend((source, part) for part in found.parts)
-    if not sources:
-        reasons = "; ".join(f"{e.name}: {e.reason}" for e in defective)
-        raise RecordingError(f"{recording.name}: no gyro of it can be estimated: {reasons}")
-    notes.extend(f"{e.name} is not estimated: {e.reason}; the others are" for e in defective)
-    notes += [*motion_notes(recording), *foreign_motion_notes(recording)]
-    gyros: list[GyroCalibration] = []
-    estimates: list[SourceEstimate] = []
-    checks: list[GyroParity] = []
+    sources, notes, defective = _usable(recording)
     doubts = sparse_doubts(recording)
-    for device in dict.fromkeys(data.device for _, data in sources):
-        found_of = _device(recording, [pair for pair in sources if pair[1].device == device], model, excluded)
-        its_gyros = [(one, gyro) for one in found_of.sources for gyro in _gyros(recording, one)]
-        checks += _parity(found_of.sources, [gyro for _, gyro in its_gyros])
-        notes += found_of.notes
+    names = dict.fromkeys(data.device for _, data in sources)
+    devices = [
+        _device(recording, [pair for pair in sources if pair[1].device == device], model, excluded) for device in names
+    ]
+    estimates = [one for device in devices for one in device.sources]
+    gyros: list[GyroCalibration] = []
+    checks: list[GyroParity] = []
+    for device in devices:
+        its_gyros = [(one, gyro) for one in device.sources for gyro in _gyros(recording, one)]
+        checks += _parity(device.sources, [gyro for _, gyro in its_gyros])
+        notes += device.notes
+        doubts += device.doubts
         for one, gyro in its_gyros:
             if not at_rest(recording.reference):  # else the body rests, and that was told
-                notes += unseen_notes(gyro.name, _type_a(gyro), one.data.prior)
+                notes += unseen_notes(gyro.name, gyro.type_a, one.data.prior)
                 notes += factor_notes(gyro.name, float(gyro.states[0]), float(gyro.sd[0]))
             gyros.append(gyro)
-        estimates += found_of.sources
-        doubts += found_of.doubts
     squares, dof = sum(one.squares for one in estimates), sum(one.dof for one in estimates)
     nis = squares / dof if dof and innovations else float("nan")
     doubts += _nis_doubts(nis, estimates)
@@ -89,13 +78,27 @@ def calibrate(
         sum(one.samples for one in estimates),
         sum(data.lost * len(data.array) for data in recording.sources.values()),
         (*notes, *_parity_notes(checks), *effect_notes(gyros), *doubts),
-        tuple(defective),
+        defective,
         tuple(checks),
         model.text() if model is not None else "",
         tuple(doubts),
         holds_for(recording),
         {one.source: one.offset for one in estimates if one.offset is not None},
     )
+
+
+def _usable(recording: Recording) -> tuple[Sources, list[str], tuple[Excluded, ...]]:
+    """Return the sources with what can be used of each, notes on them and their motion, and gyros left out."""
+    fine = isinstance(recording.reference, TableReadings)
+    found = {source: usable(data, fine=fine) for source, data in recording.sources.items()}
+    sources = [(source, part) for source, its in found.items() for part in its.parts]
+    defective = tuple(e for its in found.values() for e in its.excluded)
+    if not sources:
+        reasons = "; ".join(f"{e.name}: {e.reason}" for e in defective)
+        raise RecordingError(f"{recording.name}: no gyro of it can be estimated: {reasons}")
+    notes = [note for its in found.values() for note in its.notes]
+    notes += [f"{e.name} is not estimated: {e.reason}; the others are" for e in defective]
+    return sources, [*notes, *motion_notes(recording), *foreign_motion_notes(recording)], defective
 
 
 def _device(
@@ -144,12 +147,6 @@ def _gyros(recording: Recording, found: SourceEstimate) -> list[GyroCalibration]
             )
         )
     return gyros
-
-
-def _type_a(gyro: GyroCalibration) -> Floats:
-    """Return what the data leave open of a gyro's states (4, 4), whatever may be wrong with the reference."""
-    own = [line.covariance for line in gyro.budget if line.name in TYPE_A]
-    return np.asarray(np.sum(own, axis=0))
 
 
 def _parity(estimates: Sequence[SourceEstimate], gyros: Sequence[GyroCalibration]) -> list[GyroParity]:

@@ -177,12 +177,8 @@ class GyroSpectra:
 
     def gram(self, densities: Sequence[Floats]) -> Floats:
         """Return the weighed products (G, c, c), summed over stretches of which the density (G, bands) is given."""
-        total: Floats = np.zeros(())
-        for products, density in zip(self.products, densities, strict=True):
-            bands, c = products.shape[0], products.shape[1]
-            total = total + (1 / density) @ products.reshape(bands, c * c)
-        c = self.products[0].shape[1]
-        return np.asarray(total).reshape(-1, c, c)
+        pairs = zip(self.products, densities, strict=True)
+        return np.asarray(sum(np.tensordot(1 / density, products, 1) for products, density in pairs))
 
 
 Z = 4

@@ -1,10 +1,13 @@
 """What is tried: the effects of the catalogue, and general dependences that stand for what is not in it."""
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -58,6 +61,12 @@ class Candidate:
     by_size: bool = False
     sensed: Mapping[str, Floats] = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
+
+    @classmethod
+    def among(cls, name: str, of: Callable[[float], Effect], start: Floats, begin: int = 0, **more: Any) -> Candidate:
+        """Return an effect of which what is not linear is looked for from some values on, number ``begin`` first."""
+        theta = float(start[begin])
+        return cls(name, of(theta), theta=theta, of=of, start=start, **more)
 
     @property
     def evenly(self) -> bool:
@@ -148,7 +157,7 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float, for
         Candidate(effect.name, effect)
         for effect in (record.effect(gimbals, **own) for record in plain for own in record.listed(span_s))
     ]
-    by_size = partial(_by_size, sensed=_sensed(runs))
+    by_size = partial(Candidate.among, by_size=True, sensed=_sensed(runs))
     found.append(by_size(LATENCY.name, late, np.concatenate([[0.0], far_s])))
     if not len(far_s):
         found.append(Candidate(BANDWIDTH.name, BANDWIDTH.effect(tau_s=LAG_S)))
@@ -163,7 +172,7 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float, for
             found.append(Candidate(name, effect, settings={"axis": axis, "order": order}))
     one_clock = _one_clock(runs)
     if one_clock is not None:
-        found.append(Candidate(f"{BIAS_DRIFT.name} on", _on_one_clock(BIAS_DRIFT.effect(), one_clock), 0.0))
+        found.append(Candidate(f"{BIAS_DRIFT.name} on", _on_one_clock(BIAS_DRIFT.effect(), one_clock)))
     warm_up = _scanned(WARM_UP, gimbals, span_s)
     found.append(warm_up)
     if one_clock is not None and WARM_UP.grid is not None and WARM_UP.grid.grid is not None:
@@ -171,20 +180,15 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float, for
         start = WARM_UP.grid.grid(float(runs[-1].t_s[-1] - one_clock), 12)
         name, effect = f"{WARM_UP.name} on", going_on(warm_up.theta or 0.0)
         found.append(replace(warm_up, name=name, effect=effect, of=going_on, start=start))
+
+    def step(at_s: float) -> Effect:
+        return BIAS_STEP.effect(at_s=at_s)
+
     for run in {run.order: run for run in runs}.values():
         times = np.arange(run.t_s[0] + 4.0, run.t_s[-1] - 4.0, max(3.0, np.ptp(run.t_s) / _STEPS))
         if len(times):
-            found.append(
-                Candidate(
-                    f"{BIAS_STEP.name} {run.order}",
-                    BIAS_STEP.effect(at_s=float(times[len(times) // 2])),
-                    theta=float(times[len(times) // 2]),
-                    of=lambda at_s: BIAS_STEP.effect(at_s=at_s),
-                    start=times,
-                    run=run.order,
-                    log_tries=float(np.log(len(times))),
-                )
-            )
+            tries = {"run": run.order, "log_tries": float(np.log(len(times)))}
+            found.append(Candidate.among(f"{BIAS_STEP.name} {run.order}", step, times, len(times) // 2, **tries))
     return found
 
 
@@ -201,16 +205,8 @@ def _scanned(record: Record, gimbals: tuple[str, ...], span_s: float) -> Candida
     def of(value: float) -> Effect:
         return record.effect(gimbals, **{setting.key: value})
 
-    start = setting.grid(span_s, 10)
-    first = float(start[setting.begin])
-    return Candidate(
-        record.name, of(first), theta=first, of=of, start=start, range_log=setting.range_log, unit=setting.unit
-    )
-
-
-def _by_size(name: str, of: Callable[[float], Effect], start: Floats, *, sensed: Mapping[str, Floats]) -> Candidate:
-    first = float(start[0])
-    return Candidate(name, of(first), theta=first, of=of, start=start, by_size=True, sensed=sensed)
+    more = {"range_log": setting.range_log, "unit": setting.unit}
+    return Candidate.among(record.name, of, setting.grid(span_s, 10), setting.begin, **more)
 
 
 def _sensed(runs: Sequence[Run]) -> dict[str, Floats]:

@@ -8,7 +8,6 @@ length together are expected as often as a shorter one less some (Rissanen 1983)
 import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from importlib.resources import files
 from itertools import combinations
 
@@ -44,26 +43,19 @@ def laws_of(runs: Sequence[Run]) -> list[Candidate]:
     offers = frozenset.intersection(*(run.grid.offers for run in runs))
     gimbals = runs[0].grid.gimbals if len(runs[0].grid.gimbals) > 1 else ()
     found: list[Candidate] = []
-    for length, (plain, bent) in enumerate(_listed(offers, gimbals), 1):
-        count = len(plain) + len(bent)
-        prior = _RARE + _LONGER * (length - 1) - float(np.log(max(count, 1)))
-        found += [c for law in plain if (c := _candidate(runs, law, prior)) is not None]
-        for law, kind in bent:
-            one = _bent(runs, law, kind, prior)
-            if one is not None:
-                found.append(one)
+    for length, listed in enumerate(_listed(offers, gimbals), 1):
+        prior = _RARE + _LONGER * (length - 1) - float(np.log(max(len(listed), 1)))
+        found += [c for law, kind in listed if (c := _candidate(runs, law, kind, prior)) is not None]
     return found
 
 
-def _listed(offers: frozenset[str], gimbals: Sequence[str]) -> Iterable[tuple[list[str], list[tuple[str, str]]]]:
-    """Yield by length the laws without a constant, and those with one: text with {c} and what c is."""
+def _listed(offers: frozenset[str], gimbals: Sequence[str]) -> Iterable[list[tuple[str, str]]]:
+    """Yield the laws by length: those without a constant, and those with one as text with {c} and what c is."""
     for one in _LAWS:
-        bent = [(law, kind) for kind, texts in one.get("bent", {}).items() for law in texts]
-        bent += [(law, "lag") for law in one.get("without_temperature", ()) if "temperature" not in offers]
-        yield (
-            [law for text in one["plain"] for law in _on_axes(text, offers, gimbals)],
-            [(law, kind) for text, kind in bent for law in _on_axes(text, offers, gimbals)],
-        )
+        kinds = [(law, "") for law in one["plain"]]
+        kinds += [(law, kind) for kind, texts in one.get("bent", {}).items() for law in texts]
+        kinds += [(law, "lag") for law in one.get("without_temperature", ()) if "temperature" not in offers]
+        yield [(law, kind) for text, kind in kinds for law in _on_axes(text, offers, gimbals)]
 
 
 def _on_axes(text: str, offers: frozenset[str], gimbals: Sequence[str]) -> list[str]:
@@ -78,35 +70,22 @@ def _on_axes(text: str, offers: frozenset[str], gimbals: Sequence[str]) -> list[
     return [law for law in laws if needs_of(law.replace("{c}", "1")) <= offers]
 
 
-def _candidate(runs: Sequence[Run], law: str, prior: float) -> Candidate | None:
-    largest = _largest(runs, law)
-    return None if largest is None else Candidate(f"law: {law}", constructed(law, largest), prior)
-
-
-def _bent(runs: Sequence[Run], law: str, kind: str, prior: float) -> Candidate | None:
-    """Return a law with a constant that is looked for; None where it would be nothing."""
+def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float) -> Candidate | None:
+    """Return a law, its constant to be looked for if it has one of some kind; None where it would be nothing."""
     start = _LAGS_S
     if kind != "lag":
         start = _SHARES * (_range(runs, kind.removeprefix("share ")) if kind.startswith("share") else 0.2)
-    if not start[0] > 0:
-        return None
-    largest = _largest(runs, law.format(c=f"{start[1]:.6g}"))
+    largest = _largest(runs, law.format(c=f"{start[1]:.6g}")) if start[0] > 0 else None
     if largest is None:
         return None
-    of = partial(_made, law, largest)
-    return Candidate(
-        f"law: {law}",
-        of(float(start[1])),
-        prior,
-        theta=float(start[1]),
-        of=of,
-        start=start,
-        range_log=float(np.log(start[-1] / start[0])),
-    )
+    if not kind:
+        return Candidate(f"law: {law}", constructed(law, largest), prior)
 
+    def of(constant: float) -> Effect:
+        return constructed(law.format(c=f"{constant:.4g}"), largest)
 
-def _made(law: str, largest: tuple[float, ...], constant: float) -> Effect:
-    return constructed(law.format(c=f"{constant:.4g}"), largest)
+    range_log = float(np.log(start[-1] / start[0]))
+    return Candidate.among(f"law: {law}", of, start, 1, log_prior=prior, range_log=range_log)
 
 
 def _largest(runs: Sequence[Run], law: str) -> tuple[float, ...] | None:
