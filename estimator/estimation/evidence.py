@@ -118,9 +118,7 @@ class _Left:
 
 def log_mean(values: Floats, log_weights: Floats | None = None) -> float:
     """Return the logarithm of the mean of exponentials, or of the weighted sum."""
-    values = values + (log_weights if log_weights is not None else -np.log(len(values)))
-    top = float(values.max())
-    return top + float(np.log(np.exp(values - top).sum()))
+    return float(np.logaddexp.reduce(values + (log_weights if log_weights is not None else -np.log(len(values)))))
 
 
 class Evidence:

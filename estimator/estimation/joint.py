@@ -98,7 +98,8 @@ def estimate_device(
         further, runs = undeclared_laws(made, excluded | {law.effect.record.name for law in laws})
         joint = joint_estimate(runs, [*laws, *further], stated) if further else plain
         notes += _undeclared_notes(joint)
-    offsets = _offsets(plain, covariances, delays_s)
+    left_s = _delays(plain, covariances)
+    offsets = {name: TimeOffset(delays_s[name] + left, sd_s) for name, (left, sd_s) in left_s.items()}
     notes += _offset_notes(recording, offsets, external)
     if external:
         # What is left may be the reference's as well: it does not decide on effects of the gyros.
@@ -219,11 +220,6 @@ def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[floa
             sd = float(np.mean([np.sqrt(c[at, at]) for c in covariances]) * law.sd[0])
             found[law.source] = (float(value), sd)
     return found
-
-
-def _offsets(joint: Joint, covariances: Sequence[Floats], taken_off_s: dict[str, float]) -> dict[str, TimeOffset]:
-    left = _delays(joint, covariances)
-    return {name: TimeOffset(taken_off_s[name] + left_s, sd_s) for name, (left_s, sd_s) in left.items()}
 
 
 def _offset_notes(recording: Recording, offsets: dict[str, TimeOffset], external: bool) -> list[str]:
@@ -382,7 +378,7 @@ def _values(joint: Joint, shares: Floats, covariance: Floats) -> tuple[EffectVal
     doubts = np.sqrt(np.diag(covariance)[4:])
     edges = np.cumsum([0, *(len(law.sd) for law in joint.laws)]).tolist()
     return tuple(
-        EffectValue(law.called, p.name, float(v * sd), float(d * sd), p.unit, float(sd), law.shared)
+        EffectValue(law.called, p.name, float(v * sd), float(d * sd), p.unit, float(sd), law.effect.shared)
         for law, (a, b) in zip(joint.laws, pairwise(edges), strict=True)
         if law.line == EFFECTS
         for p, v, d, sd in zip(law.effect.parameters, shares[a:b], doubts[a:b], law.sd, strict=True)
@@ -395,7 +391,7 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
     No direction gets less than the covariance under coloured noise.
     """
     runs, n, whole = joint.runs, len(joint.means), len(joint.means[0])
-    own = 4 + sum(len(law.sd) for law in joint.laws if not law.shared)
+    own = 4 + sum(len(law.sd) for law in joint.laws if not law.effect.shared)
     begin = min(float(run.t_s[0]) for run in runs)
     clusters = [((run.t_s - begin) / CLUSTER_S).astype(np.intp) for run in runs]
     used = np.unique(np.concatenate([c[run.weight > 0] for run, c in zip(runs, clusters, strict=True)]))

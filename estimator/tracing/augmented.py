@@ -81,7 +81,7 @@ class Augmented:
             whole[:at, :at] = covariance
             for part in tones:
                 assert part.tone is not None
-                size = part.candidate.largest[0]
+                size = part.candidate.effect.largest[0]
                 amplitudes.append(part.tone.amplitude[gyro.name] / size)
                 span = np.arange(at, at + part.width)
                 whole[span, span] = (part.tone.sd[gyro.name] / size) ** 2
@@ -130,5 +130,5 @@ class Augmented:
         at = 0 if part.tone.found.locked else 2 * number
         if at < part.width:
             waves = tone_columns(part.tone.found.frequency_hz, run, samples_of(run))
-            out[:, at : at + 2] = waves * part.candidate.largest
+            out[:, at : at + 2] = waves * part.candidate.effect.largest
         return out

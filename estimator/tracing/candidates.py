@@ -88,19 +88,14 @@ class Candidate:
         """Whether all gyros have the same columns."""
         return self.effect.record.alike or bool(self.effect.law and not of_each_gyro(self.effect.law))
 
-    @property
-    def largest(self) -> Floats:
-        """Largest plausible size of each parameter (p,)."""
-        return self.effect.largest
-
     def columns(self, run: Run, gyro: int) -> Floats:
         """Return the scaled columns (b, p) of gyro number ``gyro`` of a run. A step stays for all later recordings."""
         if self.run is not None and run.order != self.run:
-            return np.full((len(run.t_s), 1), float(run.order > self.run)) * self.largest
+            return np.full((len(run.t_s), 1), float(run.order > self.run)) * self.effect.largest
         p = self.sensed.get(run.array.names[gyro])
         array = run.array
         axes = Axes(array.p[gyro] if p is None else p, array.j[gyro], array.k[gyro])
-        return run.fold(self.effect.at(run.grid, axes)) * self.largest
+        return run.fold(self.effect.at(run.grid, axes)) * self.effect.largest
 
 
 def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]:

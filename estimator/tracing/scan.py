@@ -91,11 +91,11 @@ class Scan:
         products = self._products(candidate)
         own, right = sum(own[0, 0] for own, _ in products), sum(right[0] for _, right in products)
         sign = -1.0 if candidate.theta and candidate.theta < 0 else 1.0  # a lag of the reference is a size of its own
-        return float(np.clip(sign * right / max(own, 1e-30) * candidate.largest[0], -_LONGEST_S, _LONGEST_S))
+        return float(np.clip(sign * right / max(own, 1e-30) * candidate.effect.largest[0], -_LONGEST_S, _LONGEST_S))
 
     def _gain_of(self, candidate: Candidate, size: float) -> float:
         """Return how much more probable a size makes what is left, each gyro under as much noise as then is left."""
-        share = abs(size) / candidate.largest[0] if size else 0.0
+        share = abs(size) / candidate.effect.largest[0] if size else 0.0
         total = 0.0
         for rest, (own, right) in zip(self._rest, self._products(at(candidate, size)), strict=True):
             before = float(rest @ rest)

@@ -188,7 +188,7 @@ class Search:
             return False  # what happens between two readings of another instrument is not known as well as that
         sizes = self.evidence.posterior([*model, term]).of(term)
         if candidate.by_size and candidate.theta:
-            of_it = sizes[:, 0] * candidate.largest[0] / abs(candidate.theta)
+            of_it = sizes[:, 0] * candidate.effect.largest[0] / abs(candidate.theta)
             return bool(np.abs(np.median(of_it) - 1) < _LOST)
         return candidate.effect.record.plausible(sizes)
 

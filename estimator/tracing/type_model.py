@@ -40,7 +40,7 @@ def error_model_of(found: Augmented) -> ErrorModel:
 def _known(found: Augmented, part: Part) -> KnownEffect:
     effect, p = part.candidate.effect, len(part.candidate.effect.parameters)
     where = found.slice_of(part.candidate.name)
-    largest = part.candidate.largest
+    largest = part.candidate.effect.largest
     # A tone whose phase differs from run to run has its parameters once for each run.
     values = found.mean[:, where].reshape(len(found.names), -1, p) * largest
     sigmas = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))[:, where].reshape(values.shape) * largest

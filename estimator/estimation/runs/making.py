@@ -51,7 +51,8 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
             data = replace(data, array=replace(data.array, names=tuple(f"{source} {n}" for n in data.array.names)))
         held = held_samples(data) if fine else 1
         if held > 1:
-            values = (("samples", float(held), "1"), ("delay", _hold_delay_s(data, held), "s"))
+            delay_s = 0.5 * (held - 1) * float(np.median(np.diff(data.t_ns))) * 1e-9  # on the average
+            values = (("samples", float(held), "1"), ("delay", delay_s, "s"))
             faults += [Fault(SAMPLE_HOLD.name, name, values) for name in data.array.names]
         elif fine:
             data, stuck = without_stuck(data)
@@ -98,11 +99,6 @@ def run_of(recording: Recording, source: str, data: ImuData) -> Run | None:
     """Return one source, cleaned of what cannot be used, as tracing sees it; None if it holds too little."""
     fine = isinstance(recording.reference, TableReadings)
     return _run(recording, source, data, BLOCK_S, 0, held_samples(data) if fine else 1)
-
-
-def _hold_delay_s(data: ImuData, held: int) -> float:
-    """Return by how much held samples lag on the average."""
-    return 0.5 * (held - 1) * float(np.median(np.diff(data.t_ns))) * 1e-9
 
 
 def _run(recording: Recording, source: str, data: ImuData, block_s: float, order: int, held: int) -> Run | None:

@@ -55,8 +55,8 @@ class Run:
     fold: Callable[[Floats], Floats]
     recording: Recording
     period_s: float
-    order: int
-    held: int
+    order: int = 0
+    held: int = 1
     stated_rps: float = 0.0
     pose: NDArray[np.intp] | None = None
     earth_rps: Floats | None = None

@@ -13,7 +13,7 @@ from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Stretch, Z, g
 from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.investigation import OutOfSample
-from estimator.tracing.judging.verification import Judged, Truth, drawn, judge, phases_of, sum_of
+from estimator.tracing.judging.verification import Judged, Misfit, drawn, judge, phases_of, sum_of
 from estimator.tracing.search import Search
 
 Mask = list[NDArray[np.bool_]]
@@ -95,35 +95,35 @@ def judged(
 ) -> Judged:
     """Return the errors of two models on the verification runs, cross-validated by step where there are none."""
     evidence, terms = together([*search.runs, *held_back], after, search.evidence.shapes)
-    truth = Truth(after.estimated(evidence.posterior(terms)), evidence.misfit)
+    true, misfit = after.estimated(evidence.posterior(terms)), evidence.misfit
     if not held_back:
-        return _cross_validated(search, before, after, truth)
+        return _cross_validated(search, before, after, true, misfit)
     tones = [part.tone.found.frequency_hz for part in after.parts if part.tone is not None]
     fine_s = min([BLOCK_S, *(1 / (_TONE_BLOCKS * hz) for hz in tones)])
     runs, first = list(held_back), len(search.runs)
     if fine_s < BLOCK_S:
         runs = runs_of_all(verification, held_back[0].order, fine_s)[0]
         scale = len(runs[0].t_s) / len(held_back[0].t_s)
-        truth = replace(truth, misfit={key: scale * squares for key, squares in truth.misfit.items()})
-    return judge(runs, first, before, after, True, drawn(runs, first, before, after, truth))
+        misfit = {key: scale * squares for key, squares in misfit.items()}
+    return judge(runs, first, before, after, True, drawn(runs, first, before, after, true, misfit))
 
 
-def _cross_validated(search: Search, before: Augmented, after: Augmented, truth: Truth) -> Judged:
+def _cross_validated(search: Search, before: Augmented, after: Augmented, true: Augmented, misfit: Misfit) -> Judged:
     """Return errors on each fifth of the steps of models fitted to the others, the noise as found on all."""
     all_runs, shapes = search.runs, search.evidence.shapes
     if not after.parts:
-        return judge(all_runs, 0, before, after, False, drawn(all_runs, 0, before, after, truth))
+        return judge(all_runs, 0, before, after, False, drawn(all_runs, 0, before, after, true, misfit))
     # The models are those of all the data; errors by step hold what a fit without that step would have said.
     weight = search.evidence.noise_weight([part.term for part in after.parts])
     parts = []
-    share = replace(truth, misfit={key: squares / FOLDS for key, squares in truth.misfit.items()})
+    share = {key: squares / FOLDS for key, squares in misfit.items()}
     for mask in by_step(all_runs):
         runs = held(all_runs, mask)
         # Tones stay as they were found on all steps: a fifth of them says nothing else of a line.
         evidence, terms = together(held(all_runs, [~out for out in mask]), after, shapes)
         old = before.estimated(evidence.posterior([], weight))
         new = after.estimated(evidence.posterior(terms, weight))
-        errors = drawn(runs, 0, old, new, share)
+        errors = drawn(runs, 0, old, new, true, share)
         parts.append((judge(runs, 0, old, new, False, errors), errors))
     whole = {name: sum_of(errors[name] for _, errors in parts) for name in after.names}
     found = judge(all_runs, 0, before, after, False, whole)

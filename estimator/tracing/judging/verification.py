@@ -30,6 +30,8 @@ _ROUNDING = 1e-9  # of a correlation: elements that are known only together must
 _MISFIT_DOF = 50.0  # of what no model fits: coherent with the motion, so far fewer than blocks
 _APART = 1.0  # sigmas of an interval by which models differ, to be told apart by it
 _FEWEST_JUDGED = 20
+Misfit = Mapping[tuple[str, int], float]
+"""By gyro and number of a run, what no model fits beyond the noise, summed over blocks, (rad/s)^2."""
 _DIRECTION = 1e-3  # share of a direction that must be left beside the mean to count as another
 
 
@@ -95,17 +97,6 @@ def phases_of(run: Run) -> list[Phase]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Truth:
-    """What all recordings together say: parameters as in the last model, and by gyro and number of a run its misfit.
-
-    The misfit is the sum over blocks of what no model fits beyond the noise, (rad/s)^2, with its degrees of freedom.
-    """
-
-    model: Augmented
-    misfit: Mapping[tuple[str, int], float]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
     """Sums over ``blocks`` of squared errors of one gyro before and after (m,), for draws of what may be true."""
 
@@ -131,8 +122,10 @@ class Drawn:
         return Improvement(before / max(after, 1e-150), float(low), float(high))
 
 
-def drawn(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, truth: Truth) -> dict[str, Drawn]:
-    """Return by gyro how wrong two models are on the whole of runs, the noise apart, if truth is what all data say.
+def drawn(
+    runs: Sequence[Run], first: int, before: Augmented, after: Augmented, true: Augmented, misfit: Misfit
+) -> dict[str, Drawn]:
+    """Return by gyro how wrong two models are on the whole of runs, the noise apart, if what all data say is ``true``.
 
     Draws are from the posterior of all recordings; what nothing fits is an error of both models, known by chance only.
     """
@@ -140,16 +133,16 @@ def drawn(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, 
     for name in after.names:
         g = after.names.index(name)
         random = np.random.default_rng(g)  # the same figures for the same recordings
-        true = _draws(random, truth.model.mean[g], truth.model.covariance[g])
-        old = np.zeros(true.shape[1])
+        draws = _draws(random, true.mean[g], true.covariance[g])
+        old = np.zeros(draws.shape[1])
         old[: before.mean.shape[1]] = before.mean[g]
         for number, run in enumerate(runs):
             if name not in run.array.names:
                 continue
             columns = after.columns(run, first + number, run.array.names.index(name))[run.weight > 0]
             gram = columns.T @ columns
-            squares = [np.einsum("mi,ij,mj->m", true - x, gram, true - x) for x in (old, after.mean[g])]
-            left = truth.misfit.get((name, first + number), 0.0)
+            squares = [np.einsum("mi,ij,mj->m", draws - x, gram, draws - x) for x in (old, after.mean[g])]
+            left = misfit.get((name, first + number), 0.0)
             chance = random.chisquare(_MISFIT_DOF, _DRAWN) / _MISFIT_DOF
             own = Drawn(squares[0] + left * chance, squares[1] + left * chance, float(len(columns)))
             sums[name] = sums[name] + own if name in sums else own
