@@ -69,11 +69,6 @@ class Candidate:
         return cls(name, of(theta), theta=theta, of=of, start=start, **more)
 
     @property
-    def evenly(self) -> bool:
-        """Whether any value of what is not linear is as probable as any other, rather than any ratio."""
-        return self.run is not None
-
-    @property
     def called(self) -> str:
         """Name of the effect in results: that of its kind."""
         return self.effect.record.name

@@ -145,8 +145,9 @@ class Scan:
         if self.gain(at(candidate, theta)) < gains[best]:
             theta = float(start[best])
         tuned = at(candidate, theta)
-        # What it costs that the value was looked for: the share of its range that would do as well.
+        # What it costs that the value was looked for: the share of its range that would do as well. Any instant of a
+        # step is as probable as any other, of a time constant any ratio.
         width = np.sqrt(2 * np.pi) * self.width(tuned)
         spread = float(start[-1] - start[0])
-        share = width / spread if candidate.evenly else width / theta / candidate.range_log
+        share = width / spread if candidate.run is not None else width / theta / candidate.range_log
         return replace(tuned, log_tries=float(-np.log(np.clip(share, 1e-4, 1.0))))
