@@ -1,5 +1,5 @@
+from .calibration.calibration_file import read_calibration as read_calibration
 from .calibration.error_model import ErrorModel as ErrorModel
-from .calibration.stored_calibration import read_calibration as read_calibration
 from .calibration.values import Calibration as Calibration
 from .effects.catalogue import catalogue as catalogue
 from .effects.effect import Effect as Effect

@@ -1,13 +1,22 @@
-"""Results kept in the recording they were drawn from: the group /calibration."""
+"""Results kept in the recording they were drawn from, the group /calibration, and read back from there."""
 
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.calibration.values import Calibration
+from estimator.calibration.budget import Contribution
+from estimator.calibration.error_model import ErrorModel
+from estimator.calibration.values import Calibration, EffectValue, GyroCalibration
+from estimator.errors import RecordingError
 from estimator.geometry.model import STATES
-from estimator.recordings.writing import write_results
+from estimator.geometry.noise import NoiseFound, NoiseModel
+from estimator.observations.health import Excluded
+from estimator.recordings.safe_open import probe
+from estimator.recordings.writing import plain, write_results
+from estimator.types import Floats
 
 
 def write_calibration(path: Path, calibration: Calibration, attributes: dict[str, object] | None = None) -> None:
@@ -64,3 +73,123 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
             **(attributes or {}),
         },
     )
+
+
+def read_calibration(path: Path, *, trusted: bool = False) -> Calibration:
+    """Return the calibration in the group /calibration of a recording.
+
+    Not kept in files, and so not here: correlations within a line of the budget (its covariance is diagonal), the
+    Allan deviation's time span (``rest`` is None), and what redundant gyros say of each other (``parity``).
+    ``trusted`` skips the probe, for a file that this process has read already.
+
+    Raises RecordingError if the file cannot be read, holds no calibration or a damaged one; ModelError if the error
+    model in it is of another version.
+    """
+    if not trusted:
+        probe(path)
+    try:
+        with h5py.File(path, "r") as file:
+            group = file.get("calibration")
+            if not isinstance(group, h5py.Group):
+                raise RecordingError(
+                    f"{path} holds no calibration: `station calibrate --write {path}` estimates one and keeps it there"
+                )
+            return _read(path, file, group)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error}") from None
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        raise RecordingError(
+            f"{path} holds a damaged calibration ({type(error).__name__}: {error}): `station calibrate --write {path}` "
+            "estimates it again"
+        ) from None
+
+
+def _read(path: Path, file: Any, group: Any) -> Calibration:
+    names, sources = _texts(group["name"][()]), _texts(group["source"][()])
+    n = len(names)
+    model = str(plain(group.attrs.get("model", "")))
+    effects = _effects(group, model, n, str(path))
+    gyros = tuple(
+        GyroCalibration(
+            name,
+            source,
+            _floats(group, "states", (n, 4))[i],
+            _floats(group, "covariance", (n, 4, 4))[i],
+            float(_floats(group, "noise_rps", (n,))[i]),
+            _sense_axis(file, source, name),
+            str(plain(file[f"imu/{source}"].attrs.get("device", ""))),
+            _budget(group, i),
+            _noise(group, i),
+            effects=effects[i],
+        )
+        for i, (name, source) in enumerate(zip(names, sources, strict=True))
+    )
+    if not gyros or not all(np.isfinite(gyro.states).all() for gyro in gyros):
+        raise ValueError("states that are no numbers")
+    excluded = [text.partition(": ") for text in _texts(group.attrs.get("excluded", ()))]
+    return Calibration(
+        gyros,
+        float(group.attrs["nis_mean"]),
+        int(group.attrs["samples"]),
+        int(group.attrs["lost"]),
+        tuple(_texts(group.attrs.get("notes", ()))),
+        tuple(Excluded(name, reason) for name, _, reason in excluded),
+        model=model,
+        doubts=tuple(_texts(group.attrs.get("doubts", ()))),
+        holds_for=str(plain(group.attrs.get("holds_for", ""))),
+    )
+
+
+def _floats(group: Any, key: str, shape: tuple[int, ...]) -> Floats:
+    values = np.asarray(group[key][()], dtype=np.float64)
+    if values.shape != shape:
+        raise ValueError(f"{key} has shape {values.shape}")
+    return values
+
+
+def _sense_axis(file: Any, source: str, name: str) -> Floats:
+    held = file[f"imu/{source}"]
+    axes = np.atleast_2d(np.asarray(held.attrs["p"] if "p" in held.attrs else held["p"][()], dtype=np.float64))
+    labels = _texts(held.attrs.get("names", ()))
+    # Without names the channels are called by their source, and numbered if there are several.
+    row = labels.index(name) if labels else int(name.removeprefix(source) or 1) - 1
+    return np.asarray(axes[row])
+
+
+def _budget(group: Any, gyro: int) -> tuple[Contribution, ...]:
+    names = _texts(group.attrs.get("budget_names", ()))
+    if "budget" not in group:
+        return ()
+    lines = np.asarray(group["budget"][()], dtype=np.float64)[gyro]
+    return tuple(Contribution(name, np.diag(u**2)) for name, u in zip(names, lines, strict=True))
+
+
+def _noise(group: Any, gyro: int) -> NoiseFound | None:
+    if "noise" not in group:
+        return None
+    arw, instability, walk = np.asarray(group["noise"][()], dtype=np.float64)[gyro].tolist()
+    below = np.asarray(group["noise_below"][()], dtype=np.float64)[gyro].tolist()
+    return NoiseFound(NoiseModel(arw, instability, walk), below[0], below[1])
+
+
+def _effects(group: Any, model: str, n: int, where: str) -> list[tuple[EffectValue, ...]]:
+    """Return the effects of each gyro; what is expected of them is in the text of the model."""
+    labels = [label.partition(": ") for label in _texts(group.attrs.get("effect_names", ()))]
+    if not labels:
+        return [()] * n
+    units = _texts(group.attrs["effect_units"])
+    values, sds = _floats(group, "effects", (n, len(labels))), _floats(group, "effects_sd", (n, len(labels)))
+    known = {effect.called: effect for effect in ErrorModel.parse(model, where).effects}
+    found: list[tuple[EffectValue, ...]] = []
+    for i in range(n):
+        own = []
+        for column, ((called, _, parameter), unit) in enumerate(zip(labels, units, strict=True)):
+            size = next(size for size in known[called].sizes if size.name == parameter)
+            value, sd = float(values[i, column]), float(sds[i, column])
+            own.append(EffectValue(called, parameter, value, sd, unit, size.sd, known[called].shared))
+        found.append(tuple(own))
+    return found
+
+
+def _texts(values: Any) -> list[str]:
+    return [str(plain(value)) for value in np.atleast_1d(np.asarray(values, dtype=object)).tolist()]

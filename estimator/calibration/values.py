@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.calibration.budget import Contribution
+from estimator.calibration.budget import TYPE_A, Contribution
 from estimator.geometry.model import STATES, Prior
 from estimator.geometry.noise import NoiseFound
 from estimator.observations.health import Excluded
@@ -73,6 +73,12 @@ class GyroCalibration:
     def sd(self) -> Floats:
         """Standard deviations of the states (4,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def type_a(self) -> Floats:
+        """What the data leave open of the states (4, 4), whatever may be wrong with the reference; all if not known."""
+        own = [line.covariance for line in self.budget if line.name in TYPE_A]
+        return np.asarray(np.sum(own, axis=0)) if own else self.covariance
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,19 +4,15 @@ import numpy as np
 
 from estimator.effects.conditions import Axes, Conditions
 from estimator.effects.dynamics import LATENCY
-from estimator.effects.effect import Regressors, Settings, family
+from estimator.effects.effect import Settings, family
 from estimator.types import Floats
 
 
-def _waves(settings: Settings) -> Regressors:
+def _waves(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     """Return the columns of cosine and sine of a frequency."""
     turning_rps = 2 * np.pi * float(settings["frequency_hz"])
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        phase = turning_rps * conditions.t_s
-        return np.column_stack([np.cos(phase), np.sin(phase)])
-
-    return columns
+    phase = turning_rps * conditions.t_s
+    return np.column_stack([np.cos(phase), np.sin(phase)])
 
 
 RECORDS = TONE, BIAS_WALK, SAMPLE_HOLD, SATURATION, STUCK = family(

@@ -3,7 +3,7 @@
 import numpy as np
 
 from estimator.effects.conditions import Axes, Conditions
-from estimator.effects.effect import Regressors, Setting, Settings, family
+from estimator.effects.effect import Setting, Settings, family
 from estimator.types import Floats
 
 _STEPS = 8  # a step at an unknown instant is as good as several that share its variance
@@ -13,11 +13,8 @@ def _taus_s(span_s: float, count: int) -> Floats:
     return np.geomspace(8.0, max(span_s / 1.5, 20.0), count)
 
 
-def _after(settings: Settings) -> Regressors:
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return np.asarray(conditions.t_s >= float(settings["at_s"]), dtype=np.float64)
-
-    return columns
+def _after(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
+    return np.asarray(conditions.t_s >= float(settings["at_s"]), dtype=np.float64)
 
 
 def _instants(first_s: float, last_s: float) -> list[Settings]:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from estimator.effects.conditions import Axes, Conditions
-from estimator.effects.effect import Effect, Regressors, Settings, family
+from estimator.effects.effect import Effect, Settings, family
 from estimator.types import Floats
 
 LAG_S = 0.004
@@ -11,22 +11,18 @@ LAG_S = 0.004
 _LAGUERRE = np.polynomial.laguerre.laggauss(4)
 
 
-def _late(settings: Settings) -> Regressors:
+def _late(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     """Return the columns of a delay: p . (w that long ago - w), per second of the delay.
 
     They are exact for ``delay_s``; for 0, or where it is not known what was before, their limit -p . wdot.
     """
     delay_s = float(settings.get("delay_s", 0.0))
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        if not delay_s or conditions.delayed_rps is None:
-            return -conditions.wdot_rps2 @ axes.p
-        return (conditions.delayed_rps(delay_s) - conditions.delayed_rps(0.0)) @ axes.p / abs(delay_s)
-
-    return columns
+    if not delay_s or conditions.delayed_rps is None:
+        return -conditions.wdot_rps2 @ axes.p
+    return (conditions.delayed_rps(delay_s) - conditions.delayed_rps(0.0)) @ axes.p / abs(delay_s)
 
 
-def _lagging(settings: Settings) -> Regressors:
+def _lagging(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     """Return the column of a first-order lag per second of its time constant; exact for ``tau_s``.
 
     A lag of time constant T is the mean of all delays, exp(-delay / T) / T each (four points of Gauss and Laguerre);
@@ -34,15 +30,11 @@ def _lagging(settings: Settings) -> Regressors:
     so the two look alike on ramps.
     """
     tau_s = float(settings.get("tau_s", LAG_S))
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        if conditions.delayed_rps is None:
-            slope = conditions.wdot_rps2 @ axes.p
-            return np.asarray(-slope + tau_s * np.gradient(slope, conditions.period_s))
-        lagged = sum(weight * conditions.delayed_rps(tau_s * node) for node, weight in zip(*_LAGUERRE, strict=True))
-        return np.asarray((lagged - conditions.delayed_rps(0.0)) @ axes.p / tau_s)
-
-    return columns
+    if conditions.delayed_rps is None:
+        slope = conditions.wdot_rps2 @ axes.p
+        return np.asarray(-slope + tau_s * np.gradient(slope, conditions.period_s))
+    lagged = sum(weight * conditions.delayed_rps(tau_s * node) for node, weight in zip(*_LAGUERRE, strict=True))
+    return np.asarray((lagged - conditions.delayed_rps(0.0)) @ axes.p / tau_s)
 
 
 RECORDS = LATENCY, BANDWIDTH, ACCELERATION_SENSITIVITY, REFERENCE_LAG = family(

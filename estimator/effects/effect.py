@@ -121,10 +121,10 @@ class Record:
     """All that is known of an effect.
 
     ``parameters`` in order, or how they follow from the axes of a table and the settings. ``law`` (see ``law``) has a
-    term for each, settings in braces; an effect that no law can say has ``regressors``, from the settings the columns
-    of one gyro (N, parameters), and a ``formula`` for people. ``kind``; ``shared``: one set of parameters for all gyros
-    (a cause in the table, the site or the clock), not one a gyro. ``shown_by`` says what excites it, ``confused_with``
-    names effects that look alike in many runs. ``settings`` are what is not linear.
+    term for each, settings in braces; an effect that no law can say has ``regressors``, the columns of one gyro (N,
+    parameters) from settings, conditions and axes, and a ``formula`` for people. ``kind``; ``shared``: one set of
+    parameters for all gyros (a cause in the table, the site or the clock), not one a gyro. ``shown_by`` says what
+    excites it, ``confused_with`` names effects that look alike in many runs. ``settings`` are what is not linear.
 
     ``depends_on`` is what a residual that holds it depends on, ``suspected_of`` what a residual that depends on may
     hold it. ``needs`` names what a recording must hold beside rates and what the law says: "temperature", "gimbals"
@@ -147,7 +147,7 @@ class Record:
     name: str
     parameters: tuple[Parameter, ...] | Callable[[Sequence[str], Settings], tuple[Parameter, ...]]
     law: str = ""
-    regressors: Callable[[Settings], Regressors] | None = None
+    regressors: Callable[[Settings, Conditions, Axes], Floats] | None = None
     formula: str = ""
     kind: Kind = Kind.LAW
     shared: bool = False
@@ -194,7 +194,7 @@ class Record:
         own = self.parameters if isinstance(self.parameters, tuple) else self.parameters(gimbals, settings)
         law = self.law.format(**settings) if settings else self.law
         needs = self.needs
-        columns = self.regressors(settings) if self.regressors else _none
+        columns = partial(self.regressors, settings) if self.regressors else _none
         if law:
             needs |= needs_of(law)
             columns = partial(columns_of, law)

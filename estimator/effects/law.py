@@ -151,15 +151,7 @@ def _check(node: ast.expr) -> None:
 
 
 _PLAIN: Mapping[str, Callable[[Any], Any]] = {
-    "abs": np.abs,
-    "sign": np.sign,
-    "sqrt": np.sqrt,
-    "log1p": np.log1p,
-    "expm1": np.expm1,
-    "exp": np.exp,
-    "tanh": np.tanh,
-    "cos": np.cos,
-    "sin": np.sin,
+    name: getattr(np, name) for name in ("abs", "sign", "sqrt", "log1p", "expm1", "exp", "tanh", "cos", "sin")
 }
 
 
@@ -264,28 +256,23 @@ def _finite_sizes(values: Floats) -> Floats:
 
 
 _POWERS = {"2": "square", "3": "cube"}
+_CALLS = {
+    "lag": "{} lagged by {} s",
+    "play": "{} with a play of {}",
+    "last": "the last direction of the {}",
+    "abs": "the size of the {}",
+    "sign": "the sign of the {}",
+}
 
 
 def _words(node: ast.expr) -> str:
     match node:
         case ast.Name(id=name):
             return VARIABLES[name][2]
-        case ast.Call(func=ast.Name(id="lag"), args=[inner, constant]):
-            return f"{_words(inner)} lagged by {ast.unparse(constant)} s"
-        case ast.Call(func=ast.Name(id="play"), args=[inner, constant]):
-            return f"{_words(inner)} with a play of {ast.unparse(constant)}"
-        case ast.Call(func=ast.Name(id="last"), args=[inner, *_]):
-            return f"the last direction of the {_words(inner)}"
-        case ast.Call(func=ast.Name(id="abs"), args=[inner]):
-            return f"the size of the {_words(inner)}"
-        case ast.Call(func=ast.Name(id="sign"), args=[inner]):
-            return f"the sign of the {_words(inner)}"
-        case ast.Call(func=ast.Name(id=name), args=[inner]):
-            return f"{name} of ({_words(inner)})"
-        case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            return f"{_words(left)} times {_words(right)}"
-        case ast.BinOp(left=left, op=ast.Div(), right=right):
-            return f"{_words(left)} over {_words(right)}"
+        case ast.Call(func=ast.Name(id=name), args=[inner, *numbers]):
+            return _CALLS.get(name, name + " of ({})").format(_words(inner), *map(ast.unparse, numbers))
+        case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as op, right=right):
+            return f"{_words(left)} {'times' if isinstance(op, ast.Mult) else 'over'} {_words(right)}"
         case ast.BinOp(left=left, op=ast.Pow(), right=right):
             power = ast.unparse(right)
             return f"the {_POWERS.get(power, f'power {power}')} of the {_words(left)}"

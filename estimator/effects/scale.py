@@ -3,7 +3,7 @@
 import numpy as np
 
 from estimator.effects.conditions import Axes, Conditions
-from estimator.effects.effect import Regressors, Setting, Settings, family
+from estimator.effects.effect import Setting, Settings, family
 from estimator.types import Floats
 
 _LOST = 0.3  # share of the rate within a dead band that may be missing to all of it
@@ -18,14 +18,10 @@ _WIDTH = Setting(
 )
 
 
-def _within(settings: Settings) -> Regressors:
+def _within(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     """Return the columns of a gyro that does not answer rates within a band."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        u = conditions.w_rps @ axes.p
-        return np.asarray(np.where(np.abs(u) <= float(settings["width_rps"]), -u, 0.0))
-
-    return columns
+    u = conditions.w_rps @ axes.p
+    return np.asarray(np.where(np.abs(u) <= float(settings["width_rps"]), -u, 0.0))
 
 
 def _all_of_it(sizes: Floats) -> bool:

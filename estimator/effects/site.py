@@ -5,21 +5,17 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.effects.conditions import Axes, Conditions
-from estimator.effects.effect import Parameter, Regressors, Settings, family
+from estimator.effects.effect import Parameter, Settings, family
 from estimator.geometry.kinematics import EARTH_RATE_RPS, into_body
 from estimator.types import Floats
 
 _MISSED = 0.3  # by which the length of Earth rate may come out larger than it is
 
 
-def _of_the_base(settings: Settings) -> Regressors:
+def _of_the_base(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     """Return the columns of Earth rate as three components in the base frame."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        turned = [into_body(base, conditions.angle_rad, conditions.gimbals) for base in np.eye(3)]
-        return np.column_stack([component @ axes.p for component in turned])
-
-    return columns
+    turned = [into_body(base, conditions.angle_rad, conditions.gimbals) for base in np.eye(3)]
+    return np.column_stack([component @ axes.p for component in turned])
 
 
 RECORDS = EARTH_RATE, G_SENSITIVITY = family(

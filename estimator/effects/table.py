@@ -5,21 +5,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimator.effects.conditions import Axes, Conditions
-from estimator.effects.effect import Parameter, Regressors, Setting, Settings, family
+from estimator.effects.effect import Parameter, Setting, Settings, family
 from estimator.effects.law import columns_of
 from estimator.geometry.kinematics import AXES, into_body
 from estimator.types import Floats
 
 
-def _turning(settings: Settings) -> Regressors:
+def _turning(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     """Return the columns of cosine and sine of ``order`` times the angle of an ``axis``, by default of all."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        names = [settings["axis"]] if "axis" in settings else conditions.gimbals
-        waves = (f"{part}({settings['order']}*angle_{name})" for name in names for part in ("cos", "sin"))
-        return columns_of("; ".join(waves), conditions, axes)
-
-    return columns
+    names = [settings["axis"]] if "axis" in settings else conditions.gimbals
+    waves = (f"{part}({settings['order']}*angle_{name})" for name in names for part in ("cos", "sin"))
+    return columns_of("; ".join(waves), conditions, axes)
 
 
 def _waves_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ...]:
@@ -28,34 +24,24 @@ def _waves_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ..
     return tuple(Parameter(f"{part} of {name}", "rad/s", largest) for name in names for part in ("cosine", "sine"))
 
 
-def _tilting(settings: Settings) -> Regressors:
+def _tilting(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     """Return the columns of each inner axis tilted towards the two others.
 
     The outermost axis defines the base. With a small rotation d that takes an axis to where it is, R' becomes
     (1 + d x) R' (1 - d x), and the error of the body rate w becomes R' error + d x w - R' (d x (w before)).
     """
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        gimbals = conditions.gimbals
-        tilts = [
-            _tilted(conditions, inner, d) @ axes.p for inner in range(1, len(gimbals)) for d in _tilts(gimbals[inner])
-        ]
-        return np.stack(tilts, axis=1) if tilts else np.empty((len(conditions.t_s), 0))
-
-    return columns
+    gimbals = conditions.gimbals
+    tilts = [_tilted(conditions, inner, d) @ axes.p for inner in range(1, len(gimbals)) for d in _tilts(gimbals[inner])]
+    return np.stack(tilts, axis=1) if tilts else np.empty((len(conditions.t_s), 0))
 
 
 def _tilts_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ...]:
     return tuple(Parameter(f"{axis} towards {other}", "rad", 1e-3) for axis in gimbals[1:] for other in _others(axis))
 
 
-def _faster(settings: Settings) -> Regressors:
+def _faster(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     """Return the part of the rate about the sense axis that each axis of the table makes."""
-
-    def columns(conditions: Conditions, axes: Axes) -> Floats:
-        return columns_of("; ".join(f"u_{axis}" for axis in conditions.gimbals), conditions, axes)
-
-    return columns
+    return columns_of("; ".join(f"u_{axis}" for axis in conditions.gimbals), conditions, axes)
 
 
 def _shares_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ...]:

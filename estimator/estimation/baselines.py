@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from estimator.errors import EstimatorError
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior, decode, regressor_maps
+from estimator.observations.rows import Observations
 from estimator.types import Floats
 
 _NULL_SHARE = 1e-9  # of the greatest eigenvalue: below it a direction carries no information
@@ -34,14 +35,6 @@ class BaselineEstimate:
     sd: Floats
     operations: int
     unseen: Floats = field(default_factory=lambda: np.empty((0, 0, 4)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Position:
-    """Rows of body rate (rows, 3) and output (rows, n) at one position, or during one steady rotation."""
-
-    w_rps: Floats
-    y_rps: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,8 +66,10 @@ def least_squares(w_rps: Floats, y_rps: Floats, array: SensorArray) -> BaselineE
     return BaselineEstimate(states, sd, rows * (18 * n + 64))
 
 
-def six_position(pairs: Sequence[tuple[Position, Position]], array: SensorArray) -> BaselineEstimate:
+def six_position(pairs: Sequence[tuple[Observations, Observations]], array: SensorArray) -> BaselineEstimate:
     """Solve the means at three pairs of positions, plus and minus, by the classic sums and differences.
+
+    A position is the rows at one attitude, or during one steady rotation.
 
     Half of the difference of a pair is g . (w+ - w-)/2 in each gyro, free of its bias: three pairs give the row
     g = (1 - k) pbar of any gyro, whatever its direction. With rotation about the axes this is

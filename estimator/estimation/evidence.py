@@ -50,10 +50,19 @@ class Term:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """Estimate under terms: by gyro ``means`` (c,) and ``covariances`` (c, c) of [states, own terms, shared terms]."""
+    """Estimate under terms: by gyro ``means`` (c,) and ``covariances`` (c, c) of [states, own terms, shared terms].
 
+    ``columns`` (c,) are the columns that these belong to.
+    """
+
+    columns: list[int]
     means: list[Floats]
     covariances: list[Floats]
+
+    def of(self, term: Term) -> Floats:
+        """Return the parameters (gyros, p) of a term."""
+        first = self.columns.index(term.columns[0])
+        return np.array([mean[first : first + len(term.columns)] for mean in self.means])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +118,7 @@ class _Left:
 
 def log_mean(values: Floats, log_weights: Floats | None = None) -> float:
     """Return the logarithm of the mean of exponentials, or of the weighted sum."""
-    values = values + (log_weights if log_weights is not None else -np.log(len(values)))
-    top = float(values.max())
-    return top + float(np.log(np.exp(values - top).sum()))
+    return float(np.logaddexp.reduce(values + (log_weights if log_weights is not None else -np.log(len(values)))))
 
 
 class Evidence:
@@ -230,7 +237,7 @@ class Evidence:
 
     def by_noise(self, terms: Sequence[Term]) -> Floats:
         """Return the log evidence (G,) of a set of terms under each noise model."""
-        return Base(self, [term for term in terms if not term.shared]).by_noise([t for t in terms if t.shared])
+        return Base(self, terms).by_noise()
 
     def noise_weight(self, terms: Sequence[Term]) -> Floats:
         """Return how probable each noise model is (G,) beside a set of terms, if it is that of all gyros."""
@@ -267,7 +274,7 @@ class Evidence:
             chance = its[matter] / its[matter].sum()
             parts.append((chance, inner, gain, left, left if weight.ndim == 1 else chance @ left.swapaxes(0, 1)))
         prior = np.diag(_precision(shared))
-        found = Posterior([], [])
+        found = Posterior([*columns.tolist(), *rest[:-1].tolist()], [], [])
         of_all = np.sum([said for *_, said in parts], axis=0)
         for chance, inner, gain, left, said in parts:
             # What the other gyros say of shared terms they say under their own noise.
@@ -289,51 +296,46 @@ class Evidence:
 
 
 class Base:
-    """States and own terms eliminated once, so that each further term costs little."""
+    """States and own terms of a model eliminated once, so that each further term costs little."""
 
-    def __init__(self, evidence: Evidence, own: Sequence[Term]) -> None:
-        """``own``: terms that each gyro has to itself."""
-        self._evidence = evidence
-        columns = [*range(4), *(c for t in own for c in t.columns)]
-        self._logs = evidence.noise_logs.copy()
+    def __init__(self, evidence: Evidence, terms: Sequence[Term]) -> None:
+        """``reduced`` is then by gyro (G, c, c): the products of all columns beside states and own terms."""
+        own, self._shared = _split(terms)
+        columns = [*range(Z), *(c for t in own for c in t.columns)]
+        self._prior, self._logs = evidence.shapes.log_prior, evidence.noise_logs.copy()
         self.reduced: list[Floats] = []
         for gyro, gram, log in zip(evidence.gyros, evidence.grams, self._logs, strict=True):
             precision = np.concatenate([1 / gyro.prior, _precision(own)])
-            block = gram[:, columns][:, :, columns] + np.diag(precision)
-            across = gram[:, columns, :]
-            self.reduced.append(gram - across.transpose(0, 2, 1) @ np.linalg.solve(block, across))
-            log += 0.5 * np.log(precision).sum() - 0.5 * np.linalg.slogdet(block)[1]
+            reduced, gained = _eliminated(gram, columns, slice(None), precision)
+            self.reduced.append(reduced)
+            log += gained
         self._log = np.asarray(self._logs.sum(axis=0))
 
     def by_gyro(self) -> Floats:
         """Return the log evidence (gyros, G) of each gyro with its own terms."""
         return np.asarray(self._logs - 0.5 * np.array([reduced[:, Z, Z] for reduced in self.reduced]))
 
-    def by_noise(self, shared: Sequence[Term], own: Term | None = None) -> Floats:
-        """Return the log evidence (G,) with these shared terms, and one more own term."""
-        h_columns = [c for t in shared for c in t.columns]
-        rest = [*h_columns, Z]
+    def by_noise(self, more: Term | None = None) -> Floats:
+        """Return the log evidence (G,), with one more term."""
+        own, further = _split([] if more is None else [more])
+        shared = [*self._shared, *further]
+        rest = [*(c for t in shared for c in t.columns), Z]
         log = np.array(self._log)
         total = np.zeros((len(log), len(rest), len(rest)))
         for reduced in self.reduced:
             part = reduced[:, rest][:, :, rest]
-            if own is not None:
-                precision = _precision([own])
-                block = reduced[:, own.columns][:, :, own.columns] + np.diag(precision)
-                across = reduced[:, own.columns][:, :, rest]
-                part = part - across.transpose(0, 2, 1) @ np.linalg.solve(block, across)
-                log += 0.5 * np.log(precision).sum() - 0.5 * np.linalg.slogdet(block)[1]
+            if own:
+                part, gained = _eliminated(reduced, own[0].columns, rest, own[0].precision)
+                log += gained
             total += part
-        return _eliminated(total, shared, log)
+        return _in_all(total, shared, log)
 
-    def with_functions(
-        self, shared: Sequence[Term], columns: NDArray[np.intp], sizes: Floats, scales: Floats
-    ) -> Floats:
-        """Return the log evidence (s, G) with shared terms and, a gyro its own, a sum of functions of each scale (s,).
+    def with_functions(self, columns: NDArray[np.intp], sizes: Floats, scales: Floats) -> Floats:
+        """Return the log evidence (s, G) with, a gyro its own, a sum of functions of each scale (s,).
 
         The functions are ``columns`` times ``sizes`` (c,).
         """
-        rest = [*(c for t in shared for c in t.columns), Z]
+        rest = [*(c for t in self._shared for c in t.columns), Z]
         logs = np.repeat(self._log[None], len(scales), axis=0)
         totals = np.zeros((len(scales), len(self._log), len(rest), len(rest)))
         for reduced in self.reduced:
@@ -346,30 +348,29 @@ class Base:
                 logs[n] -= 0.5 * np.log(grown).sum(axis=1)
                 taken = across.transpose(0, 2, 1) @ (across * (scale**2 / grown)[:, :, None])
                 totals[n] += reduced[:, rest][:, :, rest] - taken
-        return np.array([_eliminated(total, shared, log) for total, log in zip(totals, logs, strict=True)])
+        return np.array([_in_all(total, self._shared, log) for total, log in zip(totals, logs, strict=True)])
 
-    def with_term(self, shared: Sequence[Term], term: Term) -> tuple[float, Term]:
+    def with_term(self, term: Term) -> tuple[float, Term]:
         """Return the log evidence with one more term, over its scales, and the term at its most probable scale."""
-        prior = self._evidence.shapes.log_prior
-        values = []
-        for scale in SCALES:
-            scaled = term.scaled(float(scale))
-            by_noise = self.by_noise([*shared, scaled]) if term.shared else self.by_noise(shared, scaled)
-            values.append(log_mean(by_noise, prior))
-        best = int(np.argmax(values))
-        return log_mean(np.array(values)) - term.log_tries, term.scaled(float(SCALES[best]))
+        scaled = [term.scaled(scale) for scale in SCALES.tolist()]
+        values = np.array([log_mean(self.by_noise(one), self._prior) for one in scaled])
+        return log_mean(values) - term.log_tries, scaled[int(np.argmax(values))]
 
 
-def _eliminated(total: Floats, shared: Sequence[Term], log: Floats) -> Floats:
+def _eliminated(
+    gram: Floats, columns: Sequence[int], rest: Sequence[int] | slice, precision: Floats
+) -> tuple[Floats, Floats]:
+    """Return the products (G, r, r) of the ``rest`` of columns beside some of this precision, and log evidence (G,)."""
+    block = gram[:, columns][:, :, columns] + np.diag(precision)
+    across = gram[:, columns][:, :, rest]
+    left = gram[:, rest][:, :, rest] - across.transpose(0, 2, 1) @ np.linalg.solve(block, across)
+    return left, 0.5 * np.log(precision).sum() - 0.5 * np.linalg.slogdet(block)[1]
+
+
+def _in_all(total: Floats, shared: Sequence[Term], log: Floats) -> Floats:
     """Return the log evidence (G,) when shared terms go too; ``total`` (G, h + 1, h + 1) has their products and z's."""
-    square = total[:, -1, -1]
-    if shared:
-        precision = _precision(shared)
-        block = total[:, :-1, :-1] + np.diag(precision)
-        right = total[:, :-1, -1:]
-        square = square - np.sum(right * np.linalg.solve(block, right), axis=(1, 2))
-        log = log + 0.5 * np.log(precision).sum() - 0.5 * np.linalg.slogdet(block)[1]
-    return np.asarray(log - 0.5 * square)
+    left, gained = _eliminated(total, list(range(total.shape[1] - 1)), [-1], _precision(shared))
+    return np.asarray(log + gained - 0.5 * left[:, 0, 0])
 
 
 def _normal(log: Floats) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from estimator.errors import RecordingError
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior, regressor_maps
-from estimator.observations.rows import rows_of
+from estimator.observations.rows import observations
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import GAP_NS, Poses, Turns
 from estimator.types import Floats
@@ -101,7 +101,7 @@ def solve(gram: Gram, array: SensorArray, prior: Prior, noise_rps: Floats | None
 def gram_of(recording: Recording, source: str, data: ImuData) -> Gram:
     """Return the Gram matrix of one source over all rows that the reference covers."""
     gram = Gram.empty(len(data.array))
-    for part in rows_of(recording, data):
+    for part in observations(recording, data):
         gram += Gram.of(part.w_rps, part.y_rps, part.weight)
     if isinstance(recording.reference, Turns) and gram.rows < 4:
         raise RecordingError(

@@ -5,7 +5,7 @@ motion does not show stays as wide as it typically is, and the sigmas of the sta
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from statistics import NormalDist
 
@@ -20,16 +20,18 @@ from estimator.effects.effect import Acts
 from estimator.estimation.noise_evidence import Joint, Law, TooShort, expected_of, joint_estimate
 from estimator.estimation.runs.making import run_of
 from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes
+from estimator.estimation.runs.samples import means_of
+from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate, Sources
 from estimator.estimation.spectra import Z
 from estimator.estimation.undeclared import undeclared_laws
-from estimator.geometry.noise import NoiseFound
+from estimator.geometry.model import regressor_maps
+from estimator.observations.blocks import Blocks
 from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
+from estimator.observations.rows import BLOCK_S, row_length_s, sample_noise, source_blocks
 from estimator.observations.timing import TimeOffset, expected_sd_s
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import Poses, TableReadings, Turns
+from estimator.recordings.reference import Poses, RateReadings, TableReadings, Turns
 from estimator.types import Floats
-
-Sources = Sequence[tuple[str, ImuData]]
 
 EFFECTS = "effects"
 """Line of the budget that holds what the data do not show of the effects of an error model."""
@@ -44,50 +46,7 @@ _TOLD = 3.0  # sigmas from which on a delay is told
 _UNSEEN = 0.7  # of what is expected of a parameter: a larger sigma says that the run did not show it
 _BY_CHANCE = 1e-4  # probability that one of all states differs so between halves
 _MOST_NAMED, _NAMED = 3, 0.1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Modelled:
-    """Estimate of the gyros (m) of one source.
-
-    ``x`` (m, 4) are the states [k, b, s_j, s_k]; ``lines`` is what their covariance is the sum of. ``noise`` and
-    ``effects`` are by gyro; ``white`` (m,) is the angle random walk in the upper half of the frequencies. ``said_rps``
-    (b, m) is what effects add to the output over the blocks of ``run``. ``expected_nis``: of block means taken as
-    white, mean and standard deviation.
-    """
-
-    x: Floats
-    lines: list[tuple[Contribution, ...]]
-    noise: list[NoiseFound]
-    effects: list[tuple[EffectValue, ...]]
-    white: Floats
-    said_rps: Floats
-    run: Run
-    expected_nis: tuple[float, float]
-
-    def said_at(self, t_s: Floats) -> Floats:
-        """Return what the effects add to the outputs (rows, m) at instants on the recording's clock."""
-        return np.column_stack([np.interp(t_s, self.run.t_s, column) for column in self.said_rps.T])
-
-    @property
-    def left_rps(self) -> Floats:
-        """Output errors (b, m) of the blocks that neither states nor effects explain; zero where there are no data."""
-        explained = np.einsum("mbi,mi->bm", self.run.state_columns(), self.x) + self.said_rps
-        return np.asarray((self.run.z_rps - explained) * self.run.weight[:, None])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Device:
-    """What a recording says of one device: by source, what a person should know, and what speaks against it.
-
-    ``aligned`` are its sources with the offsets to the reference, as far as they are known, taken off their stamps.
-    """
-
-    sources: tuple[Modelled, ...]
-    aligned: Sources
-    offsets: dict[str, TimeOffset]
-    notes: tuple[str, ...]
-    doubts: tuple[str, ...]
+_BLOCK_ROWS = 4  # fewer samples do not tell their scatter
 
 
 def check_model(model: ErrorModel, recording: Recording) -> None:
@@ -117,7 +76,7 @@ def is_external(recording: Recording) -> bool:
 
 def estimate_device(
     recording: Recording, sources: Sources, model: ErrorModel | None, excluded: frozenset[str] | None
-) -> Device:
+) -> DeviceEstimate:
     """Return the estimate of the sources of one device.
 
     ``model`` holds effects that are estimated beside the states. ``excluded`` are effects of the catalogue that the
@@ -139,7 +98,8 @@ def estimate_device(
         further, runs = undeclared_laws(made, excluded | {law.effect.record.name for law in laws})
         joint = joint_estimate(runs, [*laws, *further], stated) if further else plain
         notes += _undeclared_notes(joint)
-    offsets = _offsets(plain, covariances, delays_s)
+    left_s = _delays(plain, covariances)
+    offsets = {name: TimeOffset(delays_s[name] + left, sd_s) for name, (left, sd_s) in left_s.items()}
     notes += _offset_notes(recording, offsets, external)
     if external:
         # What is left may be the reference's as well: it does not decide on effects of the gyros.
@@ -148,8 +108,12 @@ def estimate_device(
         joint = plain
     elif joint is not plain:
         covariances = joint.covariances
-    found = [_modelled(joint, number, covariances, unseen) for number in range(len(joint.runs))]
-    return Device(tuple(found), moved, offsets, tuple(notes), tuple(_halves(plain, external)))
+    block_s = max(_block_s(data) for _, data in moved)
+    found = []
+    for number, (name, data) in enumerate(moved):
+        doubt = covariances, unseen
+        found.append(_estimated(recording, joint, number, data, doubt, block_s, offsets.get(name)))
+    return DeviceEstimate(found, notes, _halves(plain, external))
 
 
 def _aligned(
@@ -215,14 +179,8 @@ def _run(recording: Recording, number: int, source: str, data: ImuData) -> Run:
 
 def _sample_means(run: Run) -> Floats:
     """Return output errors (b, m) as means over the samples of each block: at rest there is nothing to integrate."""
-    first_s = run.t_s[0] - 0.5 * run.length_s
-    block = np.round((run.t_s - run.t_s[0]) / run.length_s).astype(np.intp)
-    number = np.floor((run.data.t_ns * 1e-9 - first_s) / run.length_s + 1e-9).astype(np.intp)
-    inside = (number >= 0) & (number <= block[-1])
-    number, rate = number[inside], run.data.rate_rps[inside]
-    counts = np.bincount(number, minlength=block[-1] + 1)[block, None]
-    sums = np.column_stack([np.bincount(number, own, block[-1] + 1)[block] for own in rate.T])
-    return np.where(counts > 0, sums / np.maximum(counts, 1) - run.w_rps @ run.array.p.T, run.z_rps)
+    means, counts = means_of(run, np.asarray(run.data.t_ns * 1e-9, dtype=np.float64), run.data.rate_rps)
+    return np.where(counts > 0, means - run.w_rps @ run.array.p.T, run.z_rps)
 
 
 def _model_laws(model: ErrorModel | None, recording: Recording, runs: Sequence[Run]) -> list[Law]:
@@ -264,11 +222,6 @@ def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[floa
     return found
 
 
-def _offsets(joint: Joint, covariances: Sequence[Floats], taken_off_s: dict[str, float]) -> dict[str, TimeOffset]:
-    left = _delays(joint, covariances)
-    return {name: TimeOffset(taken_off_s[name] + left_s, sd_s) for name, (left_s, sd_s) in left.items()}
-
-
 def _offset_notes(recording: Recording, offsets: dict[str, TimeOffset], external: bool) -> list[str]:
     """Return offsets that are beyond chance and, of a table, beyond what is stated of its timing, in words."""
     stated = recording.reference.uncertainty if isinstance(recording.reference, TableReadings) else None
@@ -306,23 +259,77 @@ def _halves(joint: Joint, clustered: bool) -> list[str]:
     return [f"the two halves of this recording disagree: {worst} by {size:.0f} sigma{others}"]
 
 
-def _modelled(joint: Joint, number: int, covariances: Sequence[Floats], unseen: Sequence[Floats] | None) -> Modelled:
-    run, gyros = joint.runs[number], joint.gyros_of(number)
+def _estimated(
+    recording: Recording,
+    joint: Joint,
+    number: int,
+    data: ImuData,
+    doubt: tuple[Sequence[Floats], Sequence[Floats] | None],
+    block_s: float,
+    offset: TimeOffset | None,
+) -> SourceEstimate:
+    """Return the estimate of a source; ``doubt`` by gyro: covariances, and those of unseen effects beside them.
+
+    Against a table or a rate it has the innovations of its means over blocks of so many seconds.
+    """
+    run, gyros, m = joint.runs[number], joint.gyros_of(number), len(data.array)
+    covariances, unseen = doubt
     further = [() if unseen is None else (Contribution(UNSEEN, unseen[g]),) for g in gyros]
     lines = [(*_lines(joint, covariances[g]), *more) for g, more in zip(gyros, further, strict=True)]
     columns, expected = joint.columns[number], expected_of(joint.laws)
-    values = [joint.means[g][4:] + expected for g in gyros]
-    said = np.column_stack([c @ v for c, v in zip(columns, values, strict=True)])
-    return Modelled(
-        np.array([joint.means[g][:4] for g in gyros]),
-        lines,
-        [joint.noise[g] for g in gyros],
-        [_values(joint, v, covariances[g]) for g, v in zip(gyros, values, strict=True)],
-        joint.white[gyros.start : gyros.stop],
-        said,
-        replace(run, z_rps=run.z_rps + np.einsum("mbp,p->bm", columns, expected)),
-        joint.expected_nis,
-    )
+    x, own = np.array([joint.means[g][:4] for g in gyros]), np.array([joint.means[g][4:] for g in gyros])
+    values = own + expected
+    if isinstance(recording.reference, (TableReadings, RateReadings)):
+        blocks = source_blocks(recording, data, block_s)
+        if at_rest(recording.reference):
+            blocks = replace(blocks, w_rps=np.zeros_like(blocks.w_rps))
+        said_rps = np.einsum("mbp,mp->mb", columns, values)
+        if said_rps.any():
+            at_s = blocks.t_s + float(recording.reference.t_ns[0]) * 1e-9
+            said = np.column_stack([np.interp(at_s, run.t_s, one) for one in said_rps])
+            blocks = replace(blocks, z_rps=blocks.z_rps - said)
+        noise_rps = _sample_noise_of(blocks, data, x)
+        squares, dof = _block_squares(blocks, data, x, noise_rps)
+        samples = int(blocks.rows.sum()) * m
+    else:
+        blocks, full = None, int((run.weight > 0).sum())
+        white = joint.white[gyros.start : gyros.stop]
+        length_s = run.length_s if run.stated_rps else row_length_s(recording, data)
+        noise_rps = white / np.sqrt(length_s)
+        explained = np.einsum("mbi,mi->bm", run.state_columns(), x) + np.einsum("mbp,mp->bm", columns, own)
+        left_rps = (run.z_rps - explained) * run.weight[:, None]
+        squares = float(np.sum((left_rps / white) ** 2)) * run.length_s
+        dof, samples = max((full - 4) * m, 0), round(full * run.length_s / length_s) * m
+    effects = [_values(joint, v, covariances[g]) for g, v in zip(gyros, values, strict=True)]
+    its = x, lines, [joint.noise[g] for g in gyros], effects, noise_rps, samples, squares, dof
+    return SourceEstimate(run.source, data, *its, blocks, joint.expected_nis, run.growth_s, offset)
+
+
+def _block_s(data: ImuData) -> float:
+    """Return the length of blocks: what is usual, or longer so that a slow source has some samples in each."""
+    period_s = float(np.median(np.diff(data.t_ns))) * 1e-9 if len(data.t_ns) > 1 else 0.0
+    return max(BLOCK_S, _BLOCK_ROWS * period_s)
+
+
+def _sample_noise_of(blocks: Blocks, data: ImuData, x: Floats) -> Floats:
+    """Return the scatter of single samples within blocks (m,), in rad/s, about the states x (m, 4)."""
+    array = data.array
+    maps = regressor_maps(array)[:, :, 1:]
+    rows = max(int(blocks.rows.sum()) - len(blocks.rows), 1)
+    slopes = np.einsum("mi,mij->mj", x, maps)
+    squares = np.empty(len(array))
+    for i, slope in enumerate(slopes):
+        weights_of = np.concatenate([-slope, np.eye(len(array))[i]])
+        squares[i] = weights_of @ blocks.within @ weights_of
+    return np.maximum(np.sqrt(np.maximum(squares / rows, 0.0)), 1e-3 * sample_noise(data))
+
+
+def _block_squares(blocks: Blocks, data: ImuData, x: Floats, noise_rps: Floats) -> tuple[float, int]:
+    """Return the squares of block means about the estimate, over those of white noise, and their number."""
+    regressors = np.column_stack([np.ones(len(blocks.index)), blocks.w_rps])
+    rest = blocks.z_rps - np.einsum("rj,mij,mi->rm", regressors, regressor_maps(data.array), x)
+    squares = float(np.sum(blocks.rows[:, None] * (rest / noise_rps) ** 2))
+    return squares, max(rest.size - 4 * len(data.array), 0)
 
 
 def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:
@@ -371,7 +378,7 @@ def _values(joint: Joint, shares: Floats, covariance: Floats) -> tuple[EffectVal
     doubts = np.sqrt(np.diag(covariance)[4:])
     edges = np.cumsum([0, *(len(law.sd) for law in joint.laws)]).tolist()
     return tuple(
-        EffectValue(law.called, p.name, float(v * sd), float(d * sd), p.unit, float(sd), law.shared)
+        EffectValue(law.called, p.name, float(v * sd), float(d * sd), p.unit, float(sd), law.effect.shared)
         for law, (a, b) in zip(joint.laws, pairwise(edges), strict=True)
         if law.line == EFFECTS
         for p, v, d, sd in zip(law.effect.parameters, shares[a:b], doubts[a:b], law.sd, strict=True)
@@ -384,7 +391,7 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
     No direction gets less than the covariance under coloured noise.
     """
     runs, n, whole = joint.runs, len(joint.means), len(joint.means[0])
-    own = 4 + sum(len(law.sd) for law in joint.laws if not law.shared)
+    own = 4 + sum(len(law.sd) for law in joint.laws if not law.effect.shared)
     begin = min(float(run.t_s[0]) for run in runs)
     clusters = [((run.t_s - begin) / CLUSTER_S).astype(np.intp) for run in runs]
     used = np.unique(np.concatenate([c[run.weight > 0] for run, c in zip(runs, clusters, strict=True)]))

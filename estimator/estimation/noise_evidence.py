@@ -1,6 +1,6 @@
 """States, and laws that stand beside them, estimated together under noise that is found from the data.
 
-Block means go through the cosine transform (``tracing.spectra``), in which coloured noise is a weight for each
+Block means go through the cosine transform (``spectra``), in which coloured noise is a weight for each
 frequency. Every noise model is gone through: how much of it is bias instability and how much rate random walk is not
 known beforehand. The estimate is the mean over them, so its covariance holds the doubt about the noise too. Gyros of
 one device are of one make: what the others say of the noise is the better part of what is expected of each. Where the
@@ -21,9 +21,9 @@ from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.errors import RecordingError
 from estimator.estimation.evidence import Evidence, Term
-from estimator.estimation.runs.growth import weighed
+from estimator.estimation.runs.measured import weighed
 from estimator.estimation.runs.run import Run
-from estimator.estimation.runs.tone_columns import samples_of, tone_columns
+from estimator.estimation.runs.samples import samples_of, tone_columns
 from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Z, gyro_spectra
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.blocks import Blocks
@@ -57,11 +57,6 @@ class Law:
     line: str = ""
     hz: float | None = None
     source: str = ""
-
-    @property
-    def shared(self) -> bool:
-        """Whether all gyros have one set of its parameters."""
-        return self.effect.shared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +128,7 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
 
     Raises TooShort for a gyro with fewer blocks than tell noise by its frequencies.
     """
-    ordered = sorted(laws, key=lambda law: law.shared)
+    ordered = sorted(laws, key=lambda law: law.effect.shared)
     columns = [columns_of(run, ordered) for run in runs]
     expected = expected_of(ordered)
     moved = [
@@ -181,8 +176,6 @@ def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableRe
         fold=lambda columns: columns,
         recording=Recording({source: data}, reference),
         period_s=blocks.period_s,
-        order=0,
-        held=1,
         growth_s=growth_s,
     )
 
@@ -250,18 +243,13 @@ def _spectra(
     if [gyro.name for gyro in spectra] != [name for run in runs for name in run.array.names]:
         raise TooShort("too few blocks of a gyro follow on each other")
     for gyro in spectra if columns[0].shape[2] else ():
-        parts = []
-        for stretch in gyro.stretches:
-            run = runs[stretch.run]
-            i = run.array.names.index(gyro.name)
-            parts.append(run.weighed(columns[stretch.run][i], i)[stretch.blocks])
-        gyro.add(parts)
+        gyro.add(gyro.parts(runs, lambda number, own: columns[number][own]))
     return spectra
 
 
 def _terms(laws: Sequence[Law]) -> list[Term]:
     """Return ordered laws as terms; their columns are scaled by what is expected of them."""
-    count = [sum(len(law.sd) for law in laws if law.shared == shared) for shared in (False, True)]
+    count = [sum(len(law.sd) for law in laws if law.effect.shared == shared) for shared in (False, True)]
     own, shared = range(Z + 1, Z + 1 + count[0]), range(Z + 1 + count[0], Z + 1 + sum(count))
     both = Term("own", tuple(own), shared=False), Term("shared", tuple(shared), shared=True)
     return [term for term in both if term.columns]
@@ -283,11 +271,5 @@ def _expected_nis(evidence: Evidence, weight: Floats) -> tuple[float, float]:
 def _noise(arw: float, shapes: NoiseShapes, weight: Floats) -> NoiseFound:
     instability, walk = shapes.instability * arw, shapes.walk * arw
     mean = NoiseModel(arw, float(weight @ instability), float(weight @ walk))
-    return NoiseFound(mean, _quantile(instability, weight), _quantile(walk, weight))
-
-
-def _quantile(values: Floats, weight: Floats, share: float = 0.95) -> float:
-    """Return the value below which a share of the weight lies."""
-    order = np.argsort(values)
-    reached = np.searchsorted(np.cumsum(weight[order]), share - 1e-12)
-    return float(values[order][min(int(reached), len(order) - 1)])
+    below = (np.quantile(one, 0.95, weights=weight, method="inverted_cdf") for one in (instability, walk))
+    return NoiseFound(mean, *(float(one) for one in below))

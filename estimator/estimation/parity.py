@@ -29,7 +29,7 @@ def parity(
     """Return the parity check of the gyros of one device, none for fewer than four.
 
     ``arrays`` and ``blocks`` are those of its sources, ``states`` (n, 4) and ``noise`` (n) those of all its gyros;
-    ``growth_s`` says how the noise grows with the rate (``tracing.growth``).
+    ``growth_s`` says how the noise grows with the rate (``runs.measured``).
     """
     names = [name for array in arrays for name in array.names]
     if len(names) < 4 or not all(len(b.index) for b in blocks):

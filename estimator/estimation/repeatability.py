@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.calibration.budget import TYPE_A
 from estimator.calibration.values import GyroCalibration
 from estimator.types import Floats
 
@@ -41,7 +40,8 @@ def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatabili
     for name in names:
         own = [next(g for g in run if g.name == name) for run in runs]
         states = np.array([g.states for g in own])
-        noise = np.array([_type_a(g) for g in own])
+        # Another draw in another run; what the table does is the same in all.
+        noise = np.array([np.sqrt(np.diag(g.type_a)) for g in own])
         squares, spread = _moments(states, noise)
         found.append(
             Repeatability(
@@ -79,12 +79,6 @@ def _beyond_chance(squares: Floats, dof: int) -> NDArray[np.bool_]:
     from scipy.stats import chi2  # 0.8 s of import: only where runs are compared
 
     return np.asarray(chi2.sf(squares, dof) < _BY_CHANCE)
-
-
-def _type_a(gyro: GyroCalibration) -> Floats:
-    """Return what of the sigmas (4,) is another draw in another run; what the table does is the same in all."""
-    parts = [line.u**2 for line in gyro.budget if line.name in TYPE_A]
-    return np.sqrt(np.sum(parts, axis=0)) if parts else gyro.sd
 
 
 def same_device(a: Sequence[GyroCalibration], b: Sequence[GyroCalibration]) -> bool:

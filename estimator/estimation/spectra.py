@@ -7,8 +7,9 @@ weight for each frequency, and the products of all columns, summed within narrow
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,10 +66,10 @@ class Stretch:
         hz = np.bincount(band, frequency) / counts
         return cls(run, blocks, frequency, band.astype(np.intp), hz, counts, length_s, alone)
 
-    @property
-    def starts(self) -> NDArray[np.intp]:
-        """First frequency of each band."""
-        return np.flatnonzero(np.diff(self.band, prepend=-1))
+    def by_band(self, left: Floats, right: Floats) -> Floats:
+        """Return the products (bands, l, r) of columns (b, l) and (b, r), summed over the frequencies of each band."""
+        edges = np.flatnonzero(np.diff(self.band, prepend=-1, append=-1)).tolist()
+        return np.array([left[a:b].T @ right[a:b] for a, b in pairwise(edges)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,6 +145,14 @@ class GyroSpectra:
     columns: list[Floats]
     products: list[Floats] = field(default_factory=list)
 
+    def parts(self, runs: Sequence[Run], columns: Callable[[int, int], Floats]) -> list[Floats]:
+        """Return columns (b, c) of each stretch as they count; ``columns`` gives those of a run by number and gyro."""
+        whole: dict[int, Floats] = {}
+        for number in {stretch.run for stretch in self.stretches}:
+            own = runs[number].array.names.index(self.name)
+            whole[number] = runs[number].weighed(columns(number, own), own)
+        return [whole[stretch.run][stretch.blocks] for stretch in self.stretches]
+
     def add(self, new: Sequence[Floats]) -> None:
         """Add columns (b, c), one array for each stretch, in the time domain and in rad/s."""
         for i, (stretch, part) in enumerate(zip(self.stretches, new, strict=True)):
@@ -152,39 +161,24 @@ class GyroSpectra:
             both = np.hstack([old, turned])
             c0, c1 = old.shape[1], both.shape[1]
             products = np.empty((len(stretch.counts), c1, c1))
-            for band, start in enumerate(stretch.starts):
-                stop = stretch.starts[band + 1] if band + 1 < len(stretch.starts) else len(both)
-                border = both[start:stop].T @ turned[start:stop]
-                products[band, :, c0:] = border
-                products[band, c0:, :] = border.T
+            products[:, :, c0:] = border = stretch.by_band(both, turned)
+            products[:, c0:, :] = border.transpose(0, 2, 1)
             if c0:
                 products[:, :c0, :c0] = self.products[i]
-            self.columns[i] = both
-            if i < len(self.products):
-                self.products[i] = products
-            else:
-                self.products.append(products)
+            self.columns[i], self.products[i : i + 1] = both, [products]
 
     def subtract(self, parts: Sequence[Floats]) -> None:
-        """Take something (b,) of each stretch, in rad/s, off the output error."""
+        """Take a column (b, 1) of each stretch, in rad/s, off the output error."""
         for i, (stretch, part) in enumerate(zip(self.stretches, parts, strict=True)):
             self.columns[i] = self.columns[i].copy()
-            self.columns[i][:, Z] -= cosines(part[:, None])[:, 0] * (np.sqrt(stretch.length_s) / self.arw)
-            whole = self.columns[i]
-            for band, start in enumerate(stretch.starts):
-                stop = stretch.starts[band + 1] if band + 1 < len(stretch.starts) else len(whole)
-                border = whole[start:stop].T @ whole[start:stop, Z]
-                self.products[i][band, :, Z] = border
-                self.products[i][band, Z, :] = border
+            self.columns[i][:, Z] -= cosines(part)[:, 0] * (np.sqrt(stretch.length_s) / self.arw)
+            border = stretch.by_band(self.columns[i], self.columns[i][:, [Z]])[:, :, 0]
+            self.products[i][:, :, Z] = self.products[i][:, Z, :] = border
 
     def gram(self, densities: Sequence[Floats]) -> Floats:
         """Return the weighed products (G, c, c), summed over stretches of which the density (G, bands) is given."""
-        total: Floats = np.zeros(())
-        for products, density in zip(self.products, densities, strict=True):
-            bands, c = products.shape[0], products.shape[1]
-            total = total + (1 / density) @ products.reshape(bands, c * c)
-        c = self.products[0].shape[1]
-        return np.asarray(total).reshape(-1, c, c)
+        pairs = zip(self.products, densities, strict=True)
+        return np.asarray(sum(np.tensordot(1 / density, products, 1) for products, density in pairs))
 
 
 Z = 4

@@ -8,7 +8,7 @@ from estimator.estimation.gram import Gram
 from estimator.geometry.kinematics import axis_text
 from estimator.importing.mapping.columns import UNITS
 from estimator.observations.foreign import FAR_OFF
-from estimator.observations.rows import rows_of
+from estimator.observations.rows import observations
 from estimator.recordings.recording import Recording
 from estimator.types import Floats
 
@@ -47,7 +47,7 @@ def gains(recording: Recording, source: str) -> list[Gain | None]:
     data = recording.sources[source]
     m = len(data.array)
     gram = Gram.empty(m)
-    for part in rows_of(recording, data):
+    for part in observations(recording, data):
         gram += Gram.of(part.w_rps, part.y_rps, part.weight)
     total = gram.products[0, 0]
     if gram.rows < 4 or not total > 0:

@@ -65,11 +65,8 @@ class BlockSums:
         """Start empty; blocks are counted from ``origin_ns``."""
         self._origin_ns, self._length_s, self._period_s = origin_ns, length_s, period_s
         width = 3 + channels
-        self._index: list[NDArray[np.int64]] = []
-        self._rows: list[NDArray[np.int64]] = []
-        self._sums: list[Floats] = []
-        self._products = np.zeros((width, width))
-        self._shift: Floats | None = None
+        self._index, self._rows = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
+        self._sums, self._products, self._shift = [np.empty((0, width))], np.zeros((width, width)), np.zeros(width)
 
     def add(self, t_ns: NDArray[np.int64], w_rps: Floats, z_rps: Floats) -> None:
         """Take in instants (rows,), body rates (rows, 3) and output errors (rows, m), later than all before."""
@@ -77,9 +74,8 @@ class BlockSums:
             return
         columns = np.empty((len(t_ns), self._products.shape[0]))
         columns[:, :3], columns[:, 3:] = w_rps, z_rps
-        if self._shift is None:
-            self._shift = columns[0].copy()
-            self._shift[:3] = 0.0
+        if len(self._index) == 1:
+            self._shift[3:] = columns[0, 3:]
         columns -= self._shift  # constant errors dwarf the noise: without them the products keep its digits
         number = (t_ns - self._origin_ns) // round(self._length_s * 1e9)
         first = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
@@ -90,13 +86,6 @@ class BlockSums:
 
     def blocks(self) -> Blocks:
         """Return the blocks so far."""
-        width = self._products.shape[0]
-        if self._shift is None:
-            empty = np.empty(0, dtype=np.int64)
-            none = np.zeros((width, width))
-            return Blocks(
-                empty, empty, np.empty((0, 3)), np.empty((0, width - 3)), none, self._length_s, self._period_s
-            )
         index, rows, sums = np.concatenate(self._index), np.concatenate(self._rows), np.vstack(self._sums)
         first = np.flatnonzero(np.diff(index, prepend=index[:1] - 1))  # a block may come in two parts
         index, rows, sums = index[first], np.add.reduceat(rows, first), np.add.reduceat(sums, first, axis=0)

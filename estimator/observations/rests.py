@@ -11,8 +11,6 @@ from estimator.types import Floats, runs_of
 
 REST_RPS = float(np.radians(0.05))
 REST_S = 5.0
-
-
 _FINEST_S = 0.01  # what is below tells of the sensor's filter and its steps, not of its random walks
 
 

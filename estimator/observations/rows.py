@@ -47,13 +47,11 @@ def block_rows(data: ImuData, length_s: float = BLOCK_S) -> int:
     return max(round(length_s / (float(np.median(np.diff(data.t_ns))) * 1e-9)), 1)
 
 
-def observations(recording: Recording, source: str) -> Iterator[Observations]:
-    """Yield rows of body rate and output of one source, in parts of bounded size, in order of time."""
-    yield from rows_of(recording, recording.sources[source])
+def observations(recording: Recording, data: ImuData) -> Iterator[Observations]:
+    """Yield rows of body rate and output of one source, in parts of bounded size, in order of time.
 
-
-def rows_of(recording: Recording, data: ImuData) -> Iterator[Observations]:
-    """Yield the same; none between poses, where no rate is known (``poses``)."""
+    There are none between poses, where no rate is known (``poses``).
+    """
     reference = recording.reference
     if isinstance(reference, TableReadings):
         yield from table_rows(recording, data)
@@ -96,7 +94,7 @@ def source_blocks(recording: Recording, data: ImuData, length_s: float = BLOCK_S
     t_ns = data.t_ns
     period_s = float(np.median(np.diff(t_ns))) * 1e-9 if len(t_ns) > 1 else length_s
     sums = BlockSums(len(data.array), int(reference.t_ns[0]), length_s, period_s)
-    for part in rows_of(recording, data):
+    for part in observations(recording, data):
         sums.add(part.t_ns, part.w_rps, part.y_rps - part.w_rps @ data.array.p.T)  # type: ignore[arg-type]
     return sums.blocks()
 

@@ -8,7 +8,7 @@ of its state or the largest plausible size of its effect, so that the prior info
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -79,7 +79,7 @@ class EffectForecast:
     @property
     def largest(self) -> Floats:
         """Largest plausible size of each parameter (P,)."""
-        return np.array([parameter.largest for parameter in self.effect.parameters])
+        return self.effect.largest
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -144,53 +144,38 @@ def forecast(conditions: Conditions, devices: Sequence[PlannedDevice], effects: 
 
 def _information(conditions: Conditions, device: PlannedDevice, effects: Sequence[Effect]) -> list[Floats]:
     """Return the information (4 + E, 4 + E) of each gyro on its scaled states and effects."""
-    weighting = _Weighting.of(conditions.t_s, conditions.period_s, device.noise)
+    products = weighing(conditions.t_s, conditions.period_s, device.noise)
     regressors = np.column_stack([np.ones(len(conditions.t_s)), conditions.w_rps])
     found = []
     for gyro, gyro_map in enumerate(regressor_maps(device.array)):
         columns = [regressors @ (gyro_map.T * np.sqrt(device.prior.variances()))]
         for effect in effects:
-            largest = np.array([parameter.largest for parameter in effect.parameters])
-            columns.append(effect.columns(conditions, device.array, gyro) * largest)
-        found.append(weighting.products(np.hstack(columns)))
+            columns.append(effect.columns(conditions, device.array, gyro) * effect.largest)
+        found.append(products(np.hstack(columns)))
     return found
 
 
-def weighed(columns: Floats, t_s: Floats, period_s: float, noise: NoiseModel) -> Floats:
-    """Return the products (c, c) of columns (N, c) at even instants, as the estimate weighs them."""
-    return _Weighting.of(t_s, period_s, noise).products(columns)
+def weighing(t_s: Floats, period_s: float, noise: NoiseModel) -> Callable[[Floats], Floats]:
+    """Return what gives the products (c, c) of columns (N, c) at even instants, as the estimate weighs them.
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Weighting:
-    """How rows are weighed: in blocks that begin at ``first`` (B,) and have so many ``rows`` (B,).
-
-    ``inverse`` (B, B) is that of the covariance of their means, ``within`` the weight of what is about the means.
+    Means over blocks go by the inverse of their covariance, what is about the means by the weight of the noise there.
     """
+    since_s = t_s - t_s[0] + 0.5 * period_s
+    length_s = _block_length(float(since_s[-1]))
+    number = np.floor(since_s / length_s).astype(np.intp)
+    first = np.flatnonzero(np.diff(number, prepend=-1))
+    rows = np.diff(np.append(first, len(number)))
+    blocks = MeansCovariance.of((number[first] + 0.5) * length_s, length_s, np.minimum(rows * period_s, length_s))
+    circle = 2 * np.pi * (0.5 / length_s)  # as in the estimate: the lowest frequency that fits into a block
+    density = noise.arw**2 + noise.instability**2 / circle + (noise.walk / circle) ** 2
+    inverse = np.asarray(np.linalg.inv(blocks.under(noise)), dtype=np.float64)
 
-    first: NDArray[np.intp]
-    rows: NDArray[np.intp]
-    inverse: Floats
-    within: float
+    def products(columns: Floats) -> Floats:
+        means = np.add.reduceat(columns, first, axis=0) / rows[:, None]
+        about = columns - np.repeat(means, rows, axis=0)
+        return np.asarray(means.T @ inverse @ means + period_s / density * (about.T @ about))
 
-    @classmethod
-    def of(cls, t_s: Floats, period_s: float, noise: NoiseModel) -> _Weighting:
-        since_s = t_s - t_s[0] + 0.5 * period_s
-        length_s = _block_length(float(since_s[-1]))
-        number = np.floor(since_s / length_s).astype(np.intp)
-        first = np.flatnonzero(np.diff(number, prepend=-1))
-        rows = np.diff(np.append(first, len(number)))
-        means = MeansCovariance.of((number[first] + 0.5) * length_s, length_s, np.minimum(rows * period_s, length_s))
-        circle = 2 * np.pi * (0.5 / length_s)  # as in the estimate: the lowest frequency that fits into a block
-        density = noise.arw**2 + noise.instability**2 / circle + (noise.walk / circle) ** 2
-        inverse = np.asarray(np.linalg.inv(means.under(noise)), dtype=np.float64)
-        return cls(first, rows, inverse, period_s / density)
-
-    def products(self, columns: Floats) -> Floats:
-        """Return the weighed products (c, c) of columns (N, c)."""
-        means = np.add.reduceat(columns, self.first, axis=0) / self.rows[:, None]
-        about = columns - np.repeat(means, self.rows, axis=0)
-        return np.asarray(means.T @ self.inverse @ means + self.within * (about.T @ about))
+    return products
 
 
 def _block_length(duration_s: float) -> float:
@@ -237,9 +222,8 @@ def _effect_forecast(
     alone = total.T
     if effect.shared:
         kept, alone = kept.sum(axis=1, keepdims=True), alone.sum(axis=1, keepdims=True)
-    largest = np.array([parameter.largest for parameter in effect.parameters])[:, None]
     shows = kept > _LEAST_SHARE * alone
-    smallest = np.where(shows, POWER_SIGMAS / np.sqrt(np.where(shows, kept, 1.0)), np.inf) * largest
+    smallest = np.where(shows, POWER_SIGMAS / np.sqrt(np.where(shows, kept, 1.0)), np.inf) * effect.largest[:, None]
     shift = response.transpose(2, 0, 1)
     return EffectForecast(effect, smallest, shift * scale, shift / sd)
 

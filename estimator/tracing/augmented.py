@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.estimation.evidence import Posterior, Term
+from estimator.effects.law import in_words
+from estimator.estimation.evidence import Evidence, Posterior, Term
 from estimator.estimation.runs.run import Run
-from estimator.estimation.runs.tone_columns import samples_of, tone_columns
+from estimator.estimation.runs.samples import samples_of, tone_columns
 from estimator.tracing.candidates import Candidate
 from estimator.tracing.tones.tones import ToneFit
 from estimator.types import Floats
@@ -17,11 +18,24 @@ from estimator.types import Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """One effect of a model; ``tone`` is its fit if it is a tone."""
+    """One effect of a model: its candidate, its term, its fit if it is a ``tone``.
+
+    ``probability`` is how certain it is, ``rivals`` could stand in its place; ``share`` is its probability among these
+    alone, whatever else may be.
+    """
 
     candidate: Candidate
     term: Term
+    probability: float = 1.0
+    rivals: tuple[str, ...] = ()
     tone: ToneFit | None = None
+    share: float = 1.0
+
+    @property
+    def called(self) -> str:
+        """Name of the effect, or what a law is that has none."""
+        law = self.candidate.law
+        return f"{in_words(law)} (constructed)" if law else self.candidate.called
 
     @property
     def width(self) -> int:
@@ -50,47 +64,45 @@ class Augmented:
     walk: float
 
     @classmethod
-    def of(
-        cls,
-        names: Sequence[str],
-        posterior: Posterior,
-        parts: Sequence[Part],
-        prior: Floats,
-        arw: Floats,
-        noise: tuple[float, float],
-    ) -> Augmented:
-        """Return the model of an estimate, and of tones that were fitted before it."""
-        own = [part for part in parts if not part.term.shared and part.tone is None]
+    def of(cls, evidence: Evidence, parts: Sequence[Part], weight: Floats | None = None) -> Augmented:
+        """Return the model of an estimate, and of tones that were fitted before it.
+
+        ``weight`` (G,) is that of the noise models, by default as the recordings say beside the parts.
+        """
+        weight = evidence.noise_weight([part.term for part in parts]) if weight is None else weight
+        posterior = evidence.posterior([part.term for part in parts], weight)
         tones = [part for part in parts if part.tone is not None]
-        shared = [part for part in parts if part.term.shared]
+        own, shared = ([p for p in parts if p.tone is None and p.term.shared == shared] for shared in (False, True))
         means, covariances = [], []
         added = sum(part.width for part in tones)
-        for name, mean, covariance in zip(names, posterior.means, posterior.covariances, strict=True):
+        for gyro, mean, covariance in zip(evidence.gyros, posterior.means, posterior.covariances, strict=True):
             at, amplitudes = len(mean), []
             whole = np.zeros((at + added,) * 2)
             whole[:at, :at] = covariance
             for part in tones:
                 assert part.tone is not None
-                size = part.candidate.largest[0]
-                amplitudes.append(part.tone.amplitude[name] / size)
+                size = part.candidate.effect.largest[0]
+                amplitudes.append(part.tone.amplitude[gyro.name] / size)
                 span = np.arange(at, at + part.width)
-                whole[span, span] = (part.tone.sd[name] / size) ** 2
+                whole[span, span] = (part.tone.sd[gyro.name] / size) ** 2
                 at += part.width
             means.append(np.concatenate([mean, *amplitudes]))
             covariances.append(whole)
-        return cls(
-            tuple(names),
-            np.array(means),
-            np.array(covariances),
-            (*own, *shared, *tones),
-            prior,
-            arw,
-            noise[0],
-            noise[1],
-        )
+        prior, arw = (np.array([getattr(gyro, key) for gyro in evidence.gyros]) for key in ("prior", "arw"))
+        noise = (float(np.sqrt(weight @ one**2)) for one in (evidence.shapes.instability, evidence.shapes.walk))
+        names = tuple(gyro.name for gyro in evidence.gyros)
+        return cls(names, np.array(means), np.array(covariances), (*own, *shared, *tones), prior, arw, *noise)
 
-    def slice_of(self, number: int) -> slice:
-        """Return where the parameters of part ``number`` are."""
+    def estimated(self, posterior: Posterior) -> Augmented:
+        """Return the same model with another estimate; its tones stay as they are."""
+        mean, covariance = self.mean.copy(), self.covariance.copy()
+        for g, (own, its) in enumerate(zip(posterior.means, posterior.covariances, strict=True)):
+            mean[g, : len(own)], covariance[g, : len(own), : len(own)] = own, its
+        return replace(self, mean=mean, covariance=covariance)
+
+    def slice_of(self, name: str) -> slice:
+        """Return where the parameters of the effect of this name among candidates are."""
+        number = [part.candidate.name for part in self.parts].index(name)
         start = 4 + sum(part.width for part in self.parts[:number])
         return slice(start, start + self.parts[number].width)
 
@@ -118,5 +130,5 @@ class Augmented:
         at = 0 if part.tone.found.locked else 2 * number
         if at < part.width:
             waves = tone_columns(part.tone.found.frequency_hz, run, samples_of(run))
-            out[:, at : at + 2] = waves * part.candidate.largest
+            out[:, at : at + 2] = waves * part.candidate.effect.largest
         return out

@@ -1,9 +1,13 @@
 """What is tried: the effects of the catalogue, and general dependences that stand for what is not in it."""
 
+from __future__ import annotations
+
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +29,7 @@ _OTHER_ORDERS = (3, 5, 6)
 _PICKED_UP, _AROUND = float(np.radians(0.5)), float(np.radians(0.05))  # largest sizes without a name, rad/s
 _STEPS = 100  # instants in a run at which a step is looked for first
 _LAGS_S = (15.0, 40.0, 120.0)
+_STEADY_K = 0.05  # a temperature that changes by less tells of no effect
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +47,7 @@ class Candidate:
 
     name: str
     effect: Effect
-    log_prior: float
+    log_prior: float = 0.0
     depends_on: str = ""
     theta: float | None = None
     of: Callable[[float], Effect] | None = None
@@ -57,10 +62,11 @@ class Candidate:
     sensed: Mapping[str, Floats] = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
 
-    @property
-    def evenly(self) -> bool:
-        """Whether any value of what is not linear is as probable as any other, rather than any ratio."""
-        return self.run is not None
+    @classmethod
+    def among(cls, name: str, of: Callable[[float], Effect], start: Floats, begin: int = 0, **more: Any) -> Candidate:
+        """Return an effect of which what is not linear is looked for from some values on, number ``begin`` first."""
+        theta = float(start[begin])
+        return cls(name, of(theta), theta=theta, of=of, start=start, **more)
 
     @property
     def called(self) -> str:
@@ -77,19 +83,14 @@ class Candidate:
         """Whether all gyros have the same columns."""
         return self.effect.record.alike or bool(self.effect.law and not of_each_gyro(self.effect.law))
 
-    @property
-    def largest(self) -> Floats:
-        """Largest plausible size of each parameter (p,)."""
-        return self.effect.largest
-
     def columns(self, run: Run, gyro: int) -> Floats:
         """Return the scaled columns (b, p) of gyro number ``gyro`` of a run. A step stays for all later recordings."""
         if self.run is not None and run.order != self.run:
-            return np.full((len(run.t_s), 1), float(run.order > self.run)) * self.largest
+            return np.full((len(run.t_s), 1), float(run.order > self.run)) * self.effect.largest
         p = self.sensed.get(run.array.names[gyro])
         array = run.array
         axes = Axes(array.p[gyro] if p is None else p, array.j[gyro], array.k[gyro])
-        return run.fold(self.effect.at(run.grid, axes)) * self.largest
+        return run.fold(self.effect.at(run.grid, axes)) * self.effect.largest
 
 
 def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]:
@@ -104,67 +105,52 @@ def candidates_of(runs: Sequence[Run]) -> tuple[list[Candidate], dict[str, str]]
     if foreign:
         why = "another instrument has a lag of its own: a delay against it is the sum of all lags"
         left_out[BANDWIDTH.name] = why
-    listed = _catalogue(runs, gimbals, span_s)
+    listed = _catalogue(runs, gimbals, span_s, foreign)
     if foreign and gimbals:
         why = "an encoder that is read from outside may have the same by itself"
-        listed = _but(listed, left_out, [record.name for record in records() if record.of_encoders], why)
+        left_out |= {record.name: why for record in records() if record.of_encoders}
     if any(run.stated_rps for run in runs):
         why = "a turn from rest to rest comes to the same angle however late it is felt"
-        listed = _but(listed, left_out, [record.name for record in records() if record.within_turns], why)
+        left_out |= {record.name: why for record in records() if record.within_turns}
+    warm = "temperature" in offers
+    steady = warm and max(np.ptp(r.grid.temperature_c) for r in runs if r.grid.temperature_c is not None) < _STEADY_K
     chosen = []
-    for candidate in listed:
+    for candidate in (one for one in listed if one.called not in left_out):
         missing = candidate.effect.needs - offers
         if missing:
             left_out[candidate.called] = f"the recordings hold no {' and no '.join(sorted(missing))}"
+        elif steady and "temperature" in candidate.effect.needs:
+            left_out[candidate.called] = "the temperature does not change"
         else:
             chosen.append(candidate)
-    if "temperature" in offers:
-        spread = max(float(np.ptp(run.grid.temperature_c)) for run in runs if run.grid.temperature_c is not None)
-        if spread < 0.05:
-            for candidate in [c for c in chosen if "temperature" in c.effect.needs]:
-                chosen.remove(candidate)
-                left_out[candidate.called] = "the temperature does not change"
-    count = len({c.called for c in chosen})
-    of_kind = {c.called: sum(o.called == c.called for o in chosen) for c in chosen}
-    expected = {c.called: _expected(c.effect.record, "temperature" in offers) for c in chosen}
-    chosen = [
-        replace(c, log_prior=c.log_prior + expected[c.called] - np.log(count) - np.log(of_kind[c.called]))
-        for c in chosen
-    ]
-    for n, candidate in enumerate(chosen):
-        beside = candidate.effect.record.odds.beside
-        if beside is not None:
-            chosen[n] = replace(candidate, beside=beside[0], likelier=beside[1] - expected[candidate.called])
-    return [*chosen, *_general(offers, gimbals, count)], left_out
+    of_kind = Counter(candidate.called for candidate in chosen)
+    expected = [_expected(candidate, of_kind, warm) for candidate in chosen]
+    return [*expected, *_general(offers, gimbals, len(of_kind))], left_out
 
 
-def _but(listed: list[Candidate], left_out: dict[str, str], names: Sequence[str], why: str) -> list[Candidate]:
-    """Return candidates without some, which are left out for a reason."""
-    left_out |= dict.fromkeys(names, why)
-    return [candidate for candidate in listed if candidate.called not in names]
+def _expected(candidate: Candidate, of_kind: Mapping[str, int], warm: bool) -> Candidate:
+    """Return a candidate with how much it is expected before the data; those of one kind share that of the kind."""
+    odds = candidate.effect.record.odds
+    log = odds.warm if warm and odds.warm is not None else odds.log
+    beside, likelier = odds.beside or ("", log)
+    share = log - np.log(len(of_kind)) - np.log(of_kind[candidate.called])
+    return replace(candidate, log_prior=candidate.log_prior + share, beside=beside, likelier=likelier - log)
 
 
-def _expected(record: Record, warm: bool) -> float:
-    """Return the logarithm of how much an effect is expected against the others before the data."""
-    return record.odds.warm if warm and record.odds.warm is not None else record.odds.log
-
-
-def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> list[Candidate]:
+def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float, foreign: bool) -> list[Candidate]:
     known = [record for record in records() if record.kind is Kind.LAW and record.searched]
     plain = [record for record in known if record.grid is None]
-    far_s = (
-        np.array([-0.1, -0.05, 0.02, 0.05, 0.1]) if any(by_turns(r.recording.reference) for r in runs) else np.empty(0)
-    )
+    far_s = np.array([-0.1, -0.05, 0.02, 0.05, 0.1]) if foreign else np.empty(0)
     if not gimbals and all(run.recording.site is None and not run.turns for run in runs):
         plain = [*(record for record in plain if record is not EARTH_RATE), EARTH_RATE_UPWARD]
     found = [
-        Candidate(effect.name, effect, 0.0)
+        Candidate(effect.name, effect)
         for effect in (record.effect(gimbals, **own) for record in plain for own in record.listed(span_s))
     ]
-    by_size = partial(_by_size, sensed=_sensed(runs))
+    by_size = partial(Candidate.among, by_size=True, sensed=_sensed(runs))
     found.append(by_size(LATENCY.name, late, np.concatenate([[0.0], far_s])))
     if not len(far_s):
-        found.append(Candidate(BANDWIDTH.name, BANDWIDTH.effect(tau_s=LAG_S), 0.0))
+        found.append(Candidate(BANDWIDTH.name, BANDWIDTH.effect(tau_s=LAG_S)))
     if any(run.held > 1 for run in runs):
         found.append(by_size(SAMPLE_HOLD.name, lambda delay_s: SAMPLE_HOLD.effect(delay_s=delay_s), np.zeros(1)))
     of_grid = [record for record in known if record.grid is not None]
@@ -173,10 +159,10 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
         for axis in gimbals:
             effect = TABLE_HARMONIC.effect(gimbals, order=order, axis=axis)
             name = f"{TABLE_HARMONIC.name} {order} {axis}"
-            found.append(Candidate(name, effect, 0.0, settings={"axis": axis, "order": order}))
+            found.append(Candidate(name, effect, settings={"axis": axis, "order": order}))
     one_clock = _one_clock(runs)
     if one_clock is not None:
-        found.append(Candidate(f"{BIAS_DRIFT.name} on", _on_one_clock(BIAS_DRIFT.effect(), one_clock), 0.0))
+        found.append(Candidate(f"{BIAS_DRIFT.name} on", _on_one_clock(BIAS_DRIFT.effect(), one_clock)))
     warm_up = _scanned(WARM_UP, gimbals, span_s)
     found.append(warm_up)
     if one_clock is not None and WARM_UP.grid is not None and WARM_UP.grid.grid is not None:
@@ -184,21 +170,15 @@ def _catalogue(runs: Sequence[Run], gimbals: tuple[str, ...], span_s: float) -> 
         start = WARM_UP.grid.grid(float(runs[-1].t_s[-1] - one_clock), 12)
         name, effect = f"{WARM_UP.name} on", going_on(warm_up.theta or 0.0)
         found.append(replace(warm_up, name=name, effect=effect, of=going_on, start=start))
+
+    def step(at_s: float) -> Effect:
+        return BIAS_STEP.effect(at_s=at_s)
+
     for run in {run.order: run for run in runs}.values():
         times = np.arange(run.t_s[0] + 4.0, run.t_s[-1] - 4.0, max(3.0, np.ptp(run.t_s) / _STEPS))
         if len(times):
-            found.append(
-                Candidate(
-                    f"{BIAS_STEP.name} {run.order}",
-                    BIAS_STEP.effect(at_s=float(times[len(times) // 2])),
-                    0.0,
-                    theta=float(times[len(times) // 2]),
-                    of=lambda at_s: BIAS_STEP.effect(at_s=at_s),
-                    start=times,
-                    run=run.order,
-                    log_tries=float(np.log(len(times))),
-                )
-            )
+            tries = {"run": run.order, "log_tries": float(np.log(len(times)))}
+            found.append(Candidate.among(f"{BIAS_STEP.name} {run.order}", step, times, len(times) // 2, **tries))
     return found
 
 
@@ -215,16 +195,8 @@ def _scanned(record: Record, gimbals: tuple[str, ...], span_s: float) -> Candida
     def of(value: float) -> Effect:
         return record.effect(gimbals, **{setting.key: value})
 
-    start = setting.grid(span_s, 10)
-    first = float(start[setting.begin])
-    return Candidate(
-        record.name, of(first), 0.0, theta=first, of=of, start=start, range_log=setting.range_log, unit=setting.unit
-    )
-
-
-def _by_size(name: str, of: Callable[[float], Effect], start: Floats, *, sensed: Mapping[str, Floats]) -> Candidate:
-    first = float(start[0])
-    return Candidate(name, of(first), 0.0, theta=first, of=of, start=start, by_size=True, sensed=sensed)
+    more = {"range_log": setting.range_log, "unit": setting.unit}
+    return Candidate.among(record.name, of, setting.grid(span_s, 10), setting.begin, **more)
 
 
 def _sensed(runs: Sequence[Run]) -> dict[str, Floats]:
@@ -296,7 +268,7 @@ def _general(offers: frozenset[str], gimbals: tuple[str, ...], count: int) -> li
 
 def _own(name: str, columns: Callable[[Conditions, Axes], Floats], count: int) -> Effect:
     parameters = tuple(Parameter(str(n + 1), "rad/s", _PICKED_UP) for n in range(count))
-    return Record(name=name, parameters=parameters, regressors=lambda settings: columns).effect()
+    return Record(name=name, parameters=parameters, regressors=lambda settings, *where: columns(*where)).effect()
 
 
 def _law(name: str, law: str, largest: float = _PICKED_UP, *, shared: bool = False) -> Effect:

@@ -7,7 +7,7 @@ length together are expected as often as a shorter one less some (Rissanen 1983)
 
 import tomllib
 from collections.abc import Iterable, Sequence
-from functools import partial
+from dataclasses import replace
 from importlib.resources import files
 from itertools import combinations
 
@@ -16,8 +16,14 @@ import numpy as np
 from estimator.effects.constructed import constructed
 from estimator.effects.effect import Effect
 from estimator.effects.law import needs_of
+from estimator.estimation.evidence import Term
 from estimator.estimation.runs.run import Run
 from estimator.tracing.candidates import Candidate
+from estimator.tracing.scan import Scan, at
+from estimator.tracing.search import Found, Search
+from estimator.types import Floats
+
+Model = Sequence[tuple[Candidate, Term]]
 
 _LARGEST_RPS = float(np.radians(0.5))
 _RARE = -3.0  # log expectation of a law without a name beside the catalogue's
@@ -25,6 +31,10 @@ _LONGER = -1.5  # of each further element of it
 _LAGS_S = np.geomspace(4.0, 400.0, 6)
 _SHARES = np.array([0.05, 0.2, 0.5])  # of the range of a variable: plays and bends that are looked for first
 _LARGEST_SCALE = 1e9
+_MOST_LAWS, _LAWS_TRIED = 2, 12
+_BETWEEN = 1.3  # by so much more a law may explain with a constant between those that it is tried with
+_CLEARLY = 3.0  # natural logarithm by which a law must be the more probable
+_RIVAL = -6.0  # natural logarithm of how much less probable laws may be and still be rivals, a few together
 _LAWS = tomllib.loads(files("estimator.tracing").joinpath("laws.toml").read_text(encoding="utf-8"))["length"]
 
 
@@ -33,26 +43,19 @@ def laws_of(runs: Sequence[Run]) -> list[Candidate]:
     offers = frozenset.intersection(*(run.grid.offers for run in runs))
     gimbals = runs[0].grid.gimbals if len(runs[0].grid.gimbals) > 1 else ()
     found: list[Candidate] = []
-    for length, (plain, bent) in enumerate(_listed(offers, gimbals), 1):
-        count = len(plain) + len(bent)
-        prior = _RARE + _LONGER * (length - 1) - float(np.log(max(count, 1)))
-        found += [c for law in plain if (c := _candidate(runs, law, prior)) is not None]
-        for law, kind in bent:
-            one = _bent(runs, law, kind, prior)
-            if one is not None:
-                found.append(one)
+    for length, listed in enumerate(_listed(offers, gimbals), 1):
+        prior = _RARE + _LONGER * (length - 1) - float(np.log(max(len(listed), 1)))
+        found += [c for law, kind in listed if (c := _candidate(runs, law, kind, prior)) is not None]
     return found
 
 
-def _listed(offers: frozenset[str], gimbals: Sequence[str]) -> Iterable[tuple[list[str], list[tuple[str, str]]]]:
-    """Yield by length the laws without a constant, and those with one: text with {c} and what c is."""
+def _listed(offers: frozenset[str], gimbals: Sequence[str]) -> Iterable[list[tuple[str, str]]]:
+    """Yield the laws by length: those without a constant, and those with one as text with {c} and what c is."""
     for one in _LAWS:
-        bent = [(law, kind) for kind, texts in one.get("bent", {}).items() for law in texts]
-        bent += [(law, "lag") for law in one.get("without_temperature", ()) if "temperature" not in offers]
-        yield (
-            [law for text in one["plain"] for law in _on_axes(text, offers, gimbals)],
-            [(law, kind) for text, kind in bent for law in _on_axes(text, offers, gimbals)],
-        )
+        kinds = [(law, "") for law in one["plain"]]
+        kinds += [(law, kind) for kind, texts in one.get("bent", {}).items() for law in texts]
+        kinds += [(law, "lag") for law in one.get("without_temperature", ()) if "temperature" not in offers]
+        yield [(law, kind) for text, kind in kinds for law in _on_axes(text, offers, gimbals)]
 
 
 def _on_axes(text: str, offers: frozenset[str], gimbals: Sequence[str]) -> list[str]:
@@ -67,35 +70,22 @@ def _on_axes(text: str, offers: frozenset[str], gimbals: Sequence[str]) -> list[
     return [law for law in laws if needs_of(law.replace("{c}", "1")) <= offers]
 
 
-def _candidate(runs: Sequence[Run], law: str, prior: float) -> Candidate | None:
-    largest = _largest(runs, law)
-    return None if largest is None else Candidate(f"law: {law}", constructed(law, largest), prior)
-
-
-def _bent(runs: Sequence[Run], law: str, kind: str, prior: float) -> Candidate | None:
-    """Return a law with a constant that is looked for; None where it would be nothing."""
+def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float) -> Candidate | None:
+    """Return a law, its constant to be looked for if it has one of some kind; None where it would be nothing."""
     start = _LAGS_S
     if kind != "lag":
         start = _SHARES * (_range(runs, kind.removeprefix("share ")) if kind.startswith("share") else 0.2)
-    if not start[0] > 0:
-        return None
-    largest = _largest(runs, law.format(c=f"{start[1]:.6g}"))
+    largest = _largest(runs, law.format(c=f"{start[1]:.6g}")) if start[0] > 0 else None
     if largest is None:
         return None
-    of = partial(_made, law, largest)
-    return Candidate(
-        f"law: {law}",
-        of(float(start[1])),
-        prior,
-        theta=float(start[1]),
-        of=of,
-        start=start,
-        range_log=float(np.log(start[-1] / start[0])),
-    )
+    if not kind:
+        return Candidate(f"law: {law}", constructed(law, largest), prior)
 
+    def of(constant: float) -> Effect:
+        return constructed(law.format(c=f"{constant:.4g}"), largest)
 
-def _made(law: str, largest: tuple[float, ...], constant: float) -> Effect:
-    return constructed(law.format(c=f"{constant:.4g}"), largest)
+    range_log = float(np.log(start[-1] / start[0]))
+    return Candidate.among(f"law: {law}", of, start, 1, log_prior=prior, range_log=range_log)
 
 
 def _largest(runs: Sequence[Run], law: str) -> tuple[float, ...] | None:
@@ -113,3 +103,87 @@ def _largest(runs: Sequence[Run], law: str) -> tuple[float, ...] | None:
 def _range(runs: Sequence[Run], name: str) -> float:
     values = [constructed(name).columns(run.grid, run.array, 0) for run in runs]
     return max(float(np.ptp(one)) for one in values)
+
+
+class Composer:
+    """Laws beside what a search has found, or in the place of some of it."""
+
+    def __init__(self, search: Search, laws: Sequence[Candidate]) -> None:
+        """Begin with none of the laws among the candidates of the search."""
+        self._search, self._laws = search, laws
+        self._coarse = [run.coarse() for run in search.runs]
+        self._turned: dict[tuple[str, float, str], Floats] = {}
+        self._kept: set[str] = set()
+
+    def composed(self, found: Found, most: int) -> Found:
+        """Return what was found with laws that have no name, where they explain more than names do, or beside these."""
+        search = self._search
+        named = [part for part in found.parts if part.tone is None]
+        tones = [part for part in found.parts if part.tone is not None]
+        model = [(part.candidate, part.term) for part in named]
+        best = self._worth(model)
+        for _ in range(_MOST_LAWS):
+            # A law may stand beside what was found, or in the place of some of it.
+            bases = [model, [], *([pair for pair in model if pair is not one] for one in model)]
+            tried = []
+            for n, base in enumerate(bases):
+                if base not in bases[:n] and len(base) + len(tones) < most:
+                    tried.append([*base, *self._best_law(base, model)])
+            worths = [self._worth(one) for one in tried]
+            if not worths or max(worths) < best + _CLEARLY:
+                break
+            best = max(worths)
+            model = tried[worths.index(best)]
+        for one in [pair for pair in model if not pair[0].law]:
+            rest = [pair for pair in model if pair is not one]
+            self._kept.update(self._likely(rest, model, _RIVAL))
+        if not any(candidate.law for candidate, _ in search.known.values()):
+            return found
+        names, terms = [c.name for c, _ in model], {c.name: term for c, term in model}
+        judged = [search.judged(name, names, terms) for name in names]
+        while judged and (least := min(judged, key=lambda c: c.share)).rivals[0] == "nothing":  # a law took its place
+            names.remove(least.candidate.name)
+            del terms[least.candidate.name]
+            judged = [search.judged(name, names, terms) for name in names]
+        chain = (*found.log_evidence, search.evidence.of(list(terms.values())))
+        return replace(found, parts=(*judged, *tones), log_evidence=chain)
+
+    def _worth(self, model: Model, noise: int | None = None) -> float:
+        """Return the log evidence of a model, under all noise models or one, and how much it was expected."""
+        evidence, terms = self._search.evidence, [term for _, term in model]
+        expected = sum(candidate.log_prior - term.log_tries for candidate, term in model)
+        return (evidence.of(terms) if noise is None else float(evidence.by_noise(terms)[noise])) + expected
+
+    def _best_law(self, base: Model, known: Model) -> Model:
+        """Return the law that explains most beside a model; none if none can explain more than what is ``known``."""
+        search, chosen = self._search, self._likely(base, known, _CLEARLY)
+        terms = [term for _, term in base]
+        scores = search.scores(terms, [candidate.name for candidate, _ in base]) if chosen else {}
+        found = [name for name in chosen if search.sensible(name, scores[name][1], terms)]
+        best = max(found, key=lambda name: scores[name][0], default=None)
+        if best is None:
+            return []
+        self._kept.add(best)
+        return [(search.known[best][0], scores[best][1])]
+
+    def _likely(self, base: Model, known: Model, least: float) -> list[str]:
+        """Bring in the laws that may be more probable beside a model than what is ``known``, by ``least``; name them.
+
+        The noise is that beside what is known: beside less, it would hold what slow laws explain.
+        """
+        search = self._search
+        noise = int(np.argmax(search.evidence.noise_weight([term for _, term in known])))
+        scan = Scan(self._coarse, search.evidence, [term for _, term in base], self._turned, noise)
+        taken = {candidate.name for candidate, _ in base}
+        ranked, missing = [], self._worth(known, noise) + least - self._worth(base, noise)
+        for law in (law for law in self._laws if law.name not in taken):
+            options = [law] if law.start is None else [at(law, theta) for theta in law.start.tolist()]
+            gains = [scan.gain(option) for option in options]
+            reach = max(gains) * (1.0 if law.start is None else _BETWEEN)
+            if reach + law.log_prior > missing:  # by no more can it be the more probable
+                ranked.append((max(gains) + law.log_prior, options[int(np.argmax(gains))]))
+        ranked.sort(key=lambda pair: -pair[0])
+        chosen = [scan.tuned(law) if law.start is not None else law for _, law in ranked[:_LAWS_TRIED]]
+        search.forget([name for name, (c, _) in search.known.items() if c.law and name not in self._kept])
+        search.add([law for law in chosen if law.name not in self._kept])
+        return [law.name for law in chosen]

@@ -8,16 +8,24 @@ where much is left beside it, the sum is there anyway, and could say what the ef
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.estimation.evidence import Base, Evidence, Term, log_mean
+from estimator.tracing.augmented import Part
+from estimator.tracing.candidates import Candidate
+from estimator.tracing.search import Search
 from estimator.types import Floats
+
+Columns = NDArray[np.intp]
 
 SIZES_RPS = np.geomspace(1e-6, 3e-2, 10)
 """Expected rms of each function; none is preferred."""
 _PRESENT = 0.1  # expectation that something acts that has no name
+_LIKE = 0.1  # share of a function's squares that an effect puts out: from then on they are of a kind
+_CHANCE = 3.0  # natural logarithm by which functions without a name may be the more probable by chance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,14 +36,13 @@ class OpenWorld:
     by_size: Floats
 
     @classmethod
-    def beside(cls, evidence: Evidence, model: Sequence[Term], columns: Sequence[int], sizes: Floats) -> OpenWorld:
+    def beside(cls, evidence: Evidence, model: Sequence[Term], columns: Columns, sizes: Floats) -> OpenWorld:
         """Return that of a model; ``columns``, times ``sizes`` (c,) of 1 rad/s rms, are the functions there may be."""
-        shared = [term for term in model if term.shared]
-        base = Base(evidence, [term for term in model if not term.shared])
-        closed = log_mean(base.by_noise(shared), evidence.shapes.log_prior)
-        if not columns:
+        base = Base(evidence, model)
+        closed = log_mean(base.by_noise(), evidence.shapes.log_prior)
+        if not len(columns):
             return cls(closed, np.full(len(SIZES_RPS), -np.inf))
-        by_noise = base.with_functions(shared, np.array(columns), sizes, SIZES_RPS)
+        by_noise = base.with_functions(columns, sizes, SIZES_RPS)
         return cls(closed, np.array([log_mean(one, evidence.shapes.log_prior) for one in by_noise]))
 
     @property
@@ -52,3 +59,71 @@ class OpenWorld:
     def size_rps(self) -> float:
         """Its most probable size."""
         return float(SIZES_RPS[int(np.argmax(self.by_size))])
+
+
+def something_beside(search: Search, model: Sequence[Term]) -> OpenWorld:
+    """Return how probable it is beside a model that something acts that has no name."""
+    return OpenWorld.beside(search.evidence, model, *functions_of(search))
+
+
+def unnamed(search: Search, size_rps: float) -> Term:
+    """Return the sum of functions that may act without a name, of this size, as a term."""
+    columns, sizes = functions_of(search)
+    return Term("open", tuple(columns.tolist()), False, size_rps, sizes=tuple(sizes.tolist()))
+
+
+def functions_of(search: Search) -> tuple[Columns, Floats]:
+    """Return columns that stand for any function of what was measured, and how each is scaled to 1 rad/s rms."""
+    plain = [term for candidate, term in search.known.values() if not _one_of_many(candidate)]
+    columns = np.array([c for term in plain for c in term.columns], dtype=np.intp)
+    squares, seconds = np.zeros(len(columns)), 0.0
+    for gyro in search.evidence.gyros:
+        for stretch, part in zip(gyro.stretches, gyro.columns, strict=True):
+            squares += np.sum(part[1:, columns] ** 2, axis=0) * gyro.arw**2
+            seconds += len(part) * stretch.length_s
+    rms = np.sqrt(squares / seconds)
+    seen = rms > 1e-9 * rms.max(initial=1e-30)
+    return columns[seen], 1 / rms[seen]
+
+
+def weighed_against(search: Search, parts: Sequence[Part]) -> list[Part]:
+    """Return effects no more probable than the structure beside them allows.
+
+    An effect that only imitates another leaves a part of it, in functions that are like itself. Who explains a
+    residual leaves nothing of the kind. Beside a moving reference that has errors of its own, all functions count
+    for all effects but the delay between the two.
+    """
+    foreign = any(run.by_another for run in search.runs)
+    terms = [part.term for part in parts if part.tone is None]
+    columns, sizes = functions_of(search)
+    judged = []
+    for part in parts:
+        if part.tone is None:
+            others = [term for term in terms if term is not part.term]
+            least = 0.0 if foreign and not part.candidate.by_size else _LIKE
+            like = _likeness(search.evidence, part.term, columns, others) > least
+            left = OpenWorld.beside(search.evidence, terms, columns[like], sizes[like])
+            explained = max(left.closed - search.evidence.of(others), 0.0)
+            beside = max(float(left.by_size.max()) - left.closed - _CHANCE, 0.0)
+            part = replace(part, probability=part.probability * explained / max(explained + beside, 1e-9))
+        judged.append(part)
+    return judged
+
+
+def _likeness(evidence: Evidence, term: Term, columns: Columns, beside: Sequence[Term]) -> Floats:
+    """Return the share of the squares of columns (c,) that a term's own put out beside others, over all gyros."""
+    best = int(np.argmax(evidence.noise_weight(beside)))
+    mine = np.array(term.columns)
+    shown, whole = np.zeros(len(columns)), np.full(len(columns), 1e-300)
+    for reduced in Base(evidence, beside).reduced:
+        own = reduced[best]
+        across = own[np.ix_(mine, columns)]
+        inner = own[np.ix_(mine, mine)] + (1e-12 * np.trace(own[np.ix_(mine, mine)]) + 1e-30) * np.eye(len(mine))
+        whole += own[columns, columns]
+        shown += np.sum(across * np.linalg.solve(inner, across), axis=0)
+    return np.asarray(shown / whole)
+
+
+def _one_of_many(candidate: Candidate) -> bool:
+    """Return whether of an effect one of many is in the model: at some value of what is not linear, or some law."""
+    return bool(candidate.law) or (candidate.start is not None and not candidate.by_size)

@@ -31,7 +31,6 @@ class Scan:
     def __init__(
         self,
         runs: Sequence[Run],
-        spectra: Sequence[GyroSpectra],
         evidence: Evidence,
         terms: Sequence[Term],
         turned: dict[tuple[str, float, str], Floats],
@@ -41,9 +40,9 @@ class Scan:
         self._kept = turned
         best = int(np.argmax(evidence.noise_weight(terms))) if noise is None else noise
         columns = [*range(4), *(c for t in terms for c in t.columns)]
-        self._runs, self._spectra = runs, spectra
+        self._runs, self._spectra = runs, evidence.gyros
         self._roots, self._bases, self._rest = [], [], []
-        for gyro in spectra:
+        for gyro in evidence.gyros:
             density = [evidence.density(gyro, s)[best][s.band] for s in gyro.stretches]
             root = (
                 np.concatenate([np.sqrt(s.length_s / d) for s, d in zip(gyro.stretches, density, strict=True)])
@@ -62,12 +61,8 @@ class Scan:
         source = str([s.run for s in gyro.stretches])
         key = candidate.name, float(candidate.theta or 0.0), source if alike else gyro.name
         if key not in self._kept:
-            parts = []
-            for stretch in gyro.stretches:
-                run = self._runs[stretch.run]
-                own = run.array.names.index(gyro.name)
-                parts.append(cosines(run.weighed(candidate.columns(run, own), own)[stretch.blocks]))
-            self._kept[key] = np.vstack(parts)
+            parts = gyro.parts(self._runs, lambda number, own: candidate.columns(self._runs[number], own))
+            self._kept[key] = np.vstack([cosines(part) for part in parts])
         return self._kept[key]
 
     def size(self, candidate: Candidate) -> float:
@@ -93,35 +88,66 @@ class Scan:
 
     def _first_size(self, candidate: Candidate) -> float:
         """Return the size by the candidate as it is: right where it is small."""
-        own, right = np.sum(self._products(candidate), axis=0)
+        products = self._products(candidate)
+        own, right = sum(own[0, 0] for own, _ in products), sum(right[0] for _, right in products)
         sign = -1.0 if candidate.theta and candidate.theta < 0 else 1.0  # a lag of the reference is a size of its own
-        return float(np.clip(sign * right / max(own, 1e-30) * candidate.largest[0], -_LONGEST_S, _LONGEST_S))
+        return float(np.clip(sign * right / max(own, 1e-30) * candidate.effect.largest[0], -_LONGEST_S, _LONGEST_S))
 
     def _gain_of(self, candidate: Candidate, size: float) -> float:
         """Return how much more probable a size makes what is left, each gyro under as much noise as then is left."""
-        share = abs(size) / candidate.largest[0] if size else 0.0
+        share = abs(size) / candidate.effect.largest[0] if size else 0.0
         total = 0.0
         for rest, (own, right) in zip(self._rest, self._products(at(candidate, size)), strict=True):
             before = float(rest @ rest)
-            total -= 0.5 * len(rest) * np.log(max(before - 2 * share * right + share**2 * own, 1e-9 * before) / before)
+            left = before - 2 * share * right[0] + share**2 * own[0, 0]
+            total -= 0.5 * len(rest) * np.log(max(left, 1e-9 * before) / before)
         return float(total)
-
-    def _products(self, candidate: Candidate) -> list[tuple[float, float]]:
-        """Return by gyro the squares of a candidate's first column beside the model, and its product with the rest."""
-        products = []
-        for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
-            new = self._turn(candidate, gyro)[:, 0] * root
-            new = new - basis @ (basis.T @ new)
-            products.append((float(new @ new), float(new @ rest)))
-        return products
 
     def gain(self, candidate: Candidate) -> float:
         """Return by how much half the squares fall if an effect is let in, each gyro by itself."""
         total = 0.0
+        for own, right in self._products(candidate):
+            total += 0.5 * float(right @ np.linalg.solve(own + 1e-6 * np.eye(len(own)), right))
+        return total
+
+    def _products(self, candidate: Candidate) -> list[tuple[Floats, Floats]]:
+        """Return by gyro the products (p, p) of a candidate's columns beside the model, and with the rest (p,)."""
+        products = []
         for gyro, root, basis, rest in zip(self._spectra, self._roots, self._bases, self._rest, strict=True):
             new = self._turn(candidate, gyro) * root[:, None]
             new = new - basis @ (basis.T @ new)
-            own = new.T @ new
-            right = new.T @ rest
-            total += 0.5 * float(right @ np.linalg.solve(own + 1e-6 * np.eye(len(own)), right))
-        return total
+            products.append((new.T @ new, new.T @ rest))
+        return products
+
+    def width(self, candidate: Candidate) -> float:
+        """Return by how much what is not linear may move before half a natural logarithm is lost."""
+        assert candidate.theta is not None
+        top = self.gain(candidate)
+        step = 0.02 * candidate.theta
+        while step < candidate.theta:
+            sides = [self.gain(at(candidate, candidate.theta + sign * step)) for sign in (-1, 1)]
+            fall = top - 0.5 * sum(sides)
+            if fall > 0.5:
+                return float(step / np.sqrt(2 * fall))
+            step *= 2
+        return float(candidate.theta)
+
+    def tuned(self, candidate: Candidate) -> Candidate:
+        """Return a candidate with the most telling value of what is not linear in it."""
+        start = candidate.start
+        assert start is not None
+        if candidate.by_size:
+            return at(candidate, self.size(candidate))
+        gains = [self.gain(at(candidate, theta)) for theta in start.tolist()]
+        best = int(np.argmax(gains))
+        low, high = float(start[max(best - 1, 0)]), float(start[min(best + 1, len(start) - 1)])
+        theta = highest(lambda theta: self.gain(at(candidate, theta)), low, high)
+        if self.gain(at(candidate, theta)) < gains[best]:
+            theta = float(start[best])
+        tuned = at(candidate, theta)
+        # What it costs that the value was looked for: the share of its range that would do as well. Any instant of a
+        # step is as probable as any other, of a time constant any ratio.
+        width = np.sqrt(2 * np.pi) * self.width(tuned)
+        spread = float(start[-1] - start[0])
+        share = width / spread if candidate.run is not None else width / theta / candidate.range_log
+        return replace(tuned, log_tries=float(-np.log(np.clip(share, 1e-4, 1.0))))

@@ -22,7 +22,7 @@ def error_model_of(found: Augmented) -> ErrorModel:
     """
     effects: dict[str, KnownEffect] = {}
     left_out = {}
-    for number, part in enumerate(found.parts):
+    for part in found.parts:
         name = part.candidate.called
         record = part.candidate.effect.record
         if record_of(name) is None:
@@ -30,16 +30,17 @@ def error_model_of(found: Augmented) -> ErrorModel:
         elif record.not_kept:
             left_out[name] = record.not_kept
         else:
-            known = _known(found, part, found.slice_of(number))
+            known = _known(found, part)
             # A drift since the start of each run and one since the first are the same in one run.
             other = effects.get(known.called, known)
             effects[known.called] = max(known, other, key=lambda effect: float(effect.sd.sum()))
     return ErrorModel(tuple(effects.values()), left_out)
 
 
-def _known(found: Augmented, part: Part, where: slice) -> KnownEffect:
+def _known(found: Augmented, part: Part) -> KnownEffect:
     effect, p = part.candidate.effect, len(part.candidate.effect.parameters)
-    largest = part.candidate.largest
+    where = found.slice_of(part.candidate.name)
+    largest = part.candidate.effect.largest
     # A tone whose phase differs from run to run has its parameters once for each run.
     values = found.mean[:, where].reshape(len(found.names), -1, p) * largest
     sigmas = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))[:, where].reshape(values.shape) * largest

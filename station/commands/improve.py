@@ -18,7 +18,7 @@ from estimator.calibration.budget import table_budget
 from estimator.geometry.kinematics import body_rate
 from estimator.geometry.model import regressor_maps
 from estimator.observations.rows import BLOCK_S
-from estimator.planning.planning import UNSEEN, weighed
+from estimator.planning.planning import UNSEEN, weighing
 from station.atomic_write import check_new_file, free_path, write_whole
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
@@ -128,7 +128,7 @@ def predicted(script: Script, bench: Bench) -> Floats:
     covariances = []
     for imu in _used(bench):
         maps, arw = regressor_maps(imu.array), np.full(len(imu.array), imu.noise.arw)
-        seen = weighed(columns, motion.t_s, period_s, imu.noise)
+        seen = weighing(motion.t_s, period_s, imu.noise)(columns)
         own = np.linalg.inv(maps @ seen @ maps.transpose(0, 2, 1) + np.diag(1 / imu.prior.variances()))
         for covariance, parts in zip(own, table_budget(readings, bench.site, imu.array, imu.prior, arw), strict=True):
             covariances.append(covariance + sum(part.covariance for part in parts))

@@ -10,9 +10,9 @@ from typing import Any
 import h5py
 import numpy as np
 
+from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.compensation import Compensation
 from estimator.calibration.error_model import ErrorModel
-from estimator.calibration.stored_calibration import read_calibration
 from estimator.calibration.values import Calibration, GyroCalibration
 from estimator.errors import EstimatorError, RecordingError
 from estimator.recordings.reading import read_recording

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers.types import Floats, Stamps
-from estimator.calibration.stored_calibration import read_calibration
+from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.values import Calibration
 from estimator.errors import RecordingError, first_line
 from estimator.recordings.reading import read_recording

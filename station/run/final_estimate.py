@@ -12,7 +12,7 @@ from estimator.calibration.calibration_file import write_calibration
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.estimation.calibrate import calibrate
-from estimator.estimation.sample_columns import white_solution
+from estimator.estimation.live.sample_columns import white_solution
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
 from estimator.recordings.writing import write_results, write_source_attributes

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drivers.types import Floats, ImuBlock, Stamps
-from estimator.estimation.filter import LiveFilter
-from estimator.estimation.sample_columns import SampleColumns
+from estimator.estimation.live.filter import LiveFilter
+from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior, decode

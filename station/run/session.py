@@ -24,7 +24,7 @@ from drivers.types import Floats, Identity, ImuBlock
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
-from estimator.estimation.sample_columns import SampleColumns
+from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.recordings.writing import TEXT_BYTES, RecordingWriter, write_attributes
 from station.errors import UsageError
 from station.opening import OpenBench, OpenImu

@@ -19,7 +19,7 @@ from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior, regressor_maps
 from estimator.geometry.noise import NoiseModel
-from estimator.planning.planning import weighed
+from estimator.planning.planning import weighing
 from station.scripts.loop_scripts import candidates
 from station.scripts.planned import planned_motion
 from station.scripts.script import Script, is_possible
@@ -161,7 +161,7 @@ class _Grams:
                     for effect in group:
                         largest = np.array([parameter.largest for parameter in effect.parameters])
                         columns.append(effect.columns(seen, run.array, gyro)[keep] * largest)
-                gram = weighed(np.hstack(columns), c.t_s, c.period_s, run.noise)
+                gram = weighing(c.t_s, c.period_s, run.noise)(np.hstack(columns))
                 key = run.device, run.array.names[gyro]
                 matrices[key] = matrices.get(key, 0.0) + _with_own_bias(gram, _RETURNS_RPS / run.prior.b_rps)
         shared = frozenset(name for name, group in effects.items() if group and group[0].shared)

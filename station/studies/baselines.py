@@ -17,6 +17,7 @@ from estimator.estimation import baselines
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import SensorArray, tetrahedron
 from estimator.geometry.model import Prior
+from estimator.observations.rows import Observations
 from estimator.recordings.recording import Recording
 from station.campaigns.campaigns import Failure, run_all
 from station.errors import UsageError
@@ -191,7 +192,7 @@ def _rms(values: Sequence[Floats]) -> Floats:
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=(0, 1))))
 
 
-def _steady(recording: Recording, script: Script) -> list[baselines.Position]:
+def _steady(recording: Recording, script: Script) -> list[Observations]:
     """Return the rows of each rest, or of each rotation between its ramps, in the order of the script."""
     w_rps, y_rps = rows_of(recording)
     t_s = np.arange(1, len(w_rps) + 1) / SAMPLE_HZ
@@ -202,7 +203,7 @@ def _steady(recording: Recording, script: Script) -> list[baselines.Position]:
         margin_s = ramp_s + _SETTLE_S
         if not isinstance(step, Move):
             inside = (t_s > timed.start_s + margin_s) & (t_s < timed.start_s + timed.duration_s - margin_s)
-            positions.append(baselines.Position(w_rps[inside], y_rps[inside]))
+            positions.append(Observations(w_rps[inside], y_rps[inside]))
     return positions
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from drivers.types import Floats
 from estimator.estimation.baselines import FilterRun, bound, covariance_filter
 from estimator.estimation.calibrate import calibrate
-from estimator.estimation.filter import LiveFilter
 from estimator.estimation.gram import Gram, solve
+from estimator.estimation.live.filter import LiveFilter
 from estimator.geometry.array import SensorArray, tetrahedron, tetrahedron_as_printed
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior, decode
@@ -227,7 +227,7 @@ def expected_percent(sd: Floats) -> Floats:
 
 def rows_of(recording: Recording) -> tuple[Floats, Floats]:
     """Return the body rates (rows, 3) and outputs (rows, n) of a recording, in rad/s."""
-    parts = list(observations(recording, SOURCE))
+    parts = list(observations(recording, recording.sources[SOURCE]))
     return np.vstack([part.w_rps for part in parts]), np.vstack([part.y_rps for part in parts])
 
 

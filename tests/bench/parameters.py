@@ -100,9 +100,9 @@ def truth_of(effect: str, seed: int) -> Augmented:
 
 def sizes_in(model: Augmented, number: int = 0) -> tuple[Floats, Floats]:
     """Return the parameters of an effect of a model and their standard deviations, in SI, each (n, p)."""
-    part, where = model.parts[number], model.slice_of(number)
-    candidate = part.candidate
-    scale = np.resize(candidate.largest, part.width)
+    part = model.parts[number]
+    candidate, where = part.candidate, model.slice_of(part.candidate.name)
+    scale = np.resize(candidate.effect.largest, part.width)
     sd = np.sqrt(np.diagonal(model.covariance, axis1=1, axis2=2))[:, where] * scale
     mean = model.mean[:, where] * scale
     if candidate.by_size:  # its size is that which was looked for, not that of its column

@@ -31,7 +31,7 @@ def rows_of(array: SensorArray, kind: str, rate_hz: float) -> tuple[np.ndarray, 
     """Return body rates and outputs of a 360 s recording."""
     states = np.tile([0.005, 0.0017, 0.0017, -0.0017], (len(array), 1))
     recording = direct_recording(0, kind=kind, array=array, states=states, rate_hz=rate_hz)
-    parts = list(observations(recording, "array"))
+    parts = list(observations(recording, recording.sources["array"]))
     return np.vstack([p.w_rps for p in parts]), np.vstack([p.y_rps for p in parts])
 
 

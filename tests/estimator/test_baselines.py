@@ -8,7 +8,6 @@ import pytest
 from estimator.errors import EstimatorError
 from estimator.estimation.baselines import (
     BaselineEstimate,
-    Position,
     augmented_observation,
     bound,
     covariance_filter,
@@ -21,6 +20,7 @@ from estimator.estimation.baselines import (
 from estimator.estimation.gram import Gram, solve
 from estimator.geometry.array import SensorArray, cone, tetrahedron, tetrahedron_as_printed
 from estimator.geometry.model import Prior, decode, predicted_output, regressor_maps
+from estimator.observations.rows import Observations
 
 DEG = np.pi / 180
 NOISE_RPS = 0.05 * DEG
@@ -46,7 +46,7 @@ def six_rotations(array: SensorArray, seed: int) -> BaselineEstimate:
     pairs = []
     for axis in range(3):
         both = [np.tile(sign * 20 * DEG * np.eye(3)[axis], (1000, 1)) for sign in (1, -1)]
-        plus, minus = (Position(w, outputs(array, w, 10 * seed + 2 * axis + i)) for i, w in enumerate(both))
+        plus, minus = (Observations(w, outputs(array, w, 10 * seed + 2 * axis + i)) for i, w in enumerate(both))
         pairs.append((plus, minus))
     return six_position(pairs, array)
 
@@ -111,7 +111,7 @@ def test_six_positions_give_the_classic_formula() -> None:
     for axis in range(3):
         for sign in (1, -1):
             w = np.tile(sign * rate * np.eye(3)[axis], (50, 1))
-            means[axis, sign] = Position(w, outputs(array, w, 7 + axis + sign))
+            means[axis, sign] = Observations(w, outputs(array, w, 7 + axis + sign))
     found = six_position([(means[axis, 1], means[axis, -1]) for axis in range(3)], array)
     y = {key: position.y_rps.mean(axis=0) for key, position in means.items()}
     row = np.column_stack([(y[axis, 1] - y[axis, -1]) / (2 * rate) for axis in range(3)])
@@ -122,7 +122,7 @@ def test_six_positions_give_the_classic_formula() -> None:
 def test_six_positions_that_do_not_span_space_are_refused() -> None:
     array = tetrahedron()
     w = np.tile([0.0, 0.0, 0.3], (10, 1))
-    pair = (Position(w, outputs(array, w)), Position(-w, outputs(array, -w)))
+    pair = (Observations(w, outputs(array, w)), Observations(-w, outputs(array, -w)))
     with pytest.raises(EstimatorError, match="three directions"):
         six_position([pair, pair, pair], array)
 

@@ -9,10 +9,9 @@ import pytest
 from compensating import compensate, needs_of
 from support import SITE
 
-from estimator.calibration.calibration_file import write_calibration
+from estimator.calibration.calibration_file import read_calibration, write_calibration
 from estimator.calibration.compensation import Compensation, CompensationError
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
-from estimator.calibration.stored_calibration import read_calibration
 from estimator.calibration.values import EffectValue, GyroCalibration
 from estimator.effects.catalogue import everything
 from estimator.effects.conditions import Conditions, smoothed_slope

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from support import SITE, TABLE_1
 
-from estimator.calibration.calibration_file import write_calibration
+from estimator.calibration.calibration_file import read_calibration, write_calibration
 from estimator.calibration.error_model import ErrorModel, KnownEffect, ModelError, Size
-from estimator.calibration.stored_calibration import read_calibration
 from estimator.effects.constructed import constructed
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import repeatability

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from estimator.estimation.filter import LiveFilter
 from estimator.estimation.gram import Gram, solve
+from estimator.estimation.live.filter import LiveFilter
 from estimator.geometry.array import SensorArray, cone, tetrahedron
 from estimator.geometry.model import Prior, predicted_output, regressor_maps
 

@@ -14,7 +14,7 @@ from support import SITE, TABLE_1
 from drivers.types import ImuBlock
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
 from estimator.effects.catalogue import catalogue
-from estimator.estimation.sample_columns import SampleColumns, white_solution
+from estimator.estimation.live.sample_columns import SampleColumns, white_solution
 from estimator.geometry.array import tetrahedron
 from estimator.recordings.reference import TableReadings
 from estimator.recordings.writing import write_recording

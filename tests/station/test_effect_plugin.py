@@ -13,8 +13,8 @@ import pytest
 from compensating import compensate
 from support import SITE, TABLE_1
 
+from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.compensation import Compensation
-from estimator.calibration.stored_calibration import read_calibration
 from estimator.effects import catalogue
 from estimator.effects.effect import EffectError, Parameter, Record
 from estimator.geometry.array import tetrahedron

@@ -18,9 +18,9 @@ import pytest
 from compensating import compensate
 from test_investigate import ASYMMETRY, simulated
 
+from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.compensation import Compensation
 from estimator.calibration.error_model import ErrorModel, KnownEffect, Size
-from estimator.calibration.stored_calibration import read_calibration
 from estimator.calibration.values import EffectValue, GyroCalibration
 from estimator.effects.catalogue import everything
 from estimator.effects.effect import Acts

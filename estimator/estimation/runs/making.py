@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
@@ -14,8 +15,7 @@ from estimator.effects.disturbances import SAMPLE_HOLD
 from estimator.effects.scale import SCALE_ASYMMETRY, SCALE_CUBIC, SCALE_QUADRATIC
 from estimator.effects.thermal import THERMAL_BIAS, THERMAL_SCALE
 from estimator.errors import InvestigationError
-from estimator.estimation.runs.growth import weighed
-from estimator.estimation.runs.measured import even_grid, means_by_samples, means_by_turns
+from estimator.estimation.runs.measured import even_grid, means_by_samples, means_by_turns, weighed
 from estimator.estimation.runs.run import BLOCK_S, FEWEST_TURNS, Run
 from estimator.estimation.runs.surroundings import GRID_S, conditions_of, force_at, temperature_at
 from estimator.geometry.kinematics import EARTH_RATE_RPS, GRAVITY_MPS2
@@ -51,7 +51,8 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
             data = replace(data, array=replace(data.array, names=tuple(f"{source} {n}" for n in data.array.names)))
         held = held_samples(data) if fine else 1
         if held > 1:
-            values = (("samples", float(held), "1"), ("delay", _hold_delay_s(data, held), "s"))
+            delay_s = 0.5 * (held - 1) * float(np.median(np.diff(data.t_ns))) * 1e-9  # on the average
+            values = (("samples", float(held), "1"), ("delay", delay_s, "s"))
             faults += [Fault(SAMPLE_HOLD.name, name, values) for name in data.array.names]
         elif fine:
             data, stuck = without_stuck(data)
@@ -83,15 +84,21 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
     return runs, notes, faults
 
 
+def runs_of_all(
+    recordings: Sequence[Recording], first: int = 0, block_s: float = BLOCK_S
+) -> tuple[list[Run], list[str], list[Fault]]:
+    """Return the same of several recordings, of which the ``first`` has this number among all."""
+    runs, notes, faults = list[Run](), list[str](), list[Fault]()
+    for order, recording in enumerate(recordings, first):
+        its = runs_of(recording, block_s, order)
+        runs, notes, faults = runs + its[0], notes + its[1], faults + its[2]
+    return runs, notes, faults
+
+
 def run_of(recording: Recording, source: str, data: ImuData) -> Run | None:
     """Return one source, cleaned of what cannot be used, as tracing sees it; None if it holds too little."""
     fine = isinstance(recording.reference, TableReadings)
     return _run(recording, source, data, BLOCK_S, 0, held_samples(data) if fine else 1)
-
-
-def _hold_delay_s(data: ImuData, held: int) -> float:
-    """Return by how much held samples lag on the average."""
-    return 0.5 * (held - 1) * float(np.median(np.diff(data.t_ns))) * 1e-9
 
 
 def _run(recording: Recording, source: str, data: ImuData, block_s: float, order: int, held: int) -> Run | None:

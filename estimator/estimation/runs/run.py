@@ -13,7 +13,7 @@ from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior, regressor_maps
-from estimator.observations.turned import REST_RPS
+from estimator.observations.turned import REST_RPS, by_turns
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, Turns
 from estimator.types import Floats
@@ -30,7 +30,7 @@ class Run:
 
     ``t_s`` (b,) is the middle of each block on the recording's clock, ``w_rps`` (b, 3) and ``z_rps`` (b, m) are means
     of body rate and output error, ``weight`` (b,) is 1 at rest, less where noise has
-    grown with the rate (``growth_s``, see ``tracing.growth``), 0 for blocks that hold too few samples. ``grid`` are the
+    grown with the rate (``growth_s``, see ``measured``), 0 for blocks that hold too few samples. ``grid`` are the
     conditions at even instants, ``fold`` takes columns on that grid (N, c) to block means (b, c). ``stretch`` (b,)
     numbers stretches without a gap; blocks are evenly spaced within each. ``order`` is the number of the recording
     among all that are looked at, ``held`` for how many samples each value is held.
@@ -55,8 +55,8 @@ class Run:
     fold: Callable[[Floats], Floats]
     recording: Recording
     period_s: float
-    order: int
-    held: int
+    order: int = 0
+    held: int = 1
     stated_rps: float = 0.0
     pose: NDArray[np.intp] | None = None
     earth_rps: Floats | None = None
@@ -106,6 +106,11 @@ class Run:
     def turns(self) -> bool:
         """Whether the body turns, faster than the Earth."""
         return bool(np.abs(self.w_rps).max(initial=0.0) > REST_RPS)
+
+    @property
+    def by_another(self) -> bool:
+        """Whether the body turns and another instrument says how: errors of that one are in the residual, too."""
+        return self.turns and by_turns(self.recording.reference)
 
     def coarse(self) -> Run:
         """Return the run with a fifth of its grid: a few instants in each block do where many functions are tried."""

@@ -7,12 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.estimation.evidence import Evidence, Term
-from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.making import runs_of_all
+from estimator.estimation.runs.run import BLOCK_S, Run
 from estimator.estimation.spectra import GyroSpectra, NoiseShapes, Stretch, Z, gyro_spectra
-from estimator.tracing.augmented import Augmented
+from estimator.recordings.recording import Recording
+from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.investigation import OutOfSample
-from estimator.tracing.judging.verification import phases_of
-from estimator.types import Floats
+from estimator.tracing.judging.verification import Judged, Misfit, drawn, judge, phases_of, sum_of
+from estimator.tracing.search import Search
 
 Mask = list[NDArray[np.bool_]]
 """Which blocks of each run are left out."""
@@ -20,6 +22,9 @@ Fold = Callable[[int, Stretch], bool]
 """Whether a gyro's stretch, of this number, is left out."""
 
 FOLDS = 5
+_CONFIRMED = 2.0
+"""Natural logarithm by which an effect must make the verification run more probable: less is chance."""
+_TONE_BLOCKS = 8.0  # blocks in a period of a tone, where its error is judged
 
 
 def by_step(runs: Sequence[Run]) -> list[Mask]:
@@ -67,11 +72,70 @@ def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) ->
     return {term.name: OutOfSample(None if by_run is None else by_run[term.name], steps[term.name]) for term in terms}
 
 
-def told_by(
-    evidence: Evidence, terms: Sequence[Term], runs: Sequence[Run], orders: Collection[int]
-) -> dict[str, float]:
-    """Return by effect how much more probable it makes some recordings beside the others, predicted from the rest."""
-    return _predicted(evidence, terms, [_of_recordings(runs, orders)])
+def confirmed(search: Search, certain: list[Part], held_back: Sequence[Run]) -> tuple[list[Part], list[str]]:
+    """Return the effects that the verification run bears out, and the names of those that it does not.
+
+    The one that lowers its error least goes first, and the rest is judged again.
+    """
+    taken_back: list[str] = []
+    runs, orders = [*search.runs, *held_back], {run.order for run in held_back}
+    while held_back and any(c.tone is None for c in certain):
+        evidence, terms = together(runs, Augmented.of(search.evidence, certain), search.evidence.shapes)
+        told = _predicted(evidence, terms, [_of_recordings(runs, orders)])
+        worst = min((c for c in certain if c.tone is None), key=lambda c: told[c.term.name])
+        if told[worst.term.name] >= _CONFIRMED:
+            break
+        certain = [c for c in certain if c is not worst]
+        taken_back.append(worst.called)
+    return certain, taken_back
+
+
+def judged(
+    search: Search, before: Augmented, after: Augmented, held_back: Sequence[Run], verification: Sequence[Recording]
+) -> Judged:
+    """Return the errors of two models on the verification runs, cross-validated by step where there are none."""
+    evidence, terms = together([*search.runs, *held_back], after, search.evidence.shapes)
+    true, misfit = after.estimated(evidence.posterior(terms)), evidence.misfit
+    if not held_back:
+        return _cross_validated(search, before, after, true, misfit)
+    tones = [part.tone.found.frequency_hz for part in after.parts if part.tone is not None]
+    fine_s = min([BLOCK_S, *(1 / (_TONE_BLOCKS * hz) for hz in tones)])
+    runs, first = list(held_back), len(search.runs)
+    if fine_s < BLOCK_S:
+        runs = runs_of_all(verification, held_back[0].order, fine_s)[0]
+        scale = len(runs[0].t_s) / len(held_back[0].t_s)
+        misfit = {key: scale * squares for key, squares in misfit.items()}
+    return judge(runs, first, before, after, True, drawn(runs, first, before, after, true, misfit))
+
+
+def _cross_validated(search: Search, before: Augmented, after: Augmented, true: Augmented, misfit: Misfit) -> Judged:
+    """Return errors on each fifth of the steps of models fitted to the others, the noise as found on all."""
+    all_runs, shapes = search.runs, search.evidence.shapes
+    if not after.parts:
+        return judge(all_runs, 0, before, after, False, drawn(all_runs, 0, before, after, true, misfit))
+    # The models are those of all the data; errors by step hold what a fit without that step would have said.
+    weight = search.evidence.noise_weight([part.term for part in after.parts])
+    parts = []
+    share = {key: squares / FOLDS for key, squares in misfit.items()}
+    for mask in by_step(all_runs):
+        runs = held(all_runs, mask)
+        # Tones stay as they were found on all steps: a fifth of them says nothing else of a line.
+        evidence, terms = together(held(all_runs, [~out for out in mask]), after, shapes)
+        old = before.estimated(evidence.posterior([], weight))
+        new = after.estimated(evidence.posterior(terms, weight))
+        errors = drawn(runs, 0, old, new, true, share)
+        parts.append((judge(runs, 0, old, new, False, errors), errors))
+    whole = {name: sum_of(errors[name] for _, errors in parts) for name in after.names}
+    found = judge(all_runs, 0, before, after, False, whole)
+    cover = [
+        float(np.mean([own.coverage95 for own in which if np.isfinite(own.coverage95)]))
+        for which in ([j.before for j, _ in parts], [j.after for j, _ in parts])
+    ]
+    return replace(
+        found,
+        before=replace(found.before, coverage95=cover[0]),
+        after=replace(found.after, coverage95=cover[1]),
+    )
 
 
 def by_run(evidence: Evidence, runs: Sequence[Run]) -> list[Evidence]:
@@ -128,13 +192,8 @@ def _spectra(runs: Sequence[Run], model: Augmented) -> tuple[list[GyroSpectra], 
             start += part.width
     for gyro in spectra:
         g = model.names.index(gyro.name)
-        whole: dict[int, Floats] = {}
-        for number in {stretch.run for stretch in gyro.stretches}:
-            run = runs[number]
-            own = run.array.names.index(gyro.name)
-            whole[number] = run.weighed(model.columns(run, number, own), own)
-        tones = [whole[s.run][s.blocks, start - 1 :] @ model.mean[g, start - 1 :] for s in gyro.stretches]
-        gyro.subtract(tones)
+        parts = gyro.parts(runs, lambda number, own: model.columns(runs[number], number, own))
+        gyro.subtract([part[:, start - 1 :] @ model.mean[g, start - 1 :, None] for part in parts])
         if terms:
-            gyro.add([whole[s.run][s.blocks, Z : start - 1] for s in gyro.stretches])
+            gyro.add([part[:, Z : start - 1] for part in parts])
     return spectra, terms

@@ -8,7 +8,7 @@ phases in which the two models differ by more than an interval's standard deviat
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -30,6 +30,8 @@ _ROUNDING = 1e-9  # of a correlation: elements that are known only together must
 _MISFIT_DOF = 50.0  # of what no model fits: coherent with the motion, so far fewer than blocks
 _APART = 1.0  # sigmas of an interval by which models differ, to be told apart by it
 _FEWEST_JUDGED = 20
+Misfit = Mapping[tuple[str, int], float]
+"""By gyro and number of a run, what no model fits beyond the noise, summed over blocks, (rad/s)^2."""
 _DIRECTION = 1e-3  # share of a direction that must be left beside the mean to count as another
 
 
@@ -53,16 +55,16 @@ class Judged:
     surprise: float
 
 
-@dataclass(slots=True, eq=False)
-class _Sums:
-    """Of one phase and gyro, before and after: ``largest`` error of the mean.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Phase:
+    """One phase of a gyro before and after: ``largest`` error of the mean.
 
     ``inside``, ``apart`` and ``chi`` are of the last projection: the direction in which the models differ.
     """
 
-    gyro: str
-    inside: tuple[bool, bool]
-    largest: tuple[float, float]
+    errors: PhaseErrors
+    inside: tuple[bool, ...]
+    largest: tuple[float, ...]
     apart: float
     chi: float
 
@@ -95,17 +97,6 @@ def phases_of(run: Run) -> list[Phase]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Truth:
-    """What all recordings together say: parameters as in the last model, and by gyro and number of a run its misfit.
-
-    The misfit is the sum over blocks of what no model fits beyond the noise, (rad/s)^2, with its degrees of freedom.
-    """
-
-    model: Augmented
-    misfit: Mapping[tuple[str, int], float]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
     """Sums over ``blocks`` of squared errors of one gyro before and after (m,), for draws of what may be true."""
 
@@ -131,8 +122,10 @@ class Drawn:
         return Improvement(before / max(after, 1e-150), float(low), float(high))
 
 
-def drawn(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, truth: Truth) -> dict[str, Drawn]:
-    """Return by gyro how wrong two models are on the whole of runs, the noise apart, if truth is what all data say.
+def drawn(
+    runs: Sequence[Run], first: int, before: Augmented, after: Augmented, true: Augmented, misfit: Misfit
+) -> dict[str, Drawn]:
+    """Return by gyro how wrong two models are on the whole of runs, the noise apart, if what all data say is ``true``.
 
     Draws are from the posterior of all recordings; what nothing fits is an error of both models, known by chance only.
     """
@@ -140,16 +133,16 @@ def drawn(runs: Sequence[Run], first: int, before: Augmented, after: Augmented, 
     for name in after.names:
         g = after.names.index(name)
         random = np.random.default_rng(g)  # the same figures for the same recordings
-        true = _draws(random, truth.model.mean[g], truth.model.covariance[g])
-        old = np.zeros(true.shape[1])
+        draws = _draws(random, true.mean[g], true.covariance[g])
+        old = np.zeros(draws.shape[1])
         old[: before.mean.shape[1]] = before.mean[g]
         for number, run in enumerate(runs):
             if name not in run.array.names:
                 continue
             columns = after.columns(run, first + number, run.array.names.index(name))[run.weight > 0]
             gram = columns.T @ columns
-            squares = [np.einsum("mi,ij,mj->m", true - x, gram, true - x) for x in (old, after.mean[g])]
-            left = truth.misfit.get((name, first + number), 0.0)
+            squares = [np.einsum("mi,ij,mj->m", draws - x, gram, draws - x) for x in (old, after.mean[g])]
+            left = misfit.get((name, first + number), 0.0)
             chance = random.chisquare(_MISFIT_DOF, _DRAWN) / _MISFIT_DOF
             own = Drawn(squares[0] + left * chance, squares[1] + left * chance, float(len(columns)))
             sums[name] = sums[name] + own if name in sums else own
@@ -177,84 +170,25 @@ def judge(
 
     ``errors`` are those of the whole runs by gyro.
     """
-    sums: list[tuple[int, int, _Sums]] = []
-    phases: dict[str, list[PhaseErrors]] = {name: [] for name in after.names}
+    found: dict[str, list[_Phase]] = {name: [] for name in after.names}
     views = []
-    for number, run in enumerate(runs):
-        parts = phases_of(run)
-        weights = run.weight > 0
+    for number, run in enumerate(runs, first):
+        parts, temperature = phases_of(run), run.grid.temperature_c
+        warm = None if temperature is None else run.fold(temperature)[:, 0]
         for i, name in enumerate(run.array.names):
             if name not in after.names:
                 continue
-            g = after.names.index(name)
-            said_before, columns_before = before.predict(run, first + number, i)
-            said_after, columns_after = after.predict(run, first + number, i)
-            sigma = float(after.arw[g]) / np.sqrt(run.length_s)
-            for p, phase in enumerate(parts):
-                keep = np.flatnonzero(weights[phase.blocks]) + phase.blocks.start
-                if len(keep) < 1:
-                    continue
-                basis = _basis(said_after[keep] - said_before[keep], sigma)
-                noise = _noise(after, basis, run, len(keep), sigma)
-                rests = [run.z_rps[keep, i] - said[keep] for said in (said_before, said_after)]
-                scores = [basis.T @ rest for rest in rests]
-                doubts = [
-                    np.einsum("ij,jk,ik->i", basis.T @ c[keep], m.covariance[g], basis.T @ c[keep])
-                    for c, m in ((columns_before, before), (columns_after, after))
-                ]
-                # The last direction is that in which the models differ, or the mean if they do not.
-                variances = [float(noise[-1] + d[-1]) for d in doubts]
-                inside = [bool(abs(s[-1]) < 1.96 * np.sqrt(v)) for s, v in zip(scores, variances, strict=True)]
-                fits = [basis @ s for s in scores]
-                mean_noise = float(np.sqrt(noise[0] / len(keep)))
-                sums.append(
-                    (
-                        number,
-                        p,
-                        _Sums(
-                            name,
-                            (inside[0], inside[1]),
-                            (float(np.abs(fits[0]).max()), float(np.abs(fits[1]).max())),
-                            float(abs(scores[0][-1] - scores[1][-1]) / np.sqrt(variances[1])),
-                            float(scores[1][-1] ** 2 / variances[1]),
-                        ),
-                    )
-                )
-                u = run.w_rps[keep] @ run.array.p[i]
-                phases[name].append(
-                    PhaseErrors(
-                        run.name,
-                        float(run.t_s[keep[0]] - 0.5 * run.length_s),
-                        float(run.t_s[keep[-1]] + 0.5 * run.length_s),
-                        float(np.degrees(u.mean())),
-                        phase.kind,
-                        float(rests[0].mean()),
-                        float(rests[1].mean()),
-                        mean_noise,
-                    )
-                )
-            temperature = run.grid.temperature_c
+            said = [model.predict(run, number, i) for model in (before, after)]
+            rests = run.z_rps[:, i] - said[0][0], run.z_rps[:, i] - said[1][0]
+            found[name] += _phases(run, i, parts, (before, after), rests, [columns for _, columns in said])
+            sigma = float(after.arw[after.names.index(name)]) / np.sqrt(run.length_s)
             views.append(
-                ResidualView(
-                    run.name,
-                    name,
-                    held_back,
-                    run.t_s,
-                    run.w_rps @ run.array.p[i],
-                    None if temperature is None else run.fold(temperature)[:, 0],
-                    run.z_rps[:, i] - said_before,
-                    run.z_rps[:, i] - said_after,
-                    sigma,
-                )
+                ResidualView(run.name, name, held_back, run.t_s, run.w_rps @ run.array.p[i], warm, *rests, sigma)
             )
-    everything = [s for _, _, s in sums]
-    gyros = tuple(
-        _gyro(name, before, after, [s for s in everything if s.gyro == name], phases[name], errors[name])
-        for name in after.names
-        if any(s.gyro == name for s in everything)
-    )
+    everything = [phase for phases in found.values() for phase in phases]
+    gyros = tuple(_gyro(name, before, after, phases, errors[name]) for name, phases in found.items() if phases)
     dof = len(everything)
-    surprise = (sum(s.chi for s in everything) - dof) / np.sqrt(2 * max(dof, 1))
+    surprise = (sum(phase.chi for phase in everything) - dof) / np.sqrt(2 * max(dof, 1))
     whole = sum_of(errors.values())
     return Judged(
         _errors(everything, 0, whole),
@@ -264,6 +198,48 @@ def judge(
         tuple(views),
         float(surprise),
     )
+
+
+def _phases(
+    run: Run,
+    i: int,
+    phases: Sequence[Phase],
+    models: Sequence[Augmented],
+    rests: Sequence[Floats],
+    columns: Sequence[Floats],
+) -> Iterator[_Phase]:
+    """Yield the phases of a gyro of a run; by model, what it leaves of the blocks (b,), and the columns behind it."""
+    after = models[-1]
+    g = after.names.index(run.array.names[i])
+    sigma = float(after.arw[g]) / np.sqrt(run.length_s)
+    for phase in phases:
+        keep = np.flatnonzero(run.weight[phase.blocks] > 0) + phase.blocks.start
+        if not len(keep):
+            continue
+        basis = _basis(rests[0][keep] - rests[1][keep], sigma)
+        noise = _noise(after, basis, run, len(keep), sigma)
+        scores = [basis.T @ rest[keep] for rest in rests]
+        # The last direction is that in which the models differ, or the mean if they do not.
+        seen = [basis[:, -1] @ its[keep] for its in columns]
+        doubts = [one @ model.covariance[g] @ one for one, model in zip(seen, models, strict=True)]
+        variances = [float(noise[-1] + doubt) for doubt in doubts]
+        u = run.w_rps[keep] @ run.array.p[i]
+        yield _Phase(
+            PhaseErrors(
+                run.name,
+                float(run.t_s[keep[0]] - 0.5 * run.length_s),
+                float(run.t_s[keep[-1]] + 0.5 * run.length_s),
+                float(np.degrees(u.mean())),
+                phase.kind,
+                float(rests[0][keep].mean()),
+                float(rests[1][keep].mean()),
+                float(np.sqrt(noise[0] / len(keep))),
+            ),
+            tuple(bool(abs(s[-1]) < 1.96 * np.sqrt(v)) for s, v in zip(scores, variances, strict=True)),
+            tuple(float(np.abs(basis @ s).max()) for s in scores),
+            float(abs(scores[0][-1] - scores[1][-1]) / np.sqrt(variances[1])),
+            float(scores[1][-1] ** 2 / variances[1]),
+        )
 
 
 def _basis(difference: Floats, sigma: float) -> Floats:
@@ -292,28 +268,20 @@ def sum_of(errors: Iterable[Drawn]) -> Drawn:
     return sum(errors, Drawn(np.zeros(_DRAWN), np.zeros(_DRAWN), 0.0))
 
 
-def _errors(sums: Sequence[_Sums], which: int, whole: Drawn) -> Errors:
-    if not sums:
+def _errors(phases: Sequence[_Phase], which: int, whole: Drawn) -> Errors:
+    if not phases:
         return Errors(float("nan"), float("nan"), float("nan"))
     # Where the models agree their intervals hold or fail together; what differs is judged where they do not.
-    told = sorted(sums, key=lambda s: -s.apart)
-    count = max(sum(s.apart > _APART for s in told), min(_FEWEST_JUDGED, len(told)))
-    inside = [s.inside[which] for s in (told[:count] if told[0].apart > 0 else told)]
-    return Errors(whole.rms_rps[which], max(s.largest[which] for s in sums), float(np.mean(inside)))
+    told = sorted(phases, key=lambda p: -p.apart)
+    count = max(sum(p.apart > _APART for p in told), min(_FEWEST_JUDGED, len(told)))
+    inside = [p.inside[which] for p in (told[:count] if told[0].apart > 0 else told)]
+    return Errors(whole.rms_rps[which], max(p.largest[which] for p in phases), float(np.mean(inside)))
 
 
-def _gyro(
-    name: str,
-    before: Augmented,
-    after: Augmented,
-    sums: Sequence[_Sums],
-    phases: Sequence[PhaseErrors],
-    errors: Drawn,
-) -> GyroErrors:
+def _gyro(name: str, before: Augmented, after: Augmented, phases: Sequence[_Phase], errors: Drawn) -> GyroErrors:
     g = after.names.index(name)
-    old, old_covariance = decode(before.mean[g, :4], before.covariance[g, :4, :4])
-    new, covariance = decode(after.mean[g, :4], after.covariance[g, :4, :4])
+    (old, old_covariance), (new, covariance) = (decode(m.mean[g, :4], m.covariance[g, :4, :4]) for m in (before, after))
     moved = (new - old) / np.sqrt(np.diag(old_covariance))
     sd = [np.sqrt(np.diag(c)) for c in (old_covariance, covariance)]
-    both = _errors(sums, 0, errors), _errors(sums, 1, errors)
-    return GyroErrors(name, *both, tuple(phases), old, new, np.asarray(moved), *sd)
+    both = _errors(phases, 0, errors), _errors(phases, 1, errors)
+    return GyroErrors(name, *both, tuple(phase.errors for phase in phases), old, new, np.asarray(moved), *sd)

@@ -56,7 +56,7 @@ class Regressors:
     def columns(self, number: int, gyro: int) -> Floats:
         """Return the columns (b, q) of a gyro of run ``number``."""
         run = self._runs[number]
-        columns = [c.effect.columns(run.grid, run.array, gyro) * c.largest for c in self._candidates]
+        columns = [c.effect.columns(run.grid, run.array, gyro) * c.effect.largest for c in self._candidates]
         return run.fold(np.hstack([np.empty((len(run.grid.t_s), 0)), *columns]))
 
 

@@ -109,12 +109,7 @@ def residuals(
     left = [[run.z_rps.copy() for run in runs] for _ in models]
     found: list[list[GyroResidual]] = [[] for _ in models]
     for name in models[0].names:
-        columns = [_columns(run, name, models, first + number) for number, run in enumerate(runs)]
-        for m, model in enumerate(models):
-            for run, own, rest in zip(runs, columns, left[m], strict=True):
-                if own:
-                    rest[:, run.array.names.index(name)] -= own[m] @ model.mean[model.names.index(name)]
-        gyro = _whitened(name, runs, models[0], columns, left, regressors)
+        gyro = _whitened(name, runs, models, first, left, regressors)
         if gyro is not None:
             for m in range(len(models)):
                 found[m].append(_judged(name, gyro, m, models, regressors, held_back))
@@ -122,35 +117,33 @@ def residuals(
     return [Residual(tuple(gyros), *split) for gyros, split in zip(found, splits, strict=True)]
 
 
-def _columns(run: Run, name: str, models: Sequence[Augmented], number: int) -> list[Floats]:
-    """Return the columns of each model for a gyro, none if it is not in the run."""
-    if name not in run.array.names:
-        return []
-    return [model.columns(run, number, run.array.names.index(name)) for model in models]
-
-
 def _whitened(
     name: str,
     runs: Sequence[Run],
-    model: Augmented,
-    columns: Sequence[list[Floats]],
+    models: Sequence[Augmented],
+    first: int,
     left: Sequence[Sequence[Floats]],
     regressors: Regressors,
 ) -> _Gyro | None:
-    arw = float(model.arw[model.names.index(name)])
+    """Return what models leave of a gyro; ``left``, by model and run (b, m), takes it in as it is."""
+    g = models[0].names.index(name)
+    arw = float(models[0].arw[g])
     gyro = _Gyro(arw, [], [], [], np.zeros(()), 0.0)
-    for number, (run, own) in enumerate(zip(runs, columns, strict=True)):
-        if not own:
+    for number, run in enumerate(runs):
+        if name not in run.array.names:
             continue
         i = run.array.names.index(name)
-        rests = np.column_stack([rest[number][:, i] for rest in left])
-        whole = run.weighed(np.hstack([regressors.columns(number, i), *own, rests]), i) / arw
+        columns = [model.columns(run, first + number, i) for model in models]
+        for its, own, model in zip(left, columns, models, strict=True):
+            its[number][:, i] -= own @ model.mean[g]
+        rests = np.column_stack([its[number][:, i] for its in left])
+        whole = run.weighed(np.hstack([regressors.columns(number, i), *columns, rests]), i) / arw
         for blocks in run.stretches():
             good = float((run.weight[blocks] > 0).sum())
             if good < _FEWEST_BLOCKS:
                 continue
             stretch = Stretch.of(number, blocks, run.length_s, True)
-            shape = shape_of(model, stretch)
+            shape = shape_of(models[0], stretch)
             white = cosines(whole[blocks]) * np.sqrt(run.length_s / shape)[:, None]
             white[0] = 0.0
             gyro.stretches.append(stretch)

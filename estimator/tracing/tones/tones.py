@@ -10,8 +10,7 @@ import numpy as np
 from estimator.effects.disturbances import TONE
 from estimator.estimation.evidence import SCALES, log_mean
 from estimator.estimation.runs.run import Run
-from estimator.estimation.runs.tone_columns import Samples
-from estimator.observations.turned import by_turns
+from estimator.estimation.runs.samples import Samples
 from estimator.tracing.tones.peaks import highest
 from estimator.types import Floats
 
@@ -43,7 +42,7 @@ class ToneFound:
 
 def find_tone(runs: Sequence[Run], samples: Sequence[Samples], predicted: Sequence[Floats]) -> ToneFound | None:
     """Return the strongest line beside a model; ``predicted`` (b, m) is what the model says of each run's blocks."""
-    if any(by_turns(run.recording.reference) and run.turns for run in runs):
+    if any(run.by_another for run in runs):
         return None  # what moves the body moves its reference: of a line in their difference nobody knows whose it is
     samples = [_steady(run, s) for run, s in zip(runs, samples, strict=True)]
     if min(len(s.t_s) for s in samples) < _FEWEST:

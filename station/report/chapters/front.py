@@ -105,8 +105,8 @@ def motion_picture(recorded: Recorded) -> Picture | None:
         names = [reference.gimbals[column] for column in order]
         t_s: Floats = np.asarray((reference.t_ns - recorded.start_ns) * 1e-9, dtype=np.float64)
         return rates_picture(names, t_s, reference.rate_rps[:, order], "rates of the axes of the table")
-    source = next(iter(recorded.recording.sources))
-    rows = [part for part in observations(recorded.recording, source) if part.t_ns is not None]
+    data = next(iter(recorded.recording.sources.values()))
+    rows = [part for part in observations(recorded.recording, data) if part.t_ns is not None]
     if isinstance(reference, Turns) or not rows:
         return None
     t_s = np.concatenate([part.t_ns for part in rows if part.t_ns is not None]) * 1e-9

@@ -1,4 +1,4 @@
-"""Columns of a vibration, over the samples of a run as they fell."""
+"""Samples of a run as they fell, and their means over its blocks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 
 from estimator.estimation.runs.run import Run
 from estimator.observations.rows import observations
-from estimator.recordings.recording import Recording
 from estimator.types import Floats
 
 
@@ -23,10 +22,9 @@ class Samples:
 
 def samples_of(run: Run) -> Samples:
     """Return the samples of a run that its reference covers."""
-    recording = Recording({"it": run.data}, run.recording.reference, run.recording.site, path=run.recording.path)
     t: list[Floats] = [np.empty(0)]
     z = [np.empty((0, len(run.array)))]
-    for part in observations(recording, "it"):
+    for part in observations(run.recording, run.data):
         if part.t_ns is not None:
             t.append(np.asarray(part.t_ns * 1e-9, dtype=np.float64))
             z.append(part.y_rps - part.w_rps @ run.array.p.T)
@@ -36,11 +34,16 @@ def samples_of(run: Run) -> Samples:
 
 def tone_columns(frequency_hz: float, run: Run, samples: Samples) -> Floats:
     """Return the means over the blocks of a run (b, 2) of a cosine and a sine, over its samples as they fell."""
+    phase = 2 * np.pi * frequency_hz * samples.t_s
+    return means_of(run, samples.t_s, np.column_stack([np.cos(phase), np.sin(phase)]))[0]
+
+
+def means_of(run: Run, t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return the means (b, c) over the blocks of a run of values (n, c), and how many each is of (b, 1)."""
     start_s = run.t_s[0] - 0.5 * run.length_s
-    number = np.floor((samples.t_s - start_s) / run.length_s + 1e-9).astype(np.intp)
+    number = np.floor((t_s - start_s) / run.length_s + 1e-9).astype(np.intp)
     block = np.round((run.t_s - run.t_s[0]) / run.length_s).astype(np.intp)
-    inside = (number >= 0) & (number <= block[-1])
-    counts = np.bincount(number[inside], minlength=block[-1] + 1)
-    phase = 2 * np.pi * frequency_hz * samples.t_s[inside]
-    sums = [np.bincount(number[inside], f(phase), minlength=block[-1] + 1) for f in (np.cos, np.sin)]
-    return np.asarray(np.column_stack(sums)[block] / np.maximum(counts[block], 1)[:, None])
+    inside, count = (number >= 0) & (number <= block[-1]), block[-1] + 1
+    sums = np.column_stack([np.bincount(number[inside], column[inside], count)[block] for column in values.T])
+    counts = np.bincount(number[inside], minlength=count)[block, None]
+    return np.asarray(sums / np.maximum(counts, 1)), counts.astype(np.float64)

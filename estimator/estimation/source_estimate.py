@@ -1,0 +1,92 @@
+"""The estimate of one source, whichever way it is found; under white noise where there is too little to tell more."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.calibration.budget import Contribution
+from estimator.calibration.values import EffectValue
+from estimator.estimation.gram import gram_of, solve
+from estimator.geometry.noise import NoiseFound, NoiseModel
+from estimator.observations.blocks import Blocks
+from estimator.observations.poses import estimate as estimate_poses
+from estimator.observations.rows import row_length_s, sample_noise
+from estimator.observations.timing import TimeOffset
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import Poses, Turns
+from estimator.types import Floats
+
+Sources = Sequence[tuple[str, ImuData]]
+_EXCESS = 2.0  # mean square from which on it is told
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourceEstimate:
+    """Of the gyros (m) of one source: states x (m, 4), what their covariance is the sum of, noise, effects, by gyro.
+
+    ``data`` are its samples, their stamps less the offset to the reference where that is known; ``noise_rps`` (m,) is
+    the noise of one. ``squares`` of block means about the estimate, over those of white noise, and their number
+    ``dof``; ``blocks`` without what effects say, for the parity; ``expected_nis``: mean and standard deviation under
+    the noise found.
+    """
+
+    source: str
+    data: ImuData
+    x: Floats
+    lines: Sequence[tuple[Contribution, ...]]
+    noise: Sequence[NoiseFound | None]
+    effects: Sequence[tuple[EffectValue, ...]]
+    noise_rps: Floats
+    samples: int
+    squares: float = 0.0
+    dof: int = 0
+    blocks: Blocks | None = None
+    expected_nis: tuple[float, float] = (1.0, 0.0)
+    growth_s: float = 0.0
+    offset: TimeOffset | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceEstimate:
+    """What a recording says of one device: by source, what a person should know, and what speaks against it."""
+
+    sources: Sequence[SourceEstimate]
+    notes: Sequence[str] = ()
+    doubts: Sequence[str] = ()
+
+
+def estimate_white(recording: Recording, source: str, data: ImuData) -> SourceEstimate:
+    """Return the estimate of a source under white noise: of turns, or of too few samples to tell what it is like."""
+    gram, m = gram_of(recording, source, data), len(data.array)
+    noise = None
+    if isinstance(recording.reference, Turns):  # a few rows: their doubt is stated, not found
+        # The rows are weighted by the noise of the worst channel, so that is what the noise is relative to.
+        noise = np.maximum(sample_noise(data).max(), solve(gram, data.array, data.prior).noise_rps)
+    found = solve(gram, data.array, data.prior, noise)
+    kinds: list[NoiseFound | None] = [None] * m
+    if noise is None:
+        arw = found.noise_rps * np.sqrt(row_length_s(recording, data))
+        kinds = [NoiseFound(NoiseModel(one), 0.0, 0.0) for one in arw.tolist()]
+    lines = [(Contribution("noise", covariance),) for covariance in found.covariance]
+    return SourceEstimate(source, data, found.x, lines, kinds, [()] * m, found.noise_rps, gram.rows * m)
+
+
+def estimate_laid(poses: Poses, sources: Sources) -> DeviceEstimate:
+    """Return the estimates of sources of which gravity at rests is the reference."""
+    estimates, notes, doubts = list[SourceEstimate](), list[str](), list[str]()
+    for source, data in sources:
+        found, m = estimate_poses(data, poses, data.prior), len(data.array)
+        own = [found.covariance[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] for i in range(m)]
+        lines = [(Contribution("noise", covariance),) for covariance in own]
+        samples = len(data.t_ns) * m
+        estimates.append(SourceEstimate(source, data, found.x, lines, [None] * m, [()] * m, found.noise_rps, samples))
+        notes.append(f"{source}: gravity was carried over {found.turns} turns between {len(poses.up)} rests")
+        if found.excess > _EXCESS:
+            doubts.append(
+                f"{source}: the turns miss gravity by {np.sqrt(found.excess):.1f} times what noise and accelerometer "
+                "explain; the sigmas are larger by as much"
+            )
+    return DeviceEstimate(estimates, notes, doubts)

@@ -1,0 +1,96 @@
+"""States averaged over what may act beside the model, with what differs between runs: sigmas that own up to it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.estimation.evidence import Term
+from estimator.estimation.repeatability import between_runs
+from estimator.geometry.model import STATES, decode
+from estimator.tracing.augmented import Augmented, Part
+from estimator.tracing.investigation import GyroErrors
+from estimator.tracing.judging.cross_validation import by_run
+from estimator.tracing.open_world import SIZES_RPS, OpenWorld, unnamed
+from estimator.tracing.search import CERTAIN, Search
+from estimator.types import Floats
+
+_MOST_SETS = 40
+_MATTERS = 1e-2  # share of the probability below which what may act is not averaged over
+
+
+def between_recordings(search: Search, terms: Sequence[Term]) -> Floats:
+    """Return the standard deviation (4,) of the states from recording to recording, zero where that may be chance."""
+    evidence = search.evidence
+    weight = evidence.noise_weight(terms) * (evidence.shapes.turn_on == 0)  # else runs are expected to differ
+    alone = [part for part in by_run(evidence, search.runs) if all(gyro.stretches for gyro in part.gyros)]
+    if len(alone) < 2 or not weight.any():
+        return np.zeros(4)
+    found = [part.posterior(terms, weight / weight.sum()) for part in alone]
+    means = np.array([[mean[:4] for mean in one.means] for one in found])
+    variances = np.array([[np.diag(c)[:4] for c in one.covariances] for one in found])
+    return between_runs(means, np.sqrt(variances))
+
+
+def between_notes(between: Floats) -> list[str]:
+    """Return, in words, which states differ from run to run."""
+    sizes = between * [1e6, np.degrees(3600), 1e3, 1e3]
+    words = zip(STATES, sizes.tolist(), ("ppm", "deg/h", "mrad", "mrad"), strict=True)
+    told = [f"{name.split('_r')[0]} differs by {size:.2g} {unit}" for name, size, unit in words if size]
+    return [f"{', '.join(told)} from run to run: the sigmas are those of another run"] if told else []
+
+
+def averaged(
+    search: Search,
+    gyros: Sequence[GyroErrors],
+    after: Augmented,
+    parts: Sequence[Part],
+    opened: OpenWorld,
+    between: Floats,
+) -> tuple[GyroErrors, ...]:
+    """Return errors with states that are the mean over what may act beside the model: rivals, and what has no name.
+
+    Their sigmas are those of the same mixture, with what is ``between`` runs (4,).
+    """
+    closed = np.log1p(-min(opened.probability, 1 - 1e-12))
+    sets = [(terms, value + closed) for terms, value in _alternatives(search, parts)]
+    sure = [c.term for c in parts if c.probability >= CERTAIN and c.tone is None]
+    share = opened.by_size - np.logaddexp.reduce(opened.by_size) + np.log(max(opened.probability, 1e-30))
+    base = np.logaddexp.reduce([value for _, value in sets]) - closed
+    sets += [([*sure, unnamed(search, float(s))], base + w) for s, w in zip(SIZES_RPS, share, strict=True)]
+    total = np.logaddexp.reduce([value for _, value in sets])
+    weights = [(terms, np.exp(value - total)) for terms, value in sets if value > total + np.log(_MATTERS)]
+    scale = sum(w for _, w in weights)
+    posteriors = [(search.evidence.posterior(terms), w / scale) for terms, w in weights]
+    known = []
+    for gyro in gyros:
+        g = after.names.index(gyro.name)
+        mean = np.sum([w * posterior.means[g][:4] for posterior, w in posteriors], axis=0)
+        covariance = np.diag(between**2)
+        for posterior, w in posteriors:
+            apart = posterior.means[g][:4] - mean
+            covariance += w * (posterior.covariances[g][:4, :4] + np.outer(apart, apart))
+        states, covariance = decode(mean, covariance)
+        moved = gyro.moved + (states - gyro.states_after) / gyro.sd_before
+        known.append(replace(gyro, states_after=states, moved=moved, sd_after=np.sqrt(np.diag(covariance))))
+    return tuple(known)
+
+
+def _alternatives(search: Search, parts: Sequence[Part]) -> list[tuple[list[Term], float]]:
+    """Return the sets of terms that may be true where parts are open, each with its log evidence and expectation.
+
+    In the place of each that is not certain stands nothing, itself, or one of its rivals.
+    """
+    kept = [c for c in parts if c.tone is None and c.probability >= CERTAIN]
+    sets = [kept]
+    for part in (c for c in parts if c.tone is None and c.probability < CERTAIN):
+        scores = search.scores([c.term for c in kept], [c.candidate.name for c in kept])
+        rivals = [name for name in scores if search.known[name][0].called in part.rivals]
+        swapped = [replace(part, candidate=search.known[name][0], term=scores[name][1]) for name in rivals]
+        sets = [[*own, *more] for own in sets for more in ([], *([one] for one in [part, *swapped]))][:_MOST_SETS]
+    found = []
+    for own in sets:
+        terms = list({c.candidate.name: c.term for c in own}.values())
+        prior = sum(c.candidate.log_prior for c in own if c not in kept)
+        found.append((terms, search.evidence.of(terms) + prior))
+    return found

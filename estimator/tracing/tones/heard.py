@@ -1,0 +1,60 @@
+"""The tones of some runs: taken off samples and blocks one by one, the strongest first."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimator.effects.disturbances import TONE
+from estimator.estimation.evidence import Evidence, Term
+from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.samples import samples_of, tone_columns
+from estimator.tracing.augmented import Part
+from estimator.tracing.candidates import Candidate
+from estimator.tracing.tones.tones import ToneFound, find_tone, fit_tone, without_tone
+from estimator.types import Floats
+
+_MOST_TONES = 3
+
+
+class Heard:
+    """The tones that were taken off so far, as ``parts`` of a model, and the samples without them."""
+
+    def __init__(self, runs: Sequence[Run], evidence: Evidence) -> None:
+        """Begin with no tones; ``evidence`` is of the same runs."""
+        self._runs, self._evidence = runs, evidence
+        self._samples = [samples_of(run) for run in runs]
+        self.parts: list[Part] = []
+
+    def strongest(self, model: Sequence[Term]) -> ToneFound | None:
+        """Return the strongest line beside a model."""
+        full = len(self.parts) >= _MOST_TONES
+        return None if full else find_tone(self._runs, self._samples, self._predicted(model))
+
+    def take(self, tone: ToneFound, probability: float, model: Sequence[Term]) -> None:
+        """Take a tone off the samples and off the blocks: from now on all is beside it."""
+        fit = fit_tone(tone, self._runs, self._samples, self._predicted(model))
+        waves = [tone_columns(tone.frequency_hz, run, own) for run, own in zip(self._runs, self._samples, strict=True)]
+
+        def heard(number: int, own: int) -> Floats:
+            return waves[number] @ fit.at(self._runs[number].array.names[own], number)[:, None]
+
+        for gyro in self._evidence.gyros:
+            gyro.subtract(gyro.parts(self._runs, heard))
+        self._samples = without_tone(fit, self._samples)
+        self._evidence.refresh()
+        effect = TONE.effect(frequency_hz=tone.frequency_hz)
+        candidate = Candidate(f"{TONE.name} {tone.frequency_hz:.4f} Hz", effect, theta=tone.frequency_hz)
+        self.parts.append(Part(candidate, Term(candidate.name, (), False), probability, (TONE.name,), fit))
+
+    def _predicted(self, model: Sequence[Term]) -> list[Floats]:
+        """Return what a model says of the blocks of each run (b, m)."""
+        from scipy.fft import idct
+
+        posterior = self._evidence.posterior(model)
+        predicted = [np.zeros(run.z_rps.shape) for run in self._runs]
+        for gyro, mean in zip(self._evidence.gyros, posterior.means, strict=True):
+            for stretch, part in zip(gyro.stretches, gyro.columns, strict=True):
+                said = idct(part[:, posterior.columns] @ mean, norm="ortho") * gyro.arw / np.sqrt(stretch.length_s)
+                own = self._runs[stretch.run].array.names.index(gyro.name)
+                predicted[stretch.run][stretch.blocks, own] = said
+        return predicted

@@ -1,0 +1,157 @@
+"""What is said at the end: the verdict and its reason, and the effects that were added with their numbers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.effects.constructed import CONSTRUCTED
+from estimator.effects.disturbances import SAMPLE_HOLD
+from estimator.effects.law import in_words
+from estimator.observations.defects.faults import Fault
+from estimator.tracing.augmented import Augmented, Part
+from estimator.tracing.investigation import Added, Finding, OutOfSample, Unexplained, Value
+from estimator.tracing.residuals.residual import Residual
+from estimator.tracing.search import CERTAIN, Found, Search
+
+_SHOWN = 2.0  # a gyro shows an effect if a parameter of it is so many sigmas from zero
+_UNLIKE_NOISE = 0.1  # share of the residual's power beyond the noise: less is 5 % of a sigma
+NOTHING_MEASURED = "nothing that was measured"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How an investigation ends, why, the sets of effects that cannot be told apart, what no effect explains."""
+
+    finding: Finding
+    reason: str
+    rivals: tuple[tuple[str, ...], ...] = ()
+    unexplained: Unexplained | None = None
+
+
+def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unexplained | None) -> Verdict:
+    """Return the verdict where so much was ``added`` and some effects are ``doubtful``."""
+    # What leaves as much of its kind as it explains is a part of what is unexplained, and no rival of anything.
+    open_ones = [part for part in doubtful if part.share < CERTAIN <= part.probability / part.share]
+    rivals = tuple(names for names in rivals_of(open_ones) if len(names) > 1)
+    if rivals or (doubtful and not unexplained):
+        rivals = rivals or rivals_of(doubtful)
+        told = "; nor ".join(" and ".join(names) for names in rivals)
+        return Verdict(Finding.CANNOT_TELL, f"these recordings cannot tell apart {told}", rivals, unexplained)
+    reason = f"added {', '.join(added)}" if added else ""
+    if unexplained:
+        beyond = "is beyond the noise and " if unexplained.depends_on == NOTHING_MEASURED else ""
+        left = f"{unexplained.share:.0%} of what is left {beyond}depends on {unexplained.depends_on}, unexplained"
+        finding = Finding.PARTLY if added else Finding.UNEXPLAINED
+        return Verdict(finding, "; ".join([reason, left] if added else [left]), (), unexplained)
+    return Verdict(Finding.ADDED, reason) if added else Verdict(Finding.NOTHING, "the residual is that of the noise")
+
+
+def surprised(certain: Sequence[Part], wider: Found, residual: Residual | None) -> Verdict:
+    """Return the verdict where the verification shows an error that the other recordings could not show.
+
+    ``wider`` was found with the verification runs among the rest: what would explain the error is named, not added.
+    """
+    known = {part.candidate.called for part in certain}
+    extra = [p for p in wider.parts if p.candidate.called not in known and p.probability >= CERTAIN]
+    reason = "the verification run shows an error that the other recordings cannot show"
+    if not extra:
+        return Verdict(Finding.PARTLY if certain else Finding.UNEXPLAINED, reason, (), unexplained_of(residual))
+    would = ", ".join(part.candidate.called for part in extra)
+    reason += f"; it would fit {would}, which a run of its own must prove"
+    return Verdict(Finding.CANNOT_TELL, reason, rivals_of(extra))
+
+
+def rivals_of(parts: Sequence[Part]) -> tuple[tuple[str, ...], ...]:
+    """Return for each part the effects with a name that could stand in its place, itself among them."""
+    shown = [[rival for rival in part.rivals if rival != "nothing"] for part in parts]
+    named = [tuple("a constructed law" if r == CONSTRUCTED.name else r for r in rivals) for rivals in shown]
+    return tuple(names for names in named if names)
+
+
+def unexplained_of(residual: Residual | None) -> Unexplained:
+    """Return what a residual depends on most, and the share of its power beyond the noise that this takes up."""
+    power: dict[str, float] = {}
+    total = 0.0
+    for gyro in residual.gyros if residual else ():
+        total += gyro.nis * gyro.beyond
+        for dependence in gyro.dependences:
+            taken = gyro.nis * gyro.beyond * dependence.share
+            power[dependence.variable] = power.get(dependence.variable, 0.0) + taken
+    most = max(power, key=lambda variable: power[variable], default="")
+    if not power or power[most] <= 0:
+        return Unexplained(NOTHING_MEASURED, 0.0)
+    return Unexplained(most, float(np.clip(power[most] / total, 0.0, 1.0)))
+
+
+def beyond_noise(search: Search, found: Found) -> Unexplained | None:
+    """Return what no function of what was measured can explain, such as a chirp, if it tells beside the noise found.
+
+    Beside another instrument that moves, that one's own errors are of the kind.
+    """
+    evidence = search.evidence
+    best = int(np.argmax(evidence.noise_weight(found.terms)))
+    misfit = sum(evidence.misfit.values())
+    noise = sum(
+        float(evidence.shapes.density(s)[best] @ s.counts) * gyro.arw**2 / s.length_s
+        for gyro in evidence.gyros
+        for s in gyro.stretches
+    )
+    share = misfit / (misfit + noise)
+    told = share > _UNLIKE_NOISE and not any(run.by_another for run in search.runs)
+    return Unexplained(NOTHING_MEASURED, share) if told else None
+
+
+def faults_added(faults: Sequence[Fault]) -> list[Added]:
+    """Return faults of the data as effects: they are seen in the samples, and what they spoil is left out."""
+    found = []
+    for kind in dict.fromkeys(fault.kind for fault in faults if fault.kind != SAMPLE_HOLD.name):
+        own = [fault for fault in faults if fault.kind == kind]
+        parameters = {f"{f.gyro} {name}": Value(value, 0.0, unit) for f in own for name, value, unit in f.values}
+        found.append(Added(kind, tuple(dict.fromkeys(f.gyro for f in own)), 1.0, parameters))
+    return found
+
+
+def added_of(search: Search, found: Found, part: Part, model: Augmented, told: OutOfSample | None) -> Added:
+    """Return an effect of the last model with its numbers; ``told`` is what was left out of the fit says of it."""
+    where = model.slice_of(part.candidate.name)
+    candidate, shared = part.candidate, part.term.shared
+    effect = candidate.effect
+    parameters: dict[str, Value] = {}
+    shown = []
+    for g, name in enumerate(model.names):
+        mean, doubts = model.mean[g, where], np.sqrt(np.diag(model.covariance[g, where, where]))
+        if np.any(np.abs(mean) > _SHOWN * doubts):
+            shown.append(name)
+        if shared and g:
+            continue
+        for i, (value, doubt) in enumerate(zip(mean, doubts, strict=True)):
+            parameter = effect.parameters[i % len(effect.parameters)]
+            size = parameter.largest
+            if shared and candidate.by_size:  # not fitted to its own column, which the reference's noise enlarges
+                value = abs(candidate.theta or 0.0) / size
+            label = parameter.name if shared else f"{name} {parameter.name}"
+            if i >= len(effect.parameters):
+                label += f" in run {i // len(effect.parameters) + 1}"
+            parameters[label] = Value(float(value * size), float(doubt * size), parameter.unit)
+    if part.tone is not None:
+        frequency_hz = part.tone.found.frequency_hz
+        parameters["frequency"] = Value(frequency_hz, _tone_sd(search, model, where), "Hz")
+    elif candidate.theta is not None and not candidate.by_size:
+        what = next((setting.name for setting in effect.record.settings if setting.name), "constant")
+        parameters[what] = Value(float(candidate.theta), search.sharpness(part, found.terms), candidate.unit)
+    gyros = tuple(model.names) if shared else tuple(shown or model.names)
+    law = candidate.law
+    called = in_words(law) if law else candidate.called
+    copies = tuple(search.copies(part, found.terms))
+    return Added(called, gyros, part.probability, parameters, told, copies, bool(law), law)
+
+
+def _tone_sd(search: Search, model: Augmented, where: slice) -> float:
+    """Return the standard deviation of a tone's frequency: sqrt(6) / (pi T) over its amplitude in sigmas."""
+    span_s = max(float(run.t_s[-1] - run.t_s[0]) for run in search.runs)
+    told = sum(
+        float(m[where] @ np.linalg.solve(c[where, where], m[where]))
+        for m, c in zip(model.mean, model.covariance, strict=True)
+    )
+    return float(np.sqrt(6) / (np.pi * span_s * np.sqrt(max(told, 1.0))))
