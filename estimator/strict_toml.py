@@ -3,7 +3,7 @@
 import difflib
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Self, TypeVar
 
 T = TypeVar("T")
@@ -46,26 +46,34 @@ class StrictTable:
         return tuple(self._data)
 
     def number(
-        self, key: str, default: float | None = None, *, positive: bool = False, least: float = -math.inf
+        self,
+        key: str,
+        default: float | None = None,
+        *,
+        positive: bool = False,
+        least: float = -math.inf,
+        most: float = math.inf,
     ) -> float:
-        """Take a plain number, above zero or not below a least one if so said."""
+        """Take a plain number, above zero or not beyond a least and a most one if so said."""
 
         def convert(value: object) -> float:
             number = float(typed(value, (int, float), "a number"))
-            if not math.isfinite(number) or number < least or (positive and number <= 0):
+            if not math.isfinite(number) or not least <= number <= most or (positive and number <= 0):
                 bound = " above 0" if positive else f" of {least:g} or more" if least > -math.inf else ""
-                raise ValueError(f"{value!r}: write a number{bound}")
+                raise ValueError(
+                    f"{value!r}: write {f'{least:g} to {most:g}' if most < math.inf else f'a number{bound}'}"
+                )
             return number
 
-        return self._take(key, default, convert)
+        return self.take(key, default, convert)
 
     def integer(self, key: str, default: int | None = None) -> int:
         """Take a whole number."""
-        return self._take(key, default, lambda value: int(typed(value, (int,), "a whole number")))
+        return self.take(key, default, lambda value: int(typed(value, (int,), "a whole number")))
 
     def flag(self, key: str, default: bool | None = None) -> bool:
         """Take true or false."""
-        return self._take(key, default, lambda value: bool(typed(value, (bool,), "true or false")))
+        return self.take(key, default, lambda value: bool(typed(value, (bool,), "true or false")))
 
     def string(self, key: str, default: str | None = None, *, one_of: Iterable[str] | None = None) -> str:
         """Take a text, one of a few if so given."""
@@ -76,7 +84,7 @@ class StrictTable:
                 raise ValueError(f"{text!r} is not one of {', '.join(choices)}")
             return text
 
-        return self._take(key, default, convert)
+        return self.take(key, default, convert)
 
     def strings(self, key: str, default: tuple[str, ...] | None = None) -> tuple[str, ...]:
         """Take a list of texts, or one."""
@@ -87,7 +95,7 @@ class StrictTable:
                 raise ValueError(f'{value!r}: write names, ["a", "b", "c"]')
             return tuple(listed)
 
-        return self._take(key, default, convert)
+        return self.take(key, default, convert)
 
     def value(self, key: str, default: Any = None) -> Any:
         """Take whatever is there, or the default."""
@@ -122,7 +130,30 @@ class StrictTable:
     def _within(self, data: dict[str, Any], *path: str | int) -> Self:
         return type(self)(data, (*self._path, *path), self._text, self._file, self._error)
 
-    def _take(self, key: str, default: T | None, convert: Callable[[object], T]) -> T:
+    def stated(self, keys: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+        """Take the plain keys that a file of keys declares, by the fields that they become; degrees become radians."""
+        found = {}
+        for key, says in keys.items():
+            kind, bounds = says["kind"], {name: says[name] for name in ("positive", "least", "most") if name in says}
+            if kind == "flag":
+                value: Any = self.flag(key, says.get("default"))
+            elif kind in ("text", "choice"):
+                text = self.string(key, says.get("default"), one_of=says.get("one_of"))
+                value = text if kind == "text" else says["one_of"][text]
+            else:
+                number = self.number(key, says.get("default"), **bounds)
+                value = math.radians(number) if kind == "degrees" else number
+            found[says["field"]] = value
+        return found
+
+    def whole(self, read: Callable[[Self], T]) -> T:
+        """Return what is made of this table, of which every key must have been taken."""
+        found = read(self)
+        self.done()
+        return found
+
+    def take(self, key: str, default: T | None, convert: Callable[[object], T]) -> T:
+        """Take what ``convert`` makes of a value; what its ValueError says becomes a complaint."""
         self._known.append(key)
         if key not in self._data:
             if default is None:

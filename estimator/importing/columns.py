@@ -37,16 +37,17 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def values(self, wanted: Columns, width: int, what: str) -> Floats:
-        """Return (rows, width) values in SI, NaN if beyond measure; RecordingError if they are not this many."""
+    def values(self, wanted: Columns, what: str) -> Floats:
+        """Return (rows, c) values in SI along their axes, NaN if beyond measure; RecordingError if not of its width."""
         parts = [np.atleast_2d(self.columns[name].T).T for name in wanted.names]
         found = sum(part.shape[1] for part in parts)
-        if found != width or len({len(part) for part in parts}) != 1:
+        if found != wanted.width or len({len(part) for part in parts}) != 1:
             shapes = ", ".join(f"{n} {self.columns[n].shape}" for n in wanted.names)
-            raise RecordingError(f"{self.name}: {what} needs {width} columns of one length, there are {shapes}")
+            raise RecordingError(f"{self.name}: {what} needs {wanted.width} columns of one length, there are {shapes}")
         with np.errstate(invalid="ignore", over="ignore"):
             values = (np.hstack(parts).astype(np.float64) - wanted.offset) * wanted.scale + wanted.shift
-            return np.where(np.abs(values) < _HUGE, values, np.nan)
+            values = np.where(np.abs(values) < _HUGE, values, np.nan)
+        return values if wanted.axes is None else values @ wanted.axes
 
     def number(self, name: str) -> float:
         """Return a variable that holds one number."""

@@ -17,7 +17,7 @@ from estimator.importing.fitting import fitted
 from estimator.importing.foreign_rows import ForeignRows, foreign_reference, reference_rows
 from estimator.importing.mapping.columns import UNITS
 from estimator.importing.mapping.mapping import Extent, FileFormat, Mapping, ReferenceFile, Timing
-from estimator.importing.mapping.reference import AngleColumn, Gravity, MeasuredReference, Rests, SectionTurns
+from estimator.importing.mapping.reference import Gravity, Measured, Rests
 from estimator.importing.rest_import import PartRests, earth_note, part_rests, rests_text
 from estimator.importing.text_rows import Wanted
 from estimator.observations.defects.held import updates
@@ -25,7 +25,7 @@ from estimator.observations.defects.odd_samples import without_odd
 from estimator.observations.poses import accelerometer_note, directions_up
 from estimator.observations.turned import Turned
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import Poses, Reference, Turns
+from estimator.recordings.reference import Poses, RateReadings, Reference, Turns
 from estimator.types import Floats
 
 SOURCE = "imu"
@@ -99,13 +99,10 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
 def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused]]:
     table = _read_columns(mapping, path)
     gyro, reference = mapping.gyro, mapping.reference
-    rate = table.values(gyro.columns, len(gyro.array), "[gyro] columns")
-    accel = None
-    if mapping.accelerometer:
-        accel = table.values(mapping.accelerometer.columns, 3, "[accelerometer] columns")
-        accel = accel @ np.array(mapping.accelerometer.axes)
-    warmth = table.values(mapping.temperature, 1, "[temperature] column") if mapping.temperature else None
-    told = reference_rows(mapping, table) if mapping.reference_file is None else None
+    rate = table.values(gyro.columns, "[gyro] columns")
+    accel = table.values(mapping.accelerometer, "[accelerometer] columns") if mapping.accelerometer else None
+    warmth = table.values(mapping.temperature, "[temperature] column") if mapping.temperature else None
+    told = reference_rows(reference, table) if isinstance(reference, Measured) and not mapping.reference_file else None
     for what, other in (("accelerometer", accel), ("temperature", warmth), ("reference", told)):
         if other is not None and len(other) != len(rate):
             raise RecordingError(f"{path.name} has {len(rate)} gyro rows but {len(other)} {what} rows")
@@ -150,7 +147,8 @@ def _readings(mapping: Mapping, t_s: Floats, values: Floats, notes: list[str]) -
     if (fresh := updates(values)) is not None:
         notes.append(_held_note("the reference", fresh, t_s))
         t_s, values = t_s[fresh], values[fresh]
-    turned = isinstance(mapping.reference, AngleColumn)  # 359 deg beside 0 is no spike
+    assert isinstance(mapping.reference, Measured)
+    turned = mapping.reference.kind == "angle"  # 359 deg beside 0 is no spike
     kept, odd = without_odd("reference", t_s, np.hstack([np.cos(values), np.sin(values)]) if turned else values)
     notes += odd
     return t_s[kept], values[kept]
@@ -164,10 +162,9 @@ def _rows_beside(
     Two columns of stamps are of clocks that may run apart; without stamps on one side both files begin together.
     """
     name = other.beside(path).name
-    assert isinstance(mapping.reference, MeasuredReference)
+    assert isinstance(mapping.reference, Measured)
     table = read_table(other.beside(path), other.format, _wanted(other.timing, mapping.reference.columns.names))
-    values = reference_rows(mapping, table)
-    assert values is not None
+    values = reference_rows(mapping.reference, table)
     fit = _times(other.timing, other.format, table, values)
     notes += [f"{name}: {note}" for note in [fit.text, *_line_notes(table, fit)]]
     t_s, values = _readings(mapping, fit.t_s + (other.offset_s or 0.0), values[fit.rows], notes)
@@ -199,6 +196,7 @@ def _rows_beside(
 
 
 def _turned(mapping: Mapping, t_s: Floats, values: Floats) -> Turned:
+    assert isinstance(mapping.reference, Measured)
     return Turned.of_reference(foreign_reference(mapping.reference, _ns(t_s), values), None)
 
 
@@ -209,11 +207,11 @@ def _wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ())
 
 def _read_columns(mapping: Mapping, path: Path) -> Table:
     others, reference = list(mapping.gyro.columns.names), mapping.reference
-    others += mapping.accelerometer.columns.names if mapping.accelerometer else ()
+    others += mapping.accelerometer.names if mapping.accelerometer else ()
     others += mapping.temperature.names if mapping.temperature else ()
-    if isinstance(reference, MeasuredReference) and mapping.reference_file is None:
+    if isinstance(reference, Measured) and mapping.reference_file is None:
         others += reference.columns.names
-    label = reference.cuts.column if isinstance(reference, (SectionTurns, Rests)) else None
+    label = None if isinstance(reference, Measured) else reference.cuts.column
     return read_table(path, mapping.format, _wanted(mapping.timing, others, (label,) if label else ()))
 
 
@@ -236,7 +234,7 @@ def _all_times(
     timing: Timing, table: Table, position: NDArray[np.int64], read: NDArray[np.intp], values: Floats
 ) -> TimeFit:
     if timing.stamps is not None:
-        stamps = table.values(timing.stamps, 1, "[time] column")[:, 0]
+        stamps = table.values(timing.stamps, "[time] column")[:, 0]
         if timing.wraps_at < np.inf:
             stamps = np.unwrap(stamps, period=timing.wraps_at * timing.stamps.scale)
         if len(stamps) != len(values):
@@ -332,7 +330,7 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) 
         temperature_c=_stack([part.temperature_c for part in parts]),
         accel_mps2=_stack([part.accel_mps2 for part in parts]),
     )
-    earth = isinstance(mapping.reference, (AngleColumn, Rests)) and mapping.reference.earth_rate
+    earth = mapping.earth_rate
     poses = _poses(mapping.reference.gravity, placed) if isinstance(mapping.reference, Rests) else None
     reference = poses or _reference(mapping, placed)
     recording = Recording({SOURCE: data}, reference, mapping.site if earth else None)
@@ -342,7 +340,9 @@ def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) 
     if earth and isinstance(mapping.reference, Rests):
         notes += earth_note(mapping, [part.rests for part in parts if part.rests])
     elif mapping.site and not earth:
-        add = isinstance(mapping.reference, (AngleColumn, Rests))
+        add = isinstance(mapping.reference, Rests) or (
+            isinstance(mapping.reference, Measured) and mapping.reference.kind == "angle"
+        )
         how = "add earth_rate = true to [reference]" if add else "Earth rate is for kind = angle and rest"
         notes.append(f"the site is not used: {how}")
     attributes = {
@@ -367,7 +367,10 @@ def _reference(mapping: Mapping, placed: list[tuple[_Part, float]]) -> Reference
     rows = [(part.reference, start) for part, start in placed if part.reference]
     if rows:
         t_ns = np.concatenate([_ns(t_s + start) for (t_s, _), start in rows])
-        return foreign_reference(mapping.reference, t_ns, np.vstack([values for (_, values), _ in rows]))
+        values = np.vstack([values for (_, values), _ in rows])
+        if isinstance(mapping.reference, Measured):
+            return foreign_reference(mapping.reference, t_ns, values)
+        return RateReadings(t_ns, values)
     spans = [(span, start) for part, start in placed for span in part.spans]
     return Turns(
         _ns(np.array([start + span.start_s for span, start in spans])),

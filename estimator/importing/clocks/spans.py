@@ -12,7 +12,7 @@ from estimator.errors import RecordingError
 from estimator.importing.clocks.timefit import TimeFit
 from estimator.importing.columns import Table
 from estimator.importing.mapping.mapping import Mapping
-from estimator.importing.mapping.reference import Cuts, FileTurns, SectionTurns, Turn, TurnChecks, turn_about
+from estimator.importing.mapping.reference import Cuts, StatedTurns, Turn, turn_about
 from estimator.types import Floats
 
 _EDGE_ROWS = 3  # least number of samples that show rest at an end
@@ -46,24 +46,24 @@ def turn_spans(
 ) -> tuple[list[Span] | None, list[Refused]]:
     reference = mapping.reference
     rows: list[tuple[str, int, int, Turn]]
-    if isinstance(reference, FileTurns):
-        rows = [(path.name, 0, len(time.rows), _turn_of_file(mapping, reference, path))]
-    elif isinstance(reference, SectionTurns):
+    if not isinstance(reference, StatedTurns):
+        return None, []
+    if reference.sections:
         limits = section_rows(mapping, reference.cuts, tuple(reference.sections), path, table, time)
         rows = [(f"{path.name}, section {name}", first, stop, reference.sections[name]) for name, first, stop in limits]
     else:
-        return None, []
+        rows = [(path.name, 0, len(time.rows), _turn_of_file(mapping, reference, path))]
     spans: list[Span] = []
     refused: list[Refused] = []
     for name, first, stop, turn in rows:
         try:
-            spans.append(_span(mapping, reference.checks, time.t_s[first:stop], rate[time.rows[first:stop]], turn))
+            spans.append(_span(mapping, reference, time.t_s[first:stop], rate[time.rows[first:stop]], turn))
         except RecordingError as reason:
             refused.append(Refused(name, str(reason)))
     return spans, refused
 
 
-def _turn_of_file(mapping: Mapping, reference: FileTurns, path: Path) -> Turn:
+def _turn_of_file(mapping: Mapping, reference: StatedTurns, path: Path) -> Turn:
     if reference.turn is not None:
         return reference.turn
     assert reference.pattern is not None
@@ -156,15 +156,15 @@ def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
     return [(name, start, end) for name, (start, end) in limits.items()]
 
 
-def _span(mapping: Mapping, checks: TurnChecks, t_s: Floats, rate: Floats, turn: Turn) -> Span:
+def _span(mapping: Mapping, stated: StatedTurns, t_s: Floats, rate: Floats, turn: Turn) -> Span:
     """Return the checked turn of these samples; RecordingError if they do not begin and end at rest."""
     whole = np.isfinite(rate).all(axis=1)
     t_s, rate = t_s[whole], rate[whole]
     if len(t_s) < 2 * _EDGE_ROWS:
         raise RecordingError(f"it has {len(t_s)} usable rows, too few for a turn")
     period_s = float(np.median(np.diff(t_s)))
-    edge = min(max(round(checks.rest_s / period_s), _EDGE_ROWS), len(t_s) // 2)
-    limit = checks.rest_limit_rps
+    edge = min(max(round(stated.rest_s / period_s), _EDGE_ROWS), len(t_s) // 2)
+    limit = stated.rest_limit_rps
     for end, rows in (("start", rate[:edge]), ("end", rate[-edge:])):
         worst = float(np.abs(rows.mean(axis=0)).max())
         if worst > limit:
@@ -178,22 +178,22 @@ def _span(mapping: Mapping, checks: TurnChecks, t_s: Floats, rate: Floats, turn:
         worst = float(np.abs(turned).max()) / length_s
         if worst > limit:
             raise RecordingError(f"it is said to be at rest but turns at {np.degrees(worst):.1f} deg/s on average")
-        return Span(float(t_s[0]), float(t_s[-1]), np.zeros(3), checks.rest_sd_rad)
-    angle = _checked_angle(mapping, checks, turned, turn)
-    sd = float(np.hypot(checks.sd_rad, checks.sd_share * angle))
+        return Span(float(t_s[0]), float(t_s[-1]), np.zeros(3), stated.rest_sd_rad)
+    angle = _checked_angle(mapping, stated, turned, turn)
+    sd = float(np.hypot(stated.sd_rad, stated.sd_share * angle))
     return Span(float(t_s[0]), float(t_s[-1]), angle * np.array(turn.axis), sd)
 
 
-def _checked_angle(mapping: Mapping, checks: TurnChecks, turned_rad: Floats, turn: Turn) -> float:
+def _checked_angle(mapping: Mapping, stated: StatedTurns, turned_rad: Floats, turn: Turn) -> float:
     """Return the stated angle with the sign that holds; RecordingError if the gyros (m,) turned otherwise."""
     p, axis, angle = mapping.gyro.array.p, np.array(turn.axis), turn.angle_rad
     if np.linalg.lstsq(p, p @ axis, rcond=None)[0] @ axis < _SENSED:
-        if checks.sign_from_data:
+        if stated.sign_from_data:
             raise RecordingError("no gyro senses the axis of its turn, so the data cannot tell the sign: state it")
         return angle
     # What the body turned by, as far as the gyros tell: least squares over their nominal axes.
     measured = float(np.linalg.lstsq(p, turned_rad, rcond=None)[0] @ axis)
-    if checks.sign_from_data and measured * angle < 0:
+    if stated.sign_from_data and measured * angle < 0:
         angle = -angle
     if not abs(measured / angle - 1) < _WRONG_BY:
         raise RecordingError(
