@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
-from estimator.importing.columns import Table
 from estimator.importing.mapping.reference import Measured
+from estimator.importing.table import Table
 from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings
 from estimator.types import Floats, Stamps
 

@@ -36,6 +36,11 @@ class TimeFit:
     doubled: int = 0
     zero_s: float | None = None
 
+    @property
+    def step_s(self) -> float:
+        """Time from one row to the next, usually."""
+        return float(np.median(np.diff(self.t_s)))
+
 
 def regular_times(position: NDArray[np.int64], rate_hz: float) -> TimeFit:
     """Return the instants of samples without stamps, at a stated rate; a broken line keeps its place in time."""

@@ -120,6 +120,13 @@ class Mapping:
     source: str
 
     @property
+    def names(self) -> list[str]:
+        """Names of the columns of the data file, but for its time and its labels."""
+        inline = self.reference.columns if isinstance(self.reference, Measured) and not self.reference_file else None
+        columns = (self.gyro.columns, self.accelerometer, self.temperature, inline)
+        return [name for own in columns if own for name in own.names]
+
+    @property
     def earth_rate(self) -> bool:
         """Whether the Earth is taken to turn the body."""
         return isinstance(self.reference, (Measured, Rests)) and self.reference.earth_rate

@@ -1,19 +1,23 @@
-"""Spans of foreign samples with a stated turn: whole files or sections of them, each checked before it counts."""
+"""Files and sections of them of which something is stated; a stated turn is checked before it counts."""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from estimator.errors import RecordingError
 from estimator.importing.clocks.timefit import TimeFit
-from estimator.importing.columns import Table
+from estimator.importing.log import Log
 from estimator.importing.mapping.mapping import Mapping
-from estimator.importing.mapping.reference import Cuts, StatedTurns, Turn, turn_about
+from estimator.importing.mapping.reference import Cuts, Rests, StatedTurns, Turn, turn_about
+from estimator.importing.table import Table
 from estimator.types import Floats
+
+T = TypeVar("T")
 
 _EDGE_ROWS = 3  # least number of samples that show rest at an end
 _WRONG_BY = 0.5  # a gyro whose output turns by this share more or less than stated: wrong axis, unit or angle
@@ -41,26 +45,17 @@ class Span:
     sd_rad: float
 
 
-def turn_spans(
-    mapping: Mapping, path: Path, table: Table, time: TimeFit, rate: Floats
-) -> tuple[list[Span] | None, list[Refused]]:
-    reference = mapping.reference
-    rows: list[tuple[str, int, int, Turn]]
-    if not isinstance(reference, StatedTurns):
-        return None, []
-    if reference.sections:
-        limits = section_rows(mapping, reference.cuts, tuple(reference.sections), path, table, time)
-        rows = [(f"{path.name}, section {name}", first, stop, reference.sections[name]) for name, first, stop in limits]
-    else:
-        rows = [(path.name, 0, len(time.rows), _turn_of_file(mapping, reference, path))]
-    spans: list[Span] = []
-    refused: list[Refused] = []
-    for name, first, stop, turn in rows:
-        try:
-            spans.append(_span(mapping, reference, time.t_s[first:stop], rate[time.rows[first:stop]], turn))
-        except RecordingError as reason:
-            refused.append(Refused(name, str(reason)))
-    return spans, refused
+def turn_spans(mapping: Mapping, stated: StatedTurns, log: Log, rate: Floats) -> tuple[list[Span], list[Refused]]:
+    """Return the turns of a file whose gyros put out ``rate`` (rows, m), and the sections of it that are none.
+
+    Raises RecordingError if the one turn of the file is none.
+    """
+    t_s, rows = log.time.t_s, rate[log.time.rows]
+    if not stated.sections:
+        return [_span(mapping, stated, t_s, rows, _turn_of_file(mapping, stated, log.path))], []
+    return of_sections(
+        mapping, stated, log, lambda name, a, b: _span(mapping, stated, t_s[a:b], rows[a:b], stated.sections[name])
+    )
 
 
 def _turn_of_file(mapping: Mapping, reference: StatedTurns, path: Path) -> Turn:
@@ -76,29 +71,33 @@ def _turn_of_file(mapping: Mapping, reference: StatedTurns, path: Path) -> Turn:
         raise RecordingError(f"{path.name}: its name states no turn: {error}") from None
 
 
-def section_rows(
-    mapping: Mapping,
-    cuts: Cuts,
-    names: tuple[str, ...],
-    path: Path,
-    table: Table,
-    time: TimeFit,
-    *,
-    all_named: bool = True,
-) -> list[tuple[str, int, int]]:
-    """Return name, first and one past the last of the kept rows of every section of a file.
+def of_sections(
+    mapping: Mapping, stated: StatedTurns | Rests, log: Log, read: Callable[[str, int, int], T]
+) -> tuple[list[T], list[Refused]]:
+    """Return what is read of each section, by its name, first and one past the last of the kept rows, or refused.
 
-    With ``all_named`` a label comes once and each is one of ``names``; without, others are passed over. Raises
-    RecordingError if sections are missing, or not as the file.
+    Of turns a label comes once and each is named; of rests others are passed over. Raises RecordingError if sections
+    are missing, or not as the file.
     """
-    limits: list[tuple[str, int, int]]
+    found: list[T] = []
+    refused: list[Refused] = []
+    for name, first, stop in _section_rows(mapping, stated, log):
+        try:
+            found.append(read(name, first, stop))
+        except RecordingError as reason:
+            refused.append(Refused(f"{log.path.name}, section {name}", str(reason)))
+    return found, refused
+
+
+def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> list[tuple[str, int, int]]:
+    cuts, names, path, all_named = stated.cuts, stated.sections, log.path, isinstance(stated, StatedTurns)
     if cuts.limits_s:
-        return _timed(cuts, path, time)
+        return _timed(cuts, path, log.time)
     if cuts.column is not None:
-        limits = _labelled(table.labels[cuts.column], once=all_named)
+        limits = _labelled(log.table.labels[cuts.column], once=all_named)
     else:
         assert cuts.list_name is not None
-        limits = _listed(path.parent / cuts.list_name.replace("{stem}", path.stem), table)
+        limits = _listed(path.parent / cuts.list_name.replace("{stem}", path.stem), log.table)
     present = dict.fromkeys(name for name, _, _ in limits)
     unknown = [name for name in present if name not in names]
     if unknown and all_named:
@@ -110,7 +109,9 @@ def section_rows(
     if missing:
         has = f"; it has {', '.join(unknown)}" if unknown else ""
         raise RecordingError(f"{path.name} has no section {', '.join(missing)}, which {mapping.name} names{has}")
-    return [(name, *np.searchsorted(time.rows, [start, end]).tolist()) for name, start, end in limits if name in names]
+    return [
+        (name, *np.searchsorted(log.time.rows, [start, end]).tolist()) for name, start, end in limits if name in names
+    ]
 
 
 def _timed(cuts: Cuts, path: Path, time: TimeFit) -> list[tuple[str, int, int]]:
