@@ -2,13 +2,14 @@
 
 import difflib
 import math
-import re
+import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from functools import reduce
+from operator import getitem
 from typing import Any, Self, TypeVar
 
 T = TypeVar("T")
-
-_HEADER = re.compile(r"^\s*\[(\[?)\s*([^\[\]]+?)\s*\]")
 
 
 class StrictTable:
@@ -165,31 +166,25 @@ class StrictTable:
             raise self.fail(key, str(error)) from None
 
     def _line(self, key: str | None) -> int | None:
-        """Return the line where the key, or else the table's header, stands."""
-        names = [str(p) for p in self._path if isinstance(p, str)]
-        indices = [p for p in self._path if isinstance(p, int)]
-        wanted, seen, current, found = ".".join(names), 0, "", None
-        inside = not names
-        below = ".".join([*names, key or ""])
-        for number, line in enumerate(self._text.splitlines(), 1):
-            header = _HEADER.match(line)
-            if header:
-                current = header.group(2).replace(" ", "")
-                if header.group(1) and wanted.startswith(current):
-                    seen += 1
-                here = not indices or seen == indices[0] + 1
-                inside = current == wanted and here
-                if inside:
-                    found = found or number
-                elif key and current == below.lstrip(".") and here:  # the key is a table of its own
-                    return number
-            elif inside and key and re.match(rf"^\s*[\"']?{re.escape(key)}[\"']?\s*[.=]", line):
+        """Return the line that brings the key, or else this table, into the file."""
+        path, lines = (*self._path, *([key] if key else [])), self._text.splitlines()
+        name = next((part for part in reversed(path) if isinstance(part, str)), None)
+        for number, line in enumerate(lines, 1):
+            if name and name in line and _leads(path, lines, number):
                 return number
-        if key and not found:  # an inline table: look for the key anywhere
-            for number, line in enumerate(self._text.splitlines(), 1):
-                if re.search(rf"\b{re.escape(key)}\s*=", line):
-                    return number
-        return found
+        return self._line(None) if key else None
+
+
+def _leads(path: tuple[str | int, ...], lines: list[str], number: int) -> bool:
+    """Return whether a path leads to something once what stands on a line is read to its end."""
+    found: Any = None
+    for end in range(number, len(lines) + 1):
+        with suppress(tomllib.TOMLDecodeError):
+            found = tomllib.loads("\n".join(lines[:end]))
+            break
+    with suppress(LookupError, TypeError):
+        return reduce(getitem, path, found) is not None
+    return False
 
 
 def typed(value: object, types: tuple[type, ...], what: str) -> Any:

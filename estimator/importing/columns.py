@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
 from estimator.importing.mapping.mapping import FileFormat
-from estimator.importing.table import HUGE, Table, Wanted
+from estimator.importing.table import HUGE, Table, Wanted, no_column
 from estimator.importing.text_rows import read_rows
 
 _ABSURD_SHARE = 0.1
@@ -64,10 +64,7 @@ def _decoded(raw: bytes, wanted: Wanted) -> str:
 def _check_present(name: str, wanted: Sequence[str], present: Sequence[str], where: str) -> None:
     missing = [key for key in wanted if key not in present]
     if missing:
-        raise RecordingError(
-            f"{name} has no column {', '.join(missing)}: {where} has {', '.join(present)}; correct the mapping "
-            "(names, delimiter) or give the file it is for"
-        )
+        raise no_column(name, missing, where, present)
 
 
 def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int, wanted: Sequence[str]) -> Table:

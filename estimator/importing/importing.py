@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from estimator.errors import RecordingError
 from estimator.importing.clocks.two_clocks import ahead_by_motion, clocks_apart
 from estimator.importing.columns import read_table
-from estimator.importing.fitting import fitted
 from estimator.importing.foreign_rows import ForeignRows, foreign_reference, reference_rows
+from estimator.importing.gains import fitted
 from estimator.importing.log import Log, timed, wanted
 from estimator.importing.mapping.columns import UNITS
 from estimator.importing.mapping.mapping import Mapping, ReferenceFile

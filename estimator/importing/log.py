@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
 from estimator.importing.clocks.timefit import TimeFit, fit_times, regular_times
-from estimator.importing.mapping.mapping import Extent, FileFormat, Timing
+from estimator.importing.mapping.mapping import FileFormat, Timing
 from estimator.importing.table import Table, Wanted
 from estimator.types import Floats
 
@@ -51,13 +51,13 @@ def timed(path: Path, table: Table, timing: Timing, file_format: FileFormat, val
     ``values`` (rows, c) are all that was measured. Raises RecordingError, naming the file, if stamps are none.
     """
     position = np.arange(len(values)) if table.position is None else table.position
-    extent = file_format.extent
-    read = np.flatnonzero((position >= extent.from_row) & (position < extent.until_row))
+    part = file_format
+    read = np.flatnonzero((position >= part.from_row) & (position < part.until_row))
     if len(read) < 2:
-        check = "check from_row and until_row in [file]" if extent != Extent() else "record more"
+        check = "check from_row and until_row in [file]" if len(read) < len(values) else "record more"
         raise RecordingError(f"{table.name} has {len(values)} row{'s' * (len(values) != 1)} to read: {check}")
     time = _all_times(timing, table, position, read, values)
-    kept = (time.t_s >= extent.from_s) & (time.t_s <= extent.until_s)
+    kept = (time.t_s >= part.from_s) & (time.t_s <= part.until_s)
     if kept.sum() < 2:
         raise RecordingError(f"{table.name} lasts {time.t_s[-1]:.6g} s: check from_s and until_s in [file]")
     return Log(path, table, replace(time, t_s=time.t_s[kept], rows=read[time.rows][kept]))

@@ -1,6 +1,6 @@
 """Columns of one foreign file by name, whatever its format, and what is wanted of it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +13,14 @@ from estimator.types import Floats
 
 HUGE = 1e25
 """No measured number is larger, nor smaller than one in it, if its bytes are read as they were written."""
+
+
+def no_column(name: str, missing: Sequence[str], where: str, present: Sequence[str], hint: str = "") -> RecordingError:
+    """Return the error of a file that lacks columns that the mapping names."""
+    return RecordingError(
+        f"{name} has no column {', '.join(missing)}: {where} has {', '.join(present)[:400]}; correct the mapping "
+        f"(names, delimiter) or give the file it is for{hint}"
+    )
 
 
 @dataclass(frozen=True, slots=True)

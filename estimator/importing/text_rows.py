@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.errors import RecordingError
 from estimator.importing.mapping.mapping import FileFormat
-from estimator.importing.table import Table, Wanted
+from estimator.importing.table import Table, Wanted, no_column
 
 Lines = list[tuple[int, str]]
 
@@ -58,9 +58,7 @@ class _Body:
         label_at = [header.index(_bare(key)) for key in wanted.labels]
         needed = [_calendar_s if wanted.calendar else float] * len(wanted.needed)
         columns = list(zip(self.where, [*needed, *[_number_or_blank] * len(wanted.may_be_blank)], strict=True))
-        rows: list[list[float]] = []
-        labels: list[list[str]] = []
-        position: list[int] = []
+        good: list[tuple[int, list[float], list[str]]] = []  # by their place among the lines
         skipped, first_skipped, at = 0, "", 0
         for number, line in self.lines:
             fields = _fields(line, self.format)
@@ -77,18 +75,16 @@ class _Body:
                 first_skipped = first_skipped or f"line {number} ({line.strip()[:_SHOWN]!r}){wrong}"
                 at += fields != header  # a heading that comes again stands for no sample
                 continue
-            rows.append(row)
-            labels.append([fields[i] for i in label_at])
-            position.append(at)
+            good.append((at, row, [fields[i] for i in label_at]))
             at += 1
-        values = np.array(rows).reshape(len(rows), len(columns))
+        values = np.array([row for _, row, _ in good]).reshape(len(good), len(columns))
         return Table(
             self.name,
             dict(zip(wanted.numeric, values.T, strict=True)),
-            {key: tuple(row[i] for row in labels) for i, key in enumerate(wanted.labels)},
+            {key: tuple(texts[i] for _, _, texts in good) for i, key in enumerate(wanted.labels)},
             skipped,
             first_skipped,
-            np.array(position, dtype=np.int64),
+            np.array([place for place, _, _ in good], dtype=np.int64),
         )
 
     def hint(self) -> str:
@@ -158,11 +154,7 @@ def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -
     if not missing:
         return best_at + 1, best
     which = "its first line" if best_at == 0 else f"its line {lines[best_at][0]}"
-    hint = _heading_hint(lines, file_format, wanted, missing, best)
-    raise RecordingError(
-        f"{name} has no column {', '.join(missing)}: {which} has {', '.join(best)[:400]}; correct the mapping "
-        f"(names, delimiter) or give the file it is for{hint}"
-    )
+    raise no_column(name, missing, which, best, _heading_hint(lines, file_format, wanted, missing, best))
 
 
 def _heading_hint(lines: Lines, file_format: FileFormat, wanted: Wanted, missing: list[str], best: list[str]) -> str:

@@ -273,12 +273,9 @@ class BodyRates:
                 if c in of_column:
                     corners, ramp = of_column[c]
                     corner_s[:, c] = ramp.sd_s
-                    fresh = ~np.isin(corners, known_ns)
-                    own_ns = np.concatenate([known_ns, corners[fresh]])
-                    order = np.argsort(own_ns)
-                    own_ns = own_ns[order]
-                    own_angle = np.concatenate([own_angle, ramp.angle_rad[fresh]])[order]
-                    own_rate = np.concatenate([own_rate[:1], ramp.reading_rps, ramp.rate_rps[fresh]])[order]
+                    own_ns, first = np.unique(np.concatenate([known_ns, corners]), return_index=True)
+                    own_angle = np.concatenate([own_angle, ramp.angle_rad])[first]
+                    own_rate = np.concatenate([own_rate[:1], ramp.reading_rps, ramp.rate_rps])[first]
                 since_s, own_s = (t_ns - known_ns[0]) * 1e-9, (own_ns - known_ns[0]) * 1e-9
                 angle[:, c], rate[:, c] = np.interp(since_s, own_s, own_angle), np.interp(since_s, own_s, own_rate)
         self._add_rows(t_ns, angle, rate, half_width_s, measured, corner_s)

@@ -125,11 +125,8 @@ class RecordingWriter:
             raise self._full()
 
     def _full(self) -> RecordingError:
-        free = shutil.disk_usage(self.path.parent).free
-        return RecordingError(
-            f"the disk of {self.path} is full ({free / 1e6:.1f} MB left, {_RESERVE_BYTES / 1e6:.0f} MB are kept for "
-            "closing the file): make room, or give another place with --output"
-        )
+        kept = f"{_RESERVE_BYTES / 1e6:.0f} MB are kept for closing the file"
+        return _disk_full(self.path, f"{kept}): make room, or give another place with --output")
 
     def _allowed_bytes(self) -> float:
         """Return by how much the file may still grow, whatever room there is on the disk."""
@@ -229,15 +226,16 @@ def write_source_attributes(path: Path, by_source: Mapping[str, Mapping[str, Any
             file[f"imu/{name}"].attrs.update(attributes)
 
 
+def _disk_full(path: Path, needed: str) -> RecordingError:
+    free = shutil.disk_usage(path.parent).free
+    return RecordingError(f"the disk of {path} is full ({free / 1e6:.1f} MB left, {needed}")
+
+
 @contextmanager
 def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
     """Open a recording that is there to write into it; RecordingError, with the file as it was, if there is no room."""
-    free = shutil.disk_usage(path.parent).free
-    if free < wanted_bytes:
-        raise RecordingError(
-            f"the disk of {path} is full ({free / 1e6:.1f} MB left, {wanted_bytes / 1e6:.1f} MB are needed): the file "
-            "is as it was; make room"
-        )
+    if shutil.disk_usage(path.parent).free < wanted_bytes:
+        raise _disk_full(path, f"{wanted_bytes / 1e6:.1f} MB are needed): the file is as it was; make room")
     with _told_of(path), h5py.File(path, "r+") as file:
         yield file
 

@@ -8,7 +8,7 @@ import re
 import tomllib
 from collections.abc import Callable, Sequence
 from collections.abc import Mapping as Dict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,16 +27,6 @@ from estimator.types import Floats
 _COLUMN = re.compile(r"(?P<name>\S+) (?P<many>\d*)(?P<kind>[iu][1248]|f[48]|V)")
 
 
-@dataclass(frozen=True, slots=True)
-class Extent:
-    """The part of a file that is read: data rows (the first is 0), and of these seconds from the first."""
-
-    from_row: float = 0
-    until_row: float = math.inf
-    from_s: float = 0.0
-    until_s: float = math.inf
-
-
 Capture = Callable[[bytes, Sequence[str]], tuple[Dict[str, NDArray[np.float64]], tuple[str, ...]]]
 """Decodes a capture to columns (rows,) or (rows, width), a row for each value of the first that is named, and notes."""
 Protocols = Dict[str, Callable[[StrictTable, Path], Capture]]
@@ -45,7 +35,7 @@ Protocols = Dict[str, Callable[[StrictTable, Path], Capture]]
 
 @dataclass(frozen=True, slots=True)
 class FileFormat:
-    """``kind`` is csv, mat, binary or a protocol, ``extent`` the part that is read.
+    """``kind`` is csv, mat, binary or a protocol; read are data rows (the first is 0), and of these some seconds.
 
     Text is split at ``delimiter`` (empty: at blanks), has a ``decimal`` mark, and without a heading its ``columns`` are
     named. Binary files are a header and then a ``record`` a row.
@@ -55,10 +45,13 @@ class FileFormat:
     delimiter: str = ","
     decimal: str = "."
     columns: tuple[str, ...] = ()
-    extent: Extent = field(default_factory=Extent)
     record: np.dtype[Any] | None = None
     header_bytes: int = 0
     capture: Capture | None = None
+    from_row: float = 0.0
+    until_row: float = math.inf
+    from_s: float = 0.0
+    until_s: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,23 +188,15 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
             )
 
 
-def _extent(section: StrictTable) -> Extent:
-    """Take the limits of what is read."""
-    limits: list[float] = []
-    for what in ("row", "s"):
-        start, end = section.number(f"from_{what}", 0.0, least=0.0), section.number(f"until_{what}", math.inf)
-        if end <= start:
-            raise section.fail(f"until_{what}", f"{end:g} is not after from_{what} {start:g}")
-        limits += [start, end]
-    return Extent(*limits)
-
-
 def _reference_file(
     section: StrictTable, file_format: FileFormat, timing: Timing, protocols: Protocols, folder: Path
 ) -> ReferenceFile:
     offset_s: float | None = 0.0
     if isinstance(section.again().value("file"), str):
-        name, own = section.string("file"), replace(file_format, columns=(), extent=Extent())
+        name, own = (
+            section.string("file"),
+            replace(file_format, columns=(), from_row=0.0, until_row=math.inf, from_s=0.0, until_s=math.inf),
+        )
     else:
         stated = section.table("file")
         name, own = stated.string("name"), _format(stated, protocols, folder)
@@ -224,14 +209,18 @@ def _reference_file(
 
 
 def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFormat:
-    extent = _extent(section)
+    limits = section.stated(KEYS["file"])
+    for what in ("row", "s"):
+        start, end = limits[f"from_{what}"], limits[f"until_{what}"]
+        if end <= start:
+            raise section.fail(f"until_{what}", f"{end:g} is not after from_{what} {start:g}")
     kind = section.string("format", one_of=("csv", "tsv", "mat", "binary", *protocols))
     if kind not in ("csv", "tsv"):
         record = _record(section) if kind == "binary" else None
         header_bytes = int(section.number("header_bytes", 0.0, least=0.0)) if kind == "binary" else 0
         capture = protocols[kind](section, folder) if kind in protocols else None
         section.done()
-        return FileFormat(kind, extent=extent, record=record, header_bytes=header_bytes, capture=capture)
+        return FileFormat(kind, record=record, header_bytes=header_bytes, capture=capture, **limits)
     delimiter = section.string("delimiter", "\t" if kind == "tsv" else ",")
     delimiter = {"tab": "\t", "space": " "}.get(delimiter, delimiter)
     decimal = section.string("decimal", ".", one_of=(".", ","))
@@ -239,7 +228,7 @@ def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFor
         raise section.fail("delimiter", f"{delimiter!r}: write one character that is not the decimal mark")
     columns = section.strings("columns") if section.has("columns") else ()
     section.done(also=("columns",))
-    return FileFormat("csv", delimiter.strip(" "), decimal, columns, extent)
+    return FileFormat("csv", delimiter.strip(" "), decimal, columns, **limits)
 
 
 def _record(section: StrictTable) -> np.dtype[Any]:
