@@ -185,7 +185,9 @@ class BodyRates:
         self._read.append(t_ns, angle, rate_rps, summed, half_s, change)
         self._window_ns = rate_window_ns
         self._take(everything=False)
-        self._refine_up_to_latest()
+        if len(self._rows):
+            latest = int(self._rows["t_ns"][-1]) - ANCHOR_HALF_WINDOW_NS
+            self._refine_up_to(int(np.searchsorted(self._rows["t_ns"], latest, side="right")))
 
     def _take(self, *, everything: bool) -> None:
         """Make rows of the readings, up to a ramp of which the end is still to come."""
@@ -302,11 +304,6 @@ class BodyRates:
         terms = np.concatenate([terms * weight[:, None], (measured[:, None] * ones)[:, None]], axis=1)
         self._sums.append(np.cumsum(np.concatenate([self._sums["terms"][-1:], terms]), axis=0)[1:])
         self._rows.append(t_ns, drift + summed, rate_rps, summed, half_width_s, corner_s, known_step)
-
-    def _refine_up_to_latest(self) -> None:
-        if len(self._rows):
-            latest = int(self._rows["t_ns"][-1]) - ANCHOR_HALF_WINDOW_NS
-            self._refine_up_to(int(np.searchsorted(self._rows["t_ns"], latest, side="right")))
 
     def finish(self) -> None:
         """Make the last seconds final too, with windows that end with the readings."""
