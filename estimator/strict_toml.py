@@ -1,11 +1,11 @@
 """Tables of a TOML file, read strictly: every key known, every value of its type, every complaint with its line."""
 
 import difflib
-import math
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import reduce
+from math import inf, isfinite, radians
 from operator import getitem
 from typing import Any, Self, TypeVar
 
@@ -47,23 +47,15 @@ class StrictTable:
         return tuple(self._data)
 
     def number(
-        self,
-        key: str,
-        default: float | None = None,
-        *,
-        positive: bool = False,
-        least: float = -math.inf,
-        most: float = math.inf,
+        self, key: str, default: float | None = None, *, positive: bool = False, least: float = -inf, most: float = inf
     ) -> float:
         """Take a plain number, above zero or not beyond a least and a most one if so said."""
 
         def convert(value: object) -> float:
             number = float(typed(value, (int, float), "a number"))
-            if not math.isfinite(number) or not least <= number <= most or (positive and number <= 0):
-                bound = " above 0" if positive else f" of {least:g} or more" if least > -math.inf else ""
-                raise ValueError(
-                    f"{value!r}: write {f'{least:g} to {most:g}' if most < math.inf else f'a number{bound}'}"
-                )
+            if not isfinite(number) or not least <= number <= most or (positive and number <= 0):
+                bound = " above 0" if positive else f" of {least:g} or more" if least > -inf else ""
+                raise ValueError(f"{value!r}: write {f'{least:g} to {most:g}' if most < inf else f'a number{bound}'}")
             return number
 
         return self.take(key, default, convert)
@@ -143,7 +135,7 @@ class StrictTable:
                 value = text if kind == "text" else says["one_of"][text]
             else:
                 number = self.number(key, says.get("default"), **bounds)
-                value = math.radians(number) if kind == "degrees" else number
+                value = radians(number) if kind == "degrees" else number
             found[says["field"]] = value
         return found
 

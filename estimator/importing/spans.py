@@ -1,7 +1,7 @@
 """Files and sections of them of which something is stated; a stated turn is checked before it counts."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -10,10 +10,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from estimator.errors import RecordingError
-from estimator.importing.clocks.timefit import TimeFit
 from estimator.importing.log import Log
 from estimator.importing.mapping.mapping import Mapping
-from estimator.importing.mapping.reference import Cuts, Rests, StatedTurns, Turn, turn_about
+from estimator.importing.mapping.reference import Rests, StatedTurns, Turn, turn_about
 from estimator.importing.table import Table
 from estimator.types import Floats
 
@@ -91,12 +90,16 @@ def of_sections(
 
 def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> list[tuple[str, int, int]]:
     cuts, names, path, all_named = stated.cuts, stated.sections, log.path, isinstance(stated, StatedTurns)
-    if cuts.limits_s:
-        return _timed(cuts, path, log.time)
+    edges, last_s = log.time.rows if not cuts.limits_s else log.time.t_s, float(log.time.t_s[-1])
+    limits: Sequence[tuple[str, float, float]] = [(name, *limits_s) for name, limits_s in cuts.limits_s.items()]
+    for name, start_s, _ in limits:
+        if start_s > last_s:
+            raise RecordingError(
+                f"{path.name}: section {name} begins at {start_s:g} s, but the file lasts {last_s:.6g} s"
+            )
     if cuts.column is not None:
         limits = _labelled(log.table.labels[cuts.column], once=all_named)
-    else:
-        assert cuts.list_name is not None
+    elif cuts.list_name is not None:
         limits = _listed(path.parent / cuts.list_name.replace("{stem}", path.stem), log.table)
     present = dict.fromkeys(name for name, _, _ in limits)
     unknown = [name for name in present if name not in names]
@@ -109,20 +112,7 @@ def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> li
     if missing:
         has = f"; it has {', '.join(unknown)}" if unknown else ""
         raise RecordingError(f"{path.name} has no section {', '.join(missing)}, which {mapping.name} names{has}")
-    return [
-        (name, *np.searchsorted(log.time.rows, [start, end]).tolist()) for name, start, end in limits if name in names
-    ]
-
-
-def _timed(cuts: Cuts, path: Path, time: TimeFit) -> list[tuple[str, int, int]]:
-    found = []
-    for name, (start_s, end_s) in cuts.limits_s.items():
-        if start_s > time.t_s[-1]:
-            raise RecordingError(
-                f"{path.name}: section {name} begins at {start_s:g} s, but the file lasts {time.t_s[-1]:.6g} s"
-            )
-        found.append((name, *np.searchsorted(time.t_s, [start_s, end_s]).tolist()))
-    return found
+    return [(name, *np.searchsorted(edges, [start, end]).tolist()) for name, start, end in limits if name in names]
 
 
 def _labelled(labels: tuple[str, ...], *, once: bool) -> list[tuple[str, int, int]]:
