@@ -152,6 +152,51 @@ def _keys(section: str) -> str:
     )
 
 
+def mapping_keys() -> str:
+    """Plain keys of a mapping file."""
+    from estimator.importing.mapping.columns import KEYS
+
+    tables = ("device", "file", "gyro", "site")
+    return table(
+        ("where", "key", "if left out", "must be", "says"),
+        (
+            (f"`[{where}]`" if where in tables else where, f"`{key}`", _left_out(says), _bound(says), says["line"])
+            for where, keys in KEYS.items()
+            for key, says in keys.items()
+        ),
+    )
+
+
+def _left_out(says: dict[str, Any]) -> str:
+    default = says.get("default")
+    if default is None:
+        return "must be given"
+    return (
+        "nothing"
+        if default in ("", math.inf)
+        else str(default).lower()
+        if says["kind"] == "flag"
+        else f"{default:g}"
+        if isinstance(default, float)
+        else default
+    )
+
+
+def _bound(says: dict[str, Any]) -> str:
+    if "one_of" in says:
+        return " or ".join(f'"{text}"' for text in says["one_of"])
+    if "most" in says:
+        return f"{says['least']:g} to {says['most']:g}"
+    kinds = {"text": "a text", "flag": "true or false"}
+    return (
+        "above 0"
+        if says.get("positive")
+        else f"{says['least']:g} or more"
+        if "least" in says
+        else kinds.get(says["kind"], "a number")
+    )
+
+
 def limit_keys() -> str:
     """Quantities of [limits]."""
     return _keys("limits")
@@ -251,7 +296,7 @@ MADE: dict[str, Callable[[], str]] = {
     made.__name__: made
     for made in (
         *(commands, effects, units, tables, imus, exports, vectornav_fields, xsens_packets, decisions),
-        *(limit_keys, prior_keys, noise_keys, axis_keys, uncertainty_keys),
+        *(limit_keys, prior_keys, noise_keys, axis_keys, uncertainty_keys, mapping_keys),
     )
 }
 """What can stand between the marks of a page."""

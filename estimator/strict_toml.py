@@ -1,14 +1,15 @@
 """Tables of a TOML file, read strictly: every key known, every value of its type, every complaint with its line."""
 
 import difflib
-import math
-import re
-from collections.abc import Callable, Iterable
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from functools import reduce
+from math import inf, isfinite, radians
+from operator import getitem
 from typing import Any, Self, TypeVar
 
 T = TypeVar("T")
-
-_HEADER = re.compile(r"^\s*\[(\[?)\s*([^\[\]]+?)\s*\]")
 
 
 class StrictTable:
@@ -46,26 +47,26 @@ class StrictTable:
         return tuple(self._data)
 
     def number(
-        self, key: str, default: float | None = None, *, positive: bool = False, least: float = -math.inf
+        self, key: str, default: float | None = None, *, positive: bool = False, least: float = -inf, most: float = inf
     ) -> float:
-        """Take a plain number, above zero or not below a least one if so said."""
+        """Take a plain number, above zero or not beyond a least and a most one if so said."""
 
         def convert(value: object) -> float:
             number = float(typed(value, (int, float), "a number"))
-            if not math.isfinite(number) or number < least or (positive and number <= 0):
-                bound = " above 0" if positive else f" of {least:g} or more" if least > -math.inf else ""
-                raise ValueError(f"{value!r}: write a number{bound}")
+            if not isfinite(number) or not least <= number <= most or (positive and number <= 0):
+                bound = " above 0" if positive else f" of {least:g} or more" if least > -inf else ""
+                raise ValueError(f"{value!r}: write {f'{least:g} to {most:g}' if most < inf else f'a number{bound}'}")
             return number
 
-        return self._take(key, default, convert)
+        return self.take(key, default, convert)
 
     def integer(self, key: str, default: int | None = None) -> int:
         """Take a whole number."""
-        return self._take(key, default, lambda value: int(typed(value, (int,), "a whole number")))
+        return self.take(key, default, lambda value: int(typed(value, (int,), "a whole number")))
 
     def flag(self, key: str, default: bool | None = None) -> bool:
         """Take true or false."""
-        return self._take(key, default, lambda value: bool(typed(value, (bool,), "true or false")))
+        return self.take(key, default, lambda value: bool(typed(value, (bool,), "true or false")))
 
     def string(self, key: str, default: str | None = None, *, one_of: Iterable[str] | None = None) -> str:
         """Take a text, one of a few if so given."""
@@ -76,7 +77,7 @@ class StrictTable:
                 raise ValueError(not_one_of(text, choices))
             return text
 
-        return self._take(key, default, convert)
+        return self.take(key, default, convert)
 
     def strings(self, key: str, default: tuple[str, ...] | None = None) -> tuple[str, ...]:
         """Take a list of texts, or one."""
@@ -87,7 +88,7 @@ class StrictTable:
                 raise ValueError(f'{value!r}: write names, ["a", "b", "c"]')
             return tuple(listed)
 
-        return self._take(key, default, convert)
+        return self.take(key, default, convert)
 
     def value(self, key: str, default: Any = None) -> Any:
         """Take whatever is there, or the default."""
@@ -122,7 +123,30 @@ class StrictTable:
     def _within(self, data: dict[str, Any], *path: str | int) -> Self:
         return type(self)(data, (*self._path, *path), self._text, self._file, self._error)
 
-    def _take(self, key: str, default: T | None, convert: Callable[[object], T]) -> T:
+    def stated(self, keys: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+        """Take the plain keys that a file of keys declares, by the fields that they become; degrees become radians."""
+        found = {}
+        for key, says in keys.items():
+            kind, bounds = says["kind"], {name: says[name] for name in ("positive", "least", "most") if name in says}
+            if kind == "flag":
+                value: Any = self.flag(key, says.get("default"))
+            elif kind in ("text", "choice"):
+                text = self.string(key, says.get("default"), one_of=says.get("one_of"))
+                value = text if kind == "text" else says["one_of"][text]
+            else:
+                number = self.number(key, says.get("default"), **bounds)
+                value = radians(number) if kind == "degrees" else number
+            found[says["field"]] = value
+        return found
+
+    def whole(self, read: Callable[[Self], T]) -> T:
+        """Return what is made of this table, of which every key must have been taken."""
+        found = read(self)
+        self.done()
+        return found
+
+    def take(self, key: str, default: T | None, convert: Callable[[object], T]) -> T:
+        """Take what ``convert`` makes of a value; what its ValueError says becomes a complaint."""
         self._known.append(key)
         if key not in self._data:
             if default is None:
@@ -134,31 +158,25 @@ class StrictTable:
             raise self.fail(key, str(error)) from None
 
     def _line(self, key: str | None) -> int | None:
-        """Return the line where the key, or else the table's header, stands."""
-        names = [str(p) for p in self._path if isinstance(p, str)]
-        indices = [p for p in self._path if isinstance(p, int)]
-        wanted, seen, current, found = ".".join(names), 0, "", None
-        inside = not names
-        below = ".".join([*names, key or ""])
-        for number, line in enumerate(self._text.splitlines(), 1):
-            header = _HEADER.match(line)
-            if header:
-                current = header.group(2).replace(" ", "")
-                if header.group(1) and wanted.startswith(current):
-                    seen += 1
-                here = not indices or seen == indices[0] + 1
-                inside = current == wanted and here
-                if inside:
-                    found = found or number
-                elif key and current == below.lstrip(".") and here:  # the key is a table of its own
-                    return number
-            elif inside and key and re.match(rf"^\s*[\"']?{re.escape(key)}[\"']?\s*[.=]", line):
+        """Return the line that brings the key, or else this table, into the file."""
+        path, lines = (*self._path, *([key] if key else [])), self._text.splitlines()
+        name = next((part for part in reversed(path) if isinstance(part, str)), None)
+        for number, line in enumerate(lines, 1):
+            if name and name in line and _leads(path, lines, number):
                 return number
-        if key and not found:  # an inline table: look for the key anywhere
-            for number, line in enumerate(self._text.splitlines(), 1):
-                if re.search(rf"\b{re.escape(key)}\s*=", line):
-                    return number
-        return found
+        return self._line(None) if key else None
+
+
+def _leads(path: tuple[str | int, ...], lines: list[str], number: int) -> bool:
+    """Return whether a path leads to something once what stands on a line is read to its end."""
+    found: Any = None
+    for end in range(number, len(lines) + 1):
+        with suppress(tomllib.TOMLDecodeError):
+            found = tomllib.loads("\n".join(lines[:end]))
+            break
+    with suppress(LookupError, TypeError):
+        return reduce(getitem, path, found) is not None
+    return False
 
 
 def not_one_of(text: str, choices: Iterable[str]) -> str:

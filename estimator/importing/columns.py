@@ -1,7 +1,6 @@
 """Foreign files as named columns: delimited text and MATLAB files."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,51 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
-from estimator.importing.mapping.columns import Columns
 from estimator.importing.mapping.mapping import FileFormat
-from estimator.importing.text_rows import Wanted, read_rows
-from estimator.types import Floats
+from estimator.importing.table import HUGE, Table, Wanted, no_column
+from estimator.importing.text_rows import read_rows
 
-_HUGE = 1e25  # no measured number is larger, nor smaller than one in it, if its bytes are read as they were written
 _ABSURD_SHARE = 0.1
 _LOOKED_AT, _BINARY = 4000, 0.05  # bytes at the beginning, and how many of them may be no text
 _TEXT = bytes([*range(9, 14), *range(32, 256)])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Table:
-    """Columns of one foreign file by name, each (rows,) or (rows, width), and how many lines were unreadable.
-
-    ``position`` (rows,) numbers the rows of a text file with the broken ones counted, ``first_skipped`` is the first
-    of these, ``units`` says what the row of units says of each column, ``notes`` what else is to be told.
-    """
-
-    name: str
-    columns: Mapping[str, NDArray[Any]]
-    labels: Mapping[str, tuple[str, ...]]
-    skipped_lines: int = 0
-    first_skipped: str = ""
-    position: NDArray[np.int64] | None = None
-    units: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-    def values(self, wanted: Columns, width: int, what: str) -> Floats:
-        """Return (rows, width) values in SI, NaN if beyond measure; RecordingError if they are not this many."""
-        parts = [np.atleast_2d(self.columns[name].T).T for name in wanted.names]
-        found = sum(part.shape[1] for part in parts)
-        if found != width or len({len(part) for part in parts}) != 1:
-            shapes = ", ".join(f"{n} {self.columns[n].shape}" for n in wanted.names)
-            raise RecordingError(f"{self.name}: {what} needs {width} columns of one length, there are {shapes}")
-        with np.errstate(invalid="ignore", over="ignore"):
-            values = (np.hstack(parts).astype(np.float64) - wanted.offset) * wanted.scale + wanted.shift
-            return np.where(np.abs(values) < _HUGE, values, np.nan)
-
-    def number(self, name: str) -> float:
-        """Return a variable that holds one number."""
-        value = self.columns[name]
-        if value.size != 1 or not np.isfinite(value).all():
-            raise RecordingError(f"{self.name}: {name} must be one number, it has shape {value.shape}")
-        return float(value.reshape(-1)[0])
 
 
 def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
@@ -77,7 +38,7 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
         if not columns:
             raise RecordingError(f"{path.name} holds no message of {file_format.kind}: check [file]")
         _check_present(path.name, wanted.all, list(columns), "the capture")
-        return Table(path.name, columns, {}, notes=notes)
+        return Table(path.name, columns, notes=notes)
     if raw[:4] == b"PK\x03\x04":
         raise RecordingError(f"{path.name} is a spreadsheet or an archive: save its table as CSV")
     if raw[:1] not in (b"\xff", b"\xfe") and len(raw[:_LOOKED_AT].translate(None, _TEXT)) > _BINARY * len(
@@ -86,16 +47,7 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
         raise RecordingError(
             f'{path.name} is no text: write format = "binary" with its record, "mat", or a protocol, in [file]'
         )
-    rows = read_rows(path.name, _decoded(raw, wanted), file_format, wanted)
-    return Table(
-        path.name,
-        {key: rows.values[:, i] for i, key in enumerate(wanted.numeric)},
-        {key: tuple(row[i] for row in rows.labels) for i, key in enumerate(wanted.labels)},
-        rows.skipped,
-        rows.first_skipped,
-        rows.position,
-        dict(zip(wanted.numeric, rows.units, strict=True)) if rows.units else {},
-    )
+    return read_rows(path.name, _decoded(raw, wanted), file_format, wanted)
 
 
 def _decoded(raw: bytes, wanted: Wanted) -> str:
@@ -112,10 +64,7 @@ def _decoded(raw: bytes, wanted: Wanted) -> str:
 def _check_present(name: str, wanted: Sequence[str], present: Sequence[str], where: str) -> None:
     missing = [key for key in wanted if key not in present]
     if missing:
-        raise RecordingError(
-            f"{name} has no column {', '.join(missing)}: {where} has {', '.join(present)}; correct the mapping "
-            "(names, delimiter) or give the file it is for"
-        )
+        raise no_column(name, missing, where, present)
 
 
 def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int, wanted: Sequence[str]) -> Table:
@@ -130,10 +79,10 @@ def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int
     with np.errstate(invalid="ignore"):  # what is no number may spell a signalling NaN
         columns = {key: rows[key].astype(np.float64) for key in wanted}
     size = np.concatenate([np.abs(column).ravel() for column in columns.values()])
-    if np.mean((size > _HUGE) | ((size > 0) & (size < 1 / _HUGE))) > _ABSURD_SHARE:
+    if np.mean((size > HUGE) | ((size > 0) & (size < 1 / HUGE))) > _ABSURD_SHARE:
         raise RecordingError(f"{name} holds no sensible numbers: check record, header_bytes and byte_order in [file]")
     notes = (f"it ends within a record: the last {rest} bytes are left out",) if rest else ()
-    return Table(name, columns, {}, notes=notes)
+    return Table(name, columns, notes=notes)
 
 
 def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
@@ -153,4 +102,4 @@ def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
             columns[key] = np.asarray(present[key], dtype=np.float64)
         except (TypeError, ValueError):
             raise RecordingError(f"{path.name}: {key} is not numeric") from None
-    return Table(path.name, columns, {})
+    return Table(path.name, columns)

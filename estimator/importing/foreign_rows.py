@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
-from estimator.importing.columns import Table
-from estimator.importing.mapping.mapping import Mapping
-from estimator.importing.mapping.reference import AngleColumn, AttitudeColumns, ForeignReference, RateColumns
+from estimator.importing.mapping.reference import Measured
+from estimator.importing.table import Table
 from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings
 from estimator.types import Floats, Stamps
 
@@ -20,33 +19,23 @@ ForeignRows = tuple[Floats, Floats]
 """Rows of the reference of one file: instants (rows,) from its first sample, and values (rows, c)."""
 
 
-def reference_rows(mapping: Mapping, table: Table) -> Floats | None:
-    """Return attitudes (rows, 4) as w x y z, body to reference, rates (rows, 3) or angles (rows, 1); or None."""
-    reference = mapping.reference
-    if isinstance(reference, RateColumns):
-        if reference.axis is None:
-            return _some(table, table.values(reference.columns, 3, "[reference] columns"))
-        return _some(table, table.values(reference.columns, 1, "[reference] columns") * np.array([reference.axis]))
-    if isinstance(reference, AngleColumn):
-        return _some(table, reference.sign * table.values(reference.columns, 1, "[reference] column"))
-    if not isinstance(reference, AttitudeColumns):
-        return None
-    q = table.values(reference.columns, 4, "[reference] columns")
-    if reference.order == "xyzw":
-        q = q[:, [3, 0, 1, 2]]
-    length = np.linalg.norm(q, axis=1, keepdims=True)
-    q = np.where(np.abs(length - 1) < _NORM_OFF, q / np.where(length > 0, length, 1.0), np.nan)
-    return _some(table, q * [1.0, -1.0, -1.0, -1.0] if reference.inverted else q)
+def reference_rows(reference: Measured, table: Table) -> Floats:
+    """Return attitudes (rows, 4) as w x y z, body to reference, rates (rows, 3) or angles (rows, 1)."""
+    rows = table.values(reference.columns, f"[reference] column{'s' * (reference.kind != 'angle')}")
+    if reference.kind == "attitude":
+        length = np.linalg.norm(rows, axis=1, keepdims=True)
+        rows = np.where(np.abs(length - 1) < _NORM_OFF, rows / np.where(length > 0, length, 1.0), np.nan)
+    if not np.isfinite(rows).all(axis=1).any():
+        raise RecordingError(f"{table.name} has not one usable row of the reference: check [reference] columns")
+    return rows
 
 
-def foreign_reference(reference: ForeignReference, t_ns: Stamps, rows: Floats) -> Reference:
+def foreign_reference(reference: Measured, t_ns: Stamps, rows: Floats) -> Reference:
     """Return the reference of rows (k, c) at ``t_ns`` (k,), NaN where nothing is known."""
-    if isinstance(reference, AttitudeColumns):
+    if reference.kind == "attitude":
         return AttitudeReadings(t_ns, rows)
-    if isinstance(reference, AngleColumn):
+    if reference.kind == "angle":
         return _encoder(reference.gimbal, t_ns, rows[:, 0])
-    if not isinstance(reference, RateColumns):
-        return RateReadings(t_ns, rows)
     whole = np.asarray(np.isfinite(rows).all(axis=1))
     keep = whole | _lost(t_ns, whole)
     return RateReadings(t_ns[keep], rows[keep])
@@ -71,9 +60,3 @@ def _lost(t_ns: Stamps, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
     after = np.clip(np.searchsorted(known, t_ns), 1, len(known) - 1)
     gap = known[after] - known[after - 1]
     return np.asarray(~whole & (gap > max(_LOST_STEPS * float(np.median(np.diff(known))), _LOST_NS)))
-
-
-def _some(table: Table, rows: Floats) -> Floats:
-    if not np.isfinite(rows).all(axis=1).any():
-        raise RecordingError(f"{table.name} has not one usable row of the reference: check [reference] columns")
-    return rows

@@ -1,15 +1,23 @@
-"""How far each gyro's output follows the reference: its factor, and an axis, a sign or a scale that is wrong."""
+"""How far each gyro's output follows the reference: its factor, and an axis, a sign or a scale that is wrong.
 
-from dataclasses import dataclass
+Sign and scale are taken from the data where the mapping asks for it, and told where it does not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.errors import RecordingError
 from estimator.estimation.gram import Gram
+from estimator.geometry.array import SensorArray, sensor_array
 from estimator.geometry.kinematics import axis_text
+from estimator.geometry.model import Prior
 from estimator.importing.mapping.columns import UNITS
+from estimator.importing.mapping.mapping import GyroColumns
 from estimator.observations.foreign import FAR_OFF
 from estimator.observations.rows import observations
-from estimator.recordings.recording import Recording
+from estimator.recordings.recording import ImuData, Recording
 from estimator.types import Floats
 
 _LEAST_RPS = float(np.radians(0.2))  # rms of a turning that tells anything
@@ -20,10 +28,12 @@ _FOLLOWS = 0.5  # share of the output's variance that the turning must explain
 _UNIT = 0.05  # how near a factor is to the ratio of two units
 _ALONG = 0.97  # cosine between the axis that the data show and the stated one, beyond which it is told
 _ANOTHER = 0.7  # the same, beyond which the columns or their axes are mixed up
+_WIDER = 2.0  # a prior from the data is this many times what they show
+_NARROW = 0.1  # factors nearer to 1 are scale factor errors, left to k and its usual prior
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gain:
+class _Gain:
     """One gyro: output over what its stated axis calls for, and its output at rest in rad/s.
 
     ``follows`` is the share of the output that the turning explains, ``axis`` where the data show the sense axis
@@ -42,7 +52,29 @@ class Gain:
         return self.follows >= _FOLLOWS and self.axis is None
 
 
-def gains(recording: Recording, source: str) -> list[Gain | None]:
+def fitted(recording: Recording, source: str, gyro: GyroColumns) -> tuple[Recording, list[str], Floats | None]:
+    """Return the recording with signs and scales as asked for, what is to be told, and the factors applied (m,).
+
+    Raises RecordingError if a gyro follows the rate about another axis than the mapping states.
+    """
+    found, data, notes, factors = _gains(recording, source), recording.sources[source], list[str](), None
+    if gyro.sign_from_data or gyro.scale_from_data:
+        array = data.array
+        if gyro.sign_from_data and ((signs := _signs(array, found, notes)) < 0).any():
+            array = sensor_array(array.p * signs[:, None], names=array.names, part_of_array=True)
+        if gyro.scale_from_data:
+            factors = _factors(array, found, gyro, notes)
+            data = replace(data, rate_rps=data.rate_rps * factors)
+        data = replace(data, array=array)
+        found = _gains(replace(recording, sources={source: data}), source)
+    told = _gain_notes(data.array, found, gyro.columns.scale)
+    if any(gain is not None and gain.mixed_up for gain in found):
+        raise RecordingError("; ".join(told))
+    fitting = replace(data, prior=_prior(data, found))
+    return replace(recording, sources={source: fitting}), [*notes, *told], factors
+
+
+def _gains(recording: Recording, source: str) -> list[_Gain | None]:
     """Return the gain of every gyro of a source; None where the motion does not tell it."""
     data = recording.sources[source]
     m = len(data.array)
@@ -57,10 +89,10 @@ def gains(recording: Recording, source: str) -> list[Gain | None]:
     variance, directions = np.linalg.eigh(covariance[:3, :3])
     if variance[-1] < _LEAST_RPS**2:  # who turns beside a reference that does not is told
         loud = np.diag(covariance)[3:] > (_TURNS * _LEAST_RPS) ** 2
-        return [Gain(0.0, float(b), 0.0, None) if own else None for b, own in zip(mean[3:], loud, strict=True)]
+        return [_Gain(0.0, float(b), 0.0, None) if own else None for b, own in zip(mean[3:], loud, strict=True)]
     turned = variance > _TURNED * variance[-1]
     basis = directions[:, turned]
-    found: list[Gain | None] = []
+    found: list[_Gain | None] = []
     for i, p in enumerate(data.array.p):
         cross, own = basis.T @ covariance[:3, 3 + i], float(covariance[3 + i, 3 + i])
         slope = cross / variance[turned]
@@ -74,17 +106,60 @@ def gains(recording: Recording, source: str) -> list[Gain | None]:
         factor = float(slope @ sensed) / float(sensed @ sensed)
         offset = float(mean[3 + i] - mean[:3] @ basis @ slope)
         mixed_up = elsewhere is not None and follows >= _FOLLOWS and abs(along) < _ANOTHER
-        found.append(Gain(factor, offset, follows, elsewhere, mixed_up))
+        found.append(_Gain(factor, offset, follows, elsewhere, mixed_up))
     return found
 
 
-def gain_notes(names: tuple[str, ...], p: Floats, found: list[Gain | None], size_rps: float) -> list[str]:
+def _signs(array: SensorArray, found: Sequence[_Gain | None], notes: list[str]) -> Floats:
+    signs = np.ones(len(array))
+    for i, (name, gain) in enumerate(zip(array.names, found, strict=True)):
+        if gain is None or not gain.told:
+            notes.append(f"{name}: the motion does not tell its sign, which is taken as stated")
+        elif gain.factor < 0:
+            signs[i] = -1.0
+            notes.append(f"{name}: its output is opposite to the stated axis: {axis_text(-array.p[i])} is taken")
+    return signs
+
+
+def _factors(array: SensorArray, found: Sequence[_Gain | None], gyro: GyroColumns, notes: list[str]) -> Floats:
+    """Return by what each output is multiplied (m,), rounded: the rest is the scale factor error."""
+    size_dps = float(np.degrees(gyro.columns.scale)) if gyro.columns.raw else 1.0
+    own = [abs(1 / gain.factor) if gain and gain.told and gain.factor else np.nan for gain in found]
+    others = float(np.nanmedian(own)) if np.isfinite(own).any() else 1.0
+    factors = np.empty(len(array))
+    for i, (name, factor) in enumerate(zip(array.names, own, strict=True)):
+        taken = factor if np.isfinite(factor) else others
+        if abs(taken - 1) < _NARROW:
+            factors[i] = 1.0
+            continue
+        size = float(f"{size_dps * taken:.3g}")
+        factors[i] = size / size_dps
+        how = "from the data" if np.isfinite(factor) else "as of the others: the motion does not tell it"
+        what = f"one count is {size:g} deg/s" if gyro.columns.raw else f"its output is multiplied by {size:g}"
+        notes.append(f"{name}: {what}, {how}")
+    return factors
+
+
+def _prior(data: ImuData, found: Sequence[_Gain | None]) -> Prior:
+    """Return the usual prior, wider where factor or offset of a gyro is far beyond it and would be pulled."""
+    usual, told = data.prior, [gain for gain in found if gain is not None and gain.told]
+    off = max((abs(gain.factor - 1) for gain in told), default=0.0)
+    offset = [abs(gain.offset_rps) for gain in told]
+    offset += [
+        abs(float(np.nanmean(y))) for y, g in zip(data.rate_rps.T, found, strict=True) if g is None or not g.told
+    ]
+    return Prior(
+        max(usual.k, _WIDER * off if off > _NARROW else 0.0), max(usual.b_rps, _WIDER * max(offset)), usual.sigma_rad
+    )
+
+
+def _gain_notes(array: SensorArray, found: Sequence[_Gain | None], size_rps: float) -> list[str]:
     """Return what is wrong with sign, scale or axis of each gyro, and what to write in the mapping.
 
     ``size_rps`` is that of the unit of their columns.
     """
     notes = []
-    for name, axis, gain in zip(names, p, found, strict=True):
+    for name, axis, gain in zip(array.names, array.p, found, strict=True):
         if gain is None:
             continue
         if gain.follows < _FOLLOWS:

@@ -1,6 +1,6 @@
 """Recordings made elsewhere: foreign files and a mapping become one recording, or are refused with a reason."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -9,30 +9,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
-from estimator.importing.clocks.spans import Refused, Span, turn_spans
-from estimator.importing.clocks.timefit import TimeFit, fit_times, regular_times
 from estimator.importing.clocks.two_clocks import ahead_by_motion, clocks_apart
-from estimator.importing.columns import Table, read_table
-from estimator.importing.fitting import fitted
+from estimator.importing.columns import read_table
 from estimator.importing.foreign_rows import ForeignRows, foreign_reference, reference_rows
+from estimator.importing.gains import fitted
+from estimator.importing.log import Log, timed, wanted
 from estimator.importing.mapping.columns import UNITS
-from estimator.importing.mapping.mapping import Extent, FileFormat, Mapping, ReferenceFile, Timing
-from estimator.importing.mapping.reference import AngleColumn, Gravity, MeasuredReference, Rests, SectionTurns
-from estimator.importing.rest_import import PartRests, earth_note, part_rests, rests_text
-from estimator.importing.text_rows import Wanted
+from estimator.importing.mapping.mapping import Mapping, ReferenceFile
+from estimator.importing.mapping.reference import ForeignReference, Gravity, Measured, Rests, StatedTurns
+from estimator.importing.resting import Rest, earth_note, rest_rates, rest_text, rests_of
+from estimator.importing.spans import Refused, Span, turn_spans
+from estimator.importing.table import Table
 from estimator.observations.defects.held import updates
 from estimator.observations.defects.odd_samples import without_odd
 from estimator.observations.poses import accelerometer_note, directions_up
 from estimator.observations.turned import Turned
 from estimator.recordings.recording import ImuData, Recording
-from estimator.recordings.reference import Poses, Reference, Turns
+from estimator.recordings.reference import Poses, RateReadings, Reference, Turns
 from estimator.types import Floats
 
 SOURCE = "imu"
 """Name of the one source of an imported recording."""
 _BESIDE_S = 1.0  # of a reference in a file of its own before and behind the samples that is kept
-_LEAST_STEP_S, _LARGEST_STEP_S = 1e-6, 3600.0  # no samples are nearer or further apart
-_LEAST_USUAL_S, _LARGEST_USUAL_S = 5e-5, 2.0
 _EQUAL_RPS, _COARSE_SHARE = 1e-9, 1 / 3  # of samples equal to the one before: at 0.28 a step is one sigma
 _GAPS_SHARE = 0.1  # of the rows; where more are further apart the sampling is uneven
 _GAP_S = 10.0  # between files that follow each other: longer than what corrects or correlates within one
@@ -56,17 +54,15 @@ class Imported:
 class _Part:
     """One file: what was measured, with instants from its first sample, and what is to be told of it."""
 
-    name: str
-    time: TimeFit
-    skipped_lines: int
+    log: Log
     t_s: Floats
     rate_rps: Floats
     accel_mps2: Floats | None
     temperature_c: Floats | None
     reference: ForeignRows | None
-    spans: tuple[Span, ...]
-    rests: PartRests | None
-    notes: tuple[str, ...]
+    spans: Sequence[Span]
+    rests: Sequence[Rest]
+    notes: Sequence[str]
 
 
 def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
@@ -93,177 +89,117 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
             parts.append(part)
     if not parts:
         raise RecordingError("nothing to import: " + "; ".join(str(r) for r in refused))
-    return replace(_joined(mapping, parts, tuple(refused)), lost_files=len(data_paths) - len(parts))
+    recording, notes = _joined(mapping, parts, refused)
+    return Imported(recording, tuple(refused), tuple(notes), len(data_paths) - len(parts))
 
 
 def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused]]:
-    table = _read_columns(mapping, path)
-    gyro, reference = mapping.gyro, mapping.reference
-    rate = table.values(gyro.columns, len(gyro.array), "[gyro] columns")
-    accel = None
-    if mapping.accelerometer:
-        accel = table.values(mapping.accelerometer.columns, 3, "[accelerometer] columns")
-        accel = accel @ np.array(mapping.accelerometer.axes)
-    warmth = table.values(mapping.temperature, 1, "[temperature] column") if mapping.temperature else None
-    told = reference_rows(mapping, table) if mapping.reference_file is None else None
-    for what, other in (("accelerometer", accel), ("temperature", warmth), ("reference", told)):
+    reference, beside, array = mapping.reference, mapping.reference_file, mapping.gyro.array
+    measured = reference if isinstance(reference, Measured) and not beside else None
+    label = None if isinstance(reference, Measured) else reference.cuts.column
+    table = read_table(path, mapping.format, wanted(mapping.timing, mapping.names, (label,) if label else ()))
+    rate = table.values(mapping.gyro.columns, "[gyro] columns")
+    accel = table.values(mapping.accelerometer, "[accelerometer] columns") if mapping.accelerometer else None
+    warmth = table.values(mapping.temperature, "[temperature] column") if mapping.temperature else None
+    told = reference_rows(measured, table) if measured else None
+    others = {"accelerometer": accel, "temperature": warmth, "reference": told}
+    for what, other in others.items():
         if other is not None and len(other) != len(rate):
             raise RecordingError(f"{path.name} has {len(rate)} gyro rows but {len(other)} {what} rows")
-    beside = [other for other in (accel, warmth, told) if other is not None]
-    time = _times(mapping.timing, mapping.format, table, np.hstack([rate, *beside]))
+    log = timed(path, table, mapping.timing, mapping.format, np.hstack([rate, *_present(others.values())]))
+    time, left_out = log.time, list[Refused]()
     if not np.isfinite(rate[time.rows]).any(axis=0).all():
         raise RecordingError(f"{path.name} has a gyro column without a single number: check [gyro] columns")
-    notes = [*_line_notes(table, time), *_unit_notes(mapping, table)]
-    spans, refused = turn_spans(mapping, path, table, time, rate)
+    notes = [*log.notes, *_unit_notes(mapping, table)]
+    spans, rests, found, known = list[Span](), list[Rest](), list[str](), None
+    if isinstance(reference, StatedTurns):
+        spans, left_out = turn_spans(mapping, reference, log, rate)
     # Logs of several devices have rows without this one; a gyro that is read too often repeats itself.
     own = np.flatnonzero(np.isfinite(rate[time.rows]).any(axis=1))
-    fresh = updates(rate[time.rows[own]])
-    if fresh is not None:
-        notes.append(_held_note("the gyro", fresh, time.t_s[own]))
-        own = own[fresh]
-    kept, odd = without_odd("gyro", time.t_s[own], rate[time.rows[own]], gyro.array.names)
-    notes += [*_missing_notes(time.t_s[own]), *odd, *_coarse_notes(gyro.array.names, rate[time.rows[own]])]
+    own = own[_new("the gyro", time.t_s[own], rate[time.rows[own]], notes)]
+    kept, odd = without_odd("gyro", time.t_s[own], rate[time.rows[own]], array.names)
+    notes += [*_missing_notes(time.t_s[own]), *odd, *_coarse_notes(array.names, rate[time.rows[own]])]
     own = own[kept]
-    rows, t_s = time.rows[own], time.t_s[own]
-    accel, warmth = (_filled(table, time, own, v, w) for v, w in ((accel, "accelerometer"), (warmth, "temperature")))
-    rests = None
+    rate, t_s = rate[time.rows[own]], time.t_s[own]
+    accel, warmth = _filled(log, own, accel, "accelerometer"), _filled(log, own, warmth, "temperature")
     if isinstance(reference, Rests):
-        rests, left_out = part_rests(mapping, reference, path, table, time, own, rate[rows], accel)
-        refused = [*refused, *left_out]
-        notes.extend(rests.notes)
-    if spans == [] or (rests is not None and not rests.rests):
-        return None, refused
-    known: ForeignRows | None = None
-    if rests is not None:
-        known = t_s, rests.rate_rps
-    elif mapping.reference_file is not None:
-        known = _rows_beside(mapping, mapping.reference_file, path, time, (t_s, rate[rows]), notes)
-    elif told is not None:
-        known = _readings(mapping, time.t_s, told[time.rows], notes)
+        rests, left_out, found = rests_of(mapping, reference, log, own, rate, accel)
+        known = t_s, rest_rates(rests, len(rate), mapping.site if reference.earth_rate else None)
+        notes += found
+    elif isinstance(reference, Measured) and beside:
+        known = _rows_beside(mapping, reference, beside, log, (t_s, rate), notes)
+    elif told is not None and measured:
+        known = _readings(measured, time.t_s, told[time.rows], notes)
+    if not (spans or rests or isinstance(reference, Measured)):
+        return None, left_out
     warm = None if warmth is None else warmth[:, 0]
-    measured = (time, table.skipped_lines, t_s, rate[rows], accel, warm)
-    return _Part(path.name, *measured, known, tuple(spans or ()), rests, tuple(notes)), refused
+    return _Part(log, t_s, rate, accel, warm, known, spans, rests, notes), left_out
 
 
-def _readings(mapping: Mapping, t_s: Floats, values: Floats, notes: list[str]) -> ForeignRows:
+def _new(what: str, t_s: Floats, values: Floats, notes: list[str]) -> NDArray[np.intp]:
+    """Return the rows at which values (rows, c) are new: all of them, or those that are not held."""
+    if (fresh := updates(values)) is None:
+        return np.arange(len(values))
+    each_hz = (len(fresh) - 1) / float(t_s[fresh[-1]] - t_s[fresh[0]])
+    often = f"one row of {len(t_s) / len(fresh):.2g} ({each_hz:.3g} Hz)"
+    notes.append(f"{what} is new in {often}; rows between are left out")
+    return fresh
+
+
+def _readings(reference: Measured, t_s: Floats, values: Floats, notes: list[str]) -> ForeignRows:
     """Return the rows of a reference that are readings: neither held, nor spikes, nor the one before again."""
-    if (fresh := updates(values)) is not None:
-        notes.append(_held_note("the reference", fresh, t_s))
-        t_s, values = t_s[fresh], values[fresh]
-    turned = isinstance(mapping.reference, AngleColumn)  # 359 deg beside 0 is no spike
+    fresh = _new("the reference", t_s, values, notes)
+    t_s, values = t_s[fresh], values[fresh]
+    turned = reference.kind == "angle"  # 359 deg beside 0 is no spike
     kept, odd = without_odd("reference", t_s, np.hstack([np.cos(values), np.sin(values)]) if turned else values)
     notes += odd
     return t_s[kept], values[kept]
 
 
 def _rows_beside(
-    mapping: Mapping, other: ReferenceFile, path: Path, time: TimeFit, gyros: ForeignRows, notes: list[str]
+    mapping: Mapping, reference: Measured, other: ReferenceFile, log: Log, gyros: ForeignRows, notes: list[str]
 ) -> ForeignRows:
-    """Return the rows of a reference in a file of its own, on the time of the data file ``path``.
+    """Return the rows of a reference in a file of its own, on the time of the data file.
 
     Two columns of stamps are of clocks that may run apart; without stamps on one side both files begin together.
     """
-    name = other.beside(path).name
-    assert isinstance(mapping.reference, MeasuredReference)
-    table = read_table(other.beside(path), other.format, _wanted(other.timing, mapping.reference.columns.names))
-    values = reference_rows(mapping, table)
-    assert values is not None
-    fit = _times(other.timing, other.format, table, values)
-    notes += [f"{name}: {note}" for note in [fit.text, *_line_notes(table, fit)]]
-    t_s, values = _readings(mapping, fit.t_s + (other.offset_s or 0.0), values[fit.rows], notes)
-    if fit.zero_s is not None and time.zero_s is not None:
-        t_s += fit.zero_s - time.zero_s
-    outputs, array = Turned.of_rates(_ns(gyros[0]), gyros[1]), mapping.gyro.array
+    path, time, name = other.beside(log.path), log.time, other.beside(log.path).name
+    table = read_table(path, other.format, wanted(other.timing, reference.columns.names))
+    values = reference_rows(reference, table)
+    own = timed(path, table, other.timing, other.format, values)
+    notes += [f"{name}: {note}" for note in [own.time.text, *own.notes]]
+    t_s, values = _readings(reference, own.time.t_s + (other.offset_s or 0.0), values[own.time.rows], notes)
+    if own.time.zero_s is not None and time.zero_s is not None:
+        t_s += own.time.zero_s - time.zero_s
+    outputs, array, signed = (
+        Turned.of_rates(_ns(gyros[0]), gyros[1]),
+        mapping.gyro.array,
+        not mapping.gyro.sign_from_data,
+    )
+
+    def body() -> Turned:
+        return Turned.of_reference(foreign_reference(reference, _ns(t_s), values), None)
+
     if other.offset_s is None:
-        body = _turned(mapping, t_s, values)
-        t_s -= ahead_by_motion(outputs, body, array.p, signed=not mapping.gyro.sign_from_data)
+        t_s -= ahead_by_motion(outputs, body(), array.p, signed=signed)
         when = f"{abs(t_s[0] - time.t_s[0]):.4g} s {'before' if t_s[0] < time.t_s[0] else 'after'}"
-        notes.append(f"{name} begins {when} {path.name}, by the motion")
+        notes.append(f"{name} begins {when} {log.path.name}, by the motion")
     first, last = float(time.t_s[0]), float(time.t_s[-1])
     shared = (t_s >= first - _BESIDE_S) & (t_s <= last + _BESIDE_S)
     if shared.sum() < 2:
         raise RecordingError(
-            f"{name} lasts from {t_s[0]:.6g} to {t_s[-1]:.6g} s of the time of {path.name}, whose samples last from "
-            f"{first:.6g} to {last:.6g} s: check unit, or state offset_s, which is added to its stamps, in "
+            f"{name} lasts from {t_s[0]:.6g} to {t_s[-1]:.6g} s of the time of {log.path.name}, whose samples last "
+            f"from {first:.6g} to {last:.6g} s: check unit, or state offset_s, which is added to its stamps, in "
             "[reference.time]"
         )
     t_s, values = t_s[shared], values[shared]
-    body = _turned(mapping, t_s, values)
-    if apart := clocks_apart(outputs, body, array.p, signed=not mapping.gyro.sign_from_data):
+    if apart := clocks_apart(outputs, body(), array.p, signed=signed):
         notes.append(apart.told(name, max(first, float(t_s[0]))))
         t_s = apart.put_right(t_s)
     missing = max(t_s[0] - first, 0.0) + max(last - t_s[-1], 0.0)
     if missing > _BESIDE_S:
         notes.append(f"{name} does not cover {missing:.3g} of {last - first:.6g} s")
     return t_s, values
-
-
-def _turned(mapping: Mapping, t_s: Floats, values: Floats) -> Turned:
-    return Turned.of_reference(foreign_reference(mapping.reference, _ns(t_s), values), None)
-
-
-def _wanted(timing: Timing, others: Sequence[str], labels: tuple[str, ...] = ()) -> Wanted:
-    needed = timing.stamps.names if timing.stamps else (timing.rate,) if isinstance(timing.rate, str) else ()
-    return Wanted(needed, tuple(others), labels, timing.calendar)
-
-
-def _read_columns(mapping: Mapping, path: Path) -> Table:
-    others, reference = list(mapping.gyro.columns.names), mapping.reference
-    others += mapping.accelerometer.columns.names if mapping.accelerometer else ()
-    others += mapping.temperature.names if mapping.temperature else ()
-    if isinstance(reference, MeasuredReference) and mapping.reference_file is None:
-        others += reference.columns.names
-    label = reference.cuts.column if isinstance(reference, (SectionTurns, Rests)) else None
-    return read_table(path, mapping.format, _wanted(mapping.timing, others, (label,) if label else ()))
-
-
-def _times(timing: Timing, file_format: FileFormat, table: Table, values: Floats) -> TimeFit:
-    """Return the instants of the part of the file that is read; its rows are numbered as in the file."""
-    position = np.arange(len(values)) if table.position is None else table.position
-    extent = file_format.extent
-    read = np.flatnonzero((position >= extent.from_row) & (position < extent.until_row))
-    if len(read) < 2:
-        check = "check from_row and until_row in [file]" if file_format.extent != Extent() else "record more"
-        raise RecordingError(f"{table.name} has {len(values)} row{'s' * (len(values) != 1)} to read: {check}")
-    time = _all_times(timing, table, position, read, values)
-    kept = (time.t_s >= extent.from_s) & (time.t_s <= extent.until_s)
-    if kept.sum() < 2:
-        raise RecordingError(f"{table.name} lasts {time.t_s[-1]:.6g} s: check from_s and until_s in [file]")
-    return replace(time, t_s=time.t_s[kept], rows=read[time.rows][kept])
-
-
-def _all_times(
-    timing: Timing, table: Table, position: NDArray[np.int64], read: NDArray[np.intp], values: Floats
-) -> TimeFit:
-    if timing.stamps is not None:
-        stamps = table.values(timing.stamps, 1, "[time] column")[:, 0]
-        if timing.wraps_at < np.inf:
-            stamps = np.unwrap(stamps, period=timing.wraps_at * timing.stamps.scale)
-        if len(stamps) != len(values):
-            raise RecordingError(f"{table.name} has {len(values)} rows but {len(stamps)} stamps")
-        try:
-            fit = fit_times(stamps[read], values[read], position[read])
-        except RecordingError as error:
-            raise RecordingError(f"{table.name} {error}") from None
-        if not _LEAST_STEP_S < (step_s := float(np.median(np.diff(fit.t_s)))) < _LARGEST_STEP_S:
-            raise RecordingError(f"{table.name}: its samples are {step_s:.6g} s apart by [time]: correct its unit")
-        return fit
-    rate_hz = table.number(timing.rate) if isinstance(timing.rate, str) else timing.rate
-    if rate_hz <= 0:
-        raise RecordingError(f"{table.name}: {timing.rate} is {rate_hz}, not a sample rate in Hz")
-    return regular_times(position[read], rate_hz)
-
-
-def _line_notes(table: Table, time: TimeFit) -> list[str]:
-    notes = [*table.notes]
-    if table.skipped_lines:
-        lines = "line is" if table.skipped_lines == 1 else "lines are"
-        notes.append(f"{table.skipped_lines} broken {lines} left out, the first is {table.first_skipped}")
-    if time.doubled:
-        notes.append(f"{time.doubled} rows are left out that were written twice")
-    if not _LEAST_USUAL_S < (step_s := float(np.median(np.diff(time.t_s)))) < _LARGEST_USUAL_S:
-        notes.append(f"its samples are {step_s:.3g} s apart by [time]: if that is not so, correct its unit")
-    return notes
 
 
 def _unit_notes(mapping: Mapping, table: Table) -> list[str]:
@@ -288,11 +224,6 @@ def _coarse_notes(names: Sequence[str], rate: Floats) -> list[str]:
     return notes
 
 
-def _held_note(what: str, fresh: NDArray[np.intp], t_s: Floats) -> str:
-    each_hz = (len(fresh) - 1) / float(t_s[fresh[-1]] - t_s[fresh[0]])
-    return f"{what} is new in one row of {len(t_s) / len(fresh):.2g} ({each_hz:.3g} Hz); rows between are left out"
-
-
 def _missing_notes(t_s: Floats) -> list[str]:
     """Return, in words, how many samples are missing between others."""
     steps = np.diff(t_s)
@@ -306,68 +237,72 @@ def _missing_notes(t_s: Floats) -> list[str]:
     ]
 
 
-def _filled(table: Table, time: TimeFit, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:
+def _filled(log: Log, own: NDArray[np.intp], values: Floats | None, what: str) -> Floats | None:
     """Return values (rows, m) at the rows of the gyro, with blanks filled from their neighbours in time."""
     if values is None:
         return None
-    kept = values[time.rows]
+    kept = values[log.time.rows]
     whole = np.asarray(np.isfinite(kept).all(axis=1))
     if not whole.any():
-        raise RecordingError(f"{table.name} has not one whole row of the {what}: check [{what}]")
+        raise RecordingError(f"{log.table.name} has not one whole row of the {what}: check [{what}]")
     if whole[own].all():
         return kept[own]
-    at, t_s = time.t_s[own], time.t_s[whole]
+    at, t_s = log.time.t_s[own], log.time.t_s[whole]
     return np.column_stack([np.interp(at, t_s, column) for column in kept[whole].T])
 
 
-def _joined(mapping: Mapping, parts: list[_Part], refused: tuple[Refused, ...]) -> Imported:
-    starts_s = [-float(parts[0].time.t_s[0])]
+def _joined(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tuple[Recording, list[str]]:
+    """Return the recording of all files, one behind the other, and what is to be told of it."""
+    starts_s = [-float(parts[0].log.time.t_s[0])]
     for before, part in pairwise(parts):
-        starts_s.append(starts_s[-1] + float(before.time.t_s[-1]) + _GAP_S - float(part.time.t_s[0]))
+        starts_s.append(starts_s[-1] + float(before.log.time.t_s[-1]) + _GAP_S - float(part.log.time.t_s[0]))
     placed = list(zip(parts, starts_s, strict=True))
+    reference, earth, rests = mapping.reference, mapping.earth_rate, [rest for part in parts for rest in part.rests]
     data = ImuData(
         mapping.gyro.array,
         np.concatenate([_ns(part.t_s + start) for part, start in placed]),
         np.vstack([part.rate_rps for part in parts]),
-        temperature_c=_stack([part.temperature_c for part in parts]),
-        accel_mps2=_stack([part.accel_mps2 for part in parts]),
+        temperature_c=_stack(part.temperature_c for part in parts),
+        accel_mps2=_stack(part.accel_mps2 for part in parts),
     )
-    earth = isinstance(mapping.reference, (AngleColumn, Rests)) and mapping.reference.earth_rate
-    poses = _poses(mapping.reference.gravity, placed) if isinstance(mapping.reference, Rests) else None
-    reference = poses or _reference(mapping, placed)
-    recording = Recording({SOURCE: data}, reference, mapping.site if earth else None)
+    poses = _poses(reference.gravity, placed) if isinstance(reference, Rests) and reference.gravity else None
+    site = mapping.site if earth else None
+    recording = Recording({SOURCE: data}, poses or _reference(reference, placed), site)
     recording, found, factors = fitted(recording, SOURCE, mapping.gyro)
-    notes = [f"{part.name}: {note}" if len(parts) > 1 else note for part in parts for note in part.notes] + found
+    notes = [
+        f"{part.log.path.name}: {note}" if len(parts) > 1 else note for part in parts for note in part.notes
+    ] + found
     notes += [accelerometer_note(poses)] if poses else []
-    if earth and isinstance(mapping.reference, Rests):
-        notes += earth_note(mapping, [part.rests for part in parts if part.rests])
+    if earth and rests:
+        notes += earth_note(mapping, rests)
     elif mapping.site and not earth:
-        add = isinstance(mapping.reference, (AngleColumn, Rests))
-        how = "add earth_rate = true to [reference]" if add else "Earth rate is for kind = angle and rest"
+        fixed = (isinstance(reference, Measured) and reference.kind != "angle") or isinstance(reference, StatedTurns)
+        how = "Earth rate is for kind = angle and rest" if fixed else "add earth_rate = true to [reference]"
         notes.append(f"the site is not used: {how}")
     attributes = {
         "device": mapping.device,
-        "imported_from": ", ".join(part.name for part in parts),
+        "imported_from": ", ".join(part.log.path.name for part in parts),
         "mapping": mapping.text,
-        "time_fit": "\n".join(f"{part.name}: {part.time.text}" for part in parts),
-        "skipped_lines": sum(part.skipped_lines for part in parts),
-        "replayed_rows": sum(part.time.replayed for part in parts),
+        "time_fit": "\n".join(f"{part.log.path.name}: {part.log.time.text}" for part in parts),
+        "skipped_lines": sum(part.log.table.skipped_lines for part in parts),
+        "replayed_rows": sum(part.log.time.replayed for part in parts),
         "refused": "\n".join(str(r) for r in refused),
         "licence": mapping.licence,
         "source": mapping.source,
         "imported": "\n".join(notes),
-        "rests": rests_text([(part.rests, start) for part, start in placed if part.rests]),
+        "rests": "\n".join(rest_text(rest, start) for part, start in placed for rest in part.rests),
         "gyro_factor": factors,
     }
     kept = {key: value for key, value in attributes.items() if isinstance(value, (int, np.ndarray)) or value}
-    return Imported(Recording(recording.sources, recording.reference, recording.site, kept), refused, tuple(notes))
+    return replace(recording, attributes=kept), notes
 
 
-def _reference(mapping: Mapping, placed: list[tuple[_Part, float]]) -> Reference:
+def _reference(stated: ForeignReference, placed: list[tuple[_Part, float]]) -> Reference:
     rows = [(part.reference, start) for part, start in placed if part.reference]
     if rows:
         t_ns = np.concatenate([_ns(t_s + start) for (t_s, _), start in rows])
-        return foreign_reference(mapping.reference, t_ns, np.vstack([values for (_, values), _ in rows]))
+        values = np.vstack([values for (_, values), _ in rows])
+        return foreign_reference(stated, t_ns, values) if isinstance(stated, Measured) else RateReadings(t_ns, values)
     spans = [(span, start) for part, start in placed for span in part.spans]
     return Turns(
         _ns(np.array([start + span.start_s for span, start in spans])),
@@ -377,17 +312,11 @@ def _reference(mapping: Mapping, placed: list[tuple[_Part, float]]) -> Reference
     )
 
 
-def _poses(gravity: Gravity | None, placed: list[tuple[_Part, float]]) -> Poses | None:
+def _poses(gravity: Gravity, placed: list[tuple[_Part, float]]) -> Poses:
     """Return the rests of all files with the directions up that their accelerometer gives."""
-    if gravity is None:
-        return None
-    force: list[Floats] = []
-    limits_s: list[Floats] = []
-    for part, start in placed:
-        if part.rests is not None and part.accel_mps2 is not None:
-            force += [np.nanmean(part.accel_mps2[rest.first : rest.stop], axis=0) for rest in part.rests.rests]
-            limits_s += [np.array(own) + start for own in part.rests.limits_s]
-    limits = np.array(limits_s)
+    rests = [(part.accel_mps2, rest, start) for part, start in placed for rest in part.rests]
+    force = [np.nanmean(accel[rest.first : rest.stop], axis=0) for accel, rest, _ in rests if accel is not None]
+    limits = np.array([(rest.start_s + start, rest.end_s + start) for _, rest, start in rests])
     up, doubt, shifts = directions_up(np.array(force), from_rests=gravity.from_rests)
     sd = np.full(len(up), np.hypot(doubt, gravity.sd_rad))
     return Poses(_ns(limits[:, 0]), _ns(limits[:, 1]), up, sd, shifts)
@@ -397,6 +326,10 @@ def _ns(t_s: Floats) -> NDArray[np.int64]:
     return np.asarray(np.round(t_s * 1e9), dtype=np.int64)
 
 
-def _stack(parts: list[Floats | None]) -> Floats | None:
-    present = [part for part in parts if part is not None]
+def _present(parts: Iterable[Floats | None]) -> list[Floats]:
+    return [part for part in parts if part is not None]
+
+
+def _stack(parts: Iterable[Floats | None]) -> Floats | None:
+    present = _present(parts)
     return np.concatenate(present) if present else None

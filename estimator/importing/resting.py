@@ -1,11 +1,17 @@
-"""Where a body is at rest, stated or found from quiet samples, and the Earth rate that it has there."""
+"""Where a body is at rest, stated or found from quiet samples, what is known of its rate there, what is to be told."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from estimator.errors import RecordingError
 from estimator.geometry.kinematics import EARTH_RATE_RPS, Site
+from estimator.importing.log import Log
+from estimator.importing.mapping.mapping import Mapping
 from estimator.importing.mapping.reference import Pose, Rests
+from estimator.importing.spans import Refused, of_sections
 from estimator.types import Floats, runs_of
 
 _WINDOW_S = 0.25
@@ -17,39 +23,118 @@ _TILT_RAD = float(np.radians(1.0))  # by which specific force may move within a 
 _UP_WITHIN = float(np.cos(np.radians(30.0)))  # of a stated pose
 _GRAVITY_MPS2 = 9.81
 _GRAVITY_OFF = 0.2
+_LEVEL = 0.05  # part of a sense axis that is horizontal and so feels the unknown part of Earth rate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rest:
-    """Rows ``first`` to before ``stop`` of one file, at rest; ``up`` and ``north`` in body axes where known."""
+    """Gyro rows ``first`` to before ``stop`` of one file, at rest; ``up`` and ``north`` in body axes where known.
+
+    It lasts from ``start_s`` to ``end_s`` of the file.
+    """
 
     first: int
     stop: int
+    start_s: float
+    end_s: float
     up: Floats | None
     north: Floats | None
 
-    def rate_rps(self, site: Site | None) -> Floats:
-        """Return the body rate (3,): that of the Earth, as far as the pose is known; zero without a site."""
-        if site is None or self.up is None:
-            return np.zeros(3)
-        rate = EARTH_RATE_RPS * np.sin(site.latitude_rad) * self.up
-        if self.north is not None:
-            rate = rate + EARTH_RATE_RPS * np.cos(site.latitude_rad) * self.north
-        return np.asarray(rate)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Samples:
+    """What was measured at instants (n,): rates (n, m) and, if there is an accelerometer, specific force (n, 3)."""
+
+    t_s: Floats
+    rate: Floats
+    accel: Floats | None
 
 
-def stated_rest(
-    t_s: Floats, rate: Floats, accel: Floats | None, first: int, stop: int, pose: Pose, stated: Rests
-) -> Rest:
-    """Return the rest of these rows as stated; ValueError with the reason if the samples say otherwise."""
-    part = rate[first:stop]
+def rests_of(
+    mapping: Mapping, stated: Rests, log: Log, own: NDArray[np.intp], rate: Floats, accel: Floats | None
+) -> tuple[list[Rest], list[Refused], list[str]]:
+    """Return the rests of a file, sections that are none, and what is to be told.
+
+    ``own`` (rows,) are its kept rows that the gyro's ``rate`` (rows, m) is of. Raises RecordingError if it has no rest,
+    or nothing says what points up where that is needed.
+    """
+    name, t_s = log.path.name, log.time.t_s[own]
+    samples, refused, notes = _Samples(t_s, rate, accel), list[Refused](), list[str]()
+    if stated.sections:
+
+        def rest_of(section: str, first: int, stop: int) -> Rest:
+            a, b = np.searchsorted(own, [first, stop]).tolist()
+            return _stated(samples, a, b, stated.sections[section], stated)
+
+        rests, refused = of_sections(mapping, stated, log, rest_of)
+        others = set(log.table.labels[stated.cuts.column]) - {"", *stated.sections} if stated.cuts.column else ()
+        notes += [f"rows labelled {', '.join(sorted(others))} count as motion"] if others else []
+    else:
+        pose = stated.files.get(name, stated.pose)
+        whole = stated.everywhere
+        rests = [_stated(samples, 0, len(rate), pose, stated)] if whole else _found(samples, pose, stated)
+        if pose.up is not None and accel is None and len(rests) > 1:
+            notes.append(
+                f"{len(rests)} rests with motion between them count as the one pose that is stated: if the body was "
+                "turned over, cut them into [reference.sections]"
+            )
+    if stated.earth_rate and any(rest.up is None for rest in rests):
+        raise RecordingError(f'{name}: nothing says what points up: add "{name}" to [reference.files]')
+    if rests:
+        total, count = sum(r.end_s - r.start_s for r in rests), f"{len(rests)} rest{'s' if len(rests) > 1 else ''}"
+        notes.append(f"at rest for {total:.6g} of {t_s[-1] - t_s[0]:.6g} s ({count})")
+        if accel is not None:
+            notes += _gravity_notes(accel[np.isfinite(rest_rates(rests, len(rate), None)[:, 0])])
+    return rests, refused, notes
+
+
+def rest_rates(rests: Sequence[Rest], rows: int, site: Site | None) -> Floats:
+    """Return the body rate (rows, 3) of a file: NaN in motion, at rest that of the Earth as far as the pose is known.
+
+    Without a site it is zero.
+    """
+    known = np.full((rows, 3), np.nan)
+    for rest in rests:
+        rate = np.zeros(3)
+        if site is not None and rest.up is not None:
+            rate = EARTH_RATE_RPS * np.sin(site.latitude_rad) * rest.up
+            if rest.north is not None:
+                rate = rate + EARTH_RATE_RPS * np.cos(site.latitude_rad) * rest.north
+        known[rest.first : rest.stop] = rate
+    return known
+
+
+def earth_note(mapping: Mapping, rests: Sequence[Rest]) -> list[str]:
+    """Return what of Earth rate is not known at these rests, in words."""
+    assert mapping.site is not None
+    p = mapping.gyro.array.p
+    ups = [rest.up for rest in rests if rest.north is None and rest.up is not None]
+    level = max((float(np.linalg.norm(p - np.outer(p @ up, up), axis=1).max()) for up in ups), default=0.0)
+    if level < _LEVEL:
+        return []
+    size = np.degrees(EARTH_RATE_RPS * np.cos(mapping.site.latitude_rad)) * 3600 * level
+    return [
+        f"the horizontal part of Earth rate, up to {size:.2g} deg/h, stays in the biases: state for each pose the body "
+        'axis that points north (north = "x")'
+    ]
+
+
+def rest_text(rest: Rest, file_s: float) -> str:
+    """Return the limits of a rest of a file that begins at ``file_s``, and the direction up where it is known."""
+    up = "" if rest.up is None else f", up {rest.up[0]:.4f} {rest.up[1]:.4f} {rest.up[2]:.4f}"
+    return f"{rest.start_s + file_s:.3f} to {rest.end_s + file_s:.3f} s{up}"
+
+
+def _stated(samples: _Samples, first: int, stop: int, pose: Pose, stated: Rests) -> Rest:
+    """Return the rest of these rows as stated; RecordingError with the reason if the samples say otherwise."""
+    t_s, part = samples.t_s, samples.rate[first:stop]
     if len(part) < 2:
-        raise ValueError(f"it has {len(part)} usable rows, too few for a rest")
+        raise RecordingError(f"it has {len(part)} usable rows, too few for a rest")
     limit = stated.limit_rps
     mean = np.nanmean(part, axis=0)
     worst = float(np.abs(mean).max())
     if worst > limit:
-        raise ValueError(
+        raise RecordingError(
             f"it is said to be at rest but turns at {np.degrees(worst):.1f} deg/s on average, {np.degrees(limit):.3g} "
             'allowed: check its limits (without sections write where = "found"), or raise rest_limit_dps if that is '
             "the gyro's bias"
@@ -59,22 +144,23 @@ def stated_rest(
     loud = np.abs(windows.mean(axis=1) - np.median(windows.mean(axis=1), axis=0)).max(axis=1) > limit
     if loud.any():
         at = int(np.argmax(loud)) * rows
-        raise ValueError(
+        raise RecordingError(
             f"it is said to be at rest but moves at {t_s[first + at]:.6g} s of the file: make it shorter, or leave "
             'sections away and write where = "found"'
         )
-    return _posed(accel, first, stop, pose)
+    return _posed(samples, first, stop, pose)
 
 
-def found_rests(t_s: Floats, rate: Floats, accel: Floats | None, pose: Pose, stated: Rests) -> list[Rest]:
+def _found(samples: _Samples, pose: Pose, stated: Rests) -> list[Rest]:
     """Return where the samples are as quiet as they get, for long enough, in order of time.
 
     Rests have the scatter of the quietest windows, and nearly their mean: a steady turn is as quiet as a rest. The
-    accelerometer, if there is one, must be quiet too and not tilt. Raises ValueError if there is none.
+    accelerometer, if there is one, must be quiet too and not tilt. Raises RecordingError if there is none.
     """
+    t_s, rate, accel = samples.t_s, samples.rate, samples.accel
     rows = _window_rows(t_s)
     if len(rate) < 2 * rows:
-        raise ValueError(f"it has {len(rate)} usable rows, too few to find where it rests")
+        raise RecordingError(f"it has {len(rate)} usable rows, too few to find where it rests")
     channels = rate if accel is None else np.hstack([rate, accel])
     windows = _windows(channels, rows)
     scatter, mean = windows.std(axis=1, ddof=1), windows.mean(axis=1)
@@ -92,42 +178,42 @@ def found_rests(t_s: Floats, rate: Floats, accel: Floats | None, pose: Pose, sta
         for c, d in _level(mean[:, rate.shape[1] :], a, b, tilt) if accel is not None else [(a, b)]:
             first, last = c * rows, len(rate) if d == len(quiet) else d * rows
             if last > first and t_s[last - 1] - t_s[first] >= stated.least_s:
-                rests.append(_posed(accel, first, last, pose))
+                rests.append(_posed(samples, first, last, pose))
     if not rests:
-        raise ValueError(
+        raise RecordingError(
             f"no rest of {stated.least_s:g} s is found in it: state where it rests by [reference.sections] with "
             'start_s and end_s, or write where = "everywhere", or a shorter rest_s'
         )
     return rests
 
 
-def gravity_note(accel: Floats) -> str:
-    """Return what is wrong with the specific force (rows, 3) of a body at rest, in words; empty if nothing is."""
+def _gravity_notes(accel: Floats) -> list[str]:
+    """Return what is wrong with the specific force (rows, 3) of a body at rest, in words."""
     length = float(np.nanmedian(np.linalg.norm(accel, axis=1)))
     if abs(length / _GRAVITY_MPS2 - 1) <= _GRAVITY_OFF:
-        return ""
-    return f"at rest the accelerometer shows {length:.3g} m/s2 where 9.81 are due: check [accelerometer] unit and count"
+        return []
+    return [
+        f"at rest the accelerometer shows {length:.3g} m/s2 where 9.81 are due: check [accelerometer] unit and count"
+    ]
 
 
-def _posed(accel: Floats | None, first: int, stop: int, pose: Pose) -> Rest:
+def _posed(samples: _Samples, first: int, stop: int, pose: Pose) -> Rest:
     up = None if pose.up is None else np.array(pose.up)
-    north = None if pose.north is None else _level_north(np.array(pose.north), np.array(pose.up))
-    found = None
-    if accel is not None:
-        force = np.nanmean(accel[first:stop], axis=0)
+    north, found = None, None
+    if pose.north is not None:
+        level = np.array(pose.north) - (np.array(pose.north) @ up) * up
+        north = level / np.linalg.norm(level)
+    if samples.accel is not None:
+        force = np.nanmean(samples.accel[first:stop], axis=0)
         length = float(np.linalg.norm(force))
         found = force / length if np.isfinite(length) and length > 0 else None
     if up is not None and found is not None and float(up @ found) < _UP_WITHIN:
-        raise ValueError(
+        raise RecordingError(
             f"it is said to have {_rounded(up)} up, but its accelerometer shows up along {_rounded(found)} (body "
             "axes): check up, and axes in [accelerometer] (at rest the specific force points up)"
         )
-    return Rest(first, stop, found if up is None else up, north)
-
-
-def _level_north(north: Floats, up: Floats) -> Floats:
-    level = north - (north @ up) * up
-    return np.asarray(level / np.linalg.norm(level))
+    start_s, end_s = float(samples.t_s[first]), float(samples.t_s[stop - 1])
+    return Rest(first, stop, start_s, end_s, found if up is None else up, north)
 
 
 def _window_rows(t_s: Floats) -> int:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.errors import RecordingError
 from estimator.importing.mapping.mapping import FileFormat
-from estimator.types import Floats
+from estimator.importing.table import Table, Wanted, no_column
 
 Lines = list[tuple[int, str]]
 
@@ -27,86 +24,113 @@ _SHOWN = 60  # characters of a broken line in a message
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
-    """Names of columns: ``needed`` in every row, those that ``may_be_blank`` (NaN there), and ``labels`` (text).
+class _Body:
+    """Lines below the heading of a file, the names of its columns, and what is wanted of them."""
 
-    With ``calendar`` the needed ones are dates with times (ISO 8601), which become seconds since 1970.
-    """
-
-    needed: tuple[str, ...]
-    may_be_blank: tuple[str, ...]
-    labels: tuple[str, ...] = ()
-    calendar: bool = False
+    name: str
+    lines: Lines
+    header: list[str]
+    format: FileFormat
+    wanted: Wanted
 
     @property
-    def numeric(self) -> tuple[str, ...]:
-        return (*self.needed, *self.may_be_blank)
+    def where(self) -> list[int]:
+        """Place of each wanted number in a line."""
+        return [self.header.index(_bare(key)) for key in self.wanted.numeric]
 
-    @property
-    def all(self) -> tuple[str, ...]:
-        return (*self.numeric, *self.labels)
+    def fast(self) -> Table | None:
+        """Return all rows at once if nothing about them is special, else None."""
+        delimiter, separators = self.format.delimiter, len(self.header) - 1
+        if self.wanted.labels or self.wanted.calendar or self.format.decimal != "." or not delimiter:
+            return None
+        if any(line.count(delimiter) != separators for _, line in self.lines):
+            return None
+        try:
+            lines = [line for _, line in self.lines]
+            values = np.loadtxt(lines, delimiter=delimiter, usecols=self.where, comments=None, ndmin=2)
+        except ValueError:
+            return None
+        return Table(self.name, dict(zip(self.wanted.numeric, values.T, strict=True)), position=np.arange(len(values)))
+
+    def careful(self) -> Table:
+        """Return the rows that can be read, line by line."""
+        wanted, header = self.wanted, self.header
+        label_at = [header.index(_bare(key)) for key in wanted.labels]
+        needed = [_calendar_s if wanted.calendar else float] * len(wanted.needed)
+        columns = list(zip(self.where, [*needed, *[_number_or_blank] * len(wanted.may_be_blank)], strict=True))
+        good: list[tuple[int, list[float], list[str]]] = []  # by their place among the lines
+        skipped, first_skipped, at = 0, "", 0
+        for number, line in self.lines:
+            fields = _fields(line, self.format)
+            whole = len(fields) == len(header) or (len(fields) == len(header) + 1 and not fields[-1])
+            row, wrong = [], ""
+            for i, to_number in columns if len(fields) >= len(header) else ():
+                try:
+                    row.append(to_number(fields[i].replace(",", ".") if self.format.decimal == "," else fields[i]))
+                except ValueError:
+                    whole, wrong = False, f", where {header[i]} holds {fields[i]!r}"
+                    break
+            if not whole:
+                skipped += 1
+                first_skipped = first_skipped or f"line {number} ({line.strip()[:_SHOWN]!r}){wrong}"
+                at += fields != header  # a heading that comes again stands for no sample
+                continue
+            good.append((at, row, [fields[i] for i in label_at]))
+            at += 1
+        values = np.array([row for _, row, _ in good]).reshape(len(good), len(columns))
+        return Table(
+            self.name,
+            dict(zip(wanted.numeric, values.T, strict=True)),
+            {key: tuple(texts[i] for _, _, texts in good) for i, key in enumerate(wanted.labels)},
+            skipped,
+            first_skipped,
+            np.array([place for place, _, _ in good], dtype=np.int64),
+        )
+
+    def hint(self) -> str:
+        """Return what to write so that more of the lines are rows."""
+        mark, now = "," if self.format.decimal == "." else ".", self.careful()
+        for other, hint in (
+            (replace(self, format=replace(self.format, decimal=mark)), f'write decimal = "{mark}" in [file]'),
+            (replace(self, wanted=replace(self.wanted, calendar=True)), 'write unit = "iso" in [time]'),
+        ):
+            if other.careful().skipped_lines < min(now.skipped_lines, len(self.lines) / 2):
+                return hint
+        stamps = any(f", where {_bare(name)} holds" in now.first_skipped for name in self.wanted.needed)
+        unit = ', unit in [time] (stamps are numbers, or ISO 8601 as "iso"; without, state rate_hz in [time])'
+        return f"check delimiter and decimal in [file]{unit * stamps}, or repair the file"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TextRows:
-    """Good rows: numbers (rows, columns), labels by row, and ``position`` (rows,) among good and broken lines.
-
-    ``units`` are the fields of the row of units, empty without one.
-    """
-
-    values: Floats
-    labels: list[list[str]]
-    position: NDArray[np.int64]
-    skipped: int
-    first_skipped: str
-    units: tuple[str, ...]
-
-
-def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> TextRows:
+def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> Table:
     """Return the rows of a text log.
 
     Raises RecordingError, naming the file, if it is empty, lacks a column, or is broken in more than 10 % of its
     lines; then with the first of them.
     """
-    needed, blank, labels = (tuple(map(_bare, names)) for names in (wanted.needed, wanted.may_be_blank, wanted.labels))
-    wanted = Wanted(needed, blank, labels, wanted.calendar)
     lines = [(number, line) for number, line in enumerate(re.split(r"\r\n|\n|\r", text), 1) if line.strip("\0 \t")]
     if not lines:
         raise RecordingError(f"{name} is empty")
-    start, header = _heading(name, lines, file_format, wanted)
+    needed, blank, labels = (tuple(map(_bare, names)) for names in (wanted.needed, wanted.may_be_blank, wanted.labels))
+    start, header = _heading(name, lines, file_format, Wanted(needed, blank, labels))
     body = [(number, line) for number, line in lines[start:] if not line.lstrip().startswith(_COMMENTS)]
     if not body:
         raise RecordingError(f"{name} has a heading but no rows")
-    where = [header.index(key) for key in wanted.numeric]
-    units: tuple[str, ...] = ()
-    first = _fields(body[0][1], file_format)
-    if not file_format.columns and len(first) == len(header) and not any(_is_number(first[at]) for at in where):
-        units = tuple(first[at].strip("[]()") for at in where)
-        body = body[1:]
-    found = _fast(body, header, where, file_format, wanted) or _careful(body, header, where, file_format, wanted)
-    rows = found.skipped + len(found.values)
+    units: dict[str, str] = {}
+    own, first = _Body(name, body, header, file_format, wanted), _fields(body[0][1], file_format)
+    if not file_format.columns and len(first) == len(header) and not any(_is_number(first[at]) for at in own.where):
+        units = {key: first[at].strip("[]()") for key, at in zip(wanted.numeric, own.where, strict=True)}
+        own = replace(own, lines=body[1:])
+    found = own.fast() or own.careful()
+    rows = found.skipped_lines + len(next(iter(found.columns.values())))
     if not rows:
         raise RecordingError(f"{name} has a heading but no rows")
-    if found.skipped > BROKEN_SHARE * rows:
+    if found.skipped_lines > BROKEN_SHARE * rows:
         raise RecordingError(
-            f"{name}: {found.skipped} of {rows} lines are no rows of {len(header)} fields with delimiter "
+            f"{name}: {found.skipped_lines} of {rows} lines are no rows of {len(header)} fields with delimiter "
             f"{file_format.delimiter or 'space'!r} and decimal mark {file_format.decimal!r}, the first is "
-            f"{found.first_skipped}: {_rows_hint(body[:_PREAMBLE_LINES], header, where, file_format, wanted)}"
+            f"{found.first_skipped}: {replace(own, lines=own.lines[:_PREAMBLE_LINES]).hint()}"
         )
-    return TextRows(found.values, found.labels, found.position, found.skipped, found.first_skipped, units)
-
-
-def _rows_hint(body: Lines, header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted) -> str:
-    mark, now = "," if file_format.decimal == "." else ".", _careful(body, header, where, file_format, wanted)
-    for other, rows, hint in (
-        (replace(file_format, decimal=mark), wanted, f'write decimal = "{mark}" in [file]'),
-        (file_format, replace(wanted, calendar=True), 'write unit = "iso" in [time]'),
-    ):
-        if _careful(body, header, where, other, rows).skipped < min(now.skipped, len(body) / 2):
-            return hint
-    stamps = any(f", where {name} holds" in now.first_skipped for name in wanted.needed)
-    unit = ', unit in [time] (stamps are numbers, or ISO 8601 as "iso"; without, state rate_hz in [time])'
-    return f"check delimiter and decimal in [file]{unit * stamps}, or repair the file"
+    return replace(found, units=units)
 
 
 def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -> tuple[int, list[str]]:
@@ -130,11 +154,7 @@ def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -
     if not missing:
         return best_at + 1, best
     which = "its first line" if best_at == 0 else f"its line {lines[best_at][0]}"
-    hint = _heading_hint(lines, file_format, wanted, missing, best)
-    raise RecordingError(
-        f"{name} has no column {', '.join(missing)}: {which} has {', '.join(best)[:400]}; correct the mapping "
-        f"(names, delimiter) or give the file it is for{hint}"
-    )
+    raise no_column(name, missing, which, best, _heading_hint(lines, file_format, wanted, missing, best))
 
 
 def _heading_hint(lines: Lines, file_format: FileFormat, wanted: Wanted, missing: list[str], best: list[str]) -> str:
@@ -174,63 +194,6 @@ def _is_number(field: str) -> bool:
     except ValueError:
         return field == ""
     return True
-
-
-def _fast(body: Lines, header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted) -> TextRows | None:
-    """Return all rows at once if nothing about them is special, else None."""
-    if wanted.labels or wanted.calendar or file_format.decimal != "." or not file_format.delimiter:
-        return None
-    separators = len(header) - 1
-    if any(line.count(file_format.delimiter) != separators for _, line in body):
-        return None
-    try:
-        values = np.loadtxt(
-            [line for _, line in body], delimiter=file_format.delimiter, usecols=where, comments=None, ndmin=2
-        )
-    except ValueError:
-        return None
-    return TextRows(values, [], np.arange(len(values)), 0, "", ())
-
-
-def _careful(body: Lines, header: list[str], where: list[int], file_format: FileFormat, wanted: Wanted) -> TextRows:
-    label_at = [header.index(key) for key in wanted.labels]
-    comma = file_format.decimal == ","
-    needed = [_calendar_s if wanted.calendar else float] * len(wanted.needed)
-    convert: list[Callable[[str], float]] = [*needed, *[_number_or_blank] * len(wanted.may_be_blank)]
-    rows: list[list[float]] = []
-    texts: list[list[str]] = []
-    position: list[int] = []
-    skipped, first_skipped, at = 0, "", 0
-    for number, line in body:
-        fields = _fields(line, file_format)
-        row = None
-        if len(fields) == len(header) or (len(fields) == len(header) + 1 and not fields[-1]):
-            numbers = [fields[i].replace(",", ".") if comma else fields[i] for i in where]
-            with suppress(ValueError):
-                row = [to_number(field) for to_number, field in zip(convert, numbers, strict=True)]
-        if row is None:
-            skipped += 1
-            first_skipped = (
-                first_skipped or f"line {number} ({line.strip()[:_SHOWN]!r}){_wrong(fields, header, where, convert)}"
-            )
-            at += fields != header  # a heading that comes again stands for no sample
-            continue
-        rows.append(row)
-        texts.append([fields[i] for i in label_at])
-        position.append(at)
-        at += 1
-    values = np.array(rows).reshape(len(rows), len(where))
-    return TextRows(values, texts, np.array(position, dtype=np.int64), skipped, first_skipped, ())
-
-
-def _wrong(fields: list[str], header: list[str], where: list[int], convert: list[Callable[[str], float]]) -> str:
-    """Return which field of a broken line is no number, in words; empty if it is another number of fields."""
-    for at, to_number in zip(where, convert, strict=True) if len(fields) >= len(header) else ():
-        try:
-            to_number(fields[at])
-        except ValueError:
-            return f", where {header[at]} holds {fields[at]!r}"
-    return ""
 
 
 def _number_or_blank(field: str) -> float:

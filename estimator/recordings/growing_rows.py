@@ -9,24 +9,29 @@ from numpy.typing import NDArray
 
 
 class GrowingRows:
-    """Rows that grow at the end without being copied each time."""
+    """Rows of named columns that grow at the end without being copied each time."""
 
-    def __init__(self, shape: tuple[int, ...], dtype: type = np.float64) -> None:
-        self._store: NDArray[Any] = np.empty((256, *shape), dtype=dtype)
+    def __init__(self, **columns: Any) -> None:
+        """Start empty; a column is the shape of its rows, or their type if they are no numbers in floating point."""
+        self._stores: dict[str, NDArray[Any]] = {
+            name: np.empty((256, *what)) if isinstance(what, tuple) else np.empty(256, what)
+            for name, what in columns.items()
+        }
         self._length = 0
 
     def __len__(self) -> int:
         return self._length
 
-    @property
-    def all(self) -> NDArray[Any]:
-        return self._store[: self._length]
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._stores[name][: self._length]
 
-    def append(self, rows: NDArray[Any]) -> None:
-        total = self._length + len(rows)
-        if total > len(self._store):
-            grown = np.empty((max(total, 2 * len(self._store)), *self._store.shape[1:]), dtype=self._store.dtype)
-            grown[: self._length] = self.all
-            self._store = grown
-        self._store[self._length : total] = rows
+    def append(self, *rows: NDArray[Any]) -> None:
+        """Append rows, those of every column in the order of the columns."""
+        total = self._length + len(rows[0])
+        for (name, store), own in zip(self._stores.items(), rows, strict=True):
+            if total > len(store):
+                grown = np.empty((max(total, 2 * len(store)), *store.shape[1:]), dtype=store.dtype)
+                grown[: self._length] = store[: self._length]
+                self._stores[name] = grown
+            self._stores[name][self._length : total] = own
         self._length = total

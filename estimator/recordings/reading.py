@@ -15,7 +15,7 @@ from estimator.geometry.array import sensor_array
 from estimator.geometry.kinematics import Site, check_gimbals
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
-from estimator.recordings.recording import FORMAT, FORMAT_VERSION, ImuData, Recording
+from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording
 from estimator.recordings.reference import (
     AttitudeReadings,
     Poses,
@@ -29,15 +29,6 @@ from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain
 from estimator.types import Floats
 
-_LAID_OUT: dict[str, tuple[int, type[np.generic]]] = {
-    **dict.fromkeys(("t_ns", "t_start_ns", "t_end_ns", "half_width_ns"), (1, np.int64)),
-    **dict.fromkeys(("rate_rps", "angle_rad", "turn_rad", "up", "attitude_wxyz"), (2, np.float64)),
-    **dict.fromkeys(("temperature_c", "accel_mps2"), (0, np.float64)),
-    "counter": (0, np.int64),
-    "sd_rad": (1, np.float64),
-    "shifts": (3, np.float64),
-}
-"""Dimensions (0 for any) and type of the columns of a recording."""
 _REFERENCES: dict[str, Any] = {"turn_rad": Turns, "up": Poses, "rate_rps": RateReadings}
 """References by the column that only they have, in the order of looking; else they are attitudes."""
 
@@ -81,35 +72,26 @@ def _read(path: Path, file: Any) -> Recording:
 
 def _read_source(path: Path, name: str, group: Any) -> ImuData:
     where = f"{path}: /imu/{name}"
-    t_ns = _column(where, group, "t_ns")
-    rate = _column(where, group, "rate_rps")
-    if len(t_ns) != len(rate):
-        n = min(len(t_ns), len(rate))  # a run cut between two datasets of one flush
-        t_ns, rate = t_ns[:n], rate[:n]
+    present = ["t_ns", "rate_rps", *(key for key in ("temperature_c", "accel_mps2", "counter") if key in group)]
+    columns = {key: _column(where, group, key) for key in present}
+    n = min(map(len, columns.values()))  # a run cut between two datasets of one flush
+    columns = {key: values[:n] for key, values in columns.items()}
     axes = {key: _axes(group, key) for key in "pjk"}
     if axes["p"] is None:
         raise RecordingError(f"{where} has no sense axes p")
-    names = group.attrs.get("names")
-    m = rate.shape[1]
-    labels = [str(plain(x)) for x in names] if names is not None else None
-    if labels is None:
-        labels = [name] if m == 1 else [f"{name}{i + 1}" for i in range(m)]
+    m = columns["rate_rps"].shape[1]
+    counted = [name] if m == 1 else [f"{name}{i + 1}" for i in range(m)]
+    labels = [str(plain(x)) for x in group.attrs.get("names", counted)]
     try:
         array = sensor_array(axes["p"], axes["j"], axes["k"], names=labels, part_of_array=True)
     except GeometryError as error:
         raise RecordingError(f"{where}: {error}") from None
     if len(array) != m:
         raise RecordingError(f"{where} has {m} channels but {len(array)} sense axes")
-    optional = {key: _column(where, group, key) for key in ("temperature_c", "accel_mps2", "counter") if key in group}
-    if any(len(values) < len(t_ns) for values in optional.values()):  # cut in the same way
-        n = min(len(values) for values in optional.values())
-        t_ns, rate = t_ns[:n], rate[:n]
-    optional = {key: values[: len(t_ns)] for key, values in optional.items()}
     prior = Prior(*(float(v) for v in group.attrs["prior"])) if "prior" in group.attrs else Prior()
     noise = NoiseModel(*(float(v) for v in group.attrs["noise"])) if "noise" in group.attrs else None
-    device = str(plain(group.attrs.get("device", "")))
-    lost = int(group.attrs.get("lost", 0))
-    return ImuData(array, t_ns, rate, lost=lost, prior=prior, noise=noise, device=device, **cast(Any, optional))
+    device, lost = str(plain(group.attrs.get("device", ""))), int(group.attrs.get("lost", 0))
+    return ImuData(array, lost=lost, prior=prior, noise=noise, device=device, **cast(Any, columns))
 
 
 def _axes(group: Any, key: str) -> Floats | None:
@@ -151,11 +133,11 @@ def _read_reference(path: Path, file: Any) -> Reference:
 
 
 def _column(where: str, group: Any, key: str) -> NDArray[Any]:
-    dimensions, dtype = _LAID_OUT[key]
+    dimensions = LAYOUT[key]["dimensions"]
     if key not in group:
         raise RecordingError(f"{where} has no {key}")
     try:
-        values = np.asarray(group[key][()]).astype(dtype)
+        values = np.asarray(group[key][()]).astype(LAYOUT[key]["type"])
     except (TypeError, ValueError):
         raise RecordingError(f"{where}/{key} is not numeric") from None
     if dimensions == 2 and values.ndim == 1:

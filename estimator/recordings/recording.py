@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,8 @@ from estimator.types import Floats, Stamps
 
 FORMAT = "turntable-recording"
 FORMAT_VERSION = 1
+LAYOUT = tomllib.loads(files("estimator.recordings").joinpath("layout.toml").read_text(encoding="utf-8"))
+"""What each column of a recording is, in memory as in its file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -133,25 +133,18 @@ class BodyRates:
         self._gimbals = check_gimbals(gimbals)
         n = len(self._gimbals)
         # Readings as they came, and how many of them are among the rows: those after it wait for the end of a ramp.
-        self._read_ns, self._read_half_s, self._changes = (
-            GrowingRows((), np.int64),
-            GrowingRows(()),
-            GrowingRows((), np.bool_),
-        )
-        self._read_angle, self._read_rate, self._read_area = (GrowingRows((n,)) for _ in range(3))
+        self._read = GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), summed=(n,), half_s=(), change=np.bool_)
         self._taken = self._window_ns = 0
         self._site = site
-        self._times = GrowingRows((), np.int64)
-        self._angle, self._rate, self._summed, self._refined = (GrowingRows((n,)) for _ in range(4))
-        self._half_width_s, self._corner_s = (
-            GrowingRows(()),
-            GrowingRows((n,)),
-        )  # the latter: doubt of a corner, NaN for none
-        self._known = GrowingRows((), np.bool_)  # whether what happened since the reading before is known
-        self._sure = GrowingRows((), np.bool_)  # the same once the row is final
+        # ``corner_s``: doubt of a corner, NaN for none; ``known``: whether what happened since the row before is. Of a
+        # final row ``sure`` is the same.
+        self._rows = GrowingRows(
+            t_ns=np.int64, angle=(n,), rate=(n,), summed=(n,), half_s=(), corner_s=(n,), known=np.bool_
+        )
+        self._final = GrowingRows(rate=(n,), sure=np.bool_)
         # Running sums of w [1, s, s^2, d, s d, d^2, u] and [1] before each reading: s time, d angle less summed rate,
         # u the variance that the doubt of the instant may give it, w its weight.
-        self._sums = GrowingRows((_TERMS, n))
+        self._sums = GrowingRows(terms=(_TERMS, n))
         self._sums.append(np.zeros((1, _TERMS, n)))
 
     @classmethod
@@ -180,31 +173,25 @@ class BodyRates:
         """
         if not len(t_ns):
             return
-        first = not len(self._read_ns)
-        before = t_ns[:1] if first else self._read_ns.all[-1:]
-        step_ns = np.diff(np.concatenate([before, t_ns]))
-        if np.any(step_ns[first:] <= 0):
+        step_ns, rates, summed = _integrated(self._read, t_ns, rate_rps)
+        if np.any(step_ns[not len(self._read) :] <= 0):
             raise RecordingError("the times of the table readings do not increase: sort them, drop repeats")
-        rates = np.vstack([rate_rps[:1] if first else self._read_rate.all[-1:], rate_rps])
-        area = 0.5 * (rates[1:] + rates[:-1]) * (step_ns * 1e-9)[:, None]
-        start = np.zeros((1, rates.shape[1])) if first else self._read_area.all[-1:]
-        summed = np.cumsum(np.vstack([start, area]), axis=0)[1:]
-        previous = angle_rad[0] - summed[0] if first else self._read_angle.all[-1] - self._read_area.all[-1]
         # Without whole-turn jumps: the summed rate says which turn it is.
-        jumps = np.round(np.diff(np.vstack([previous, angle_rad - summed]), axis=0) / (2 * np.pi))
-        self._changes.append(changing(np.concatenate([[0.0], np.cumsum(step_ns * 1e-9)]), rates))
-        self._read_ns.append(t_ns)
-        self._read_angle.append(angle_rad - 2 * np.pi * np.cumsum(jumps, axis=0))
-        self._read_rate.append(rate_rps)
-        self._read_area.append(summed)
+        drift = angle_rad - summed
+        jumps = np.round(np.diff(np.vstack([_drift(self._read, drift), drift]), axis=0) / (2 * np.pi))
+        angle = angle_rad - 2 * np.pi * np.cumsum(jumps, axis=0)
+        half_s = np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns * 1e-9
+        change = changing(np.concatenate([[0.0], np.cumsum(step_ns * 1e-9)]), rates)
+        self._read.append(t_ns, angle, rate_rps, summed, half_s, change)
         self._window_ns = rate_window_ns
-        self._read_half_s.append(np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns * 1e-9)
         self._take(everything=False)
-        self._refine_up_to_latest()
+        if len(self._rows):
+            latest = int(self._rows["t_ns"][-1]) - ANCHOR_HALF_WINDOW_NS
+            self._refine_up_to(int(np.searchsorted(self._rows["t_ns"], latest, side="right")))
 
     def _take(self, *, everything: bool) -> None:
         """Make rows of the readings, up to a ramp of which the end is still to come."""
-        times, changes = self._read_ns.all, self._changes.all
+        times, changes = self._read["t_ns"], self._read["change"]
         hold_ns = round(HOLD_S * 1e9) + self._window_ns
         while (taken := self._taken) < len(times):
             ahead = np.flatnonzero(changes[taken:])
@@ -223,7 +210,7 @@ class BodyRates:
             longest = int(np.searchsorted(times, times[start] + round(LONGEST_S * 1e9), side="right"))
             if stop > longest:  # no ramp
                 self._append(taken, longest, [])
-            elif not is_ramp(self._read_rate.all[max(start - 1, 0) : stop]) and (seen or everything):
+            elif not is_ramp(self._read["rate"][max(start - 1, 0) : stop]) and (seen or everything):
                 self._append(taken, stop, [])
             elif everything or (seen and times[-1] >= times[stop - 1] + round(WINDOW_S * 1e9) + hold_ns):
                 # What was read soon after, or is a mean, may still hold something of the ramp.
@@ -231,13 +218,13 @@ class BodyRates:
                 following = min(stop + int(np.argmax(after) if after.any() else len(after)), len(times) - 1)
                 # Of the beginning of the next ramp a mean may know nothing yet.
                 stop = max(stop, int(np.searchsorted(times, times[following] - self._window_ns)))
-                self._append(taken, stop, self._ramps(start, stop) if len(self._times) else [])
+                self._append(taken, stop, self._ramps(start, stop) if len(self._rows) else [])
             else:
                 return
 
     def _ramps(self, start: int, stop: int) -> list[tuple[int, Stamps, Ramp]]:
         """Return the ramps between the readings before ``start`` and before ``stop``: column, corners, ramp."""
-        times, changes = self._read_ns.all, self._changes.all
+        times, changes = self._read["t_ns"], self._read["change"]
         window_ns = round(WINDOW_S * 1e9)
         low = int(np.searchsorted(times, times[start - 1] - window_ns)) if start else 0
         high = int(np.searchsorted(times, times[stop - 1] + window_ns, side="right"))
@@ -249,14 +236,14 @@ class BodyRates:
         t_s = (times[part] - times[low]) * 1e-9
         found = []
         for column in range(len(self._gimbals)):
-            angle, rate = self._read_angle.all[part, column], self._read_rate.all[part, column]
+            angle, rate = self._read["angle"][part, column], self._read["rate"][part, column]
             own = np.flatnonzero(changing(t_s, rate[:, None])[max(start - 1 - low, 0) : stop - 1 - low])
             if not len(own):
                 continue
             first, last = max(start - 1 - low, 0) + int(own[0]), max(start - 1 - low, 0) + int(own[-1]) + 1
             if not is_ramp(rate[first : last + 1, None]):
                 continue
-            ramp = fitted((t_s, angle, rate, self._read_half_s.all[part], self._window_ns * 1e-9), first, last)
+            ramp = fitted((t_s, angle, rate, self._read["half_s"][part], self._window_ns * 1e-9), first, last)
             if ramp is not None:
                 corners = times[low] + np.round(ramp.t_s * 1e9).astype(np.int64)
                 reading_rps = ramp.reading_rps[self._taken - low : stop - low]
@@ -267,15 +254,15 @@ class BodyRates:
         """Append readings as rows, the corners of ramps between them as rows that were not measured."""
         self._taken = stop
         part = slice(start, stop)
-        t_ns, angle = self._read_ns.all[part], self._read_angle.all[part]
-        known = slice(start, int(np.searchsorted(self._read_ns.all, t_ns[-1] + self._window_ns, side="right")))
-        rate = centred(t_ns, self._read_ns.all[known], self._read_rate.all[known], self._window_ns)
-        half_width_s, measured = self._read_half_s.all[part], np.ones(stop - start)
+        t_ns, angle = self._read["t_ns"][part], self._read["angle"][part]
+        known = slice(start, int(np.searchsorted(self._read["t_ns"], t_ns[-1] + self._window_ns, side="right")))
+        rate = centred(t_ns, self._read["t_ns"][known], self._read["rate"][known], self._window_ns)
+        half_width_s, measured = self._read["half_s"][part], np.ones(stop - start)
         corner_s = np.full(rate.shape, np.nan)
         if ramps:
             # From the row before on: in between the corners lie.
-            known_ns = np.concatenate([self._times.all[-1:], t_ns])
-            angles, rates = np.vstack([self._angle.all[-1:], angle]), np.vstack([self._rate.all[-1:], rate])
+            known_ns = np.concatenate([self._rows["t_ns"][-1:], t_ns])
+            angles, rates = np.vstack([self._rows["angle"][-1:], angle]), np.vstack([self._rows["rate"][-1:], rate])
             inside = [corners[(corners > known_ns[0]) & (corners < known_ns[-1])] for _, corners, _ in ramps]
             t_ns = np.unique(np.concatenate([t_ns, *inside]))
             measured = np.isin(t_ns, known_ns).astype(np.float64)
@@ -288,12 +275,9 @@ class BodyRates:
                 if c in of_column:
                     corners, ramp = of_column[c]
                     corner_s[:, c] = ramp.sd_s
-                    fresh = ~np.isin(corners, known_ns)
-                    own_ns = np.concatenate([known_ns, corners[fresh]])
-                    order = np.argsort(own_ns)
-                    own_ns = own_ns[order]
-                    own_angle = np.concatenate([own_angle, ramp.angle_rad[fresh]])[order]
-                    own_rate = np.concatenate([own_rate[:1], ramp.reading_rps, ramp.rate_rps[fresh]])[order]
+                    own_ns, first = np.unique(np.concatenate([known_ns, corners]), return_index=True)
+                    own_angle = np.concatenate([own_angle, ramp.angle_rad])[first]
+                    own_rate = np.concatenate([own_rate[:1], ramp.reading_rps, ramp.rate_rps])[first]
                 since_s, own_s = (t_ns - known_ns[0]) * 1e-9, (own_ns - known_ns[0]) * 1e-9
                 angle[:, c], rate[:, c] = np.interp(since_s, own_s, own_angle), np.interp(since_s, own_s, own_rate)
         self._add_rows(t_ns, angle, rate, half_width_s, measured, corner_s)
@@ -301,59 +285,41 @@ class BodyRates:
     def _add_rows(
         self, t_ns: Stamps, angle: Floats, rate_rps: Floats, half_width_s: Floats, measured: Floats, corner_s: Floats
     ) -> None:
-        first = not len(self._times)
-        before = t_ns[:1] if first else self._times.all[-1:]
-        step_ns = np.diff(np.concatenate([before, t_ns]))
-        rates = np.vstack([rate_rps[:1] if first else self._rate.all[-1:], rate_rps])
-        area = 0.5 * (rates[1:] + rates[:-1]) * (step_ns * 1e-9)[:, None]
-        start = np.zeros((1, rates.shape[1])) if first else self._summed.all[-1:]
-        summed = np.cumsum(np.vstack([start, area]), axis=0)[1:]
+        step_ns, rates, summed = _integrated(self._rows, t_ns, rate_rps)
         drift = angle - summed
-        drift_before = drift[:1] if first else (self._angle.all[-1:] - self._summed.all[-1:])
-        unexplained = np.diff(np.vstack([drift_before, drift]), axis=0)
-        widths = np.concatenate([half_width_s[:1] if first else self._half_width_s.all[-1:], half_width_s])
+        unexplained = np.diff(np.vstack([_drift(self._rows, drift), drift]), axis=0)
+        widths = np.concatenate([half_width_s[:1] if not len(self._rows) else self._rows["half_s"][-1:], half_width_s])
         doubt = np.abs(rate_rps) * (widths[1:] + widths[:-1])[:, None]
         steady = np.abs(np.diff(rates, axis=0)) <= _STEADY_RPS + _STEADY_SHARE * np.abs(rate_rps)
         explained = np.abs(unexplained) <= GAP_ANGLE_RAD + doubt
         known_step = (step_ns <= GAP_NS) | (np.isfinite(corner_s) | (steady & explained)).all(axis=1)
-        self._known.append(known_step)
-        self._half_width_s.append(half_width_s)
-        self._corner_s.append(corner_s)
         # What happened in a gap is no error of the rates beside it: there the angles alone count.
         hidden = np.cumsum(np.where(known_step[:, None], 0.0, unexplained), axis=0)
         summed, drift = summed + hidden, drift - hidden
-        s = ((t_ns - (t_ns[0] if first else self._times.all[0])) * 1e-9)[:, None]
+        s = ((t_ns - (self._rows["t_ns"] if len(self._rows) else t_ns)[0]) * 1e-9)[:, None]
         may_scatter = (rate_rps * half_width_s[:, None]) ** 2 / 3
         ones = np.ones_like(drift)
         weight = measured[:, None] / (_ANGLE_SD_RAD**2 + may_scatter)
         terms = np.stack([ones, s * ones, s * s * ones, drift, s * drift, drift**2, may_scatter], axis=1)
         terms = np.concatenate([terms * weight[:, None], (measured[:, None] * ones)[:, None]], axis=1)
-        self._sums.append(np.cumsum(np.concatenate([self._sums.all[-1:], terms]), axis=0)[1:])
-        self._times.append(t_ns)
-        self._angle.append(drift + summed)
-        self._rate.append(rate_rps)
-        self._summed.append(summed)
-
-    def _refine_up_to_latest(self) -> None:
-        if len(self._times):
-            latest = int(self._times.all[-1]) - ANCHOR_HALF_WINDOW_NS
-            self._refine_up_to(int(np.searchsorted(self._times.all, latest, side="right")))
+        self._sums.append(np.cumsum(np.concatenate([self._sums["terms"][-1:], terms]), axis=0)[1:])
+        self._rows.append(t_ns, drift + summed, rate_rps, summed, half_width_s, corner_s, known_step)
 
     def finish(self) -> None:
         """Make the last seconds final too, with windows that end with the readings."""
         self._take(everything=True)
-        self._refine_up_to(len(self._times))
+        self._refine_up_to(len(self._rows))
 
     @property
     def final_until_ns(self) -> int:
         """Latest instant at which ``at`` may be asked; before the first reading when there is none yet."""
-        n = len(self._refined)
-        return int(self._times.all[n - 1]) if n else -(2**62)
+        n = len(self._final)
+        return int(self._rows["t_ns"][n - 1]) if n else -(2**62)
 
     @property
     def starts_ns(self) -> int:
         """Instant of the first reading."""
-        return int(self._times.all[0]) if len(self._times) else 2**62
+        return int(self._rows["t_ns"][0]) if len(self._rows) else 2**62
 
     def at(self, t_ns: Stamps) -> Floats:
         """Return the body rate (rows, 3) in rad/s at instants between the first and the last final reading.
@@ -362,28 +328,28 @@ class BodyRates:
         """
         angle, rate = self.gimbals_at(t_ns)
         w = body_rate(angle, rate, self._gimbals, self._site)
-        ends = np.searchsorted(self._times.all[: len(self._refined) - 1], t_ns, side="left")
-        w[~self._sure.all[ends]] = np.nan
+        ends = np.searchsorted(self._rows["t_ns"][: len(self._final) - 1], t_ns, side="left")
+        w[~self._final["sure"][ends]] = np.nan
         return w
 
     def gimbals_at(self, t_ns: Stamps) -> tuple[Floats, Floats]:
         """Return angles and rates (rows, gimbals) at instants in order; beyond the readings, those of the last one."""
-        n = len(self._refined)
-        times = self._times.all[:n]
+        n = len(self._final)
+        times = self._rows["t_ns"][:n]
         first = min(max(int(np.searchsorted(times, t_ns[0], side="right")) - 1, 0), n - 1)
         last = max(min(int(np.searchsorted(times, t_ns[-1], side="left")) + 1, n), first + 1)
         known = times[first:last]
         origin = int(known[0])
         at_s, known_s = (t_ns - origin) * 1e-9, (known - origin) * 1e-9
         columns = range(len(self._gimbals))
-        angle = np.column_stack([np.interp(at_s, known_s, self._angle.all[first:last, c]) for c in columns])
-        rate = np.column_stack([np.interp(at_s, known_s, self._refined.all[first:last, c]) for c in columns])
+        angle = np.column_stack([np.interp(at_s, known_s, self._rows["angle"][first:last, c]) for c in columns])
+        rate = np.column_stack([np.interp(at_s, known_s, self._final["rate"][first:last, c]) for c in columns])
         return angle, rate
 
     def accelerations_at(self, t_ns: Stamps) -> Floats:
         """Return the slopes (rows, gimbals) of the rates between readings, rad/s2, at instants as for ``at``."""
-        n = len(self._refined)
-        times, rates = self._times.all[:n], self._refined.all
+        n = len(self._final)
+        times, rates = self._rows["t_ns"][:n], self._final["rate"]
         ends = np.clip(np.searchsorted(times, t_ns, side="left"), 1, max(n - 1, 1))
         if n < 2:
             return np.zeros((len(t_ns), len(self._gimbals)))
@@ -402,10 +368,10 @@ class BodyRates:
         return np.clip(t_ns - round(delay_s * 1e9), self.starts_ns, self.final_until_ns)
 
     def _refine_up_to(self, stop: int) -> None:
-        start = len(self._refined)
+        start = len(self._final)
         if stop <= start:
             return
-        times, sums = self._times.all, self._sums.all
+        times, sums = self._rows["t_ns"], self._sums["terms"]
         low = np.searchsorted(times, times[start:stop] - ANCHOR_HALF_WINDOW_NS, side="left")
         high = np.searchsorted(times, times[start:stop] + ANCHOR_HALF_WINDOW_NS, side="right")
         weight, s, ss, d, sd, dd, u, count = (sums[high] - sums[low]).transpose(1, 0, 2)
@@ -416,19 +382,36 @@ class BodyRates:
         scatter = np.maximum(dd - d * d / weight - across**2 / spread, 0.0)
         share = np.minimum(scatter / np.where(u > 0, u, np.inf) * count / np.maximum(count - 2, 1), 1.0)
         slope = np.where(enough, across / (spread + share / _RATE_SD_RPS**2), 0.0)
-        refined = self._rate.all[start:stop] + slope
-        self._sure.append(self._known.all[start:stop] & self._timed(start, stop, share))
-        self._refined.append(refined)
+        sure = self._rows["known"][start:stop] & self._timed(start, stop, share)
+        self._final.append(self._rows["rate"][start:stop] + slope, sure)
 
     def _timed(self, start: int, stop: int, share: Floats) -> Flags:
         """Return whether rates since the reading before are known for all the doubt (share) of its instant."""
         before = np.maximum(np.arange(start, stop) - 1, 0)
-        change = np.abs(self._rate.all[start:stop] - self._rate.all[before])
-        step_s = np.maximum((self._times.all[start:stop] - self._times.all[before]) * 1e-9, 1e-9)[:, None]
-        doubt_s = np.maximum(self._half_width_s.all[start:stop], self._half_width_s.all[before])[:, None]
-        corner_s = self._corner_s.all[start:stop]
+        change = np.abs(self._rows["rate"][start:stop] - self._rows["rate"][before])
+        step_s = np.maximum((self._rows["t_ns"][start:stop] - self._rows["t_ns"][before]) * 1e-9, 1e-9)[:, None]
+        doubt_s = np.maximum(self._rows["half_s"][start:stop], self._rows["half_s"][before])[:, None]
+        corner_s = self._rows["corner_s"][start:stop]
         doubt_s = np.where(np.isfinite(corner_s), corner_s, doubt_s * np.sqrt(share / 3))
         return np.asarray((change / step_s * doubt_s <= _SURE_RPS).all(axis=1))
+
+
+def _integrated(before: GrowingRows, t_ns: Stamps, rate_rps: Floats) -> tuple[Stamps, Floats, Floats]:
+    """Return steps (k,) in ns from the row before, rates (k + 1, gimbals) from it on, and their integral (k, gimbals).
+
+    Where there is no row before it is the first of these.
+    """
+    last_ns, last_rps, start = t_ns[:1], rate_rps[:1], np.zeros((1, rate_rps.shape[1]))
+    if len(before):
+        last_ns, last_rps, start = (before[name][-1:] for name in ("t_ns", "rate", "summed"))
+    step_ns, rates = np.diff(np.concatenate([last_ns, t_ns])), np.vstack([last_rps, rate_rps])
+    area = 0.5 * (rates[1:] + rates[:-1]) * (step_ns * 1e-9)[:, None]
+    return step_ns, rates, np.cumsum(np.vstack([start, area]), axis=0)[1:]
+
+
+def _drift(before: GrowingRows, drift: Floats) -> Floats:
+    """Return by how much the angle is beyond the summed rate in the row before, or where that begins."""
+    return before["angle"][-1:] - before["summed"][-1:] if len(before) else drift[:1]
 
 
 def rates_from_attitude(readings: AttitudeReadings) -> RateReadings:

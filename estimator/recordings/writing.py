@@ -12,7 +12,7 @@ import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict, fields
+from dataclasses import asdict, astuple, fields
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from estimator.errors import RecordingError, first_line
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior
-from estimator.recordings.recording import FORMAT, FORMAT_VERSION, ImuData, Recording
+from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording
 from estimator.recordings.reference import Reference, TableReadings, TableUncertainty
 from estimator.recordings.reserved_space import Ballast
 
@@ -32,14 +32,6 @@ _CLOSING_BYTES = 300_000  # of them, HDF5's own
 _ATTRIBUTES_BYTES = 100_000  # and what attributes need, whatever was left for them
 _PLENTY_BYTES = 100_000_000  # more than another program takes while one block is written
 TEXT_BYTES = 240
-UNITS = {
-    **dict.fromkeys(("t_ns", "arrival_ns", "half_width_ns", "t_start_ns", "t_end_ns"), "ns"),
-    **dict.fromkeys(("angle_rad", "turn_rad", "sd_rad"), "rad"),
-    **dict.fromkeys(("rate_rps", "noise_rps"), "rad/s"),
-    **dict.fromkeys(("states", "sd"), "1, rad/s, rad, rad"),
-    "temperature_c": "degC",
-    "accel_mps2": "m/s2",
-}
 
 
 class RecordingWriter:
@@ -88,20 +80,15 @@ class RecordingWriter:
     def add_source(self, name: str, array: SensorArray, prior: Prior, attributes: Mapping[str, Any]) -> None:
         """Declare a source with the axes of its channels and what its data sheet promises."""
         group = self._file.require_group(f"imu/{name}")
-        group.attrs["prior"] = [prior.k, prior.b_rps, prior.sigma_rad]
+        group.attrs["prior"] = astuple(prior)
         group.attrs.update({"names": list(array.names), "p": array.p, "j": array.j, "k": array.k, **attributes})
 
     def set_source(self, name: str, attributes: Mapping[str, Any]) -> None:
         """Set attributes of a source, for instance its counts of lost samples."""
         self._file[f"imu/{name}"].attrs.update(attributes)
 
-    def append(self, path: str, rows: NDArray[Any]) -> None:
-        """Append rows to the dataset at ``path``, created by its first rows."""
-        group, _, name = path.rpartition("/")
-        self.append_rows(group, {name: rows})
-
     def append_rows(self, group: str, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Append rows to several datasets of a group: all of them or, if this is interrupted, none."""
+        """Append rows to datasets of a group, which their first rows create: all of them or, if interrupted, none."""
         self._pending.setdefault(group, []).append(columns)
 
     def append_text(
@@ -138,11 +125,8 @@ class RecordingWriter:
             raise self._full()
 
     def _full(self) -> RecordingError:
-        free = shutil.disk_usage(self.path.parent).free
-        return RecordingError(
-            f"the disk of {self.path} is full ({free / 1e6:.1f} MB left, {_RESERVE_BYTES / 1e6:.0f} MB are kept for "
-            "closing the file): make room, or give another place with --output"
-        )
+        kept = f"{_RESERVE_BYTES / 1e6:.0f} MB are kept for closing the file"
+        return _disk_full(self.path, f"{kept}): make room, or give another place with --output")
 
     def _allowed_bytes(self) -> float:
         """Return by how much the file may still grow, whatever room there is on the disk."""
@@ -200,12 +184,13 @@ def write_recording(path: Path, recording: Recording) -> None:
         if isinstance(reference, TableReadings):
             writer.add_table(reference.gimbals, reference.uncertainty, reference.rate_window_ns)
         root = "table" if isinstance(reference, TableReadings) else "reference"
-        for name, values in columns_of(reference).items():
-            writer.append(f"{root}/{name}", values)
+        writer.append_rows(root, columns_of(reference))
         for source, data in recording.sources.items():
-            writer.add_source(source, data.array, data.prior, _stated(data))
-            for name, values in columns_of(data).items():
-                writer.append(f"imu/{source}/{name}", values)
+            attributes: dict[str, Any] = {"lost": data.lost} | ({"device": data.device} if data.device else {})
+            if data.noise is not None:
+                attributes["noise"] = astuple(data.noise)
+            writer.add_source(source, data.array, data.prior, attributes)
+            writer.append_rows(f"imu/{source}", columns_of(data))
     finally:
         writer.close()
 
@@ -214,15 +199,6 @@ def columns_of(readings: ImuData | Reference) -> dict[str, Any]:
     """Return the arrays of a source or a reference by name, those that are there."""
     values = {column.name: getattr(readings, column.name) for column in fields(readings)}
     return {name: column for name, column in values.items() if isinstance(column, np.ndarray)}
-
-
-def _stated(data: ImuData) -> dict[str, Any]:
-    attributes: dict[str, Any] = {"lost": data.lost}
-    if data.noise is not None:
-        attributes["noise"] = [data.noise.arw, data.noise.instability, data.noise.walk]
-    if data.device:
-        attributes["device"] = data.device
-    return attributes
 
 
 def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> None:
@@ -250,15 +226,16 @@ def write_source_attributes(path: Path, by_source: Mapping[str, Mapping[str, Any
             file[f"imu/{name}"].attrs.update(attributes)
 
 
+def _disk_full(path: Path, needed: str) -> RecordingError:
+    free = shutil.disk_usage(path.parent).free
+    return RecordingError(f"the disk of {path} is full ({free / 1e6:.1f} MB left, {needed}")
+
+
 @contextmanager
 def _changing(path: Path, wanted_bytes: int) -> Iterator[Any]:
     """Open a recording that is there to write into it; RecordingError, with the file as it was, if there is no room."""
-    free = shutil.disk_usage(path.parent).free
-    if free < wanted_bytes:
-        raise RecordingError(
-            f"the disk of {path} is full ({free / 1e6:.1f} MB left, {wanted_bytes / 1e6:.1f} MB are needed): the file "
-            "is as it was; make room"
-        )
+    if shutil.disk_usage(path.parent).free < wanted_bytes:
+        raise _disk_full(path, f"{wanted_bytes / 1e6:.1f} MB are needed): the file is as it was; make room")
     with _told_of(path), h5py.File(path, "r+") as file:
         yield file
 
@@ -291,8 +268,8 @@ def _create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> Any:
     extra = {"maxshape": (None, *rows.shape[1:]), "chunks": (chunk, *rows.shape[1:])} if growing else {}
     dataset = file.create_dataset(path, data=rows, **extra)
     name = path.rsplit("/", 1)[-1]
-    if name in UNITS:
-        dataset.attrs["units"] = UNITS[name]
+    if unit := LAYOUT.get(name, {}).get("unit"):
+        dataset.attrs["units"] = unit
     return dataset
 
 

@@ -44,11 +44,11 @@ class Table(StrictTable):
                 raise QuantityError("must be above zero" if bound == "above_zero" else "must not be negative")
             return number
 
-        return self._take(key, parse(default, kind) if isinstance(default, str) else default, convert)
+        return self.take(key, parse(default, kind) if isinstance(default, str) else default, convert)
 
     def link(self, key: str, default: str) -> str:
         """Take a link whose parts can be told."""
-        return self._take(key, default, link_of)
+        return self.take(key, default, link_of)
 
     def declared(self, section: str) -> dict[str, Any]:
         """Take the quantities that keys.toml declares for a section, by the fields that they become."""
@@ -70,7 +70,7 @@ class Table(StrictTable):
             except PluginError as error:
                 raise ValueError(str(error)) from None
 
-        return self._take(key, None if default is None else known[default], convert)
+        return self.take(key, None if default is None else known[default], convert)
 
     def options(self, keys: Iterable[Key], folder: Path) -> dict[str, Any]:
         """Take the keys that the record of a device declares; None for one that is left out and has no default."""
@@ -108,7 +108,7 @@ class Table(StrictTable):
                 raise QuantityError(f"{len(value)} values where {count} belong: give one for all, or one each")
             return [parse(v, kind) for v in value]
 
-        return self._take(key, None if default is None else [default] * count, convert)
+        return self.take(key, None if default is None else [default] * count, convert)
 
 
 def link_of(value: object) -> str:

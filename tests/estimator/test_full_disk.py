@@ -26,8 +26,8 @@ def fill_and_write(folder: Path) -> None:
     writer = RecordingWriter(path, {"outcome": "ABORTED"})
 
     def take_a_block() -> None:
-        writer.append("imu/a/t_ns", rows)
-        writer.append("imu/a/rate_rps", np.zeros((500, 4)))
+        writer.append_rows("imu/a", {"t_ns": rows})
+        writer.append_rows("imu/a", {"rate_rps": np.zeros((500, 4))})
         writer.flush()
 
     for _ in range(10):
@@ -73,7 +73,7 @@ if __name__ == "__main__":
 
 def write_until_refused(writer: RecordingWriter) -> None:
     for _ in range(400):
-        writer.append("imu/a/rate_rps", np.zeros((500, 4)))
+        writer.append_rows("imu/a", {"rate_rps": np.zeros((500, 4))})
         writer.flush()
 
 

@@ -183,13 +183,13 @@ def test_rows_may_come_in_any_portions(tmp_path: Path) -> None:
     writer.add_source("imu", triad(), Prior(), {"rate_hz": 100.0})
     at = 0
     for rows in (1, 1, 17, 0, 481, 2500, 2000):
-        writer.append("imu/imu/t_ns", t_ns[at : at + rows])
-        writer.append("imu/imu/rate_rps", whole[at : at + rows])
+        writer.append_rows("imu/imu", {"t_ns": t_ns[at : at + rows]})
+        writer.append_rows("imu/imu", {"rate_rps": whole[at : at + rows]})
         if rows != 17:
             writer.flush()
         at += rows
     for name, values in (("t_ns", TABLE.t_ns), ("angle_rad", TABLE.angle_rad), ("rate_rps", TABLE.rate_rps)):
-        writer.append(f"table/{name}", values)
+        writer.append_rows("table", {name: values})
     writer.set_source("imu", {"lost": 3})
     writer.close()
     writer.close()

@@ -36,6 +36,11 @@ class TimeFit:
     doubled: int = 0
     zero_s: float | None = None
 
+    @property
+    def step_s(self) -> float:
+        """Time from one row to the next, usually."""
+        return float(np.median(np.diff(self.t_s)))
+
 
 def regular_times(position: NDArray[np.int64], rate_hz: float) -> TimeFit:
     """Return the instants of samples without stamps, at a stated rate; a broken line keeps its place in time."""
@@ -84,18 +89,17 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
         )
         t_s = best.number * np.float64(best.period_s)
         return TimeFit(t_s, rows, replayed, text + done, doubled, float(np.median(t - t_s)))
-    wandering = _wandering(t)
-    if wandering is not None:
-        text = f"even over seconds at {1 / np.median(np.diff(wandering)):.6g} Hz; the clock of the stamps wanders"
-        return TimeFit(wandering - wandering[0], rows, replayed, text + done, doubled, float(wandering[0]))
-    newest = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
-    late, behind = t <= newest, float(np.mean(t < newest))
-    if behind > _BEHIND_SHARE:
-        raise RecordingError(f"has stamps that lie behind earlier ones in {behind:.0%} of its rows: {_CHECK}")
-    t, rows = t[~late], rows[~late]
-    text = f"as stamped (uneven: off an even grid of {1 / best.period_s:.4g} Hz by {best.away:.1f} periods)"
-    if late.any():
-        text += f", {int(late.sum())} rows left out whose stamp is no later than the one before"
+    if (wandering := _wandering(t)) is not None:
+        t, text = wandering, f"even over seconds at {1 / np.median(np.diff(wandering)):.6g} Hz"
+        text += "; the clock of the stamps wanders"
+    else:
+        newest = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
+        late, behind = t <= newest, float(np.mean(t < newest))
+        if behind > _BEHIND_SHARE:
+            raise RecordingError(f"has stamps that lie behind earlier ones in {behind:.0%} of its rows: {_CHECK}")
+        t, rows = t[~late], rows[~late]
+        text = f"as stamped (uneven: off an even grid of {1 / best.period_s:.4g} Hz by {best.away:.1f} periods)"
+        text += f", {late.sum()} rows left out whose stamp is no later than the one before" if late.any() else ""
     return TimeFit(t - t[0], rows, replayed, text + done, doubled, float(t[0]))
 
 

@@ -1,10 +1,12 @@
 """Columns of a foreign file, their units and their axes, as a mapping file states them."""
 
 import math
+import tomllib
 from dataclasses import dataclass
-from typing import Any
+from importlib.resources import files
 
 from estimator.strict_toml import StrictTable
+from estimator.types import Floats
 
 _DEG, _TURN = math.pi / 180, 2 * math.pi
 _ANGLES = {"rad": 1.0, "deg": _DEG, "mrad": 1e-3, "rev": _TURN, "arcmin": _DEG / 60, "arcsec": _DEG / 3600}
@@ -18,20 +20,26 @@ UNITS = {
 }
 """What a column can be, and the size in SI of the units it may have."""
 _SHIFT = {"K": -273.15}
-UNIT_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+KEYS = tomllib.loads(files("estimator.importing.mapping").joinpath("keys.toml").read_text(encoding="utf-8"))
+"""Plain keys by table, as ``StrictTable.stated`` takes them."""
 
 Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """Columns of a text file, or variables of a .mat file; SI is (value - ``offset``) * ``scale`` + ``shift``."""
+    """Columns of a text file, or variables of a .mat file; SI is (value - ``offset``) * ``scale`` + ``shift``.
+
+    ``names`` are those of ``width`` columns. Row i of ``axes`` (width, c), if there are any, is what column i is along.
+    """
 
     names: tuple[str, ...]
     scale: float = 1.0
     shift: float = 0.0
     raw: bool = False
     offset: float = 0.0
+    width: int = 1
+    axes: Floats | None = None
 
 
 def stated_columns(section: StrictTable, quantity: str, key: str = "columns", *, count_needed: bool = True) -> Columns:
@@ -47,7 +55,7 @@ def stated_columns(section: StrictTable, quantity: str, key: str = "columns", *,
         unit = section.string("count_unit", "deg/s", one_of=tuple(units))
     elif raw:
         unit, size = section.string("count_unit", one_of=tuple(units)), section.number("count", positive=True)
-    return Columns(names, size * units[unit], _SHIFT.get(unit, 0.0), raw, offset)
+    return Columns(names, size * units[unit], _SHIFT.get(unit, 0.0), raw, offset, 1 if key == "column" else 3)
 
 
 def signed_axis(text: str) -> Vector:
@@ -55,19 +63,15 @@ def signed_axis(text: str) -> Vector:
     letter = text.strip().lower()
     sign = -1.0 if letter.startswith("-") else 1.0
     letter = letter.lstrip("+-")
-    if letter not in UNIT_AXES:
+    if letter not in ("x", "y", "z"):
         raise ValueError(f"{text!r} is no axis: write x, y or z, with a sign if need be")
-    x, y, z = (sign * v if v else 0.0 for v in UNIT_AXES[letter])
-    return x, y, z
+    return sign * (letter == "x") + 0.0, sign * (letter == "y") + 0.0, sign * (letter == "z") + 0.0
 
 
-def body_axis(section: StrictTable, key: str, value: Any) -> Vector:
-    """Return a direction in body axes: x, y or z with a sign, or three numbers; else the section's error."""
+def direction(value: object) -> Vector:
+    """Return a direction in body axes, x, y or z with a sign, or three numbers; ValueError for anything else."""
     if isinstance(value, str):
-        try:
-            return signed_axis(value)
-        except ValueError as error:
-            raise section.fail(key, str(error)) from None
+        return signed_axis(value)
     if not (isinstance(value, list) and len(value) == 3 and all(isinstance(v, (int, float)) for v in value)):
-        raise section.fail(key, f"holds {value!r}: write x, y or z with a sign, or three numbers")
+        raise ValueError(f"holds {value!r}: write x, y or z with a sign, or three numbers")
     return float(value[0]), float(value[1]), float(value[2])

@@ -8,10 +8,10 @@ import re
 import tomllib
 from collections.abc import Callable, Sequence
 from collections.abc import Mapping as Dict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,29 +19,12 @@ from numpy.typing import NDArray
 from estimator.errors import GeometryError, RecordingError
 from estimator.geometry.array import SensorArray, sensor_array
 from estimator.geometry.kinematics import Site
-from estimator.importing.mapping.columns import Columns, Vector, body_axis, stated_columns
-from estimator.importing.mapping.reference import (
-    AngleColumn,
-    ForeignReference,
-    MeasuredReference,
-    Rests,
-    read_reference,
-)
+from estimator.importing.mapping.columns import KEYS, Columns, Vector, direction, stated_columns
+from estimator.importing.mapping.reference import ForeignReference, Measured, Rests, read_reference
 from estimator.strict_toml import StrictTable
-
-T = TypeVar("T")
+from estimator.types import Floats
 
 _COLUMN = re.compile(r"(?P<name>\S+) (?P<many>\d*)(?P<kind>[iu][1248]|f[48]|V)")
-
-
-@dataclass(frozen=True, slots=True)
-class Extent:
-    """The part of a file that is read: data rows (the first is 0), and of these seconds from the first."""
-
-    from_row: float = 0
-    until_row: float = math.inf
-    from_s: float = 0.0
-    until_s: float = math.inf
 
 
 Capture = Callable[[bytes, Sequence[str]], tuple[Dict[str, NDArray[np.float64]], tuple[str, ...]]]
@@ -52,7 +35,7 @@ Protocols = Dict[str, Callable[[StrictTable, Path], Capture]]
 
 @dataclass(frozen=True, slots=True)
 class FileFormat:
-    """``kind`` is csv, mat, binary or a protocol, ``extent`` the part that is read.
+    """``kind`` is csv, mat, binary or a protocol; read are data rows (the first is 0), and of these some seconds.
 
     Text is split at ``delimiter`` (empty: at blanks), has a ``decimal`` mark, and without a heading its ``columns`` are
     named. Binary files are a header and then a ``record`` a row.
@@ -62,10 +45,13 @@ class FileFormat:
     delimiter: str = ","
     decimal: str = "."
     columns: tuple[str, ...] = ()
-    extent: Extent = field(default_factory=Extent)
     record: np.dtype[Any] | None = None
     header_bytes: int = 0
     capture: Capture | None = None
+    from_row: float = 0.0
+    until_row: float = math.inf
+    from_s: float = 0.0
+    until_s: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,31 +94,35 @@ class GyroColumns:
     scale_from_data: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Accelerometer:
-    """Specific force; column i is along body axis ``axes[i]``."""
-
-    columns: Columns
-    axes: tuple[Vector, Vector, Vector]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Mapping:
     """What is in foreign files; ``text`` is the mapping file itself, kept in the recording."""
 
     name: str
     text: str
-    device: str
-    licence: str
-    source: str
     format: FileFormat
     timing: Timing
     gyro: GyroColumns
-    accelerometer: Accelerometer | None
+    accelerometer: Columns | None
     temperature: Columns | None
     reference: ForeignReference
     reference_file: ReferenceFile | None
     site: Site | None
+    device: str
+    licence: str
+    source: str
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns of the data file, but for its time and its labels."""
+        inline = self.reference.columns if isinstance(self.reference, Measured) and not self.reference_file else None
+        columns = (self.gyro.columns, self.accelerometer, self.temperature, inline)
+        return [name for own in columns if own for name in own.names]
+
+    @property
+    def earth_rate(self) -> bool:
+        """Whether the Earth is taken to turn the body."""
+        return isinstance(self.reference, (Measured, Rests)) and self.reference.earth_rate
 
 
 def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
@@ -153,37 +143,29 @@ def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
             how = ", with column and unit of the stamps, or rate_hz if there are none" if name == "time" else ""
             raise RecordingError(f"{path.name} has no table [{name}]: add it{how}")
     protocols, folder = protocols or {}, path.parent
-    named = _whole(top, "device", lambda t: (t.string("name"), t.string("licence", ""), t.string("source", "")))
+    named = top.table("device").whole(lambda table: table.stated(KEYS["device"]))
     file_format = _format(top.table("file"), protocols, folder)
     timing = _timing(top.table("time"), file_format)
-    gyro = _whole(top, "gyro", lambda table: _gyro(table, file_format))
-    accelerometer = _whole(top, "accelerometer", _accelerometer) if top.has("accelerometer") else None
-    columns = partial(stated_columns, quantity="temperature", key="column")
-    temperature = _whole(top, "temperature", columns) if top.has("temperature") else None
-    site = _whole(top, "site", _site) if top.has("site") else None
+    gyro = top.table("gyro").whole(partial(_gyro, file_format=file_format))
+    accelerometer = top.table("accelerometer").whole(_accelerometer) if top.has("accelerometer") else None
+    warmth = partial(stated_columns, quantity="temperature", key="column")
+    temperature = top.table("temperature").whole(warmth) if top.has("temperature") else None
+    site = top.table("site").whole(lambda table: Site(**table.stated(KEYS["site"]))) if top.has("site") else None
     section = top.table("reference")
     other = _reference_file(section, file_format, timing, protocols, folder) if section.has("file") else None
     reference = read_reference(section, wide=(other.format if other else file_format).kind != "csv")
     top.done(also=("accelerometer", "temperature", "site"))
     mapping = Mapping(
-        path.name, text, *named, file_format, timing, gyro, accelerometer, temperature, reference, other, site
+        path.name, text, file_format, timing, gyro, accelerometer, temperature, reference, other, site, **named
     )
     _check(mapping, section)
     return mapping
 
 
-def _whole(top: StrictTable, name: str, read: Callable[[StrictTable], T]) -> T:
-    """Return what is made of a table, of which every key must have been taken."""
-    section = top.table(name)
-    found = read(section)
-    section.done()
-    return found
-
-
 def _check(mapping: Mapping, section: StrictTable) -> None:
     """Refuse tables that do not go together."""
     reference = mapping.reference
-    if not isinstance(reference, MeasuredReference):
+    if not isinstance(reference, Measured):
         if mapping.reference_file:
             raise section.fail("file", "is for kind = rate, angle or attitude")
         if mapping.gyro.sign_from_data or mapping.gyro.scale_from_data:
@@ -194,7 +176,7 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
             )
     if isinstance(reference, Rests) and reference.gravity and mapping.accelerometer is None:
         raise section.fail("kind", "gravity needs what feels it: add the table [accelerometer]")
-    if not isinstance(reference, (AngleColumn, Rests)) or not reference.earth_rate:
+    if not mapping.earth_rate:
         return
     if mapping.site is None:
         raise section.fail("earth_rate", "needs the latitude: add a table [site] with latitude_deg")
@@ -206,23 +188,15 @@ def _check(mapping: Mapping, section: StrictTable) -> None:
             )
 
 
-def _extent(section: StrictTable) -> Extent:
-    """Take the limits of what is read."""
-    limits: list[float] = []
-    for what in ("row", "s"):
-        start, end = section.number(f"from_{what}", 0.0, least=0.0), section.number(f"until_{what}", math.inf)
-        if end <= start:
-            raise section.fail(f"until_{what}", f"{end:g} is not after from_{what} {start:g}")
-        limits += [start, end]
-    return Extent(*limits)
-
-
 def _reference_file(
     section: StrictTable, file_format: FileFormat, timing: Timing, protocols: Protocols, folder: Path
 ) -> ReferenceFile:
     offset_s: float | None = 0.0
     if isinstance(section.again().value("file"), str):
-        name, own = section.string("file"), replace(file_format, columns=(), extent=Extent())
+        name, own = (
+            section.string("file"),
+            replace(file_format, columns=(), from_row=0.0, until_row=math.inf, from_s=0.0, until_s=math.inf),
+        )
     else:
         stated = section.table("file")
         name, own = stated.string("name"), _format(stated, protocols, folder)
@@ -235,14 +209,18 @@ def _reference_file(
 
 
 def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFormat:
-    extent = _extent(section)
+    limits = section.stated(KEYS["file"])
+    for what in ("row", "s"):
+        start, end = limits[f"from_{what}"], limits[f"until_{what}"]
+        if end <= start:
+            raise section.fail(f"until_{what}", f"{end:g} is not after from_{what} {start:g}")
     kind = section.string("format", one_of=("csv", "tsv", "mat", "binary", *protocols))
     if kind not in ("csv", "tsv"):
         record = _record(section) if kind == "binary" else None
         header_bytes = int(section.number("header_bytes", 0.0, least=0.0)) if kind == "binary" else 0
         capture = protocols[kind](section, folder) if kind in protocols else None
         section.done()
-        return FileFormat(kind, extent=extent, record=record, header_bytes=header_bytes, capture=capture)
+        return FileFormat(kind, record=record, header_bytes=header_bytes, capture=capture, **limits)
     delimiter = section.string("delimiter", "\t" if kind == "tsv" else ",")
     delimiter = {"tab": "\t", "space": " "}.get(delimiter, delimiter)
     decimal = section.string("decimal", ".", one_of=(".", ","))
@@ -250,7 +228,7 @@ def _format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFor
         raise section.fail("delimiter", f"{delimiter!r}: write one character that is not the decimal mark")
     columns = section.strings("columns") if section.has("columns") else ()
     section.done(also=("columns",))
-    return FileFormat("csv", delimiter.strip(" "), decimal, columns, extent)
+    return FileFormat("csv", delimiter.strip(" "), decimal, columns, **limits)
 
 
 def _record(section: StrictTable) -> np.dtype[Any]:
@@ -289,47 +267,42 @@ def _timing(section: StrictTable, file_format: FileFormat) -> Timing:
 
 
 def _gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
-    sign = section.string("sign", "stated", one_of=("stated", "from data")) == "from data"
-    scale = section.string("scale", "stated", one_of=("stated", "from data")) == "from data"
-    columns = stated_columns(section, "rate", count_needed=not scale)
+    taken = section.stated(KEYS["gyro"])
+    columns = stated_columns(section, "rate", count_needed=not taken["scale_from_data"])
     where = "axes" if section.has("axes") else "columns"
-    axes = section.value("axes", ("x", "y", "z"))
-    if isinstance(axes, str):
-        axes = [axes]
-    if not isinstance(axes, (list, tuple)):
-        raise section.fail("axes", 'must be a list: ["x", "-y", "z"] or one row of three numbers for each gyro')
-    p = [body_axis(section, "axes", axis) for axis in axes]
-    if file_format.kind == "csv" and len(columns.names) != len(axes):
+    letters, p = section.take("axes", _axes(["x", "y", "z"]), _axes)
+    if file_format.kind == "csv" and len(columns.names) != len(p):
         raise section.fail(
             where,
-            f"does not fit: there are {len(columns.names)} columns and {len(axes)} axes (x, y, z if none are stated); "
+            f"does not fit: there are {len(columns.names)} columns and {len(p)} axes (x, y, z if none are stated); "
             'state the sense axis of each column, for instance axes = ["z"] for one gyro',
         )
-    fallback = [a.lstrip("+-") if isinstance(a, str) else f"gyro{i + 1}" for i, a in enumerate(axes)]
-    if len(set(fallback)) < len(fallback):
-        fallback = [f"gyro{i + 1}" for i in range(len(axes))]
-    names = section.strings("names", tuple(fallback))
+    numbered = [f"gyro{i + 1}" for i in range(len(p))]
+    named = [letter or number for letter, number in zip(letters, numbered, strict=True)]
+    names = section.strings("names", tuple(named if len(set(named)) == len(named) else numbered))
     try:
         array = sensor_array(p, names=names, part_of_array=True)
     except GeometryError as error:
         raise section.fail("axes", f"cannot be used: {error}") from None
-    return GyroColumns(columns, array, sign, scale)
+    return GyroColumns(replace(columns, width=len(p)), array, **taken)
 
 
-def _accelerometer(section: StrictTable) -> Accelerometer:
-    columns = stated_columns(section, "acceleration")
-    stated = section.value("axes", ["x", "y", "z"])
-    if not isinstance(stated, list) or len(stated) != 3:
-        raise section.fail("axes", 'must be the body axes of the three columns: ["x", "-y", "-z"]')
-    x, y, z = (body_axis(section, "axes", axis) for axis in stated)
-    square = np.array([x, y, z])
+def _axes(value: object) -> tuple[list[str], list[Vector]]:
+    """Return the letters of sense axes, empty for three numbers, and their directions."""
+    listed = [value] if isinstance(value, str) else value
+    if not isinstance(listed, list):
+        raise ValueError('must be a list: ["x", "-y", "z"] or one row of three numbers for each gyro')
+    return [a.lstrip("+-") if isinstance(a, str) else "" for a in listed], [direction(a) for a in listed]
+
+
+def _accelerometer(section: StrictTable) -> Columns:
+    return replace(stated_columns(section, "acceleration"), axes=section.take("axes", np.eye(3), _square))
+
+
+def _square(value: object) -> Floats:
+    if not isinstance(value, list) or len(value) != 3:
+        raise ValueError('must be the body axes of the three columns: ["x", "-y", "-z"]')
+    square = np.array([direction(axis) for axis in value])
     if np.abs(square @ square.T - np.eye(3)).max() > 0.01:
-        raise section.fail("axes", "must be three directions of length 1 at right angles")
-    return Accelerometer(columns, (x, y, z))
-
-
-def _site(section: StrictTable) -> Site:
-    latitude = section.number("latitude_deg", least=-90.0)
-    if latitude > 90:
-        raise section.fail("latitude_deg", f"{latitude:g}: write -90 to 90")
-    return Site(math.radians(latitude), math.radians(section.number("heading_deg", 0.0)))
+        raise ValueError("must be three directions of length 1 at right angles")
+    return square

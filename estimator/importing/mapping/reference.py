@@ -2,46 +2,26 @@
 
 import math
 import re
-from collections.abc import Callable
 from collections.abc import Mapping as Dict
-from dataclasses import dataclass, field
-from typing import TypeVar
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimator.importing.mapping.columns import Columns, Vector, body_axis, signed_axis, stated_columns
-from estimator.strict_toml import StrictTable
-
-T = TypeVar("T")
-
-KINDS = ("attitude", "rate", "angle", "turns", "rest", "gravity")
+from estimator.importing.mapping.columns import KEYS, Columns, Vector, direction, signed_axis, stated_columns
+from estimator.strict_toml import StrictTable, typed
 
 
-@dataclass(frozen=True, slots=True)
-class AttitudeColumns:
-    """Quaternions: ``order`` is wxyz or xyzw; ``inverted`` if they turn reference vectors into the body."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """What another instrument measured: ``kind`` is attitude (w x y z, body to reference), body rate, or angle.
 
+    An angle is that of an encoder: the body turns by it about ``gimbal`` x, y or z.
+    """
+
+    kind: str
     columns: Columns
-    order: str
-    inverted: bool
-
-
-@dataclass(frozen=True, slots=True)
-class RateColumns:
-    """Body rates of another instrument: x y z, or one about a body axis (unit vector)."""
-
-    columns: Columns
-    axis: Vector | None
-
-
-@dataclass(frozen=True, slots=True)
-class AngleColumn:
-    """The angle of an encoder: the body turns about gimbal x, y or z by ``sign`` times it."""
-
-    columns: Columns
-    gimbal: str
-    sign: float
-    earth_rate: bool
+    gimbal: str = ""
+    earth_rate: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +50,12 @@ class Cuts:
 
 
 @dataclass(frozen=True, slots=True)
-class TurnChecks:
-    """Doubt of a stated angle: fixed and as a share of it; that of a rest; and what counts as rest."""
+class StatedTurns:
+    """Turns in ``sections``, or one a file: ``turn``, or by the groups axis and angle_deg of the file's name.
+
+    A stated angle is doubtful by ``sd_rad`` and a share of it, one of 0 by ``rest_sd_rad``. Before and after a turn the
+    output is within ``rest_limit_rps`` for ``rest_s``.
+    """
 
     sd_rad: float
     sd_share: float
@@ -79,24 +63,10 @@ class TurnChecks:
     sign_from_data: bool
     rest_limit_rps: float
     rest_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class FileTurns:
-    """One turn a file, stated here or by the named groups ``axis`` and ``angle_deg`` of the file's name."""
-
-    pattern: re.Pattern[str] | None
-    turn: Turn | None
-    checks: TurnChecks
-
-
-@dataclass(frozen=True, slots=True)
-class SectionTurns:
-    """Several turns a file."""
-
-    cuts: Cuts
-    sections: Dict[str, Turn]
-    checks: TurnChecks
+    cuts: Cuts = field(default_factory=Cuts)
+    sections: Dict[str, Turn] = field(default_factory=dict)
+    turn: Turn | None = None
+    pattern: re.Pattern[str] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,19 +85,18 @@ class Rests:
     With ``gravity`` what the accelerometer feels there is the reference of the turns between.
     """
 
-    everywhere: bool
-    pose: Pose
-    files: Dict[str, Pose]
-    cuts: Cuts
-    sections: Dict[str, Pose]
     limit_rps: float
     least_s: float
     earth_rate: bool
+    pose: Pose
+    files: Dict[str, Pose]
+    everywhere: bool = False
+    cuts: Cuts = field(default_factory=Cuts)
+    sections: Dict[str, Pose] = field(default_factory=dict)
     gravity: Gravity | None = None
 
 
-MeasuredReference = AttitudeColumns | RateColumns | AngleColumn
-ForeignReference = MeasuredReference | FileTurns | SectionTurns | Rests
+ForeignReference = Measured | StatedTurns | Rests
 
 
 def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignReference:
@@ -135,22 +104,21 @@ def read_reference(section: StrictTable, *, wide: bool = False) -> ForeignRefere
 
     Raises RecordingError with file, line and what to write.
     """
-    kind = section.string("kind", one_of=KINDS)
+    kind = section.string("kind", one_of=("attitude", "rate", "angle", "turns", "rest", "gravity"))
     reference: ForeignReference
     if kind == "attitude":
-        order = section.string("order", one_of=("wxyz", "xyzw"))
-        direction = section.string("direction", "body to reference", one_of=("body to reference", "reference to body"))
-        reference = AttitudeColumns(Columns(section.strings("columns")), order, direction == "reference to body")
+        stated = section.stated(KEYS["attitude"])
+        turned = np.eye(4)[:, stated["order"]] * [1.0, *[stated["sign"]] * 3]
+        reference = Measured(kind, Columns(section.strings("columns"), width=4, axes=turned))
     elif kind == "rate":
-        columns = stated_columns(section, "rate")
-        reference = RateColumns(columns, _rate_axis(section, columns, wide))
+        reference = Measured(kind, _rates(section, wide))
     elif kind == "angle":
         reference = _angle(section)
     elif kind == "turns":
         reference = _turns(section)
     else:
         reference = _rests(section, by_gravity=kind == "gravity")
-    if wide and isinstance(reference, (SectionTurns, Rests)) and reference.cuts.column:
+    if wide and not isinstance(reference, Measured) and reference.cuts.column:
         raise section.fail("section_column", "is for text files: write section_list, or start_s and end_s in sections")
     section.done()
     return reference
@@ -161,23 +129,23 @@ def turn_about(axis: str, angle_deg: float) -> Turn:
     if not axis.strip().lstrip("+-") and angle_deg == 0:
         return Turn((0.0, 0.0, 0.0), 0.0)
     x, y, z = signed_axis(axis)
-    sign = -1.0 if x + y + z < 0 else 1.0
-    return Turn((abs(x), abs(y), abs(z)), sign * math.radians(angle_deg))
+    return Turn((abs(x), abs(y), abs(z)), (x + y + z) * math.radians(angle_deg))
 
 
-def _rate_axis(section: StrictTable, columns: Columns, wide: bool) -> Vector | None:
+def _rates(section: StrictTable, wide: bool) -> Columns:
+    columns = stated_columns(section, "rate")
     if not section.has("axis"):
         if len(columns.names) == 1 and not wide:
             raise section.fail("columns", 'is one column: add axis = "z", the body axis that it is the rate about')
-        return None
+        return columns
     if len(columns.names) != 1:
         raise section.fail("axis", "is for one column: leave it out beside the three columns x, y, z")
-    return _direction(section, "axis")
+    return replace(columns, width=1, axes=np.array([_unit(section, "axis")]))
 
 
-def _direction(section: StrictTable, key: str) -> Vector:
+def _unit(section: StrictTable, key: str) -> Vector:
     """Take a direction in body axes; it becomes a unit vector."""
-    v = np.array(body_axis(section, key, section.value(key)))
+    v = np.array(section.take(key, None, direction))
     length = float(np.linalg.norm(v))
     if not length > 0:
         raise section.fail(key, "is no direction: write x, y or z with a sign, or three numbers")
@@ -185,32 +153,25 @@ def _direction(section: StrictTable, key: str) -> Vector:
     return x, y, z
 
 
-def _angle(section: StrictTable) -> AngleColumn:
+def _angle(section: StrictTable) -> Measured:
     column = stated_columns(section, "angle", "column")
     if len(column.names) != 1:
         raise section.fail("column", "must be one column")
-    axis = body_axis(section, "axis", section.string("axis"))
-    gimbal = "xyz"[int(np.argmax(np.abs(axis)))]
-    return AngleColumn(column, gimbal, float(sum(axis)), section.flag("earth_rate", False))
+    axis = np.array(section.take("axis", None, lambda value: signed_axis(str(typed(value, (str,), "a text")))))
+    column = replace(column, axes=axis.sum().reshape(1, 1))
+    return Measured("angle", column, "xyz"[int(np.argmax(np.abs(axis)))], section.flag("earth_rate", False))
 
 
-def _turns(section: StrictTable) -> FileTurns | SectionTurns:
-    checks = TurnChecks(
-        sd_rad=math.radians(section.number("sd_deg", positive=True)),
-        sd_share=section.number("sd_share", 0.0, least=0.0),
-        rest_sd_rad=math.radians(section.number("rest_sd_deg", 0.05, least=0.0)),
-        sign_from_data=section.string("sign", "stated", one_of=("stated", "from data")) == "from data",
-        rest_limit_rps=math.radians(section.number("rest_limit_dps", 2.0, positive=True)),
-        rest_s=section.number("rest_s", 0.25, positive=True),
-    )
+def _turns(section: StrictTable) -> StatedTurns:
+    stated = StatedTurns(**section.stated(KEYS["turns"]))
     if section.has("sections"):
         cuts, tables = _sections(section)
-        return SectionTurns(cuts, _each(tables, _turn), checks)
+        return replace(stated, cuts=cuts, sections={name: table.whole(_turn) for name, table in tables.items()})
     if section.has("file_name"):
-        return FileTurns(_pattern(section), None, checks)
+        return replace(stated, pattern=section.take("file_name", None, _pattern))
     if not section.has("angle_deg"):
         raise section.fail("angle_deg", "is missing: give it, or file_name (an expression), or sections")
-    return FileTurns(None, _turn(section), checks)
+    return replace(stated, turn=_turn(section))
 
 
 def _turn(section: StrictTable) -> Turn:
@@ -221,14 +182,13 @@ def _turn(section: StrictTable) -> Turn:
         raise section.fail("axis", str(error)) from None
 
 
-def _pattern(section: StrictTable) -> re.Pattern[str]:
-    text = section.string("file_name")
+def _pattern(value: object) -> re.Pattern[str]:
     try:
-        pattern = re.compile(text)
+        pattern = re.compile(typed(value, (str,), "a text"))
     except re.error as error:
-        raise section.fail("file_name", f"is no regular expression: {error}") from None
+        raise ValueError(f"is no regular expression: {error}") from None
     if not {"axis", "angle_deg"} <= set(pattern.groupindex):
-        raise section.fail("file_name", "needs the groups (?P<axis>...) and (?P<angle_deg>...)")
+        raise ValueError("needs the groups (?P<axis>...) and (?P<angle_deg>...)")
     return pattern
 
 
@@ -237,35 +197,22 @@ def _rests(section: StrictTable, *, by_gravity: bool) -> Rests:
     if by_gravity:
         from_rests = section.string("accelerometer", "from rests", one_of=("from rests", "stated")) == "from rests"
         gravity = Gravity(from_rests, math.radians(section.number("sd_deg", 0.0 if from_rests else 0.1, least=0.0)))
-    limit_rps = math.radians(section.number("rest_limit_dps", 2.0, positive=True))
-    least_s = section.number("rest_s", 2.0, positive=True)
-    earth_rate = section.flag("earth_rate", False)
-    cuts, everywhere = Cuts(), False
-    sections: dict[str, Pose] = {}
+    stated = section.stated(KEYS["rest"]) | {"gravity": gravity}
     if section.has("sections"):
         for key in ("where", "up", "north"):
             if section.has(key):
                 raise section.fail(key, "is not for a mapping with sections: they say where, each with its own up")
-        cuts, tables = _sections(section)
-        sections = _each(tables, _pose)
+        stated["cuts"], tables = _sections(section)
+        stated["sections"] = {name: table.whole(_pose) for name, table in tables.items()}
     else:
-        everywhere = section.string("where", "found", one_of=("found", "everywhere")) == "everywhere"
+        stated["everywhere"] = section.string("where", "found", one_of=("found", "everywhere")) == "everywhere"
     listed = section.table("files", optional=True)
-    files = _each({name: listed.table(name) for name in listed.remaining()}, _pose)
-    return Rests(everywhere, _pose(section), files, cuts, sections, limit_rps, least_s, earth_rate, gravity)
-
-
-def _each(tables: dict[str, StrictTable], read: Callable[[StrictTable], T]) -> dict[str, T]:
-    """Return what is made of each table, of which every key must have been taken."""
-    found = {}
-    for name, table in tables.items():
-        found[name] = read(table)
-        table.done()
-    return found
+    files = {name: listed.table(name).whole(_pose) for name in listed.remaining()}
+    return Rests(pose=_pose(section), files=files, **stated)
 
 
 def _pose(section: StrictTable) -> Pose:
-    found = {key: _direction(section, key) for key in ("up", "north") if section.has(key)}
+    found = {key: _unit(section, key) for key in ("up", "north") if section.has(key)}
     if "north" in found and "up" not in found:
         raise section.fail("north", "is stated without up: add up, the body axis that points up")
     if "north" in found and abs(float(np.dot(found["up"], found["north"]))) > 0.1:
@@ -279,8 +226,9 @@ def _sections(section: StrictTable) -> tuple[Cuts, dict[str, StrictTable]]:
     tables = {name: table.table(name) for name in table.remaining()}
     if not tables:
         raise section.fail("sections", "is empty: name a section and what is known of it")
-    list_name = section.string("section_list") if section.has("section_list") else None
-    column = section.string("section_column") if section.has("section_column") else None
+    list_name, column = (
+        section.string(key) if section.has(key) else None for key in ("section_list", "section_column")
+    )
     timed = [name for name, own in tables.items() if own.has("start_s") or own.has("end_s")]
     if (list_name is not None) + (column is not None) + bool(timed) != 1:
         raise section.fail(

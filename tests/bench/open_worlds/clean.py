@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from estimator.importing.foreign_rows import foreign_reference
 from estimator.importing.mapping.columns import Columns
-from estimator.importing.mapping.reference import AngleColumn
+from estimator.importing.mapping.reference import Measured
 from estimator.recordings.recording import Recording
 from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference
 from estimator.tracing.investigate import investigate
@@ -134,7 +134,7 @@ def _encoder(recording: Recording, name: str, random: np.random.Generator) -> Re
     motion = motion_of(name, _REFERENCE_HZ)
     count = 2 * np.pi / _COUNTS
     angle = np.floor(motion.angle_rad[:, 0] / count + random.uniform()) * count
-    stated = AngleColumn(Columns(("angle",)), "z", 1.0, earth_rate=True)
+    stated = Measured("angle", Columns(("angle",)), "z", earth_rate=True)
     return _with(recording, foreign_reference(stated, _ns(motion.t_s), angle[:, None]), keep_site=True)
 
 

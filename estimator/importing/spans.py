@@ -1,19 +1,22 @@
-"""Spans of foreign samples with a stated turn: whole files or sections of them, each checked before it counts."""
+"""Files and sections of them of which something is stated; a stated turn is checked before it counts."""
 
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from estimator.errors import RecordingError
-from estimator.importing.clocks.timefit import TimeFit
-from estimator.importing.columns import Table
+from estimator.importing.log import Log
 from estimator.importing.mapping.mapping import Mapping
-from estimator.importing.mapping.reference import Cuts, FileTurns, SectionTurns, Turn, TurnChecks, turn_about
+from estimator.importing.mapping.reference import Rests, StatedTurns, Turn, turn_about
+from estimator.importing.table import Table
 from estimator.types import Floats
+
+T = TypeVar("T")
 
 _EDGE_ROWS = 3  # least number of samples that show rest at an end
 _WRONG_BY = 0.5  # a gyro whose output turns by this share more or less than stated: wrong axis, unit or angle
@@ -41,29 +44,20 @@ class Span:
     sd_rad: float
 
 
-def turn_spans(
-    mapping: Mapping, path: Path, table: Table, time: TimeFit, rate: Floats
-) -> tuple[list[Span] | None, list[Refused]]:
-    reference = mapping.reference
-    rows: list[tuple[str, int, int, Turn]]
-    if isinstance(reference, FileTurns):
-        rows = [(path.name, 0, len(time.rows), _turn_of_file(mapping, reference, path))]
-    elif isinstance(reference, SectionTurns):
-        limits = section_rows(mapping, reference.cuts, tuple(reference.sections), path, table, time)
-        rows = [(f"{path.name}, section {name}", first, stop, reference.sections[name]) for name, first, stop in limits]
-    else:
-        return None, []
-    spans: list[Span] = []
-    refused: list[Refused] = []
-    for name, first, stop, turn in rows:
-        try:
-            spans.append(_span(mapping, reference.checks, time.t_s[first:stop], rate[time.rows[first:stop]], turn))
-        except RecordingError as reason:
-            refused.append(Refused(name, str(reason)))
-    return spans, refused
+def turn_spans(mapping: Mapping, stated: StatedTurns, log: Log, rate: Floats) -> tuple[list[Span], list[Refused]]:
+    """Return the turns of a file whose gyros put out ``rate`` (rows, m), and the sections of it that are none.
+
+    Raises RecordingError if the one turn of the file is none.
+    """
+    t_s, rows = log.time.t_s, rate[log.time.rows]
+    if not stated.sections:
+        return [_span(mapping, stated, t_s, rows, _turn_of_file(mapping, stated, log.path))], []
+    return of_sections(
+        mapping, stated, log, lambda name, a, b: _span(mapping, stated, t_s[a:b], rows[a:b], stated.sections[name])
+    )
 
 
-def _turn_of_file(mapping: Mapping, reference: FileTurns, path: Path) -> Turn:
+def _turn_of_file(mapping: Mapping, reference: StatedTurns, path: Path) -> Turn:
     if reference.turn is not None:
         return reference.turn
     assert reference.pattern is not None
@@ -76,29 +70,37 @@ def _turn_of_file(mapping: Mapping, reference: FileTurns, path: Path) -> Turn:
         raise RecordingError(f"{path.name}: its name states no turn: {error}") from None
 
 
-def section_rows(
-    mapping: Mapping,
-    cuts: Cuts,
-    names: tuple[str, ...],
-    path: Path,
-    table: Table,
-    time: TimeFit,
-    *,
-    all_named: bool = True,
-) -> list[tuple[str, int, int]]:
-    """Return name, first and one past the last of the kept rows of every section of a file.
+def of_sections(
+    mapping: Mapping, stated: StatedTurns | Rests, log: Log, read: Callable[[str, int, int], T]
+) -> tuple[list[T], list[Refused]]:
+    """Return what is read of each section, by its name, first and one past the last of the kept rows, or refused.
 
-    With ``all_named`` a label comes once and each is one of ``names``; without, others are passed over. Raises
-    RecordingError if sections are missing, or not as the file.
+    Of turns a label comes once and each is named; of rests others are passed over. Raises RecordingError if sections
+    are missing, or not as the file.
     """
-    limits: list[tuple[str, int, int]]
-    if cuts.limits_s:
-        return _timed(cuts, path, time)
+    found: list[T] = []
+    refused: list[Refused] = []
+    for name, first, stop in _section_rows(mapping, stated, log):
+        try:
+            found.append(read(name, first, stop))
+        except RecordingError as reason:
+            refused.append(Refused(f"{log.path.name}, section {name}", str(reason)))
+    return found, refused
+
+
+def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> list[tuple[str, int, int]]:
+    cuts, names, path, all_named = stated.cuts, stated.sections, log.path, isinstance(stated, StatedTurns)
+    edges, last_s = log.time.rows if not cuts.limits_s else log.time.t_s, float(log.time.t_s[-1])
+    limits: Sequence[tuple[str, float, float]] = [(name, *limits_s) for name, limits_s in cuts.limits_s.items()]
+    for name, start_s, _ in limits:
+        if start_s > last_s:
+            raise RecordingError(
+                f"{path.name}: section {name} begins at {start_s:g} s, but the file lasts {last_s:.6g} s"
+            )
     if cuts.column is not None:
-        limits = _labelled(table.labels[cuts.column], once=all_named)
-    else:
-        assert cuts.list_name is not None
-        limits = _listed(path.parent / cuts.list_name.replace("{stem}", path.stem), table)
+        limits = _labelled(log.table.labels[cuts.column], once=all_named)
+    elif cuts.list_name is not None:
+        limits = _listed(path.parent / cuts.list_name.replace("{stem}", path.stem), log.table)
     present = dict.fromkeys(name for name, _, _ in limits)
     unknown = [name for name in present if name not in names]
     if unknown and all_named:
@@ -110,18 +112,7 @@ def section_rows(
     if missing:
         has = f"; it has {', '.join(unknown)}" if unknown else ""
         raise RecordingError(f"{path.name} has no section {', '.join(missing)}, which {mapping.name} names{has}")
-    return [(name, *np.searchsorted(time.rows, [start, end]).tolist()) for name, start, end in limits if name in names]
-
-
-def _timed(cuts: Cuts, path: Path, time: TimeFit) -> list[tuple[str, int, int]]:
-    found = []
-    for name, (start_s, end_s) in cuts.limits_s.items():
-        if start_s > time.t_s[-1]:
-            raise RecordingError(
-                f"{path.name}: section {name} begins at {start_s:g} s, but the file lasts {time.t_s[-1]:.6g} s"
-            )
-        found.append((name, *np.searchsorted(time.t_s, [start_s, end_s]).tolist()))
-    return found
+    return [(name, *np.searchsorted(edges, [start, end]).tolist()) for name, start, end in limits if name in names]
 
 
 def _labelled(labels: tuple[str, ...], *, once: bool) -> list[tuple[str, int, int]]:
@@ -156,15 +147,15 @@ def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
     return [(name, start, end) for name, (start, end) in limits.items()]
 
 
-def _span(mapping: Mapping, checks: TurnChecks, t_s: Floats, rate: Floats, turn: Turn) -> Span:
+def _span(mapping: Mapping, stated: StatedTurns, t_s: Floats, rate: Floats, turn: Turn) -> Span:
     """Return the checked turn of these samples; RecordingError if they do not begin and end at rest."""
     whole = np.isfinite(rate).all(axis=1)
     t_s, rate = t_s[whole], rate[whole]
     if len(t_s) < 2 * _EDGE_ROWS:
         raise RecordingError(f"it has {len(t_s)} usable rows, too few for a turn")
     period_s = float(np.median(np.diff(t_s)))
-    edge = min(max(round(checks.rest_s / period_s), _EDGE_ROWS), len(t_s) // 2)
-    limit = checks.rest_limit_rps
+    edge = min(max(round(stated.rest_s / period_s), _EDGE_ROWS), len(t_s) // 2)
+    limit = stated.rest_limit_rps
     for end, rows in (("start", rate[:edge]), ("end", rate[-edge:])):
         worst = float(np.abs(rows.mean(axis=0)).max())
         if worst > limit:
@@ -178,22 +169,22 @@ def _span(mapping: Mapping, checks: TurnChecks, t_s: Floats, rate: Floats, turn:
         worst = float(np.abs(turned).max()) / length_s
         if worst > limit:
             raise RecordingError(f"it is said to be at rest but turns at {np.degrees(worst):.1f} deg/s on average")
-        return Span(float(t_s[0]), float(t_s[-1]), np.zeros(3), checks.rest_sd_rad)
-    angle = _checked_angle(mapping, checks, turned, turn)
-    sd = float(np.hypot(checks.sd_rad, checks.sd_share * angle))
+        return Span(float(t_s[0]), float(t_s[-1]), np.zeros(3), stated.rest_sd_rad)
+    angle = _checked_angle(mapping, stated, turned, turn)
+    sd = float(np.hypot(stated.sd_rad, stated.sd_share * angle))
     return Span(float(t_s[0]), float(t_s[-1]), angle * np.array(turn.axis), sd)
 
 
-def _checked_angle(mapping: Mapping, checks: TurnChecks, turned_rad: Floats, turn: Turn) -> float:
+def _checked_angle(mapping: Mapping, stated: StatedTurns, turned_rad: Floats, turn: Turn) -> float:
     """Return the stated angle with the sign that holds; RecordingError if the gyros (m,) turned otherwise."""
     p, axis, angle = mapping.gyro.array.p, np.array(turn.axis), turn.angle_rad
     if np.linalg.lstsq(p, p @ axis, rcond=None)[0] @ axis < _SENSED:
-        if checks.sign_from_data:
+        if stated.sign_from_data:
             raise RecordingError("no gyro senses the axis of its turn, so the data cannot tell the sign: state it")
         return angle
     # What the body turned by, as far as the gyros tell: least squares over their nominal axes.
     measured = float(np.linalg.lstsq(p, turned_rad, rcond=None)[0] @ axis)
-    if checks.sign_from_data and measured * angle < 0:
+    if stated.sign_from_data and measured * angle < 0:
         angle = -angle
     if not abs(measured / angle - 1) < _WRONG_BY:
         raise RecordingError(
