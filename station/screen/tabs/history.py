@@ -1,6 +1,5 @@
 """History: the recordings of a folder, by device and date; how a state of a device went over its calibrations."""
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,7 @@ from textual.binding import Binding
 from textual.containers import Horizontal
 from textual.widgets import DataTable, Input, Label, Static
 
-from station.screen.archive.archive import Entry
+from station.screen.archive.entries import NO_LIMITS, Entry
 from station.screen.base import Field, StationScreen
 from station.screen.plots import trend_plot
 from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
@@ -20,7 +19,6 @@ from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
 _COLUMNS = ("when", "device", "script", "outcome", "operator", "accepted", "file")
 _SHOWN_EVERY = 25
 _TREND_ROWS = 9
-_LIMIT_KEYS = ("k", "b_rps", "sigma_rad", "sigma_rad")
 
 
 class HistoryScreen(StationScreen):
@@ -41,7 +39,7 @@ class HistoryScreen(StationScreen):
         self._shown: list[Entry] = []
         self._reading = False
         self._state = self._gyro = 0
-        self._limits: dict[str, float] = {}
+        self._limits = NO_LIMITS
 
     def body(self) -> ComposeResult:
         """Yield filters, recordings, the trend."""
@@ -118,7 +116,7 @@ class HistoryScreen(StationScreen):
         newest = next((entry for entry in self._entries if entry.gyros), None)
         self._show()
         if newest is not None:
-            self._limits = (await self.station.archive.read(newest.path)).limits
+            self._limits = (await self.station.archive.read(newest.path)).sizes
             self._show_trend()
 
     def _show(self) -> None:
@@ -158,9 +156,9 @@ class HistoryScreen(StationScreen):
             if entry.same_device(chosen):
                 points += [g for g in entry.gyros if (g.source, g.name) == (gyro.source, gyro.name)]
         unit = STATE_FIGURES[self._state]
-        values = [point.states[self._state] * unit.factor for point in points]
+        values = [point.values[self._state] * unit.factor for point in points]
         sds = [point.sds[self._state] * unit.factor for point in points]
-        limit = self._limits.get(_LIMIT_KEYS[self._state], math.inf) * unit.factor
+        limit = self._limits[self._state] * unit.factor
         title = f"{unit.name} ({unit.unit}) of {gyro.name}, {chosen.device or 'this device'}, {_count(points)}"
         label = partial(number, digits=unit.digits)
         return trend_plot(title, values, sds, limit, width, _TREND_ROWS, label)

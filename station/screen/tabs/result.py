@@ -15,12 +15,12 @@ from textual.containers import Horizontal
 from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
-from station.screen.archive.archive import INVESTIGATION, Entry, GyroEntry, Whole, last_before
+from station.run.snapshot import GyroSnapshot
+from station.screen.archive.entries import INVESTIGATION, Entry, Whole, last_before
 from station.screen.base import StationScreen
 from station.screen.dialogs import AskDialog, ChooseDialog
 from station.screen.figures import columns, headed, state_cells, state_heads, templated, titled
 from station.screen.plots import gyro_plots
-from station.screen.sessions.live_run import Trend
 from station.screen.sessions.programs import ask
 from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
 
@@ -97,7 +97,7 @@ class ResultScreen(StationScreen):
     async def _read(self, path: Path, fresh: bool) -> None:
         whole = await self.station.archive.read(path)
         self._whole, self._busy = whole, ""
-        await self._take_investigation(whole.found.get("investigation") or {})
+        await self._take_investigation(whole.investigation)
         entry = whole.entry
         if fresh and entry.texts.get("outcome") == "FAIL" and entry.gyros:
             self._look_for_cause([])
@@ -264,12 +264,11 @@ class ResultScreen(StationScreen):
         block.update("" if shown is None else shown)
 
     def _curves(self, whole: Whole) -> Text | None:
-        curves = whole.found.get("curves") or {}
-        if not curves:
+        if not whole.curves:
             return None
-        name = list(curves)[self._gyro % len(curves)]
+        name = list(whole.curves)[self._gyro % len(whole.curves)]
         width = max(self.query_one("#body").size.width - 2, 76)
-        return Text("\n").join(gyro_plots(name, _trend(curves[name]), width))
+        return Text("\n").join(gyro_plots(name, whole.curves[name], width))
 
 
 def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
@@ -286,9 +285,9 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
     return [Text.from_markup(what, emoji=False) if isinstance(what, str) else what for what, _ in shown]
 
 
-def state_lines(gyros: Sequence[GyroEntry]) -> list[Text]:
+def state_lines(gyros: Sequence[GyroSnapshot]) -> list[Text]:
     """Return the states with their sigmas, a line a gyro below a heading."""
-    rows = [[gyro.name, *state_cells(gyro.states, gyro.sds)] for gyro in gyros]
+    rows = [[gyro.name, *state_cells(gyro.values, gyro.sds)] for gyro in gyros]
     return headed(columns([*state_heads("gyro"), *rows], gap=" "), 2)
 
 
@@ -305,7 +304,7 @@ def _change(entry: Entry, last: Entry | None) -> Text:
             continue
         cells, far = [gyro.name], False
         for state, new_value, new_sd, value, sd in zip(
-            STATE_FIGURES, gyro.states, gyro.sds, old.states, old.sds, strict=True
+            STATE_FIGURES, gyro.values, gyro.sds, old.values, old.sds, strict=True
         ):
             delta, sigma = new_value - value, math.hypot(new_sd, sd)
             ratio = delta / sigma if sigma > 0 else math.nan
@@ -353,14 +352,8 @@ def _short(reason: str) -> str:
 def _record(whole: Whole) -> Text:
     reasons = whole.entry.texts.get("reason", "").split("; ")
     values = {
-        "found": whole.found,
+        "whole": whole,
         "reasons": reasons if len(reasons) > _REASONS else [],
-        "nis": number(whole.found.get("nis_mean"), 3),
+        "nis": number(whole.nis_mean, 3),
     }
     return templated("record.rich", values)
-
-
-def _trend(curve: Mapping[str, Any]) -> Trend:
-    states = [tuple(math.nan if v is None else v for v in row) for row in curve["states"]]
-    sds = [tuple(math.nan if v is None else v for v in row) for row in curve["sd"]]
-    return Trend(list(curve["t_s"]), states, sds)
