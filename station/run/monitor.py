@@ -48,12 +48,18 @@ class Monitor:
     """Looks at one run."""
 
     def __init__(self, opened: OpenBench, live: LiveEstimate, reopening: Reopening, time_scale: float) -> None:
-        """Begin before anything has come."""
+        """Begin before anything has come; how far the run is, whoever drives it says."""
         self._open, self._live, self._reopening, self._scale = opened, live, reopening, time_scale
         self._axes = opened.bench.table.gimbals
         self._seen = {name: _Seen() for imu in opened.imus for name in imu.source.names}
         self._marks: dict[str, deque[_Mark]] = {name: deque() for name in self._seen}
-        self._row: TableRow | None = None
+        self.phase = Phase.CONNECTING
+        self.planned_s = 0.0
+        """How long the script takes."""
+        self.sequencer: Sequencer | None = None
+        """What drives the script, once it has begun."""
+        self.row: TableRow | None = None
+        """The last row of table readings."""
         self._ended_s: float | None = None
         self.table_fault = ""
         """What the table ended the run with."""
@@ -68,10 +74,6 @@ class Monitor:
         seen = self._seen[name]
         seen.rows += len(block.t_ns)
         seen.last = block
-
-    def take_row(self, row: TableRow) -> None:
-        """Keep a row of table readings."""
-        self._row = row
 
     def mark(self) -> None:
         """Keep how far each source is, a few times a second: rates are counted from there."""
@@ -89,12 +91,14 @@ class Monitor:
         """Take it that nothing more will come: what a closed link does not say is no silence."""
         self._ended_s = asyncio.get_running_loop().time()
 
-    def brief(self, phase: Phase, times_s: tuple[float, float], sequencer: Sequencer | None) -> Snapshot:
-        """Return what a progress bar shows; ``times_s`` are those done and remaining, ``sequencer`` as for ``full``."""
+    def brief(self) -> Snapshot:
+        """Return what a progress bar shows."""
         counts = [imu.source.counts(name) for imu in self._open.imus for name in imu.source.names]
+        sequencer = self.sequencer
+        times_s = sequencer.times_s(asyncio.get_running_loop().time()) if sequencer else (0.0, self.planned_s)
         return Snapshot(
-            phase,
-            sequencer.label if sequencer and phase is Phase.RUNNING else "",
+            self.phase,
+            sequencer.label if sequencer and self.phase is Phase.RUNNING else "",
             *times_s,
             samples=sum(c.samples for c in counts),
             lost=sum(c.lost for c in counts),
@@ -102,26 +106,26 @@ class Monitor:
             paused=sequencer.paused if sequencer else "",
         )
 
-    def full(self, phase: Phase, times_s: tuple[float, float], sequencer: Sequencer | None) -> Snapshot:
-        """Return all there is to see; ``sequencer`` is None before the script begins."""
+    def full(self) -> Snapshot:
+        """Return all there is to see: for ten looks a second, not for each row."""
         now_s = asyncio.get_running_loop().time() if self._ended_s is None else self._ended_s
         return replace(
-            self.brief(phase, times_s, sequencer),
+            self.brief(),
             nis_recent=self._live.nis_recent,
             whiteness=self._live.whiteness,
-            axes=tuple(self._axis_snapshots(phase, now_s, sequencer)),
+            axes=tuple(self._axis_snapshots(now_s)),
             sources=tuple(self._source_snapshots(now_s)),
             gyros=tuple(self._gyro_snapshots()),
         )
 
-    def _axis_snapshots(self, phase: Phase, now_s: float, sequencer: Sequencer | None) -> Iterator[AxisSnapshot]:
+    def _axis_snapshots(self, now_s: float) -> Iterator[AxisSnapshot]:
         nothing = np.full(len(self._axes), np.nan)
-        angles, rates = (self._row.angle_rad, self._row.rate_rps) if self._row else (nothing, nothing)
+        angles, rates = (self.row.angle_rad, self.row.rate_rps) if self.row else (nothing, nothing)
         for axis, angle, rate in zip(self._axes, angles.tolist(), rates.tolist(), strict=True):
             state = "turning" if abs(rate) > _TURNING_RPS else "at rest"
-            if sequencer is None:
-                state = phase
-            setpoint = sequencer.setpoint_rps(axis, now_s) if sequencer else 0.0
+            if self.sequencer is None:
+                state = self.phase
+            setpoint = self.sequencer.setpoint_rps(axis, now_s) if self.sequencer else 0.0
             yield AxisSnapshot(axis, angle, rate, setpoint, self.table_fault or state)
 
     def _source_snapshots(self, now_s: float) -> Iterator[SourceSnapshot]:
