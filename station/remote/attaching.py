@@ -105,7 +105,6 @@ class RemoteSession:
         self._say({"do": "pause"})
 
     def resume(self) -> None:
-        """Go on."""
         self._say({"do": "resume"})
 
     def note(self, text: str) -> None:

@@ -149,7 +149,6 @@ class Host:
             client.send(_line("snapshot", json_object(snapshot)))
 
     def forget(self, client: _Client) -> None:
-        """Let a client go."""
         self._clients.discard(client)
 
     def do(self, line: bytes) -> bytes:

@@ -166,7 +166,6 @@ class Acquisition:
         return np.asarray(np.linalg.solve(p, accel_mps2.T).T) if p.shape == (3, 3) else accel_mps2
 
     def take_row(self, row: TableRow) -> None:
-        """Take in one row of table readings."""
         columns = row._asdict()
         if columns.pop("rate_window_ns") != self._rate_window_ns:
             table, self._rate_window_ns = self._bench.table, row.rate_window_ns
@@ -177,7 +176,6 @@ class Acquisition:
         self.monitor.row = row
 
     def end_step(self, label: str, start_ns: int, end_ns: int) -> None:
-        """Record when a step began and ended."""
         self.writer.append_text("steps", {"t_start_ns": start_ns, "t_end_ns": end_ns}, "label", label)
 
     def event(self, kind: EventKind, text: str) -> None:

@@ -104,7 +104,6 @@ class LiveSource:
         self._recent_at = -1
 
     def add(self, block: ImuBlock) -> None:
-        """Take in samples."""
         self._new.append(block)
 
     def advance(self, rates: BodyRates, *, everything: bool = False) -> None:
@@ -227,7 +226,6 @@ class LiveEstimate:
     """All sources of a run on one table."""
 
     def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
-        """Start without sources."""
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
         self._rows: list[TableRow] = []

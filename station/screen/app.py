@@ -93,7 +93,6 @@ class StationApp(App[None]):
 
     @property
     def busy(self) -> bool:
-        """Whether a session runs."""
         return self.shown is not None and self.shown.active
 
     def get_driver_class(self) -> type[Driver]:
@@ -101,7 +100,6 @@ class StationApp(App[None]):
         return type("StopFirstDriver", (_StopFirst, super().get_driver_class()), {})
 
     def on_mount(self) -> None:
-        """Begin to tick, and look for sessions."""
         self.set_interval(_TICK_S, self._tick)
         self.set_interval(_HANGUP_S, self._watch_terminal)
         self.set_interval(_OTHERS_S, partial(self._work, self._count_others, "others"))
@@ -185,7 +183,6 @@ class StationApp(App[None]):
             self._link.pause()
 
     def note_run(self, text: str | None) -> None:
-        """Have a note recorded."""
         if not text:
             return
         if self.busy and self._link is not None and self._link.note(text):
@@ -213,7 +210,6 @@ class StationApp(App[None]):
             self.screen.prepare(self.choices.script)
 
     def open_recording(self, path: Path, *, fresh: bool = False) -> None:
-        """Show the result of a recording."""
         self.switch_mode("result")
         self.call_after_refresh(self._open, path, fresh)
 
@@ -222,7 +218,6 @@ class StationApp(App[None]):
             self.screen.open(path, fresh=fresh)
 
     def choose_session(self) -> None:
-        """Ask which of the running sessions is to be shown."""
         self._work(self._choose, "sessions")
 
     async def _find_sessions(self) -> None:

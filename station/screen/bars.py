@@ -57,7 +57,6 @@ class StopBar(Widget):
     """STOP, with its key, and what the run is doing: red while a table may move. The whole bar is the button."""
 
     def __init__(self) -> None:
-        """Begin without a run."""
         super().__init__(id="stop-bar")
         self._text = ""
 

@@ -68,7 +68,6 @@ class StationScreen(Screen[None]):
         return self.size.width < LEAST_WIDTH or self.size.height < LEAST_HEIGHT
 
     def on_resize(self, event: events.Resize) -> None:
-        """Fit the layout to the terminal."""
         size = event.size
         self.set_class(self.small, "-small")
         self.set_class(size.width >= self.WIDE, "-wide")

@@ -15,12 +15,10 @@ class _Dialog(StationDialog):
     """A question and what may be answered: what comes back, and the words for it."""
 
     def __init__(self, question: str, answers: Sequence[tuple[str, str]]) -> None:
-        """Nothing is answered yet."""
         super().__init__()
         self._question, self._answers = question, answers
 
     def compose(self) -> ComposeResult:
-        """Yield the question and what may be answered."""
         with Vertical(id="dialog"):
             yield Static(self._question, markup=False)
             yield from self.answers()
@@ -35,13 +33,11 @@ class AskDialog(_Dialog):
     """A question with a few answers as buttons; the first is the careful one."""
 
     def answers(self) -> ComposeResult:
-        """Yield the buttons."""
         with Horizontal(classes="buttons"):
             for key, words in self._answers:
                 yield Button(words, id=key, compact=True)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """Hand the answer over."""
         self.dismiss(event.button.id)
 
 
@@ -49,9 +45,7 @@ class ChooseDialog(_Dialog):
     """A list to choose one line from."""
 
     def answers(self) -> ComposeResult:
-        """Yield the list."""
         yield OptionList(*(Option(words, id=key) for key, words in self._answers), markup=False)
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
-        """Hand the choice over."""
         self.dismiss(event.option.id)

@@ -25,7 +25,6 @@ class Archive:
     """Reads recordings one after the other. What takes too long or kills its reader is called damaged."""
 
     def __init__(self) -> None:
-        """Nothing is started yet."""
         self._pool: ProcessPool | None = None
         self._known: dict[tuple[Path, float, int], Entry] = {}
 

@@ -29,7 +29,6 @@ def read_entry(path: Path, when_utc_s: float) -> Entry:
 
 
 def read_whole(path: Path, when_utc_s: float) -> Whole:
-    """Return a whole recording."""
     return _read(path, when_utc_s, everything=True)
 
 

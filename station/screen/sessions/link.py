@@ -157,7 +157,6 @@ async def _hello(path: Path) -> dict[str, object]:
 
 
 async def stop_session(path: Path) -> None:
-    """Stop the session of a socket."""
     try:
         remote = await RemoteSession.connect(path)
     except UsageError:

@@ -74,13 +74,11 @@ class LiveRun:
 
     @property
     def recording(self) -> Path | None:
-        """Path of the recording."""
         told = self.hello.get("recording")
         return Path(str(told)) if told else self._recording
 
     @property
     def script(self) -> str:
-        """Name of the script."""
         script = self.hello.get("script")
         return str(script.get("name", "")) if isinstance(script, Mapping) else self._script
 
@@ -91,7 +89,6 @@ class LiveRun:
 
     @property
     def stop_asked(self) -> bool:
-        """Whether STOP was pressed."""
         return not math.isnan(self._stop_asked_s)
 
     @property
@@ -116,7 +113,6 @@ class LiveRun:
         return str(self.result.get("outcome") or "") if self.result is not None else ""
 
     def ask_to_stop(self) -> None:
-        """Take in that STOP was pressed."""
         if not self.stop_asked:
             self._stop_asked_s = time.monotonic()
 

@@ -95,7 +95,6 @@ class SessionProcess:
     """A run in a process that outlives the screen: of its own session, with its output in a file without a name."""
 
     def __init__(self, arguments: Sequence[str], recording: Path) -> None:
-        """Start it."""
         self.recording = recording
         self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  read when the process has ended
         self._code: int | None = None

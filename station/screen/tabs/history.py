@@ -33,7 +33,6 @@ class HistoryScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
-        """Nothing is read yet."""
         super().__init__()
         self._entries: list[Entry] = []
         self._shown: list[Entry] = []
@@ -42,7 +41,6 @@ class HistoryScreen(StationScreen):
         self._limits = NO_LIMITS
 
     def body(self) -> ComposeResult:
-        """Yield filters, recordings, the trend."""
         with Horizontal(classes="field"):
             yield Label("Device")
             yield Field(id="device", placeholder="any")
@@ -53,7 +51,6 @@ class HistoryScreen(StationScreen):
         yield Static(id="trend", markup=False, classes="block")
 
     def on_mount(self) -> None:
-        """Read the folder."""
         self.query_one(DataTable).add_columns(*_COLUMNS)
 
     def on_screen_resume(self) -> None:
@@ -62,42 +59,33 @@ class HistoryScreen(StationScreen):
         self.set_focus(self.query_one(DataTable))
 
     def on_resize(self, event: Any) -> None:
-        """Draw the trend as wide as there is room."""
         super().on_resize(event)
         self.call_after_refresh(self._show_trend)
 
     def action_read_again(self) -> None:
-        """Read the folder again."""
         self.work(partial(self._read, self.station.choices.folder), "read")
 
     def action_filter(self) -> None:
-        """Go to the filters."""
         self.set_focus(self.query_one("#device", Input))
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Filter."""
         self._show()
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Go to the recordings."""
         self.set_focus(self.query_one(DataTable))
 
     def on_data_table_row_selected(self, event: DataTable.RowSelected) -> None:
-        """Open a recording."""
         if event.cursor_row < len(self._shown):
             self.station.open_recording(self._shown[event.cursor_row].path)
 
     def on_data_table_row_highlighted(self, event: DataTable.RowHighlighted) -> None:
-        """Show the trend of another device."""
         self._show_trend()
 
     def action_state(self, step: int) -> None:
-        """Show the trend of another state."""
         self._state = (self._state + step) % len(STATE_FIGURES)
         self._show_trend()
 
     def action_gyro(self, step: int) -> None:
-        """Show the trend of another gyro."""
         self._gyro += step
         self._show_trend()
 

@@ -43,7 +43,6 @@ class PrepareScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
-        """Nothing has been asked yet."""
         super().__init__()
         self._prospect: Prospect | None = None
         self._check: Answer | None = None
@@ -52,7 +51,6 @@ class PrepareScreen(StationScreen):
         self._run_before: LiveRun | None = None
 
     def body(self) -> ComposeResult:
-        """Yield what is entered and what is missing; check and plan."""
         with Container(id="columns"):
             with Vertical(id="entries"):
                 for name, words, placeholder in _FIELDS:
@@ -66,7 +64,6 @@ class PrepareScreen(StationScreen):
                 yield Static(id="plan", markup=False, classes="block")
 
     def row_below(self) -> ComposeResult:
-        """Yield START and whether it would do something."""
         with Horizontal(id="start-row"):
             yield Button("START  F7", id="start", compact=True, disabled=True)
             yield Static(id="summary", markup=False)
@@ -108,12 +105,10 @@ class PrepareScreen(StationScreen):
             self.action_look_again()
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """Start."""
         if event.button.id == "start":
             self.action_start()
 
     def on_resize(self, event: Any) -> None:
-        """Draw the motion as wide as there is room."""
         super().on_resize(event)
         self.call_after_refresh(self._show)
 

@@ -52,7 +52,6 @@ class ResultScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
-        """Nothing is open yet."""
         super().__init__()
         self._path: Path | None = None
         self._whole: Whole | None = None
@@ -64,12 +63,10 @@ class ResultScreen(StationScreen):
         self._gyro = 0
 
     def body(self) -> ComposeResult:
-        """Yield the blocks."""
         for name in ("verdict", "states", "change", "model", "curves", "record"):
             yield Static(id=name, markup=False, classes="block")
 
     def row_below(self) -> ComposeResult:
-        """Yield what can be done."""
         with Horizontal(id="actions", classes="buttons"):
             for name, words in _BUTTONS:
                 yield Button(words, id=name, compact=True, disabled=True)
@@ -86,12 +83,10 @@ class ResultScreen(StationScreen):
         self.work(partial(self._read, path, fresh), "read")
 
     def on_resize(self, event: Any) -> None:
-        """Draw the curves as wide as there is room."""
         super().on_resize(event)
         self.call_after_refresh(self._show)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """Do what the button says."""
         getattr(self, f"action_{event.button.id}")()
 
     async def _read(self, path: Path, fresh: bool) -> None:
@@ -188,17 +183,14 @@ class ResultScreen(StationScreen):
             self._show()
 
     def action_repeat(self) -> None:
-        """Prepare the same run again."""
         if self._may("repeat"):
             self.station.prepare(None)
 
     def action_next(self) -> None:
-        """Prepare a run of the script that the investigation asks for."""
         if self._may("next"):
             self.station.prepare(str(self._found["next_script"]))
 
     def action_gyro(self, step: int) -> None:
-        """Show the curves of another gyro."""
         self._gyro += step
         self._show()
 

@@ -44,13 +44,11 @@ class RunScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
-        """Begin with the first gyro."""
         super().__init__()
         self._gyro = 0
         self._drawn_s = -math.inf
 
     def body(self) -> ComposeResult:
-        """Yield the blocks: the run, axes, sources, innovations, estimates; plots and events."""
         yield Lines(id="progress")
         with Container(id="columns"):
             with Vertical(id="figures"):
@@ -61,7 +59,6 @@ class RunScreen(StationScreen):
                     yield Lines(id=name, classes="block")
 
     def on_screen_resume(self) -> None:
-        """Draw at once."""
         self._drawn_s = -math.inf
         self.tick()
 
@@ -104,7 +101,6 @@ class RunScreen(StationScreen):
         return gyro_plots(name, run.trends.get(gyro.name) or Trend(), room)
 
     def action_gyro(self, step: int) -> None:
-        """Show the plots of another gyro."""
         self._gyro += step
         self._drawn_s = -math.inf
         self.tick()
@@ -114,11 +110,9 @@ class RunScreen(StationScreen):
         self.station.pause_run()
 
     def action_others(self) -> None:
-        """Ask which session is to be shown."""
         self.station.choose_session()
 
     def action_note(self) -> None:
-        """Ask for a note, and have it recorded."""
         if self.station.shown is not None and self.station.shown.active:
             self.app.push_screen(NoteDialog(), self.station.note_run)
 
@@ -127,14 +121,12 @@ class NoteDialog(StationDialog):
     """Asks for a note."""
 
     def compose(self) -> ComposeResult:
-        """Yield one line of input."""
         with Vertical(id="dialog"):
             yield Static("Note for the record (Enter keeps it, Escape goes back)")
             yield Field(max_length=200)
         yield StopBar()
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Hand the note over."""
         self.dismiss(event.value.strip() or None)
 
 
