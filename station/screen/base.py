@@ -9,7 +9,7 @@ from typing import Any, ClassVar, cast
 from textual import events
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
-from textual.screen import ModalScreen, Screen
+from textual.screen import Screen
 from textual.widgets import Footer, Input, Static
 from textual.worker import WorkType
 
@@ -26,6 +26,8 @@ class StationScreen(Screen[None]):
     MODE: ClassVar[str] = ""
     WIDE: ClassVar[int] = 120
     AUTO_FOCUS = None
+    gyro = 0
+    """Number of the gyro whose pictures are shown, of as many as there are."""
 
     def compose(self) -> ComposeResult:
         """Lay out the frame; ``body`` is the screen's own."""
@@ -52,6 +54,14 @@ class StationScreen(Screen[None]):
     def tick(self) -> None:
         """Show what has changed; called ten times a second while the screen is in sight."""
 
+    def redraw(self) -> None:
+        """Draw what depends on the room there is, and on the gyro that is shown."""
+
+    def action_gyro(self, step: int) -> None:
+        """Show another gyro."""
+        self.gyro += step
+        self.redraw()
+
     @property
     def station(self) -> SeenApp:
         """The app, as what it is."""
@@ -72,6 +82,7 @@ class StationScreen(Screen[None]):
         self.set_class(self.small, "-small")
         self.set_class(size.width >= self.WIDE, "-wide")
         self.set_class(size.height >= _TALL, "-tall")
+        self.call_after_refresh(self.redraw)
 
 
 class Field(Input):
@@ -81,9 +92,3 @@ class Field(Input):
         """``max_length`` in characters, 0 for any."""
         super().__init__(id=id, placeholder=placeholder, max_length=max_length, compact=True, select_on_focus=False)
         self.cursor_blink = False
-
-
-class StationDialog(ModalScreen[str | None]):
-    """A question over a screen, with STOP below it as everywhere."""
-
-    BINDINGS: ClassVar = [("escape", "dismiss(None)", "Back")]

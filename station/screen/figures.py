@@ -9,16 +9,10 @@ from station.render.template import rendered
 from station.views.figures import STATE_FIGURES
 
 
-def columns(rows: Sequence[Sequence[str]], *, left: int = 1, gap: str = "  ") -> list[str]:
-    """Return rows of cells as lines: the first ``left`` columns left-aligned, the others right-aligned."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        gap.join(
-            cell.ljust(width) if index < left else cell.rjust(width)
-            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]
+def columns(rows: Sequence[Sequence[str]], gap: str = "  ") -> list[str]:
+    """Return rows of cells as lines: the first column left-aligned, the others right-aligned."""
+    first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
+    return [gap.join([row[0].ljust(first), *map(str.rjust, row[1:], others)]) for row in rows]
 
 
 def state_heads(first: str, beside: str = "±") -> list[list[str]]:

@@ -33,7 +33,7 @@ class SessionLink:
             while self.run.stage is not Stage.ENDED:
                 socket = await self._find()
                 if socket is None:
-                    self.run.end(self._why_gone())
+                    self.run.leave(Stage.ENDED, self._why_gone())
                 else:
                     await self._listen(socket, changed)
                 changed()
@@ -108,7 +108,7 @@ class SessionLink:
             await self._take(remote)
         self._hang_up()
         if self.run.stage is not Stage.ENDED:
-            self.run.lose(why)
+            self.run.leave(Stage.LOST, why)
             changed()
             await asyncio.sleep(_AGAIN_S)
 

@@ -141,15 +141,10 @@ class LiveRun:
             elif kind == "refused":
                 self.refusals.append(str(message["reason"]))
 
-    def lose(self, why: str) -> None:
-        """Take in that the connection broke before the end."""
+    def leave(self, stage: Stage, why: str) -> None:
+        """Take in that the connection broke before the end, or that the process is gone without a result."""
         if self.stage is not Stage.ENDED:
-            self.stage, self.trouble = Stage.LOST, why
-
-    def end(self, why: str) -> None:
-        """Take in that the process is gone without a result."""
-        if self.stage is not Stage.ENDED:
-            self.stage, self.trouble = Stage.ENDED, why
+            self.stage, self.trouble = stage, why
 
     def _take_event(self, t_s: float, kind: EventKind, text: str) -> None:
         self.events.append((t_s, text))

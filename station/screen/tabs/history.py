@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from rich.text import Text
 from textual.app import ComposeResult
@@ -37,7 +37,7 @@ class HistoryScreen(StationScreen):
         self._entries: list[Entry] = []
         self._shown: list[Entry] = []
         self._reading = False
-        self._state = self._gyro = 0
+        self._state = 0
         self._limits = NO_LIMITS
 
     def body(self) -> ComposeResult:
@@ -58,10 +58,6 @@ class HistoryScreen(StationScreen):
         self.action_read_again()
         self.set_focus(self.query_one(DataTable))
 
-    def on_resize(self, event: Any) -> None:
-        super().on_resize(event)
-        self.call_after_refresh(self._show_trend)
-
     def action_read_again(self) -> None:
         self.work(partial(self._read, self.station.choices.folder), "read")
 
@@ -79,15 +75,11 @@ class HistoryScreen(StationScreen):
             self.station.open_recording(self._shown[event.cursor_row].path)
 
     def on_data_table_row_highlighted(self, event: DataTable.RowHighlighted) -> None:
-        self._show_trend()
+        self.redraw()
 
     def action_state(self, step: int) -> None:
         self._state = (self._state + step) % len(STATE_FIGURES)
-        self._show_trend()
-
-    def action_gyro(self, step: int) -> None:
-        self._gyro += step
-        self._show_trend()
+        self.redraw()
 
     async def _read(self, folder: Path) -> None:
         self._entries, self._reading = [], True
@@ -105,7 +97,7 @@ class HistoryScreen(StationScreen):
         self._show()
         if newest is not None:
             self._limits = (await self.station.archive.read(newest.path)).sizes
-            self._show_trend()
+            self.redraw()
 
     def _show(self) -> None:
         device = self.query_one("#device", Input).value.strip().lower()
@@ -122,9 +114,9 @@ class HistoryScreen(StationScreen):
         reading = ", reading ..." if self._reading else ""
         words = f"{len(self._shown)}{of} recordings in {self.station.choices.folder}{reading}   (Enter opens one)"
         self.query_one("#folder", Static).update(words)
-        self._show_trend()
+        self.redraw()
 
-    def _show_trend(self) -> None:
+    def redraw(self) -> None:
         if not self.is_mounted:
             return
         table = self.query_one(DataTable)
@@ -138,7 +130,7 @@ class HistoryScreen(StationScreen):
             return [Text(f"{chosen.path.name}: {chosen.wrong}", "red")]
         if not chosen.gyros:
             return [Text(f"{chosen.path.name} came to no calibration", "dim")]
-        gyro = chosen.gyros[self._gyro % len(chosen.gyros)]
+        gyro = chosen.gyros[self.gyro % len(chosen.gyros)]
         points = []
         for entry in sorted(self._entries, key=lambda entry: entry.when_utc_s):
             if entry.same_device(chosen):

@@ -74,7 +74,7 @@ class PrepareScreen(StationScreen):
         for name, *_ in _FIELDS:
             with self.prevent(Input.Changed):
                 self.query_one(f"#{name}", Input).value = getattr(choices, name)
-        self._show()
+        self.redraw()
         self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
 
     def prepare(self, script: str) -> None:
@@ -86,10 +86,10 @@ class PrepareScreen(StationScreen):
         """Take over what was typed; bench and script are looked at when they are complete."""
         if event.input.id in ("operator", "serial"):
             self._take_over()
-            self._show()
+            self.redraw()
         else:
             self._prospect = None
-            self._show()
+            self.redraw()
 
     def action_enter(self) -> None:
         """Go to the next field, or press what has the focus; bench and script are then looked at."""
@@ -108,16 +108,12 @@ class PrepareScreen(StationScreen):
         if event.button.id == "start":
             self.action_start()
 
-    def on_resize(self, event: Any) -> None:
-        super().on_resize(event)
-        self.call_after_refresh(self._show)
-
     def on_screen_resume(self) -> None:
         """Ask bench and script once the first picture is out, and again when a session has ended since."""
         ended = self.station.shown is not self._run_before and not self.station.busy
         if self._prospect is None or ended:
             self.call_after_refresh(self.action_look_again)
-        self._show()
+        self.redraw()
 
     def action_look_again(self) -> None:
         """Read bench and script, ask the devices, plan; what was asked before is given up."""
@@ -125,7 +121,7 @@ class PrepareScreen(StationScreen):
         self._prospect = self._check = self._plan = None
         self._checking = ""
         self._run_before = self.station.shown
-        self._show()
+        self.redraw()
         self.work(partial(self._look, self.station.choices), "look")
 
     def action_start(self) -> None:
@@ -136,7 +132,7 @@ class PrepareScreen(StationScreen):
         obstacles = self._obstacles()
         if obstacles or self._prospect is None:
             self.notify("; ".join(text for _, text in obstacles), title="Not started", severity="warning", markup=False)
-            self._show()
+            self.redraw()
         else:
             self.station.start_run(self._prospect)
 
@@ -144,7 +140,7 @@ class PrepareScreen(StationScreen):
         found = await asyncio.to_thread(look_ahead, choices)
         self._prospect = found
         self._recall(found)
-        self._show()
+        self.redraw()
         if found.bench_wrong:
             return
         await asyncio.gather(self._look_at_devices(choices, found), self._look_at_plan(choices, found))
@@ -153,21 +149,21 @@ class PrepareScreen(StationScreen):
         others = await sessions_on(found.bench, choices.bench)
         if others or self.station.busy:  # a port that two programs read loses samples of both
             self._checking = "a session runs on this bench: its devices are not asked (F6 asks again)"
-            self._show()
+            self.redraw()
             return
         self._checking = ""
         self._check = await ask(choices.check_arguments(found.all_twins), self._tell)
         self._suggest(self._check)
-        self._show()
+        self.redraw()
 
     async def _look_at_plan(self, choices: Choices, found: Prospect) -> None:
         if not found.script_wrong:
             self._plan = await ask(choices.plan_arguments())
-            self._show()
+            self.redraw()
 
     def _tell(self, line: str) -> None:
         self._checking = line
-        self._show()
+        self.redraw()
 
     def _recall(self, found: Prospect) -> None:
         """Fill in the serial number that this bench had last, if none was entered."""
@@ -225,7 +221,7 @@ class PrepareScreen(StationScreen):
             return [("WRONG", f"check: {self._check.reason}")]
         return [("WRONG", f"{d['device']}: {wrong}") for d in devices for wrong in d["wrong"]]
 
-    def _show(self) -> None:
+    def redraw(self) -> None:
         if not self.is_mounted:
             return
         obstacles = self._obstacles()

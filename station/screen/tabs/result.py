@@ -60,7 +60,6 @@ class ResultScreen(StationScreen):
         self._model: Sequence[RenderableType] = ()
         self._busy = ""
         self._said = ""
-        self._gyro = 0
 
     def body(self) -> ComposeResult:
         for name in ("verdict", "states", "change", "model", "curves", "record"):
@@ -73,18 +72,14 @@ class ResultScreen(StationScreen):
 
     def on_mount(self) -> None:
         """Show that nothing is open, or what was opened before the screen was there."""
-        self._show()
+        self.redraw()
 
     def open(self, path: Path, *, fresh: bool = False) -> None:
         """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
         self._path, self._whole, self._same, self._found = path, None, [], {}
-        self._busy, self._said, self._gyro = "reading", "", 0
-        self._show()
+        self._busy, self._said, self.gyro = "reading", "", 0
+        self.redraw()
         self.work(partial(self._read, path, fresh), "read")
-
-    def on_resize(self, event: Any) -> None:
-        super().on_resize(event)
-        self.call_after_refresh(self._show)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
         getattr(self, f"action_{event.button.id}")()
@@ -97,12 +92,12 @@ class ResultScreen(StationScreen):
         if fresh and entry.texts.get("outcome") == "FAIL" and entry.gyros:
             self._look_for_cause([])
         self._same = [e async for e in self.station.archive.entries(path.parent) if entry.same_calibrated(e)]
-        self._show()
+        self.redraw()
 
     async def _take_investigation(self, found: Mapping[str, Any]) -> None:
         self._found = found
         self._model = await asyncio.to_thread(_investigation, found) if found.get("verdict") else ()
-        self._show()
+        self.redraw()
 
     def action_investigate(self) -> None:
         """Look for what the model lacks; ask by which run that is to be judged, if there are others of the device."""
@@ -126,7 +121,7 @@ class ResultScreen(StationScreen):
         """Investigate in a process of its own; ``judging`` are the runs that verify what is found."""
         if self._path is not None:
             self._busy = "looking for what the model lacks"
-            self._show()
+            self.redraw()
             self.work(partial(self._investigate, self._path, [entry.path for entry in judging]), "investigate")
 
     async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
@@ -147,7 +142,7 @@ class ResultScreen(StationScreen):
 
     def _tell(self, line: str) -> None:
         self._busy = f"looking for what the model lacks: {line}"
-        self._show()
+        self.redraw()
 
     def action_accept(self) -> None:
         """Ask whether to accept, then record who did and write the certificate."""
@@ -161,7 +156,7 @@ class ResultScreen(StationScreen):
     def _accepted(self, answer: str | None) -> None:
         if answer == "yes" and self._path is not None:
             self._busy = "writing the certificate"
-            self._show()
+            self.redraw()
             self.work(partial(self._certify, self._path), "accept")
 
     async def _certify(self, path: Path) -> None:
@@ -180,7 +175,7 @@ class ResultScreen(StationScreen):
         whole = await self.station.archive.read(path)
         if path == self._path:
             self._busy, self._said, self._whole = "", said, whole
-            self._show()
+            self.redraw()
 
     def action_repeat(self) -> None:
         if self._may("repeat"):
@@ -189,10 +184,6 @@ class ResultScreen(StationScreen):
     def action_next(self) -> None:
         if self._may("next"):
             self.station.prepare(str(self._found["next_script"]))
-
-    def action_gyro(self, step: int) -> None:
-        self._gyro += step
-        self._show()
 
     def _may(self, what: str) -> bool:
         """Return whether something can be done, and say why not."""
@@ -229,9 +220,9 @@ class ResultScreen(StationScreen):
         fresh = self.station.take_fresh()
         if fresh is not None:
             self.open(fresh, fresh=True)
-        self._show()
+        self.redraw()
 
-    def _show(self) -> None:
+    def redraw(self) -> None:
         if not self.is_mounted:
             return
         for name, _ in _BUTTONS:
@@ -258,7 +249,7 @@ class ResultScreen(StationScreen):
     def _curves(self, whole: Whole) -> Text | None:
         if not whole.curves:
             return None
-        name = list(whole.curves)[self._gyro % len(whole.curves)]
+        name = list(whole.curves)[self.gyro % len(whole.curves)]
         width = max(self.query_one("#body").size.width - 2, 76)
         return Text("\n").join(gyro_plots(name, whole.curves[name], width))
 

@@ -10,11 +10,11 @@ from typing import ClassVar
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.containers import Container, Vertical
-from textual.widgets import Input, Static
 
 from station.run.snapshot import PAUSED, Snapshot
-from station.screen.bars import SILENCE_S, Lines, StopBar
-from station.screen.base import Field, StationDialog, StationScreen
+from station.screen.bars import SILENCE_S, Lines
+from station.screen.base import StationScreen
+from station.screen.dialogs import AskTextDialog
 from station.screen.figures import columns, headed, state_cells, state_heads
 from station.screen.plots import bar, gyro_plots
 from station.screen.sessions.live_run import LiveRun, Stage, Trend
@@ -43,10 +43,7 @@ class RunScreen(StationScreen):
         ("left", "gyro(-1)", "Previous gyro"),
     ]
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._gyro = 0
-        self._drawn_s = -math.inf
+    _drawn_s = -math.inf
 
     def body(self) -> ComposeResult:
         yield Lines(id="progress")
@@ -58,9 +55,12 @@ class RunScreen(StationScreen):
                 for name in _BLOCKS[4:]:
                     yield Lines(id=name, classes="block")
 
-    def on_screen_resume(self) -> None:
+    def redraw(self) -> None:
+        """Draw all at once, the plots too."""
         self._drawn_s = -math.inf
         self.tick()
+
+    on_screen_resume = redraw
 
     def tick(self) -> None:
         """Show figures at each tick, plots once a second; what has not changed costs nothing."""
@@ -95,15 +95,10 @@ class RunScreen(StationScreen):
     def _plots(self, run: LiveRun, snapshot: Snapshot) -> list[Text]:
         if not snapshot.gyros:
             return []
-        gyro = snapshot.gyros[self._gyro % len(snapshot.gyros)]
+        gyro = snapshot.gyros[self.gyro % len(snapshot.gyros)]
         room = self.query_one("#pictures").size.width or self.size.width
         name = gyro.name if gyro.name == gyro.source else f"{gyro.name} of {gyro.source}"
         return gyro_plots(name, run.trends.get(gyro.name) or Trend(), room)
-
-    def action_gyro(self, step: int) -> None:
-        self._gyro += step
-        self._drawn_s = -math.inf
-        self.tick()
 
     def action_pause(self) -> None:
         """Hold after the step under way, or go on."""
@@ -114,20 +109,9 @@ class RunScreen(StationScreen):
 
     def action_note(self) -> None:
         if self.station.shown is not None and self.station.shown.active:
-            self.app.push_screen(NoteDialog(), self.station.note_run)
-
-
-class NoteDialog(StationDialog):
-    """Asks for a note."""
-
-    def compose(self) -> ComposeResult:
-        with Vertical(id="dialog"):
-            yield Static("Note for the record (Enter keeps it, Escape goes back)")
-            yield Field(max_length=200)
-        yield StopBar()
-
-    def on_input_submitted(self, event: Input.Submitted) -> None:
-        self.dismiss(event.value.strip() or None)
+            self.app.push_screen(
+                AskTextDialog("Note for the record (Enter keeps it, Escape goes back)"), self.station.note_run
+            )
 
 
 def _progress(run: LiveRun, width: int) -> list[Text]:
