@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections import deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 
@@ -24,14 +24,6 @@ from station.run.table_watch import TableRow
 _OVER_S = 2.0  # of the host's clock: for rates and latencies
 _SILENT_S = 0.5
 _TURNING_RPS = math.radians(0.02)
-
-
-@dataclass(slots=True, eq=False)
-class _Seen:
-    """What has come of one source: rows so far, and the last block."""
-
-    rows: int = 0
-    last: ImuBlock | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +43,9 @@ class Monitor:
         """Begin before anything has come; how far the run is, whoever drives it says."""
         self._open, self._live, self._reopening, self._scale = opened, live, reopening, time_scale
         self._axes = opened.bench.table.gimbals
-        self._seen = {name: _Seen() for imu in opened.imus for name in imu.source.names}
-        self._marks: dict[str, deque[_Mark]] = {name: deque() for name in self._seen}
+        self._rows: Counter[str] = Counter()
+        self._last: dict[str, ImuBlock] = {}
+        self._marks: defaultdict[str, deque[_Mark]] = defaultdict(deque)
         self.phase = Phase.CONNECTING
         self.planned_s = 0.0
         """How long the script takes."""
@@ -71,19 +64,17 @@ class Monitor:
 
     def take_block(self, name: str, block: ImuBlock) -> None:
         """Keep what came of a source."""
-        seen = self._seen[name]
-        seen.rows += len(block.t_ns)
-        seen.last = block
+        if len(block.t_ns):
+            self._rows[name] += len(block.t_ns)
+            self._last[name] = block
 
     def mark(self) -> None:
         """Keep how far each source is, a few times a second: rates are counted from there."""
         now_s = asyncio.get_running_loop().time()
-        for name, seen in self._seen.items():
-            if seen.last is None or not len(seen.last.t_ns):
-                continue
-            latency_s = float((seen.last.arrival_ns - seen.last.t_ns).mean()) * 1e-9
+        for name, last in self._last.items():
+            latency_s = float((last.arrival_ns - last.t_ns).mean()) * 1e-9
             marks = self._marks[name]
-            marks.append(_Mark(now_s, seen.rows, int(seen.last.t_ns[-1]), latency_s))
+            marks.append(_Mark(now_s, self._rows[name], int(last.t_ns[-1]), latency_s))
             while len(marks) > 2 and marks[1].at_s <= now_s - _OVER_S * self._scale:
                 marks.popleft()
 
@@ -132,7 +123,7 @@ class Monitor:
         for imu in self._open.imus:
             for name in imu.source.names:
                 counts, alignment = imu.source.counts(name), imu.source.alignment(name)
-                last, marks = self._seen[name].last, self._marks[name]
+                last, marks = self._last.get(name), self._marks[name]
                 link = self._link(imu.config.name, last, now_s)
                 yield SourceSnapshot(
                     name,
@@ -141,9 +132,7 @@ class Monitor:
                     **asdict(counts),
                     latency_s=sum(m.latency_s for m in marks) / len(marks) if marks else math.nan,
                     jitter_s=alignment.jitter_rms_s if alignment else math.nan,
-                    temperature_c=float(last.temperature_c[-1])
-                    if last is not None and len(last.temperature_c)
-                    else math.nan,
+                    temperature_c=math.nan if last is None else float(last.temperature_c[-1]),
                     link=link,
                 )
 
@@ -155,18 +144,17 @@ class Monitor:
 
     def _rate_hz(self, name: str, link: str, now_s: float) -> float:
         """Return samples a second: by their own instants, for they come in handfuls; of a silent source, until now."""
-        seen, marks = self._seen[name], self._marks[name]
-        if not marks or seen.last is None:
+        marks = self._marks[name]
+        if not marks:
             return math.nan
-        until_s = seen.last.t_ns[-1] * 1e-9 if link == "ok" else now_s
+        until_s = self._last[name].t_ns[-1] * 1e-9 if link == "ok" else now_s
         span_s = float(until_s) - marks[0].newest_ns * 1e-9
-        return (seen.rows - marks[0].rows) / span_s if span_s > 0 else math.nan
+        return (self._rows[name] - marks[0].rows) / span_s if span_s > 0 else math.nan
 
     def _gyro_snapshots(self) -> Iterator[GyroSnapshot]:
         for name, source in self._live.sources.items():
-            recent = source.recent()
-            rows = zip(
-                source.array.names, recent.states.tolist(), recent.sd.tolist(), recent.by_gyro.tolist(), strict=True
-            )
+            x, (states, sd) = source.recent(), source.decoded()
+            by_gyro = (x**2).mean(axis=0) if len(x) else np.full(len(source.array), np.nan)
+            rows = zip(source.array.names, states.tolist(), sd.tolist(), by_gyro.tolist(), strict=True)
             for gyro, values, sds, nis in rows:
                 yield GyroSnapshot(gyro, name, tuple(values), tuple(sds), nis)

@@ -22,7 +22,7 @@ from textual.worker import WorkType
 
 from station.remote.attaching import running_sessions
 from station.screen.archive.archive import Archive
-from station.screen.bars import STOP_KEY, StopBar
+from station.screen.bars import SCREENS, STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
 from station.screen.dialogs import AskDialog, ChooseDialog
@@ -61,10 +61,7 @@ class StationApp(App[None]):
     MODES: ClassVar = {"prepare": PrepareScreen, "run": RunScreen, "result": ResultScreen, "history": HistoryScreen}
     DEFAULT_MODE: str = "prepare"  # type: ignore[misc]  # it depends on how the app is begun
     BINDINGS: ClassVar = [
-        Binding("f2", "switch_mode('prepare')", "Prepare", show=False),
-        Binding("f3", "switch_mode('run')", "Run", show=False),
-        Binding("f4", "switch_mode('result')", "Result", show=False),
-        Binding("f5", "switch_mode('history')", "History", show=False),
+        *(Binding(key.lower(), f"switch_mode('{mode}')", name, show=False) for mode, key, name in SCREENS),
         Binding(",".join(_STOP_KEYS), "stop", "STOP", show=False, priority=True),
         Binding("ctrl+q", "leave", "Quit", show=False, priority=True),
     ]
@@ -102,8 +99,8 @@ class StationApp(App[None]):
     def on_mount(self) -> None:
         self.set_interval(_TICK_S, self._tick)
         self.set_interval(_HANGUP_S, self._watch_terminal)
-        self.set_interval(_OTHERS_S, partial(self._work, self._count_others, "others"))
-        self._work(self._find_sessions, "sessions")
+        self.set_interval(_OTHERS_S, partial(self.work, self._count_others, "others"))
+        self.work(self._find_sessions, "sessions")
 
     async def on_unmount(self) -> None:
         """Hang up; a session goes on."""
@@ -123,7 +120,7 @@ class StationApp(App[None]):
             if not (told or self._link.stop()):
                 self.notify("the session cannot be reached: use the emergency stop of the table", severity="error")
         elif self.shown is None:
-            self._work(self._stop_all, "sessions")
+            self.work(self._stop_all, "sessions")
         self._show_stop()
 
     def stop_from_thread(self) -> None:
@@ -160,7 +157,7 @@ class StationApp(App[None]):
     def start_run(self, prospect: Prospect) -> None:
         """Start a session with what was chosen on a bench, keep what was entered, and show the session."""
         self._remember(prospect.bench)
-        self._work(partial(self._start, prospect), "start")
+        self.work(partial(self._start, prospect), "start")
 
     async def _start(self, prospect: Prospect) -> None:
         others = await sessions_on(prospect.bench, self.choices.bench)
@@ -218,7 +215,7 @@ class StationApp(App[None]):
             self.screen.open(path, fresh=fresh)
 
     def choose_session(self) -> None:
-        self._work(self._choose, "sessions")
+        self.work(self._choose, "sessions")
 
     async def _find_sessions(self) -> None:
         if not self._begins_attached:
@@ -251,17 +248,21 @@ class StationApp(App[None]):
         if socket is not None:
             self._follow(LiveRun(), socket=Path(socket))
 
-    async def guarded(self, what: Callable[[], Coroutine[Any, Any, None]]) -> None:
-        """Do something beside the screen; a defect in it must not take STOP away, so it is only told."""
-        try:
-            await what()
-        except Exception as error:
-            words = f"{type(error).__name__}: {error}"
-            self.notify(words, title="Defect of the screen, please report it", severity="error", markup=False)
+    def work(self, what: Callable[[], Coroutine[Any, Any, None]], group: str) -> None:
+        """Do something beside the screens, instead of what its group was at.
 
-    def _work(self, what: Callable[[], Coroutine[Any, Any, None]], group: str) -> None:
-        work: WorkType[None] = partial(self.guarded, what)
-        self.run_worker(work, group=group, exclusive=True)
+        A defect in it must not take STOP away, so it is only told.
+        """
+
+        async def guarded() -> None:
+            try:
+                await what()
+            except Exception as error:
+                words = f"{type(error).__name__}: {error}"
+                self.notify(words, title="Defect of the screen, please report it", severity="error", markup=False)
+
+        worker: WorkType[None] = guarded
+        self.run_worker(worker, group=group, exclusive=True)
 
     def _follow(self, run: LiveRun, *, process: SessionProcess | None = None, socket: Path | None = None) -> None:
         if self._link is not None:
@@ -271,7 +272,7 @@ class StationApp(App[None]):
         self.switch_mode("run")
         # What is there by now stays: without looking it through again and again nothing holds STOP up for long.
         self.set_timer(_SETTLED_S, gc.freeze)
-        self._work(partial(self._link.follow, self._changed), "session")
+        self.work(partial(self._link.follow, self._changed), "session")
 
     def _changed(self) -> None:
         run = self.shown
@@ -284,7 +285,7 @@ class StationApp(App[None]):
             return
         self._fresh = run.recording
         if run.result is None:
-            self._work(partial(self._look_into, run, run.recording), "ended")
+            self.work(partial(self._look_into, run, run.recording), "ended")
         elif run.outcome in ("PASS", "ESTIMATED", "FAIL") and isinstance(self.screen, RunScreen):
             self.switch_mode("result")
 

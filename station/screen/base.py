@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine
-from functools import partial
-from typing import Any, ClassVar, cast
+from typing import ClassVar, cast
 
 from textual import events
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
 from textual.screen import Screen
 from textual.widgets import Footer, Input, Static
-from textual.worker import WorkType
 
 from station.screen.bars import StopBar, TopBar
 from station.screen.seen_app import SeenApp
@@ -66,11 +63,6 @@ class StationScreen(Screen[None]):
     def station(self) -> SeenApp:
         """The app, as what it is."""
         return cast(SeenApp, self.app)
-
-    def work(self, what: Callable[[], Coroutine[Any, Any, None]], group: str) -> None:
-        """Do something slow beside the screen, instead of what its group was at; a defect in it is told, no more."""
-        work: WorkType[None] = partial(self.station.guarded, what)
-        self.run_worker(work, exclusive=True, group=group)
 
     @property
     def small(self) -> bool:

@@ -59,7 +59,7 @@ class HistoryScreen(StationScreen):
         self.set_focus(self.query_one(DataTable))
 
     def action_read_again(self) -> None:
-        self.work(partial(self._read, self.station.choices.folder), "read")
+        self.station.work(partial(self._read, self.station.choices.folder), "read")
 
     def action_filter(self) -> None:
         self.set_focus(self.query_one("#device", Input))

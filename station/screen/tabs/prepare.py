@@ -122,7 +122,7 @@ class PrepareScreen(StationScreen):
         self._checking = ""
         self._run_before = self.station.shown
         self.redraw()
-        self.work(partial(self._look, self.station.choices), "look")
+        self.station.work(partial(self._look, self.station.choices), "look")
 
     def action_start(self) -> None:
         """Start the run, if nothing stands against it."""

@@ -15,11 +15,10 @@ from textual.containers import Horizontal
 from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
-from station.run.snapshot import GyroSnapshot
 from station.screen.archive.entries import INVESTIGATION, Entry, Whole, last_before
 from station.screen.base import StationScreen
 from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.figures import columns, headed, state_cells, state_heads, templated, titled
+from station.screen.figures import columns, headed, state_heads, state_lines, templated, titled
 from station.screen.plots import gyro_plots
 from station.screen.sessions.programs import ask
 from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
@@ -79,7 +78,7 @@ class ResultScreen(StationScreen):
         self._path, self._whole, self._same, self._found = path, None, [], {}
         self._busy, self._said, self.gyro = "reading", "", 0
         self.redraw()
-        self.work(partial(self._read, path, fresh), "read")
+        self.station.work(partial(self._read, path, fresh), "open")
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
         getattr(self, f"action_{event.button.id}")()
@@ -122,7 +121,7 @@ class ResultScreen(StationScreen):
         if self._path is not None:
             self._busy = "looking for what the model lacks"
             self.redraw()
-            self.work(partial(self._investigate, self._path, [entry.path for entry in judging]), "investigate")
+            self.station.work(partial(self._investigate, self._path, [entry.path for entry in judging]), "investigate")
 
     async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
         kept, script = await asyncio.to_thread(
@@ -157,7 +156,7 @@ class ResultScreen(StationScreen):
         if answer == "yes" and self._path is not None:
             self._busy = "writing the certificate"
             self.redraw()
-            self.work(partial(self._certify, self._path), "accept")
+            self.station.work(partial(self._certify, self._path), "accept")
 
     async def _certify(self, path: Path) -> None:
         now = datetime.now(UTC).isoformat(timespec="seconds")
@@ -266,12 +265,6 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
         return [Text("kept by another version of the station: I investigates again", "yellow")]
     shown = investigation_shown(cast(InvestigationView, found), "d drives it")
     return [Text.from_markup(what, emoji=False) if isinstance(what, str) else what for what, _ in shown]
-
-
-def state_lines(gyros: Sequence[GyroSnapshot]) -> list[Text]:
-    """Return the states with their sigmas, a line a gyro below a heading."""
-    rows = [[gyro.name, *state_cells(gyro.values, gyro.sds)] for gyro in gyros]
-    return headed(columns([*state_heads("gyro"), *rows], gap=" "), 2)
 
 
 def _change(entry: Entry, last: Entry | None) -> Text:

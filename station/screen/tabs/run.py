@@ -15,7 +15,7 @@ from station.run.snapshot import PAUSED, Snapshot
 from station.screen.bars import SILENCE_S, Lines
 from station.screen.base import StationScreen
 from station.screen.dialogs import AskTextDialog
-from station.screen.figures import columns, headed, state_cells, state_heads
+from station.screen.figures import columns, headed, state_lines
 from station.screen.plots import bar, gyro_plots
 from station.screen.sessions.live_run import LiveRun, Stage, Trend
 from station.views.figures import OUTCOME_STYLES, clock, number
@@ -80,7 +80,7 @@ class RunScreen(StationScreen):
             ("axes", axis_lines(snapshot, run.stage is not Stage.RUNNING or run.silent_s > SILENCE_S)),
             ("sources", source_lines(snapshot)),
             ("innovations", innovation_lines(snapshot)),
-            ("estimates", estimate_lines(snapshot)),
+            ("estimates", state_lines(snapshot.gyros, nis=True)),
         ):
             self._show(name, rows)
         self._show("events", _event_lines(run))
@@ -215,13 +215,6 @@ def _judgement(snapshot: Snapshot) -> Text:
     if abs(snapshot.whiteness) > _WHITE_OFF:
         return Text("NOT WHITE: something is not in the model", "bold red")
     return Text("good: near 1, and white", "green")
-
-
-def estimate_lines(snapshot: Snapshot) -> list[Text]:
-    """Return the estimates, a line a gyro below a heading."""
-    names, units = state_heads("gyro")
-    gyros = [[g.name, *state_cells(g.values, g.sds), number(g.nis, 2).rjust(4)] for g in snapshot.gyros]
-    return headed(columns([[*names, "NIS"], [*units, ""], *gyros], gap=" "), 2)
 
 
 def _event_lines(run: LiveRun) -> list[Text]:
