@@ -117,10 +117,7 @@ class Session:
         self._live, self._monitor = self._acquisition.live, self._acquisition.monitor
         self._monitor.planned_s = script.duration_s
         self._ended_early = ""
-        self._early_end: EarlyEnd | None = None
-        if options.end_early:
-            configs = {name: imu.config for imu in bench.imus for name in imu.source.names}
-            self._early_end = EarlyEnd(config, configs, self._live, time_scale)
+        self._early_end = EarlyEnd(bench, self._live, time_scale) if options.end_early else None
 
     async def run(self) -> Result:
         """Run to the end. Whatever is raised on the way, the table is brought to rest and the recording is closed.

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, TextIO, cast
 
 from textual import events
 from textual.app import App, ScreenStackError
@@ -327,13 +327,11 @@ def _session_words(path: Path, hello: Mapping[str, object]) -> str:
     return f"{hello['bench']}, process {path.stem}, {hello['recording']}"
 
 
-def _hung_up(stream: object) -> bool:
-    descriptor = getattr(stream, "fileno", None)
-    if descriptor is None:
-        return False
+def _hung_up(stream: TextIO | None) -> bool:
     poll = select.poll()
     try:
-        poll.register(descriptor(), 0)
+        if stream is not None:
+            poll.register(stream, 0)  # for what is told unasked: gone, broken, closed
     except (OSError, ValueError):
         return True
-    return any(happened & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, happened in poll.poll(0))
+    return bool(poll.poll(0))

@@ -5,6 +5,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import groupby
+from operator import itemgetter
 
 from rich.text import Text
 
@@ -15,7 +16,7 @@ _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _BRAILLE = 0x2800
 _DOTS_HIGH, _DOTS_WIDE = 4, 2
 _LINE, _EDGE, _LIMIT = "bold bright_white", "cyan", "red"
-_RANKS = {_LINE: 3, _EDGE: 2, _LIMIT: 1}
+_RANKS = {_LINE: 3, _EDGE: 2, _LIMIT: 1, "": 0}
 _MARGIN = 1.15
 _RECENT = 0.2  # of the time: it sets the range of values
 _LEAST_SIGMAS = 3.0
@@ -34,8 +35,7 @@ class Canvas:
         self._indent = max(map(len, self._labels)) + 1
         self._width, self._height = max(width - self._indent, 1), max(height, 1)
         self._low, self._high = low, high
-        self._dots: dict[tuple[int, int], int] = {}
-        self._styles: dict[tuple[int, int], str] = {}
+        self._cells: dict[tuple[int, int], tuple[int, str]] = {}
 
     @property
     def dots_wide(self) -> int:
@@ -52,9 +52,9 @@ class Canvas:
         if not (0 <= column < self.dots_wide and 0 <= row < self._height * _DOTS_HIGH):
             return
         cell = (row // _DOTS_HIGH, column // _DOTS_WIDE)
-        self._dots[cell] = self._dots.get(cell, 0) | _DOTS[row % _DOTS_HIGH][column % _DOTS_WIDE]
-        if _RANKS[style] > _RANKS.get(self._styles.get(cell, ""), 0):
-            self._styles[cell] = style
+        dots, before = self._cells.get(cell, (0, ""))
+        dots |= _DOTS[row % _DOTS_HIGH][column % _DOTS_WIDE]
+        self._cells[cell] = dots, max(before, style, key=_RANKS.__getitem__)
 
     def curve(self, values: Sequence[float], style: str) -> None:
         """Draw one value a column of dots, joined; what is not known leaves a gap. What lies outside is cut off."""
@@ -75,17 +75,14 @@ class Canvas:
         labels = dict(zip((0, self._height // 2, self._height - 1), self._labels, strict=True))
         found = []
         for y in range(self._height):
-            cells = [(y, x) for x in range(self._width)]
+            cells = [self._cells.get((y, x), (0, "")) for x in range(self._width)]
             # Stretches of one style: each costs the terminal and its painter about the same, however long it is.
-            stretches = groupby(cells, lambda cell: self._styles.get(cell, ""))
-            parts = (("".join(map(self._character, stretch)), style) for style, stretch in stretches)
-            line = Text.assemble(*parts)
+            stretches = groupby(cells, itemgetter(1))
+            line = Text.assemble(
+                *(("".join(chr(_BRAILLE + dots) if dots else " " for dots, _ in s), style) for style, s in stretches)
+            )
             found.append(Text.assemble((labels.get(y, "").rjust(self._indent - 1) + "│", "dim"), line))
         return found
-
-    def _character(self, cell: tuple[int, int]) -> str:
-        bits = self._dots.get(cell, 0)
-        return chr(_BRAILLE + bits) if bits else " "
 
 
 def band_plot(

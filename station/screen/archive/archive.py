@@ -33,8 +33,7 @@ class Archive:
         for path, when_utc_s, size in await asyncio.to_thread(_files, folder):
             key = (path, when_utc_s, size)
             if key not in self._known:
-                found = await self._do("read_entry", path, when_utc_s)
-                self._known[key] = Entry(path, when_utc_s, wrong=found) if isinstance(found, str) else found
+                self._known[key] = (await self._read(path, when_utc_s, everything=False)).entry
             if not self._known[key].foreign:
                 yield self._known[key]
 
@@ -44,8 +43,7 @@ class Archive:
             when_utc_s = (await asyncio.to_thread(path.stat)).st_mtime
         except OSError as error:
             return Whole(Entry(path, 0.0, wrong=error.strerror or "it cannot be read"))
-        found = await self._do("read_whole", path, when_utc_s)
-        return Whole(Entry(path, when_utc_s, wrong=found)) if isinstance(found, str) else found
+        return await self._read(path, when_utc_s, everything=True)
 
     async def accept(self, path: Path, attributes: Mapping[str, str]) -> str:
         """Write who accepted a recording into it; return what went wrong, empty if nothing did."""
@@ -61,6 +59,10 @@ class Archive:
         if pool is not None:
             pool.stop()  # type: ignore[no-untyped-call]
             await asyncio.to_thread(pool.join)
+
+    async def _read(self, path: Path, when_utc_s: float, *, everything: bool) -> Whole:
+        found = await self._do("read", path, when_utc_s, everything)
+        return Whole(Entry(path, when_utc_s, wrong=found)) if isinstance(found, str) else found
 
     async def _do(self, work: str, *about: Any, limit_s: float = _LIMIT_S) -> Any:
         """Return what a function of ``reading`` comes to, or in words why it came to nothing."""

@@ -23,15 +23,6 @@ _MOST_POINTS = 400
 _TEXTS = ("station", "script", "outcome", "reason", "operator", "device_serial", "accepted_by", "accepted_utc")
 
 
-def read_entry(path: Path, when_utc_s: float) -> Entry:
-    """Return the entry of a recording that was changed last at ``when_utc_s``."""
-    return _read(path, when_utc_s, everything=False).entry
-
-
-def read_whole(path: Path, when_utc_s: float) -> Whole:
-    return _read(path, when_utc_s, everything=True)
-
-
 def accept(path: Path, attributes: Mapping[str, str]) -> str:
     """Write attributes into a copy that then takes the recording's place: a full disk in between costs nothing.
 
@@ -54,7 +45,8 @@ def accept(path: Path, attributes: Mapping[str, str]) -> str:
     return ""
 
 
-def _read(path: Path, when_utc_s: float, *, everything: bool) -> Whole:
+def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
+    """Return a recording that was changed last at ``when_utc_s``, or only its entry; the entry says what is wrong."""
     unread = Entry(path, when_utc_s)
     try:
         # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.

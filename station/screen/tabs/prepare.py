@@ -235,15 +235,14 @@ class PrepareScreen(StationScreen):
         if prospect is not None and not prospect.bench_wrong:
             limits = prospect.limits or ("none: every run that comes to its end passes",)
         self.query_one("#limits", Static).update(titled("Limits of the bench", [Text(line) for line in limits]))
-        values = {"title": self._bench_title(), "check": self._check, "checking": self._checking}
+        values = {
+            "bench": prospect.bench if prospect is not None else "",
+            "check": self._check,
+            "checking": self._checking,
+        }
         self.query_one("#check", Static).update(templated("check.rich", {**values, "degrees": _degrees}))
         width = max(self.query_one("#plan").size.width, 40)
         self.query_one("#plan", Static).update(_plan(prospect, self._plan, width))
-
-    def _bench_title(self) -> str:
-        return (
-            f"Devices of {self._prospect.bench}" if self._prospect is not None and self._prospect.bench else "Devices"
-        )
 
     def _warnings(self) -> list[str]:
         plan = self._plan.found if self._plan is not None else {}
