@@ -25,6 +25,7 @@ from station.run.live import LiveEstimate, LiveSource
 from station.run.monitor import Monitor
 from station.run.snapshot import EventKind
 from station.run.table_watch import TableRow
+from station.views.json_values import named
 
 _FLUSH_S = 0.2  # what a killed station loses, at most, beyond what was on its way
 _FLUSH_SIMULATED_S = 2.0  # a simulated second lasts milliseconds
@@ -47,9 +48,7 @@ class SourceReport:
 
     def attributes(self) -> dict[str, float | int]:
         """Return what the recording keeps beside the samples."""
-        found: dict[str, float | int] = {
-            key: value for key, value in asdict(self.counts).items() if key in ("lost", "repeated", "late", "corrupt")
-        }
+        found: dict[str, float | int] = named(self.counts, ("lost", "repeated", "late", "corrupt"))
         if self.clock is not None:
             found |= {
                 "clock_drift_ppm": self.clock.drift_ppm,

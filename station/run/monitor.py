@@ -57,11 +57,6 @@ class Monitor:
         self.table_fault = ""
         """What the table ended the run with."""
 
-    @property
-    def gyros(self) -> tuple[str, ...]:
-        """Names of the gyros of all sources, as snapshots have them."""
-        return tuple(name for source in self._live.sources.values() for name in source.array.names)
-
     def take_block(self, name: str, block: ImuBlock) -> None:
         """Keep what came of a source."""
         if len(block.t_ns):

@@ -158,7 +158,7 @@ class Session:
     @property
     def gyros(self) -> tuple[str, ...]:
         """Names of the gyros, as snapshots have them."""
-        return self._monitor.gyros
+        return tuple(name for source in self._live.sources.values() for name in source.array.names)
 
     def stop(self, who: str = "the operator") -> None:
         """Bring the table to rest by a controlled stop and end the run, in whatever phase it is."""

@@ -26,7 +26,7 @@ from station.screen.bars import SCREENS, STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
 from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.memory import Remembered, load_remembered, save_remembered
+from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_remembered
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
@@ -72,12 +72,8 @@ class StationApp(App[None]):
             self.DEFAULT_MODE = "run"
         super().__init__()
         self.remembered: Remembered = load_remembered()
-        self.choices = replace(
-            choices,
-            operator=choices.operator or self.remembered.operator,
-            bench=choices.bench or self.remembered.bench,
-            script=choices.script or self.remembered.script,
-        )
+        entered = {key: getattr(choices, key) or getattr(self.remembered, key) for key in REMEMBERED}
+        self.choices = replace(choices, **entered)
         self.archive = Archive()
         self.shown: LiveRun | None = None
         self.others = 0
@@ -86,7 +82,7 @@ class StationApp(App[None]):
         self._begins_attached = attach
         self._told_by_key = False
         self._leaving = False
-        self._fresh: Path | None = None
+        self._to_open: tuple[Path, bool] | None = None
 
     @property
     def busy(self) -> bool:
@@ -168,7 +164,7 @@ class StationApp(App[None]):
         recording = await asyncio.to_thread(lambda: self.choices.new_recording().absolute())
         scale = self.choices.scale or (TWIN_SCALE if prospect.all_twins else None)
         try:
-            process = SessionProcess(self.choices.run_arguments(recording, scale), recording)
+            process = SessionProcess(self.choices.run_arguments(recording, scale))
         except OSError as error:
             self.notify(str(error), title="Not started", severity="error", markup=False)
             return
@@ -189,9 +185,8 @@ class StationApp(App[None]):
 
     def _remember(self, bench: str) -> None:
         serials = {**self.remembered.serials, bench: self.choices.serial}
-        bench, script = (
-            str(Path(path).absolute()) if path else "" for path in (self.choices.bench, self.choices.script)
-        )
+        chosen = self.choices.bench, self.choices.script
+        bench, script = (str(Path(path).absolute()) if path else "" for path in chosen)
         self.remembered = Remembered(self.choices.operator, bench, script, serials)
         save_remembered(self.remembered)
 
@@ -206,13 +201,9 @@ class StationApp(App[None]):
         if isinstance(self.screen, PrepareScreen):
             self.screen.prepare(self.choices.script)
 
-    def open_recording(self, path: Path, *, fresh: bool = False) -> None:
+    def open_recording(self, path: Path) -> None:
+        self._to_open = path, False
         self.switch_mode("result")
-        self.call_after_refresh(self._open, path, fresh)
-
-    def _open(self, path: Path, fresh: bool) -> None:
-        if isinstance(self.screen, ResultScreen):
-            self.screen.open(path, fresh=fresh)
 
     def choose_session(self) -> None:
         self.work(self._choose, "sessions")
@@ -283,7 +274,7 @@ class StationApp(App[None]):
             self.exit()
         if run.recording is None or not run.hello:
             return
-        self._fresh = run.recording
+        self._to_open = run.recording, True
         if run.result is None:
             self.work(partial(self._look_into, run, run.recording), "ended")
         elif run.outcome in ("PASS", "ESTIMATED", "FAIL") and isinstance(self.screen, RunScreen):
@@ -295,10 +286,10 @@ class StationApp(App[None]):
         said = entry.wrong or f"{entry.texts.get('outcome', '')}  {entry.texts.get('reason', '')}"
         run.trouble = f"{run.trouble}. Its recording: {said}"
 
-    def take_fresh(self) -> Path | None:
-        """Return the recording of a run that has ended and whose result was not shown yet."""
-        fresh, self._fresh = self._fresh, None
-        return fresh
+    def take_recording(self) -> tuple[Path, bool] | None:
+        """Return the recording that is to be shown and was not yet, and whether it is of a run that has just ended."""
+        found, self._to_open = self._to_open, None
+        return found
 
     def _tick(self) -> None:
         self._show_stop()

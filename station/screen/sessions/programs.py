@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import IO, Any
 
 _MOST_BYTES = 64 * 1024 * 1024  # of one line of JSON
@@ -102,8 +101,7 @@ def interrupt(pid: int) -> bool:
 class SessionProcess:
     """A run in a process that outlives the screen: of its own session, with its output in a file without a name."""
 
-    def __init__(self, arguments: Sequence[str], recording: Path) -> None:
-        self.recording = recording
+    def __init__(self, arguments: Sequence[str]) -> None:
         self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  read when the process has ended
         self._code: int | None = None
         words = command_line(arguments)

@@ -73,7 +73,7 @@ class ResultScreen(StationScreen):
         """Show that nothing is open, or what was opened before the screen was there."""
         self.redraw()
 
-    def open(self, path: Path, *, fresh: bool = False) -> None:
+    def _open(self, path: Path, fresh: bool) -> None:
         """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
         self._path, self._whole, self._same, self._found = path, None, [], {}
         self._busy, self._said, self.gyro = "reading", "", 0
@@ -216,9 +216,9 @@ class ResultScreen(StationScreen):
 
     def on_screen_resume(self) -> None:
         """Open what a run has left in the meantime; show what may be done now."""
-        fresh = self.station.take_fresh()
-        if fresh is not None:
-            self.open(fresh, fresh=True)
+        to_open = self.station.take_recording()
+        if to_open is not None:
+            self._open(*to_open)
         self.redraw()
 
     def redraw(self) -> None:
