@@ -32,7 +32,7 @@ from station.run.outcome import Outcome, Verdict, judge
 from station.run.sequencer import Sequencer
 from station.run.snapshot import EventKind, Phase, Snapshot
 from station.run.table_watch import TableRow, check_axes, watch_table
-from station.run.uncommanded import MotionGuard, watch_homing
+from station.run.uncommanded import watch_homing
 from station.scripts.polling import too_steep
 from station.scripts.script import Script
 
@@ -235,15 +235,8 @@ class Session:
                 self._event(EventKind.NOTE, text)
             sequencer = monitor.sequencer = Sequencer(table, self._script, acquisition.end_step, tell)
             monitor.phase = Phase.RUNNING
-            watch = watch_table(
-                table,
-                axes,
-                lambda: max(self._bench.table.poll_rate_hz, sequencer.wanted_hz(loop.time())),
-                lambda: sequencer.driven_axis,
-                MotionGuard(table, sequencer.commanded),
-                self._take_row,
-                lambda error: self._reopening.restore(table, error),
-            )
+            rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, table)
+            watch = watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)
             services.append(_serve(group, watch))
             tell("script begins")
             if self._early_end is None:

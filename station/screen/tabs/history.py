@@ -1,6 +1,5 @@
 """History: the recordings of a folder, by device and date; how a state of a device went over its calibrations."""
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
@@ -139,13 +138,10 @@ class HistoryScreen(StationScreen):
         values = [point.values[self._state] * unit.factor for point in points]
         sds = [point.sds[self._state] * unit.factor for point in points]
         limit = self._limits[self._state] * unit.factor
-        title = f"{unit.name} ({unit.unit}) of {gyro.name}, {chosen.device or 'this device'}, {_count(points)}"
+        count = f"{len(points)} calibration{'s' * (len(points) != 1)}"
+        title = f"{unit.name} ({unit.unit}) of {gyro.name}, {chosen.device or 'this device'}, {count}"
         label = partial(number, digits=unit.digits)
         return trend_plot(title, values, sds, limit, width, _TREND_ROWS, label)
-
-
-def _count(points: Sequence[object]) -> str:
-    return f"{len(points)} calibration{'' if len(points) == 1 else 's'}"
 
 
 def _cells(entry: Entry) -> list[Text]:

@@ -86,10 +86,9 @@ class PrepareScreen(StationScreen):
         """Take over what was typed; bench and script are looked at when they are complete."""
         if event.input.id in ("operator", "serial"):
             self._take_over()
-            self.redraw()
         else:
             self._prospect = None
-            self.redraw()
+        self.redraw()
 
     def action_enter(self) -> None:
         """Go to the next field, or press what has the focus; bench and script are then looked at."""
@@ -247,11 +246,8 @@ class PrepareScreen(StationScreen):
     def _warnings(self) -> list[str]:
         plan = self._plan.found if self._plan is not None else {}
         missed = [gyro["name"] for gyro in plan.get("gyros", []) if not gyro["reached"]]
-        if not missed:
-            return []
-        return [
-            f"this script does not reach the sigmas that the bench requires ({', '.join(missed)}): it will end FAIL"
-        ]
+        warning = "this script does not reach the sigmas that the bench requires ({}): it will end FAIL"
+        return [warning.format(", ".join(missed))] if missed else []
 
 
 def _summary(obstacles: list[tuple[str, str]]) -> Text:

@@ -26,6 +26,7 @@ from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
 _MANY_SIGMAS = 3.0
 _REASONS = 4
 _MOST_OFFERED = 20
+_LOOKING = "looking for what the model lacks"
 _NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
 _NAMED = {"operator": "operator", "script": "script", "station": "bench"}
 """What identifies a run beside its device, and what it is called."""
@@ -119,8 +120,7 @@ class ResultScreen(StationScreen):
     def _look_for_cause(self, judging: Sequence[Entry]) -> None:
         """Investigate in a process of its own; ``judging`` are the runs that verify what is found."""
         if self._path is not None:
-            self._busy = "looking for what the model lacks"
-            self.redraw()
+            self._tell(_LOOKING)
             self.station.work(partial(self._investigate, self._path, [entry.path for entry in judging]), "investigate")
 
     async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
@@ -132,15 +132,16 @@ class ResultScreen(StationScreen):
         )
         verify = ["--verify", *map(str, judging)] if judging else []
         files = ["--output", str(kept), "--next-script", str(script)]
-        answer = await ask(["investigate", str(path), *verify, "--json", *files], self._tell)
+        arguments = ["investigate", str(path), *verify, "--json", *files]
+        answer = await ask(arguments, lambda line: self._tell(f"{_LOOKING}: {line}"))
         if path != self._path:
             return
         self._busy = ""
         self._said = "" if answer.found.get("verdict") else f"no verdict: {answer.reason}"
         await self._take_investigation(answer.found)
 
-    def _tell(self, line: str) -> None:
-        self._busy = f"looking for what the model lacks: {line}"
+    def _tell(self, busy: str) -> None:
+        self._busy = busy
         self.redraw()
 
     def action_accept(self) -> None:
@@ -154,8 +155,7 @@ class ResultScreen(StationScreen):
 
     def _accepted(self, answer: str | None) -> None:
         if answer == "yes" and self._path is not None:
-            self._busy = "writing the certificate"
-            self.redraw()
+            self._tell("writing the certificate")
             self.station.work(partial(self._certify, self._path), "accept")
 
     async def _certify(self, path: Path) -> None:
