@@ -26,8 +26,7 @@ from typing import Any, cast
 
 from station.bench.bench import Bench
 from station.errors import UsageError
-from station.remote.attaching import VERSION
-from station.remote.session_folder import socket_folder
+from station.remote.attaching import VERSION, socket_folder
 from station.run.session import Session
 from station.run.snapshot import EventKind, Snapshot
 from station.scripts.script import Script

@@ -74,7 +74,6 @@ class PrepareScreen(StationScreen):
         for name, *_ in _FIELDS:
             with self.prevent(Input.Changed):
                 self.query_one(f"#{name}", Input).value = getattr(choices, name)
-        self.redraw()
         self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
 
     def prepare(self, script: str) -> None:

@@ -70,10 +70,6 @@ class ResultScreen(StationScreen):
             for name, words in _BUTTONS:
                 yield Button(words, id=name, compact=True, disabled=True)
 
-    def on_mount(self) -> None:
-        """Show that nothing is open, or what was opened before the screen was there."""
-        self.redraw()
-
     def _open(self, path: Path, fresh: bool) -> None:
         """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
         self._path, self._whole, self._same, self._found = path, None, [], {}
