@@ -1,4 +1,4 @@
-"""The far side of a session's socket: which sessions run, and what one says and can be told.
+"""The far side of a session's socket: where it is, which sessions run, and what one says and can be told.
 
 Plain asyncio. What a session says is JSON, a line each (``station.remote.hosting`` has the other end).
 """
@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import socket
+import stat
+import tempfile
 from collections import deque
 from collections.abc import AsyncIterator, Mapping
 from contextlib import suppress
@@ -15,19 +18,64 @@ from pathlib import Path
 from typing import Any
 
 from station.errors import UsageError
-from station.remote.session_folder import socket_folders
 
 VERSION = 2
 """Of the language on the socket."""
 _CONNECT_S = 5.0
 _STOP = b'{"do":"stop"}\n'
 _PROBE_S = 0.5
+_LONGEST_PATH = 107  # bytes that a Unix socket's address can hold
+_LONGEST_NAME = len("4194304.sock.new")
+
+
+def socket_folder() -> Path:
+    """Return the folder for sockets of this user, made if it is not there; UsageError if none can be had."""
+    refused = []
+    for folder in _places():
+        try:
+            with suppress(FileExistsError):
+                folder.mkdir(mode=0o700)
+            reason = _objection(folder)
+        except OSError as error:
+            reason = f"{folder}: {error.strerror}"
+        if not reason:
+            return folder
+        refused.append(reason)
+    raise UsageError(
+        f"no place for a session's socket: {'; '.join(refused) or 'there is no folder for temporary files'}; set "
+        "XDG_RUNTIME_DIR to a folder that you can write to"
+    )
+
+
+def _places() -> list[Path]:
+    tops = [os.environ.get("XDG_RUNTIME_DIR", "")]
+    with suppress(FileNotFoundError):
+        tops.append(tempfile.gettempdir())
+    return [Path(top) / f"station-{os.getuid()}" for top in dict.fromkeys(tops) if top]
+
+
+def _objection(folder: Path) -> str:
+    """Return why a folder is not to be used: in one of somebody else a stranger could pose as a session."""
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode):
+        return f"{folder} is no folder"
+    if found.st_uid != os.getuid():
+        return f"{folder} belongs to somebody else"
+    if found.st_mode & 0o077:
+        return f"{folder} is open to others (chmod 700 {folder})"
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return f"{folder} cannot be written to"
+    if len(os.fsencode(folder)) + 1 + _LONGEST_NAME > _LONGEST_PATH:
+        return f"{folder} is too long a name for a socket"
+    return ""
 
 
 def running_sessions() -> list[Path]:
     """Return the sockets of this user's running sessions, the newest first; those of dead ones are removed."""
     found = []
-    for folder in socket_folders():
+    for folder in _places():
+        if not os.path.isdir(folder) or _objection(folder):
+            continue
         for path in folder.glob("*.sock"):
             with suppress(FileNotFoundError):
                 if _answers(path):
@@ -105,7 +153,6 @@ class RemoteSession:
         self._say({"do": "pause"})
 
     def resume(self) -> None:
-        """Go on."""
         self._say({"do": "resume"})
 
     def note(self, text: str) -> None:

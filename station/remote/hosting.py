@@ -12,21 +12,22 @@ the events, and the next snapshot that it gets is the newest.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import logging
 import math
 import os
 import socket
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from station.bench.bench import Bench
 from station.errors import UsageError
-from station.remote.attaching import VERSION
-from station.remote.session_folder import socket_folder
+from station.remote.attaching import VERSION, socket_folder
+from station.run.session import Session
 from station.run.snapshot import EventKind, Snapshot
 from station.scripts.script import Script
 from station.views.json_values import json_object
@@ -46,25 +47,6 @@ _MOST_POINTS = 300
 _DIGITS = 6
 
 
-class Watched(Protocol):
-    """A run that can be looked at and told what to do; UsageError for what cannot be done now."""
-
-    def snapshot(self) -> Snapshot:
-        """Return the state now."""
-
-    def stop(self) -> None:
-        """Bring the table to rest and end."""
-
-    def pause(self) -> None:
-        """Hold after the step under way."""
-
-    def resume(self) -> None:
-        """Go on."""
-
-    def note(self, text: str) -> None:
-        """Keep a note in the record."""
-
-
 class Host:
     """A socket for one run. Entered before anything is opened, so that a socket that cannot be is known by then."""
 
@@ -73,9 +55,10 @@ class Host:
         self.scale = time_scale
         self.events: list[bytes] = []
         """Lines of all events so far."""
-        self._clients: set[_Client] = set()
+        self.clients: set[_Client] = set()
+        """Those that look on."""
         self._hello: bytes = b""
-        self._run: Watched | None = None
+        self._run: Session | None = None
         self._server: asyncio.Server | None = None
         self._path = self._hidden = Path()
         self._showing: asyncio.Task[None] | None = None
@@ -96,7 +79,7 @@ class Host:
             raise UsageError(f"--host: cannot make the socket {self._path}: {error}") from None
         return self
 
-    async def begin(self, run: Watched, hello: Mapping[str, Any]) -> None:
+    async def begin(self, run: Session, hello: Mapping[str, Any]) -> None:
         """Let clients in; ``hello`` is what they are told first, beside version and pid."""
         assert self._server is not None
         self._run = run
@@ -108,18 +91,19 @@ class Host:
     def tell(self, t_s: float, kind: EventKind, text: str) -> None:
         """Tell an event, at ``t_s`` of the loop's clock."""
         self.events.append(_line("event", {"t_s": t_s, "event": kind, "text": text}))
-        for client in self._clients:
+        for client in self.clients:
             client.send_events()
 
     async def end(self, result: Mapping[str, Any]) -> None:
         """Tell how the run ended, and hang up; who does not take it within a second misses it."""
         self._snapshots()
         last = _line("result", json_object(result))
-        for client in tuple(self._clients):
+        for client in tuple(self.clients):
             client.end(last)
-        deadline_s = self._now() + _LAST_WORDS_S * self.scale
-        while self._clients and self._now() < deadline_s:
-            await asyncio.sleep(0.01 * self.scale)
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_LAST_WORDS_S * self.scale):
+                while self.clients:
+                    await asyncio.sleep(0.01 * self.scale)
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -130,65 +114,57 @@ class Host:
                 await self._showing
         if self._server is not None:
             self._server.close()
-        for client in tuple(self._clients):
-            client.drop()
+        for client in tuple(self.clients):
+            client.transport.abort()
         for path in (self._path, self._hidden):
             with suppress(OSError):
                 path.unlink()
 
     def welcome(self, client: _Client) -> None:
         """Take in a client: hello, events, and where the run is."""
-        if len(self._clients) >= _MOST_CLIENTS:
-            client.turn_away(_line("refused", {"reason": f"{_MOST_CLIENTS} others look at this session already"}))
+        if len(self.clients) >= _MOST_CLIENTS:
+            client.transport.write(_refused(f"{_MOST_CLIENTS} others look at this session already"))
+            client.transport.close()
             return
-        self._clients.add(client)
-        client.send(self._hello)
+        self.clients.add(client)
+        client.transport.write(self._hello)
         client.send_events()
         snapshot = self._look()
         if snapshot is not None:
-            client.send(_line("snapshot", json_object(snapshot)))
-
-    def forget(self, client: _Client) -> None:
-        """Let a client go."""
-        self._clients.discard(client)
+            client.transport.write(_line("snapshot", json_object(snapshot)))
 
     def do(self, line: bytes) -> bytes:
         """Do what a line asks and return the answer, if it has one; UsageError if that cannot be done or understood."""
+        assert self._run is not None
         try:
             request = json.loads(line)
-            action = request["do"]
-        except (ValueError, TypeError, KeyError, RecursionError):
-            raise UsageError(
-                'not understood: say {"do": "stop"}, "pause", "resume", "course" or "note" with a "text"'
-            ) from None
-        assert self._run is not None
-        actions: dict[str, Callable[[], None]] = {
-            "stop": self._run.stop,
-            "pause": self._run.pause,
-            "resume": self._run.resume,
-        }
-        if action == "course":
-            return b'{"kind":"course","points":[' + b",".join(self._course) + b"]}\n"
-        if action == "note" and isinstance(text := request.get("text"), str):
-            self._run.note(text)
-        elif isinstance(action, str) and action in actions:
-            actions[action]()
-        else:
-            raise UsageError(f"not understood: {str(action)[:40]!r}")
+        except (ValueError, RecursionError):
+            request = None
+        match request:
+            case {"do": "course"}:
+                return b'{"kind":"course","points":[' + b",".join(self._course) + b"]}\n"
+            case {"do": "note", "text": str(text)}:
+                self._run.note(text)
+            case {"do": "stop" | "pause" | "resume" as action}:
+                getattr(self._run, action)()
+            case {"do": action}:
+                raise UsageError(f"not understood: {str(action)[:40]!r}")
+            case _:
+                raise UsageError(
+                    'not understood: say {"do": "stop"}, "pause", "resume", "course" or "note" with a "text"'
+                )
         return b""
 
     async def _show(self) -> None:
-        looks = 0
-        while True:
+        for looks in itertools.count():
             await asyncio.sleep(_EVERY_S * self.scale)
             self._snapshots(keep=looks % _COURSE_EVERY == 0)
-            looks += 1
 
     def _snapshots(self, *, keep: bool = False) -> None:
         """Send what is new to whoever has taken all that came before; ``keep``: as a point of the course, too."""
-        for client in self._clients:
+        for client in self.clients:
             client.send_events()
-        ready = [client for client in self._clients if client.idle]
+        ready = [client for client in self.clients if client.idle]
         snapshot = self._look() if ready or keep else None
         if snapshot is None:
             return
@@ -197,7 +173,7 @@ class Host:
         if ready:
             line = _line("snapshot", json_object(snapshot))
             for client in ready:
-                client.send(line)
+                client.transport.write(line)
 
     def _look(self) -> Snapshot | None:
         """Return the state of the run; None before it begins, and after a defect: who looks on must not end it."""
@@ -219,9 +195,6 @@ class Host:
         if len(self._course) > _MOST_POINTS:
             del self._course[1::2]
 
-    def _now(self) -> float:
-        return asyncio.get_running_loop().time()
-
 
 class _Client(asyncio.Protocol):
     """One connection. Lines are acted on as they come, without a detour over tasks."""
@@ -230,15 +203,15 @@ class _Client(asyncio.Protocol):
         self._host = host
         self._received = b""
         self._told = 0  # events
-        self._transport: asyncio.Transport
+        self.transport: asyncio.Transport
 
     @property
     def idle(self) -> bool:
         """Whether it has taken all that was sent."""
-        return not self._transport.get_write_buffer_size() and not self._transport.is_closing()
+        return not self.transport.get_write_buffer_size() and not self.transport.is_closing()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)
+        self.transport = cast(asyncio.Transport, transport)
         connection = transport.get_extra_info("socket")
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BYTES)
         self._host.welcome(self)
@@ -249,61 +222,51 @@ class _Client(asyncio.Protocol):
 
     def connection_lost(self, error: Exception | None) -> None:
         """Act also on what is not read yet: a STOP counts, though its sender hung up and no answer can be written."""
-        self._host.forget(self)
-        with suppress(OSError), self._transport.get_extra_info("socket").dup() as rest:
+        self._host.clients.discard(self)
+        with suppress(OSError), self.transport.get_extra_info("socket").dup() as rest:
             self._received += rest.recv(_LONGEST_LINE)
         for line in self._received.split(b"\n", _LINES_AT_ONCE)[:-1]:
             with suppress(UsageError):
                 self._host.do(line)
 
-    def send(self, line: bytes) -> None:
-        self._transport.write(line)
-
     def send_events(self) -> None:
         """Send the events that it has not been told, as many as it takes."""
         events = self._host.events
-        while self._told < len(events) and self._transport.get_write_buffer_size() < _EVENT_BYTES:
-            self._transport.write(events[self._told])
+        while self._told < len(events) and self.transport.get_write_buffer_size() < _EVENT_BYTES:
+            self.transport.write(events[self._told])
             self._told += 1
 
     def end(self, last: bytes) -> None:
         """Send what it has not been told and the last line, and hang up when that is taken."""
-        self._transport.write(b"".join((*self._host.events[self._told :], last)))
-        self._transport.close()
-
-    def turn_away(self, reason: bytes) -> None:
-        self._transport.write(reason)
-        self._transport.close()
-
-    def drop(self) -> None:
-        self._transport.abort()
+        self.transport.write(b"".join((*self._host.events[self._told :], last)))
+        self.transport.close()
 
     def _heed(self) -> None:
         """Act on some of the lines that are there; on the rest, of a client that sends without end, a little later."""
-        if self._transport.is_closing():
+        if self.transport.is_closing():
             return
         *lines, self._received = self._received.split(b"\n", _LINES_AT_ONCE)
         for line in lines:
             try:
                 answer = self._host.do(line)
             except UsageError as error:
-                answer = _line("refused", {"reason": str(error)})
+                answer = _refused(str(error))
             self._answer(answer)
         if b"\n" not in self._received[: _LONGEST_LINE + 1] and len(self._received) > _LONGEST_LINE:
-            self._answer(_line("refused", {"reason": f"a line of more than {_LONGEST_LINE} bytes"}))
-            self._transport.close()
+            self._answer(_refused(f"a line of more than {_LONGEST_LINE} bytes"))
+            self.transport.close()
         elif b"\n" in self._received:
-            self._transport.pause_reading()
+            self.transport.pause_reading()
             asyncio.get_running_loop().call_later(_BREATH_S * self._host.scale, self._go_on)
 
     def _go_on(self) -> None:
-        if not self._transport.is_closing():
-            self._transport.resume_reading()
+        if not self.transport.is_closing():
+            self.transport.resume_reading()
             self._heed()
 
     def _answer(self, answer: bytes) -> None:
         if answer and self.idle:
-            self.send(answer)
+            self.transport.write(answer)
 
 
 def introduction(
@@ -334,3 +297,7 @@ def _rounded(values: tuple[float, ...]) -> list[float | None]:
 
 def _line(kind: str, fields: Mapping[str, Any]) -> bytes:
     return json.dumps({"kind": kind, **fields}, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+
+
+def _refused(reason: str) -> bytes:
+    return _line("refused", {"reason": reason})

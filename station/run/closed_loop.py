@@ -48,12 +48,10 @@ class Loop:
 
     @property
     def used_s(self) -> float:
-        """Table time used."""
         return sum(run.table_s for run in self.runs)
 
     @property
     def left_s(self) -> float:
-        """Table time left."""
         return self.budget_s - self.used_s
 
     def recordings(self, *, judging: bool) -> list[Path]:

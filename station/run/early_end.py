@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from estimator.recordings.reference import TableReadings, TableUncertainty
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
 from station.errors import UsageError
+from station.opening import OpenBench
 from station.run.live import RECENT_S, LiveEstimate, LiveSource
 
 _LOOK_EVERY_S = 1.0
@@ -38,10 +39,10 @@ def check_early_end(bench: Bench) -> None:
 class EarlyEnd:
     """Watches the live estimate; the sigmas that count are confirmed under coloured noise."""
 
-    def __init__(self, bench: Bench, configs: Mapping[str, ImuConfig], live: LiveEstimate, time_scale: float) -> None:
-        """``configs`` are the devices by the name of each of their sources."""
-        self._bench, self._configs, self._live, self._time_scale = bench, dict(configs), live, time_scale
-        self._required = np.array(bench.limits.sds)
+    def __init__(self, opened: OpenBench, live: LiveEstimate, time_scale: float) -> None:
+        """``time_scale`` is how fast the loop's clock runs."""
+        self._imus, self._bench, self._live, self._time_scale = opened.imus, opened.bench, live, time_scale
+        self._required = np.array(self._bench.limits.sds)
         live.keep_blocks()
 
     async def wait(self) -> str:
@@ -76,27 +77,25 @@ class EarlyEnd:
 
     def _largest_share(self) -> Callable[[], float]:
         """Return what finds the largest sigma of now as a share of its limit; it does not touch the run any more."""
-        sources = {
-            name: (source, source.blocks(), source.filter.offset_sd_s) for name, source in self._live.sources.items()
-        }
+        devices = []
+        for imu in self._imus:
+            sources = [self._live.sources[name] for name in imu.source.names]
+            devices.append((imu.config, [(s, s.blocks(), s.filter.offset_sd_s) for s in sources]))
         readings = self._live.readings(self._bench.table.uncertainty)
-        devices = dict.fromkeys(config.name for config in self._configs.values())
-        return lambda: max(self._share(sources, readings, device) for device in devices)
+        return lambda: max(self._share(config, own, readings) for config, own in devices)
 
     def _share(
-        self, sources: Mapping[str, tuple[LiveSource, Blocks, float]], readings: TableReadings, device: str
+        self, config: ImuConfig, own: Sequence[tuple[LiveSource, Blocks, float]], readings: TableReadings
     ) -> float:
         """Return the largest sigma of a device as a share of its limit, as ``estimator.estimation.calibrate`` finds it.
 
         Of the offset of a source in time counts what the live filter knows by now.
         """
-        own = [pair for name, pair in sources.items() if self._configs[name].name == device]
-        config = next(config for config in self._configs.values() if config.name == device)
         runs = []
         for number, (source, blocks, _) in enumerate(own):
             named = replace(source.array, names=tuple(f"{number} {name}" for name in source.array.names))
             data = ImuData(named, _NO_STAMPS, np.empty((0, len(named))), prior=source.prior)
-            runs.append(run_of_blocks(device, data, blocks, readings))
+            runs.append(run_of_blocks(config.name, data, blocks, readings))
         try:
             found = joint_estimate(runs, (), config.noise)
         except TooShort:

@@ -47,25 +47,6 @@ class History:
     sd: list[Floats] = field(default_factory=list)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Recent:
-    """What one filter said in the last half minute, and where its states are now.
-
-    ``nis`` and ``dof`` are sums over the blocks; ``by_gyro`` (m,) is the mean square of each gyro's normalised
-    innovation; ``products`` sums those of each block with those of the block before (``pairs`` of them), ``squares``
-    what they are to be compared with. ``states`` and ``sd`` (m, 4) are decoded.
-    """
-
-    nis: float
-    dof: int
-    by_gyro: Floats
-    products: float
-    squares: float
-    pairs: int
-    states: Floats
-    sd: Floats
-
-
 class LiveSource:
     """One source: samples not yet used, its filter, what the filter said."""
 
@@ -100,11 +81,8 @@ class LiveSource:
         self._y: Floats = np.empty((0, len(array)))
         self._temperature_c: Floats = np.empty(0)
         self._new: list[ImuBlock] = []
-        self._recent: Recent | None = None
-        self._recent_at = -1
 
     def add(self, block: ImuBlock) -> None:
-        """Take in samples."""
         self._new.append(block)
 
     def advance(self, rates: BodyRates, *, everything: bool = False) -> None:
@@ -127,27 +105,9 @@ class LiveSource:
         pairs = [decode(xi, pi) for xi, pi in zip(x, p, strict=True)]
         return np.array([s for s, _ in pairs]), np.array([np.sqrt(np.diag(c)) for _, c in pairs])
 
-    def recent(self) -> Recent:
-        """Return what the filter said lately; worked out once for each handful of blocks."""
-        count = len(self.history.t_ns)
-        if self._recent is None or self._recent_at != count:
-            self._recent, self._recent_at = self._work_out_recent(), count
-        return self._recent
-
-    def _work_out_recent(self) -> Recent:
-        last = slice(-_RECENT_BLOCKS, None)
-        states, sd = self.decoded()
-        x = np.array(self.history.normalised[last]).reshape(-1, len(self.array))
-        return Recent(
-            nis=sum(self.history.nis[last]),
-            dof=sum(self.history.dof[last]),
-            by_gyro=np.asarray((x**2).mean(axis=0)) if len(x) else np.full(len(self.array), np.nan),
-            products=float((x[1:] * x[:-1]).sum()),
-            squares=float((x[1:] ** 2).sum() + (x[:-1] ** 2).sum()) / 2,
-            pairs=x[1:].size,
-            states=states,
-            sd=sd,
-        )
+    def recent(self) -> Floats:
+        """Return the normalised innovations (n, m) of the blocks of the last half minute."""
+        return np.array(self.history.normalised[-_RECENT_BLOCKS:]).reshape(-1, len(self.array))
 
     def keep_blocks(self) -> None:
         """Sum the rows by block from now on, for estimates under coloured noise."""
@@ -227,7 +187,6 @@ class LiveEstimate:
     """All sources of a run on one table."""
 
     def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
-        """Start without sources."""
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}
         self._rows: list[TableRow] = []
@@ -282,9 +241,9 @@ class LiveEstimate:
     @property
     def nis_recent(self) -> float:
         """Mean normalised innovation squared per degree of freedom over the last half minute of all sources."""
-        recent = [source.recent() for source in self.sources.values()]
-        dof = sum(r.dof for r in recent)
-        return sum(r.nis for r in recent) / dof if dof else float("nan")
+        histories = [source.history for source in self.sources.values()]
+        dof = sum(sum(history.dof[-_RECENT_BLOCKS:]) for history in histories)
+        return sum(sum(history.nis[-_RECENT_BLOCKS:]) for history in histories) / dof if dof else float("nan")
 
     @property
     def whiteness(self) -> float:
@@ -293,10 +252,10 @@ class LiveEstimate:
         0 for a filter that is right, within 1 / sqrt(pairs of blocks); NaN before there are enough.
         """
         recent = [source.recent() for source in self.sources.values()]
-        squares = sum(r.squares for r in recent)
-        if sum(r.pairs for r in recent) < _FEWEST_PAIRS or not squares:
+        squares = sum(float((x[1:] ** 2).sum() + (x[:-1] ** 2).sum()) / 2 for x in recent)
+        if sum(x[1:].size for x in recent) < _FEWEST_PAIRS or not squares:
             return float("nan")
-        return sum(r.products for r in recent) / squares
+        return sum(float((x[1:] * x[:-1]).sum()) for x in recent) / squares
 
 
 def _columns(rows: list[TableRow]) -> tuple[Stamps, Floats, Floats, Stamps, int]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections import deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 
@@ -26,14 +26,6 @@ _SILENT_S = 0.5
 _TURNING_RPS = math.radians(0.02)
 
 
-@dataclass(slots=True, eq=False)
-class _Seen:
-    """What has come of one source: rows so far, and the last block."""
-
-    rows: int = 0
-    last: ImuBlock | None = None
-
-
 @dataclass(frozen=True, slots=True)
 class _Mark:
     """How far a source was at one instant."""
@@ -48,40 +40,36 @@ class Monitor:
     """Looks at one run."""
 
     def __init__(self, opened: OpenBench, live: LiveEstimate, reopening: Reopening, time_scale: float) -> None:
-        """Begin before anything has come."""
+        """Begin before anything has come; how far the run is, whoever drives it says."""
         self._open, self._live, self._reopening, self._scale = opened, live, reopening, time_scale
         self._axes = opened.bench.table.gimbals
-        self._seen = {name: _Seen() for imu in opened.imus for name in imu.source.names}
-        self._marks: dict[str, deque[_Mark]] = {name: deque() for name in self._seen}
-        self._row: TableRow | None = None
+        self._rows: Counter[str] = Counter()
+        self._last: dict[str, ImuBlock] = {}
+        self._marks: defaultdict[str, deque[_Mark]] = defaultdict(deque)
+        self.phase = Phase.CONNECTING
+        self.planned_s = 0.0
+        """How long the script takes."""
+        self.sequencer: Sequencer | None = None
+        """What drives the script, once it has begun."""
+        self.row: TableRow | None = None
+        """The last row of table readings."""
         self._ended_s: float | None = None
         self.table_fault = ""
         """What the table ended the run with."""
 
-    @property
-    def gyros(self) -> tuple[str, ...]:
-        """Names of the gyros of all sources, as snapshots have them."""
-        return tuple(name for source in self._live.sources.values() for name in source.array.names)
-
     def take_block(self, name: str, block: ImuBlock) -> None:
         """Keep what came of a source."""
-        seen = self._seen[name]
-        seen.rows += len(block.t_ns)
-        seen.last = block
-
-    def take_row(self, row: TableRow) -> None:
-        """Keep a row of table readings."""
-        self._row = row
+        if len(block.t_ns):
+            self._rows[name] += len(block.t_ns)
+            self._last[name] = block
 
     def mark(self) -> None:
         """Keep how far each source is, a few times a second: rates are counted from there."""
         now_s = asyncio.get_running_loop().time()
-        for name, seen in self._seen.items():
-            if seen.last is None or not len(seen.last.t_ns):
-                continue
-            latency_s = float((seen.last.arrival_ns - seen.last.t_ns).mean()) * 1e-9
+        for name, last in self._last.items():
+            latency_s = float((last.arrival_ns - last.t_ns).mean()) * 1e-9
             marks = self._marks[name]
-            marks.append(_Mark(now_s, seen.rows, int(seen.last.t_ns[-1]), latency_s))
+            marks.append(_Mark(now_s, self._rows[name], int(last.t_ns[-1]), latency_s))
             while len(marks) > 2 and marks[1].at_s <= now_s - _OVER_S * self._scale:
                 marks.popleft()
 
@@ -89,12 +77,14 @@ class Monitor:
         """Take it that nothing more will come: what a closed link does not say is no silence."""
         self._ended_s = asyncio.get_running_loop().time()
 
-    def brief(self, phase: Phase, times_s: tuple[float, float], sequencer: Sequencer | None) -> Snapshot:
-        """Return what a progress bar shows; ``times_s`` are those done and remaining, ``sequencer`` as for ``full``."""
+    def brief(self) -> Snapshot:
+        """Return what a progress bar shows."""
         counts = [imu.source.counts(name) for imu in self._open.imus for name in imu.source.names]
+        sequencer = self.sequencer
+        times_s = sequencer.times_s(asyncio.get_running_loop().time()) if sequencer else (0.0, self.planned_s)
         return Snapshot(
-            phase,
-            sequencer.label if sequencer and phase is Phase.RUNNING else "",
+            self.phase,
+            sequencer.label if sequencer and self.phase is Phase.RUNNING else "",
             *times_s,
             samples=sum(c.samples for c in counts),
             lost=sum(c.lost for c in counts),
@@ -102,33 +92,33 @@ class Monitor:
             paused=sequencer.paused if sequencer else "",
         )
 
-    def full(self, phase: Phase, times_s: tuple[float, float], sequencer: Sequencer | None) -> Snapshot:
-        """Return all there is to see; ``sequencer`` is None before the script begins."""
+    def full(self) -> Snapshot:
+        """Return all there is to see: for ten looks a second, not for each row."""
         now_s = asyncio.get_running_loop().time() if self._ended_s is None else self._ended_s
         return replace(
-            self.brief(phase, times_s, sequencer),
+            self.brief(),
             nis_recent=self._live.nis_recent,
             whiteness=self._live.whiteness,
-            axes=tuple(self._axis_snapshots(phase, now_s, sequencer)),
+            axes=tuple(self._axis_snapshots(now_s)),
             sources=tuple(self._source_snapshots(now_s)),
             gyros=tuple(self._gyro_snapshots()),
         )
 
-    def _axis_snapshots(self, phase: Phase, now_s: float, sequencer: Sequencer | None) -> Iterator[AxisSnapshot]:
+    def _axis_snapshots(self, now_s: float) -> Iterator[AxisSnapshot]:
         nothing = np.full(len(self._axes), np.nan)
-        angles, rates = (self._row.angle_rad, self._row.rate_rps) if self._row else (nothing, nothing)
+        angles, rates = (self.row.angle_rad, self.row.rate_rps) if self.row else (nothing, nothing)
         for axis, angle, rate in zip(self._axes, angles.tolist(), rates.tolist(), strict=True):
             state = "turning" if abs(rate) > _TURNING_RPS else "at rest"
-            if sequencer is None:
-                state = phase
-            setpoint = sequencer.setpoint_rps(axis, now_s) if sequencer else 0.0
+            if self.sequencer is None:
+                state = self.phase
+            setpoint = self.sequencer.setpoint_rps(axis, now_s) if self.sequencer else 0.0
             yield AxisSnapshot(axis, angle, rate, setpoint, self.table_fault or state)
 
     def _source_snapshots(self, now_s: float) -> Iterator[SourceSnapshot]:
         for imu in self._open.imus:
             for name in imu.source.names:
                 counts, alignment = imu.source.counts(name), imu.source.alignment(name)
-                last, marks = self._seen[name].last, self._marks[name]
+                last, marks = self._last.get(name), self._marks[name]
                 link = self._link(imu.config.name, last, now_s)
                 yield SourceSnapshot(
                     name,
@@ -137,9 +127,7 @@ class Monitor:
                     **asdict(counts),
                     latency_s=sum(m.latency_s for m in marks) / len(marks) if marks else math.nan,
                     jitter_s=alignment.jitter_rms_s if alignment else math.nan,
-                    temperature_c=float(last.temperature_c[-1])
-                    if last is not None and len(last.temperature_c)
-                    else math.nan,
+                    temperature_c=math.nan if last is None else float(last.temperature_c[-1]),
                     link=link,
                 )
 
@@ -151,18 +139,17 @@ class Monitor:
 
     def _rate_hz(self, name: str, link: str, now_s: float) -> float:
         """Return samples a second: by their own instants, for they come in handfuls; of a silent source, until now."""
-        seen, marks = self._seen[name], self._marks[name]
-        if not marks or seen.last is None:
+        marks = self._marks[name]
+        if not marks:
             return math.nan
-        until_s = seen.last.t_ns[-1] * 1e-9 if link == "ok" else now_s
+        until_s = self._last[name].t_ns[-1] * 1e-9 if link == "ok" else now_s
         span_s = float(until_s) - marks[0].newest_ns * 1e-9
-        return (seen.rows - marks[0].rows) / span_s if span_s > 0 else math.nan
+        return (self._rows[name] - marks[0].rows) / span_s if span_s > 0 else math.nan
 
     def _gyro_snapshots(self) -> Iterator[GyroSnapshot]:
         for name, source in self._live.sources.items():
-            recent = source.recent()
-            rows = zip(
-                source.array.names, recent.states.tolist(), recent.sd.tolist(), recent.by_gyro.tolist(), strict=True
-            )
+            x, (states, sd) = source.recent(), source.decoded()
+            by_gyro = (x**2).mean(axis=0) if len(x) else np.full(len(source.array), np.nan)
+            rows = zip(source.array.names, states.tolist(), sd.tolist(), by_gyro.tolist(), strict=True)
             for gyro, values, sds, nis in rows:
                 yield GyroSnapshot(gyro, name, tuple(values), tuple(sds), nis)

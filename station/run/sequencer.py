@@ -50,7 +50,6 @@ class Sequencer:
 
     @property
     def label(self) -> str:
-        """Label of the step under way."""
         return _PAUSE if self.paused == PAUSED else self._script.steps[self._index].label
 
     def pause(self) -> None:

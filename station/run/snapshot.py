@@ -55,7 +55,7 @@ class AxisSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class GyroSnapshot:
-    """One gyro as the live filter sees it now.
+    """One gyro as the live filter sees it now, or as a recording has it, without ``nis``.
 
     ``values`` (k, b_rps, sigma_j_rad, sigma_k_rad) and their standard deviations ``sds``; ``nis``: mean square of
     its normalised innovations of the last half minute, 1 for a filter that is right.
@@ -65,7 +65,7 @@ class GyroSnapshot:
     source: str
     values: tuple[float, ...]
     sds: tuple[float, ...]
-    nis: float
+    nis: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

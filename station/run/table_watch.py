@@ -14,6 +14,7 @@ import numpy as np
 from drivers.errors import DeviceFault, LinkLost
 from drivers.protocols import Turntable
 from drivers.types import AxisState, Floats
+from station.run.sequencer import Sequencer
 from station.run.uncommanded import MotionGuard
 
 _STATUS_EVERY = 5  # condition is asked for in every so many-th reading
@@ -118,22 +119,22 @@ def _smooth(times_ns: Floats, rates: Floats) -> float:
 async def watch_table(
     table: Turntable,
     axes: tuple[str, ...],
-    rate_hz: Callable[[], float],
-    driven_axis: Callable[[], str | None],
-    guard: MotionGuard,
+    rate_hz: float,
+    sequencer: Sequencer,
     on_row: Callable[[TableRow], None],
     on_lost: Callable[[LinkLost], Awaitable[None]],
 ) -> None:
     """Read until cancelled; DeviceFault when an axis goes to fault, leaves operation or turns by itself.
 
-    ``rate_hz`` says how often it is to be read now; a slow link gives what it can. ``on_lost`` opens a link again that
-    was lost, or raises.
+    ``rate_hz`` is how often it is read, and ``sequencer`` may want more; a slow link gives what it can. ``on_lost``
+    opens a link again that was lost, or raises.
 
     An axis that is driven or turns is read every time. Of the others the one is read that was not for the longest
     time, if that is 0.4 s, so that a slow bus has its time for what turns: what has not been told to move is still
     there, or is seen to move within a second.
     """
     loop = asyncio.get_running_loop()
+    guard = MotionGuard(table, sequencer.commanded)
     states = {axis: await table.read(axis) for axis in axes}
     aligner = Aligner(axes)
     due_s = loop.time()
@@ -143,7 +144,7 @@ async def watch_table(
 
     async def read_once() -> None:
         count = next(counter)
-        busy = [a for a in axes if a == driven_axis() or states[a].rate_rps != 0.0 or a in turned]
+        busy = [a for a in axes if a == sequencer.driven_axis or states[a].rate_rps != 0.0 or a in turned]
         oldest = min((a for a in axes if a not in busy), key=lambda a: read_s[a], default=None)
         if oldest is not None and (not busy or loop.time() - read_s[oldest] >= _IDLE_S):
             busy.append(oldest)
@@ -173,7 +174,7 @@ async def watch_table(
             except LinkLost as error:
                 await on_lost(error)
                 await check_axes(table, axes)
-            due_s = max(due_s + 1 / rate_hz(), loop.time())
+            due_s = max(due_s + 1 / max(rate_hz, sequencer.wanted_hz(loop.time())), loop.time())
             await asyncio.sleep(due_s - loop.time())
     finally:
         for row in aligner.last():

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, TextIO, cast
 
 from textual import events
 from textual.app import App, ScreenStackError
@@ -22,11 +22,11 @@ from textual.worker import WorkType
 
 from station.remote.attaching import running_sessions
 from station.screen.archive.archive import Archive
-from station.screen.bars import STOP_KEY, StopBar
+from station.screen.bars import SCREENS, STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
 from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.memory import Remembered, load_remembered, save_remembered
+from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_remembered
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
@@ -61,10 +61,7 @@ class StationApp(App[None]):
     MODES: ClassVar = {"prepare": PrepareScreen, "run": RunScreen, "result": ResultScreen, "history": HistoryScreen}
     DEFAULT_MODE: str = "prepare"  # type: ignore[misc]  # it depends on how the app is begun
     BINDINGS: ClassVar = [
-        Binding("f2", "switch_mode('prepare')", "Prepare", show=False),
-        Binding("f3", "switch_mode('run')", "Run", show=False),
-        Binding("f4", "switch_mode('result')", "Result", show=False),
-        Binding("f5", "switch_mode('history')", "History", show=False),
+        *(Binding(key.lower(), f"switch_mode('{mode}')", name, show=False) for mode, key, name in SCREENS),
         Binding(",".join(_STOP_KEYS), "stop", "STOP", show=False, priority=True),
         Binding("ctrl+q", "leave", "Quit", show=False, priority=True),
     ]
@@ -75,12 +72,8 @@ class StationApp(App[None]):
             self.DEFAULT_MODE = "run"
         super().__init__()
         self.remembered: Remembered = load_remembered()
-        self.choices = replace(
-            choices,
-            operator=choices.operator or self.remembered.operator,
-            bench=choices.bench or self.remembered.bench,
-            script=choices.script or self.remembered.script,
-        )
+        entered = {key: getattr(choices, key) or getattr(self.remembered, key) for key in REMEMBERED}
+        self.choices = replace(choices, **entered)
         self.archive = Archive()
         self.shown: LiveRun | None = None
         self.others = 0
@@ -89,11 +82,10 @@ class StationApp(App[None]):
         self._begins_attached = attach
         self._told_by_key = False
         self._leaving = False
-        self._fresh: Path | None = None
+        self._to_open: tuple[Path, bool] | None = None
 
     @property
     def busy(self) -> bool:
-        """Whether a session runs."""
         return self.shown is not None and self.shown.active
 
     def get_driver_class(self) -> type[Driver]:
@@ -101,11 +93,10 @@ class StationApp(App[None]):
         return type("StopFirstDriver", (_StopFirst, super().get_driver_class()), {})
 
     def on_mount(self) -> None:
-        """Begin to tick, and look for sessions."""
         self.set_interval(_TICK_S, self._tick)
         self.set_interval(_HANGUP_S, self._watch_terminal)
-        self.set_interval(_OTHERS_S, partial(self._work, self._count_others, "others"))
-        self._work(self._find_sessions, "sessions")
+        self.set_interval(_OTHERS_S, partial(self.work, self._count_others, "others"))
+        self.work(self._find_sessions, "sessions")
 
     async def on_unmount(self) -> None:
         """Hang up; a session goes on."""
@@ -125,7 +116,7 @@ class StationApp(App[None]):
             if not (told or self._link.stop()):
                 self.notify("the session cannot be reached: use the emergency stop of the table", severity="error")
         elif self.shown is None:
-            self._work(self._stop_all, "sessions")
+            self.work(self._stop_all, "sessions")
         self._show_stop()
 
     def stop_from_thread(self) -> None:
@@ -162,7 +153,7 @@ class StationApp(App[None]):
     def start_run(self, prospect: Prospect) -> None:
         """Start a session with what was chosen on a bench, keep what was entered, and show the session."""
         self._remember(prospect.bench)
-        self._work(partial(self._start, prospect), "start")
+        self.work(partial(self._start, prospect), "start")
 
     async def _start(self, prospect: Prospect) -> None:
         others = await sessions_on(prospect.bench, self.choices.bench)
@@ -173,7 +164,7 @@ class StationApp(App[None]):
         recording = await asyncio.to_thread(lambda: self.choices.new_recording().absolute())
         scale = self.choices.scale or (TWIN_SCALE if prospect.all_twins else None)
         try:
-            process = SessionProcess(self.choices.run_arguments(recording, scale), recording)
+            process = SessionProcess(self.choices.run_arguments(recording, scale))
         except OSError as error:
             self.notify(str(error), title="Not started", severity="error", markup=False)
             return
@@ -185,7 +176,6 @@ class StationApp(App[None]):
             self._link.pause()
 
     def note_run(self, text: str | None) -> None:
-        """Have a note recorded."""
         if not text:
             return
         if self.busy and self._link is not None and self._link.note(text):
@@ -195,9 +185,8 @@ class StationApp(App[None]):
 
     def _remember(self, bench: str) -> None:
         serials = {**self.remembered.serials, bench: self.choices.serial}
-        bench, script = (
-            str(Path(path).absolute()) if path else "" for path in (self.choices.bench, self.choices.script)
-        )
+        chosen = self.choices.bench, self.choices.script
+        bench, script = (str(Path(path).absolute()) if path else "" for path in chosen)
         self.remembered = Remembered(self.choices.operator, bench, script, serials)
         save_remembered(self.remembered)
 
@@ -212,18 +201,12 @@ class StationApp(App[None]):
         if isinstance(self.screen, PrepareScreen):
             self.screen.prepare(self.choices.script)
 
-    def open_recording(self, path: Path, *, fresh: bool = False) -> None:
-        """Show the result of a recording."""
+    def open_recording(self, path: Path) -> None:
+        self._to_open = path, False
         self.switch_mode("result")
-        self.call_after_refresh(self._open, path, fresh)
-
-    def _open(self, path: Path, fresh: bool) -> None:
-        if isinstance(self.screen, ResultScreen):
-            self.screen.open(path, fresh=fresh)
 
     def choose_session(self) -> None:
-        """Ask which of the running sessions is to be shown."""
-        self._work(self._choose, "sessions")
+        self.work(self._choose, "sessions")
 
     async def _find_sessions(self) -> None:
         if not self._begins_attached:
@@ -256,17 +239,21 @@ class StationApp(App[None]):
         if socket is not None:
             self._follow(LiveRun(), socket=Path(socket))
 
-    async def guarded(self, what: Callable[[], Coroutine[Any, Any, None]]) -> None:
-        """Do something beside the screen; a defect in it must not take STOP away, so it is only told."""
-        try:
-            await what()
-        except Exception as error:
-            words = f"{type(error).__name__}: {error}"
-            self.notify(words, title="Defect of the screen, please report it", severity="error", markup=False)
+    def work(self, what: Callable[[], Coroutine[Any, Any, None]], group: str) -> None:
+        """Do something beside the screens, instead of what its group was at.
 
-    def _work(self, what: Callable[[], Coroutine[Any, Any, None]], group: str) -> None:
-        work: WorkType[None] = partial(self.guarded, what)
-        self.run_worker(work, group=group, exclusive=True)
+        A defect in it must not take STOP away, so it is only told.
+        """
+
+        async def guarded() -> None:
+            try:
+                await what()
+            except Exception as error:
+                words = f"{type(error).__name__}: {error}"
+                self.notify(words, title="Defect of the screen, please report it", severity="error", markup=False)
+
+        worker: WorkType[None] = guarded
+        self.run_worker(worker, group=group, exclusive=True)
 
     def _follow(self, run: LiveRun, *, process: SessionProcess | None = None, socket: Path | None = None) -> None:
         if self._link is not None:
@@ -276,7 +263,7 @@ class StationApp(App[None]):
         self.switch_mode("run")
         # What is there by now stays: without looking it through again and again nothing holds STOP up for long.
         self.set_timer(_SETTLED_S, gc.freeze)
-        self._work(partial(self._link.follow, self._changed), "session")
+        self.work(partial(self._link.follow, self._changed), "session")
 
     def _changed(self) -> None:
         run = self.shown
@@ -287,9 +274,9 @@ class StationApp(App[None]):
             self.exit()
         if run.recording is None or not run.hello:
             return
-        self._fresh = run.recording
+        self._to_open = run.recording, True
         if run.result is None:
-            self._work(partial(self._look_into, run, run.recording), "ended")
+            self.work(partial(self._look_into, run, run.recording), "ended")
         elif run.outcome in ("PASS", "ESTIMATED", "FAIL") and isinstance(self.screen, RunScreen):
             self.switch_mode("result")
 
@@ -299,10 +286,10 @@ class StationApp(App[None]):
         said = entry.wrong or f"{entry.texts.get('outcome', '')}  {entry.texts.get('reason', '')}"
         run.trouble = f"{run.trouble}. Its recording: {said}"
 
-    def take_fresh(self) -> Path | None:
-        """Return the recording of a run that has ended and whose result was not shown yet."""
-        fresh, self._fresh = self._fresh, None
-        return fresh
+    def take_recording(self) -> tuple[Path, bool] | None:
+        """Return the recording that is to be shown and was not yet, and whether it is of a run that has just ended."""
+        found, self._to_open = self._to_open, None
+        return found
 
     def _tick(self) -> None:
         self._show_stop()
@@ -331,13 +318,11 @@ def _session_words(path: Path, hello: Mapping[str, object]) -> str:
     return f"{hello['bench']}, process {path.stem}, {hello['recording']}"
 
 
-def _hung_up(stream: object) -> bool:
-    descriptor = getattr(stream, "fileno", None)
-    if descriptor is None:
-        return False
+def _hung_up(stream: TextIO | None) -> bool:
     poll = select.poll()
     try:
-        poll.register(descriptor(), 0)
+        if stream is not None:
+            poll.register(stream, 0)  # for what is told unasked: gone, broken, closed
     except (OSError, ValueError):
         return True
-    return any(happened & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, happened in poll.poll(0))
+    return bool(poll.poll(0))

@@ -19,7 +19,7 @@ _PATIENCE_S = 2.0  # that a session has to be seen to heed STOP
 SILENCE_S = 3.0
 """After so long without a word from a session, what is shown of it is old."""
 _EMERGENCY = "USE THE EMERGENCY STOP"
-MODES = (("prepare", "F2", "Prepare"), ("run", "F3", "Run"), ("result", "F4", "Result"), ("history", "F5", "History"))
+SCREENS = (("prepare", "F2", "Prepare"), ("run", "F3", "Run"), ("result", "F4", "Result"), ("history", "F5", "History"))
 
 
 class Lines(Static):
@@ -48,7 +48,7 @@ class TopBar(Static):
         """``mode`` is the screen's own."""
         names = [
             f"[bold reverse] {key} {name} [/]" if mode == its else f"[@click=app.switch_mode('{its}')] {key} {name} [/]"
-            for its, key, name in MODES
+            for its, key, name in SCREENS
         ]
         super().__init__(" ".join(names) + "   [dim]Ctrl+Q quits[/]", id="top")
 
@@ -57,7 +57,6 @@ class StopBar(Widget):
     """STOP, with its key, and what the run is doing: red while a table may move. The whole bar is the button."""
 
     def __init__(self) -> None:
-        """Begin without a run."""
         super().__init__(id="stop-bar")
         self._text = ""
 

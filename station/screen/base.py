@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine
-from functools import partial
-from typing import Any, ClassVar, cast
+from typing import ClassVar, cast
 
 from textual import events
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
-from textual.screen import ModalScreen, Screen
+from textual.screen import Screen
 from textual.widgets import Footer, Input, Static
-from textual.worker import WorkType
 
 from station.screen.bars import StopBar, TopBar
 from station.screen.seen_app import SeenApp
@@ -26,6 +23,8 @@ class StationScreen(Screen[None]):
     MODE: ClassVar[str] = ""
     WIDE: ClassVar[int] = 120
     AUTO_FOCUS = None
+    gyro = 0
+    """Number of the gyro whose pictures are shown, of as many as there are."""
 
     def compose(self) -> ComposeResult:
         """Lay out the frame; ``body`` is the screen's own."""
@@ -52,15 +51,18 @@ class StationScreen(Screen[None]):
     def tick(self) -> None:
         """Show what has changed; called ten times a second while the screen is in sight."""
 
+    def redraw(self) -> None:
+        """Draw what depends on the room there is, and on the gyro that is shown."""
+
+    def action_gyro(self, step: int) -> None:
+        """Show another gyro."""
+        self.gyro += step
+        self.redraw()
+
     @property
     def station(self) -> SeenApp:
         """The app, as what it is."""
         return cast(SeenApp, self.app)
-
-    def work(self, what: Callable[[], Coroutine[Any, Any, None]], group: str) -> None:
-        """Do something slow beside the screen, instead of what its group was at; a defect in it is told, no more."""
-        work: WorkType[None] = partial(self.station.guarded, what)
-        self.run_worker(work, exclusive=True, group=group)
 
     @property
     def small(self) -> bool:
@@ -68,11 +70,11 @@ class StationScreen(Screen[None]):
         return self.size.width < LEAST_WIDTH or self.size.height < LEAST_HEIGHT
 
     def on_resize(self, event: events.Resize) -> None:
-        """Fit the layout to the terminal."""
         size = event.size
         self.set_class(self.small, "-small")
         self.set_class(size.width >= self.WIDE, "-wide")
         self.set_class(size.height >= _TALL, "-tall")
+        self.call_after_refresh(self.redraw)
 
 
 class Field(Input):
@@ -82,9 +84,3 @@ class Field(Input):
         """``max_length`` in characters, 0 for any."""
         super().__init__(id=id, placeholder=placeholder, max_length=max_length, compact=True, select_on_focus=False)
         self.cursor_blink = False
-
-
-class StationDialog(ModalScreen[str | None]):
-    """A question over a screen, with STOP below it as everywhere."""
-
-    BINDINGS: ClassVar = [("escape", "dismiss(None)", "Back")]

@@ -32,7 +32,6 @@ class Choices:
         return ["check", "--json", *_given(self.bench), *self.link_options, *self.device_options, *scale]
 
     def plan_arguments(self) -> list[str]:
-        """Return the arguments of `station plan`."""
         bench = ["--bench", self.bench] if self.bench else []
         return ["plan", "--json", *_given(self.script), *bench, *self.device_options]
 

@@ -1,26 +1,31 @@
 """Questions over a screen."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 from textual.app import ComposeResult
 from textual.containers import Horizontal, Vertical
-from textual.widgets import Button, OptionList, Static
+from textual.screen import ModalScreen
+from textual.widgets import Button, Input, OptionList, Static
 from textual.widgets.option_list import Option
 
 from station.screen.bars import StopBar
-from station.screen.base import StationDialog
+from station.screen.base import Field
 
 
-class _Dialog(StationDialog):
-    """A question and what may be answered: what comes back, and the words for it."""
+class StationDialog(ModalScreen[str | None]):
+    """A question over a screen, with STOP below it as everywhere.
 
-    def __init__(self, question: str, answers: Sequence[tuple[str, str]]) -> None:
-        """Nothing is answered yet."""
+    ``answers`` are what comes back, and the words for it.
+    """
+
+    BINDINGS: ClassVar = [("escape", "dismiss(None)", "Back")]
+
+    def __init__(self, question: str, answers: Sequence[tuple[str, str]] = ()) -> None:
         super().__init__()
         self._question, self._answers = question, answers
 
     def compose(self) -> ComposeResult:
-        """Yield the question and what may be answered."""
         with Vertical(id="dialog"):
             yield Static(self._question, markup=False)
             yield from self.answers()
@@ -31,27 +36,33 @@ class _Dialog(StationDialog):
         yield from ()
 
 
-class AskDialog(_Dialog):
+class AskDialog(StationDialog):
     """A question with a few answers as buttons; the first is the careful one."""
 
     def answers(self) -> ComposeResult:
-        """Yield the buttons."""
         with Horizontal(classes="buttons"):
             for key, words in self._answers:
                 yield Button(words, id=key, compact=True)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """Hand the answer over."""
         self.dismiss(event.button.id)
 
 
-class ChooseDialog(_Dialog):
+class ChooseDialog(StationDialog):
     """A list to choose one line from."""
 
     def answers(self) -> ComposeResult:
-        """Yield the list."""
         yield OptionList(*(Option(words, id=key) for key, words in self._answers), markup=False)
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
-        """Hand the choice over."""
         self.dismiss(event.option.id)
+
+
+class AskTextDialog(StationDialog):
+    """A question that is answered by a line of text."""
+
+    def answers(self) -> ComposeResult:
+        yield Field(max_length=200)
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        self.dismiss(event.value.strip() or None)

@@ -6,19 +6,14 @@ from typing import Any
 from rich.text import Text
 
 from station.render.template import rendered
-from station.views.figures import STATE_FIGURES
+from station.run.snapshot import GyroSnapshot
+from station.views.figures import STATE_FIGURES, number
 
 
-def columns(rows: Sequence[Sequence[str]], *, left: int = 1, gap: str = "  ") -> list[str]:
-    """Return rows of cells as lines: the first ``left`` columns left-aligned, the others right-aligned."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        gap.join(
-            cell.ljust(width) if index < left else cell.rjust(width)
-            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]
+def columns(rows: Sequence[Sequence[str]], gap: str = "  ") -> list[str]:
+    """Return rows of cells as lines: the first column left-aligned, the others right-aligned."""
+    first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
+    return [gap.join([row[0].ljust(first), *map(str.rjust, row[1:], others)]) for row in rows]
 
 
 def state_heads(first: str, beside: str = "±") -> list[list[str]]:
@@ -27,10 +22,17 @@ def state_heads(first: str, beside: str = "±") -> list[list[str]]:
     return [names, ["", *(word for state in STATE_FIGURES for word in (state.unit, ""))]]
 
 
-def state_cells(values: Sequence[float], sds: Sequence[float]) -> list[str]:
-    """Return the states of a gyro, each with its sigma beside it."""
-    states = zip(STATE_FIGURES, values, sds, strict=True)
-    return [text for s, value, sd in states for text in (s.text(value).rjust(s.width), s.text(sd).rjust(s.width - 1))]
+def state_lines(gyros: Sequence[GyroSnapshot], *, nis: bool = False) -> list[Text]:
+    """Return the states with their sigmas, a line a gyro below a heading; with ``nis`` that of each beside them."""
+    rows = state_heads("gyro")
+    for gyro in gyros:
+        states = zip(STATE_FIGURES, gyro.values, gyro.sds, strict=True)
+        cells = [text for s, x, sd in states for text in (s.text(x).rjust(s.width), s.text(sd).rjust(s.width - 1))]
+        rows.append([gyro.name, *cells])
+    if nis:
+        beside = ["NIS", "", *(number(gyro.nis, 2).rjust(4) for gyro in gyros)]
+        rows = [[*row, cell] for row, cell in zip(rows, beside, strict=True)]
+    return headed(columns(rows, gap=" "), 2)
 
 
 def headed(lines: Sequence[str], heads: int = 1) -> list[Text]:

@@ -14,6 +14,8 @@ from station.errors import UsageError
 _FOLDER = "turntable-station"
 _FILE = "screen.json"
 _MOST_BENCHES = 50
+REMEMBERED = ("operator", "bench", "script")
+"""What is remembered beside serial numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +39,7 @@ def load_remembered() -> Remembered:
     try:
         found: Any = json.loads((state_folder() / _FILE).read_text(encoding="utf-8"))
         serials = {str(bench): str(serial) for bench, serial in dict(found.get("serials", {})).items()}
-        operator, bench, script = (str(found.get(key, "")) for key in ("operator", "bench", "script"))
-        return Remembered(operator, bench, script, serials)
+        return Remembered(**{key: str(found.get(key, "")) for key in REMEMBERED}, serials=serials)
     except (OSError, ValueError, TypeError, AttributeError):
         return Remembered()
 

@@ -1,9 +1,11 @@
 """Plots drawn with characters: an estimate with its band over time, a state over a device's calibrations."""
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import groupby
+from operator import itemgetter
 
 from rich.text import Text
 
@@ -14,7 +16,7 @@ _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _BRAILLE = 0x2800
 _DOTS_HIGH, _DOTS_WIDE = 4, 2
 _LINE, _EDGE, _LIMIT = "bold bright_white", "cyan", "red"
-_RANKS = {_LINE: 3, _EDGE: 2, _LIMIT: 1}
+_RANKS = {_LINE: 3, _EDGE: 2, _LIMIT: 1, "": 0}
 _MARGIN = 1.15
 _RECENT = 0.2  # of the time: it sets the range of values
 _LEAST_SIGMAS = 3.0
@@ -24,12 +26,16 @@ _STATE_ROWS = 6
 class Canvas:
     """Dots in a field of braille characters; a character has the style of the most important dot in it."""
 
-    def __init__(self, width: int, height: int, low: float, high: float) -> None:
-        """``width`` and ``height`` in characters; ``low`` and ``high`` are the values at the lower and upper edge."""
-        self._width, self._height = max(width, 1), max(height, 1)
+    def __init__(self, width: int, height: int, low: float, high: float, label: Callable[[float], str]) -> None:
+        """``width`` and ``height`` in characters; ``low`` and ``high`` are the values at the lower and upper edge.
+
+        The edges and the middle are labelled at the left.
+        """
+        self._labels = [label(high), label((low + high) / 2), label(low)]
+        self._indent = max(map(len, self._labels)) + 1
+        self._width, self._height = max(width - self._indent, 1), max(height, 1)
         self._low, self._high = low, high
-        self._dots: dict[tuple[int, int], int] = {}
-        self._styles: dict[tuple[int, int], str] = {}
+        self._cells: dict[tuple[int, int], tuple[int, str]] = {}
 
     @property
     def dots_wide(self) -> int:
@@ -46,48 +52,37 @@ class Canvas:
         if not (0 <= column < self.dots_wide and 0 <= row < self._height * _DOTS_HIGH):
             return
         cell = (row // _DOTS_HIGH, column // _DOTS_WIDE)
-        self._dots[cell] = self._dots.get(cell, 0) | _DOTS[row % _DOTS_HIGH][column % _DOTS_WIDE]
-        if _RANKS[style] > _RANKS.get(self._styles.get(cell, ""), 0):
-            self._styles[cell] = style
+        dots, before = self._cells.get(cell, (0, ""))
+        dots |= _DOTS[row % _DOTS_HIGH][column % _DOTS_WIDE]
+        self._cells[cell] = dots, max(before, style, key=_RANKS.__getitem__)
 
-    def curve(self, values: Sequence[float | None], style: str, *, dotted: bool = False) -> None:
-        """Draw one value a column of dots, joined; None leaves a gap. What lies outside is cut off."""
+    def curve(self, values: Sequence[float], style: str) -> None:
+        """Draw one value a column of dots, joined; what is not known leaves a gap. What lies outside is cut off."""
         before: int | None = None
         for column, value in enumerate(values):
-            if value is None or not math.isfinite(value):
+            if not math.isfinite(value):
                 before = None
                 continue
             # Far outside is just outside: nobody needs a line of a million dots.
             row = round(min(max(self.row(value), -1.0), self._height * _DOTS_HIGH))
-            if dotted:
-                if column % 2 == 0:
-                    self.dot(column, row, style)
-                continue
-            step = 0 if before is None or before == row else (1 if before < row else -1)
-            for between in range(before + step if step and before is not None else row, row, step or 1):
+            start = row if before is None or before == row else before + (1 if before < row else -1)
+            for between in range(min(start, row), max(start, row) + 1):
                 self.dot(column, between, style)
-            self.dot(column, row, style)
             before = row
 
     def lines(self) -> list[Text]:
-        """Return the characters, a text a line."""
+        """Return the characters beside the labels, a text a line."""
+        labels = dict(zip((0, self._height // 2, self._height - 1), self._labels, strict=True))
         found = []
         for y in range(self._height):
-            cells = [(y, x) for x in range(self._width)]
+            cells = [self._cells.get((y, x), (0, "")) for x in range(self._width)]
             # Stretches of one style: each costs the terminal and its painter about the same, however long it is.
-            found.append(
-                Text.assemble(
-                    *(
-                        ("".join(map(self._character, stretch)), style)
-                        for style, stretch in groupby(cells, lambda cell: self._styles.get(cell, ""))
-                    )
-                )
+            stretches = groupby(cells, itemgetter(1))
+            line = Text.assemble(
+                *(("".join(chr(_BRAILLE + dots) if dots else " " for dots, _ in s), style) for style, s in stretches)
             )
+            found.append(Text.assemble((labels.get(y, "").rjust(self._indent - 1) + "│", "dim"), line))
         return found
-
-    def _character(self, cell: tuple[int, int]) -> str:
-        bits = self._dots.get(cell, 0)
-        return chr(_BRAILLE + bits) if bits else " "
 
 
 def band_plot(
@@ -111,15 +106,12 @@ def band_plot(
     centre = values[-1]
     recent = [abs(v - centre) + sd for t, v, sd in zip(times, values, sds, strict=True) if t >= late]
     reach = max(*recent, _LEAST_SIGMAS * sds[-1]) * _MARGIN or 1.0
-    low, high = centre - reach, centre + reach
-    labels = [label(high), label(centre), label(low)]
-    indent = max(map(len, labels)) + 1
-    canvas = Canvas(width - indent, rows, low, high)
+    canvas = Canvas(width, rows, centre - reach, centre + reach, label)
     at = _columns(times, canvas.dots_wide)
-    canvas.curve([None if i is None else values[i] + sds[i] for i in at], _EDGE)
-    canvas.curve([None if i is None else values[i] - sds[i] for i in at], _EDGE)
-    canvas.curve([None if i is None else values[i] for i in at], _LINE)
-    return [Text(title, "bold"), *_labelled(canvas, labels, indent)]
+    canvas.curve([values[i] + sds[i] for i in at], _EDGE)
+    canvas.curve([values[i] - sds[i] for i in at], _EDGE)
+    canvas.curve([values[i] for i in at], _LINE)
+    return [Text(title, "bold"), *canvas.lines()]
 
 
 def gyro_plots(name: str, trend: Trend, width: int) -> list[Text]:
@@ -160,18 +152,17 @@ def trend_plot(
     low, high = min([low, *drawn]), max([high, *drawn])
     low, high = low - 0.08 * (high - low or reach), high + 0.08 * (high - low or reach)
     said = "" if not math.isfinite(limit) else f"   limits ±{label(limit)}{'' if drawn else ', off the plot'}"
-    labels = [label(high), label((high + low) / 2), label(low)]
-    indent = max(map(len, labels)) + 1
-    canvas = Canvas(width - indent, rows, low, high)
+    canvas = Canvas(width, rows, low, high, label)
     for at in drawn:
-        canvas.curve([at] * canvas.dots_wide, _LIMIT, dotted=True)
+        for column in range(0, canvas.dots_wide, 2):
+            canvas.dot(column, round(canvas.row(at)), _LIMIT)
     for index, (value, sd) in enumerate(zip(values, sds, strict=True)):
         column = round((index + 0.5) / len(values) * canvas.dots_wide)
         for row in range(round(canvas.row(value + sd)), round(canvas.row(value - sd)) + 1):
             canvas.dot(column, row, _EDGE)
         for beside in (-1, 0, 1):
             canvas.dot(column + beside, round(canvas.row(value)), _LINE)
-    return [Text(title + said, "bold"), *_labelled(canvas, labels, indent)]
+    return [Text(title + said, "bold"), *canvas.lines()]
 
 
 def bar(share: float, width: int) -> str:
@@ -181,20 +172,7 @@ def bar(share: float, width: int) -> str:
     return ("█" * whole + (" ▏▎▍▌▋▊▉"[part] if part else "")).ljust(width, "·")
 
 
-def _columns(times: Sequence[float], count: int) -> list[int | None]:
-    """Return for each of ``count`` columns the index of the last time in or before it, None before the first."""
+def _columns(times: Sequence[float], count: int) -> list[int]:
+    """Return for each of ``count`` columns the index of the last time in or before it."""
     span = times[-1] - times[0] or 1.0
-    found: list[int | None] = []
-    index = 0
-    for column in range(count):
-        until = times[0] + span * (column + 1) / count
-        while index + 1 < len(times) and times[index + 1] <= until:
-            index += 1
-        found.append(index)
-    return found
-
-
-def _labelled(canvas: Canvas, labels: Sequence[str], indent: int) -> list[Text]:
-    lines = canvas.lines()
-    places = dict(zip((0, len(lines) // 2, len(lines) - 1), labels, strict=True))
-    return [Text.assemble((places.get(i, "").rjust(indent - 1) + "│", "dim"), line) for i, line in enumerate(lines)]
+    return [bisect_right(times, times[0] + span * (column + 1) / count) - 1 for column in range(count)]

@@ -26,7 +26,11 @@ def serve(port: int, words: Sequence[str]) -> int:
     except ModuleNotFoundError:
         raise UsageError("--web needs textual-serve: pip install 'turntable-station[web]'") from None
 
-    port = _checked_port(port)
+    try:
+        listening = socket.create_server((_HOST, port))
+    except OSError as error:
+        raise UsageError(f"port {port} cannot be had ({error.strerror}): give another to --web") from None
+    port = listening.getsockname()[1]
     # Whoever can press keys here can turn the table: pages of other sites and other users do not know the path.
     path = f"/{secrets.token_urlsafe(16)}"
     html = Path(__file__).with_name("page").joinpath("index.html").read_text(encoding="utf-8")
@@ -61,16 +65,5 @@ def serve(port: int, words: Sequence[str]) -> int:
     app.on_startup.append(announce)
     app.on_shutdown.append(end_pages)
     logging.disable(logging.WARNING)
-    web.run_app(app, host=_HOST, port=port, print=None, shutdown_timeout=_END_S)
+    web.run_app(app, sock=listening, print=None, shutdown_timeout=_END_S)
     return 0
-
-
-def _checked_port(port: int) -> int:
-    """Return a port that can be had, a free one for 0; UsageError if it is taken."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((_HOST, port))
-        except OSError as error:
-            raise UsageError(f"port {port} cannot be had ({error.strerror}): give another to --web") from None
-        return int(probe.getsockname()[1])

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import signal
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 from station.errors import UsageError
 from station.remote.attaching import RemoteSession, running_sessions
 from station.screen.sessions.live_run import LiveRun, Stage
-from station.screen.sessions.programs import SessionProcess
+from station.screen.sessions.programs import SessionProcess, interrupt
 
 _LOOK_S = 0.1
 _AGAIN_S = 1.0
@@ -33,7 +30,7 @@ class SessionLink:
             while self.run.stage is not Stage.ENDED:
                 socket = await self._find()
                 if socket is None:
-                    self.run.end(self._why_gone())
+                    self.run.leave(Stage.ENDED, self._why_gone())
                 else:
                     await self._listen(socket, changed)
                 changed()
@@ -108,7 +105,7 @@ class SessionLink:
             await self._take(remote)
         self._hang_up()
         if self.run.stage is not Stage.ENDED:
-            self.run.lose(why)
+            self.run.leave(Stage.LOST, why)
             changed()
             await asyncio.sleep(_AGAIN_S)
 
@@ -157,7 +154,6 @@ async def _hello(path: Path) -> dict[str, object]:
 
 
 async def stop_session(path: Path) -> None:
-    """Stop the session of a socket."""
     try:
         remote = await RemoteSession.connect(path)
     except UsageError:
@@ -168,8 +164,5 @@ async def stop_session(path: Path) -> None:
 
 
 def _interrupt(socket: Path) -> bool:
-    """Send the process of a session's socket the signal that means Ctrl-C; return whether there is one."""
-    with suppress(ValueError, ProcessLookupError, PermissionError):
-        os.kill(int(socket.stem), signal.SIGINT)
-        return True
-    return False
+    """Interrupt the process of a session's socket; return whether there is one."""
+    return socket.stem.isdigit() and interrupt(int(socket.stem))

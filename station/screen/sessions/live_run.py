@@ -68,21 +68,9 @@ class LiveRun:
         """Whether the table was homed or driven."""
         self.unconfirmed = False
         """Whether the session said that it could not see the table come to rest."""
-        self._recording, self._script = recording, script
+        self.recording, self.script = recording, script
         self._heard_s = time.monotonic()
         self._stop_asked_s = math.nan
-
-    @property
-    def recording(self) -> Path | None:
-        """Path of the recording."""
-        told = self.hello.get("recording")
-        return Path(str(told)) if told else self._recording
-
-    @property
-    def script(self) -> str:
-        """Name of the script."""
-        script = self.hello.get("script")
-        return str(script.get("name", "")) if isinstance(script, Mapping) else self._script
 
     @property
     def active(self) -> bool:
@@ -91,7 +79,6 @@ class LiveRun:
 
     @property
     def stop_asked(self) -> bool:
-        """Whether STOP was pressed."""
         return not math.isnan(self._stop_asked_s)
 
     @property
@@ -116,13 +103,13 @@ class LiveRun:
         return str(self.result.get("outcome") or "") if self.result is not None else ""
 
     def ask_to_stop(self) -> None:
-        """Take in that STOP was pressed."""
         if not self.stop_asked:
             self._stop_asked_s = time.monotonic()
 
     def greet(self, hello: Mapping[str, Any]) -> None:
         """Take in the greeting of a connection, the first or another: the events come again from the first."""
         self.hello = hello
+        self.recording, self.script = Path(hello["recording"]), str(hello["script"]["name"])
         self.stage = Stage.RUNNING
         self.trouble = ""
         self.events.clear()
@@ -136,7 +123,10 @@ class LiveRun:
             if kind == "snapshot":
                 self._take_snapshot(snapshot_of(message))
             elif kind == "event":
-                self._take_event(float(message["t_s"]), EventKind(message["event"]), str(message["text"]))
+                about = EventKind(message["event"])
+                self.events.append((float(message["t_s"]), str(message["text"])))
+                self.at_rest = self.at_rest or about is EventKind.AT_REST
+                self.unconfirmed = self.unconfirmed or about is EventKind.NOT_AT_REST
             elif kind == "course":
                 self._take_course(message["points"])
             elif kind == "result":
@@ -145,20 +135,10 @@ class LiveRun:
             elif kind == "refused":
                 self.refusals.append(str(message["reason"]))
 
-    def lose(self, why: str) -> None:
-        """Take in that the connection broke before the end."""
+    def leave(self, stage: Stage, why: str) -> None:
+        """Take in that the connection broke before the end, or that the process is gone without a result."""
         if self.stage is not Stage.ENDED:
-            self.stage, self.trouble = Stage.LOST, why
-
-    def end(self, why: str) -> None:
-        """Take in that the process is gone without a result."""
-        if self.stage is not Stage.ENDED:
-            self.stage, self.trouble = Stage.ENDED, why
-
-    def _take_event(self, t_s: float, kind: EventKind, text: str) -> None:
-        self.events.append((t_s, text))
-        self.at_rest = self.at_rest or kind is EventKind.AT_REST
-        self.unconfirmed = self.unconfirmed or kind is EventKind.NOT_AT_REST
+            self.stage, self.trouble = stage, why
 
     def _take_course(self, points: Sequence[Mapping[str, Any]]) -> None:
         """Put before the trends what was before them."""

@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import IO, Any
 
 _MOST_BYTES = 64 * 1024 * 1024  # of one line of JSON
@@ -91,12 +90,18 @@ def _object(out: bytes) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
+def interrupt(pid: int) -> bool:
+    """Send a process the signal that means Ctrl-C; return whether there is one."""
+    with suppress(ProcessLookupError, PermissionError):
+        os.kill(pid, signal.SIGINT)
+        return True
+    return False
+
+
 class SessionProcess:
     """A run in a process that outlives the screen: of its own session, with its output in a file without a name."""
 
-    def __init__(self, arguments: Sequence[str], recording: Path) -> None:
-        """Start it."""
-        self.recording = recording
+    def __init__(self, arguments: Sequence[str]) -> None:
         self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  read when the process has ended
         self._code: int | None = None
         words = command_line(arguments)
@@ -126,25 +131,16 @@ class SessionProcess:
 
     def stop(self) -> bool:
         """Stop it by the signal that means Ctrl-C, from any thread; return whether it had not ended."""
-        if self._code is not None:  # then its number may be another's by now
-            return False
-        with suppress(ProcessLookupError):
-            os.kill(self.pid, signal.SIGINT)
-            return True
-        return False
+        return self._code is None and interrupt(self.pid)  # else its number may be another's by now
 
     def reason(self) -> str:
         """Return what it said last, in words: why a run that has ended never began."""
         self._output.seek(0)
         lines = [line for line in self._output.read().decode(errors="replace").splitlines() if line.strip()]
-        for line in reversed(lines):
-            found = _object(line.encode())
-            if found.get("reason"):
-                return str(found["reason"])
-        plain = [line for line in lines if not line.startswith("{")]
-        if plain:
-            return plain[-1].removeprefix("station: ")
-        return "it runs" if self.running else f"it ended with code {self._code}"
+        given = [str(reason) for line in lines if (reason := _object(line.encode()).get("reason"))]
+        plain = [line.removeprefix("station: ") for line in lines if not line.startswith("{")]
+        ended = "it runs" if self.running else f"it ended with code {self._code}"
+        return [ended, *plain[-1:], *given[-1:]][-1]
 
     def close(self) -> None:
         """Give up what it says; it goes on."""

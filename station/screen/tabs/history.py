@@ -1,10 +1,8 @@
 """History: the recordings of a folder, by device and date; how a state of a device went over its calibrations."""
 
-import math
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from rich.text import Text
 from textual.app import ComposeResult
@@ -12,7 +10,7 @@ from textual.binding import Binding
 from textual.containers import Horizontal
 from textual.widgets import DataTable, Input, Label, Static
 
-from station.screen.archive.archive import Entry
+from station.screen.archive.entries import NO_LIMITS, Entry
 from station.screen.base import Field, StationScreen
 from station.screen.plots import trend_plot
 from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
@@ -20,7 +18,6 @@ from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
 _COLUMNS = ("when", "device", "script", "outcome", "operator", "accepted", "file")
 _SHOWN_EVERY = 25
 _TREND_ROWS = 9
-_LIMIT_KEYS = ("k", "b_rps", "sigma_rad", "sigma_rad")
 
 
 class HistoryScreen(StationScreen):
@@ -35,16 +32,14 @@ class HistoryScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
-        """Nothing is read yet."""
         super().__init__()
         self._entries: list[Entry] = []
         self._shown: list[Entry] = []
         self._reading = False
-        self._state = self._gyro = 0
-        self._limits: dict[str, float] = {}
+        self._state = 0
+        self._limits = NO_LIMITS
 
     def body(self) -> ComposeResult:
-        """Yield filters, recordings, the trend."""
         with Horizontal(classes="field"):
             yield Label("Device")
             yield Field(id="device", placeholder="any")
@@ -55,7 +50,6 @@ class HistoryScreen(StationScreen):
         yield Static(id="trend", markup=False, classes="block")
 
     def on_mount(self) -> None:
-        """Read the folder."""
         self.query_one(DataTable).add_columns(*_COLUMNS)
 
     def on_screen_resume(self) -> None:
@@ -63,45 +57,28 @@ class HistoryScreen(StationScreen):
         self.action_read_again()
         self.set_focus(self.query_one(DataTable))
 
-    def on_resize(self, event: Any) -> None:
-        """Draw the trend as wide as there is room."""
-        super().on_resize(event)
-        self.call_after_refresh(self._show_trend)
-
     def action_read_again(self) -> None:
-        """Read the folder again."""
-        self.work(partial(self._read, self.station.choices.folder), "read")
+        self.station.work(partial(self._read, self.station.choices.folder), "read")
 
     def action_filter(self) -> None:
-        """Go to the filters."""
         self.set_focus(self.query_one("#device", Input))
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Filter."""
         self._show()
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Go to the recordings."""
         self.set_focus(self.query_one(DataTable))
 
     def on_data_table_row_selected(self, event: DataTable.RowSelected) -> None:
-        """Open a recording."""
         if event.cursor_row < len(self._shown):
             self.station.open_recording(self._shown[event.cursor_row].path)
 
     def on_data_table_row_highlighted(self, event: DataTable.RowHighlighted) -> None:
-        """Show the trend of another device."""
-        self._show_trend()
+        self.redraw()
 
     def action_state(self, step: int) -> None:
-        """Show the trend of another state."""
         self._state = (self._state + step) % len(STATE_FIGURES)
-        self._show_trend()
-
-    def action_gyro(self, step: int) -> None:
-        """Show the trend of another gyro."""
-        self._gyro += step
-        self._show_trend()
+        self.redraw()
 
     async def _read(self, folder: Path) -> None:
         self._entries, self._reading = [], True
@@ -118,8 +95,8 @@ class HistoryScreen(StationScreen):
         newest = next((entry for entry in self._entries if entry.gyros), None)
         self._show()
         if newest is not None:
-            self._limits = (await self.station.archive.read(newest.path)).limits
-            self._show_trend()
+            self._limits = (await self.station.archive.read(newest.path)).sizes
+            self.redraw()
 
     def _show(self) -> None:
         device = self.query_one("#device", Input).value.strip().lower()
@@ -136,9 +113,9 @@ class HistoryScreen(StationScreen):
         reading = ", reading ..." if self._reading else ""
         words = f"{len(self._shown)}{of} recordings in {self.station.choices.folder}{reading}   (Enter opens one)"
         self.query_one("#folder", Static).update(words)
-        self._show_trend()
+        self.redraw()
 
-    def _show_trend(self) -> None:
+    def redraw(self) -> None:
         if not self.is_mounted:
             return
         table = self.query_one(DataTable)
@@ -152,22 +129,19 @@ class HistoryScreen(StationScreen):
             return [Text(f"{chosen.path.name}: {chosen.wrong}", "red")]
         if not chosen.gyros:
             return [Text(f"{chosen.path.name} came to no calibration", "dim")]
-        gyro = chosen.gyros[self._gyro % len(chosen.gyros)]
+        gyro = chosen.gyros[self.gyro % len(chosen.gyros)]
         points = []
         for entry in sorted(self._entries, key=lambda entry: entry.when_utc_s):
             if entry.same_device(chosen):
                 points += [g for g in entry.gyros if (g.source, g.name) == (gyro.source, gyro.name)]
         unit = STATE_FIGURES[self._state]
-        values = [point.states[self._state] * unit.factor for point in points]
+        values = [point.values[self._state] * unit.factor for point in points]
         sds = [point.sds[self._state] * unit.factor for point in points]
-        limit = self._limits.get(_LIMIT_KEYS[self._state], math.inf) * unit.factor
-        title = f"{unit.name} ({unit.unit}) of {gyro.name}, {chosen.device or 'this device'}, {_count(points)}"
+        limit = self._limits[self._state] * unit.factor
+        count = f"{len(points)} calibration{'s' * (len(points) != 1)}"
+        title = f"{unit.name} ({unit.unit}) of {gyro.name}, {chosen.device or 'this device'}, {count}"
         label = partial(number, digits=unit.digits)
         return trend_plot(title, values, sds, limit, width, _TREND_ROWS, label)
-
-
-def _count(points: Sequence[object]) -> str:
-    return f"{len(points)} calibration{'' if len(points) == 1 else 's'}"
 
 
 def _cells(entry: Entry) -> list[Text]:

@@ -43,7 +43,6 @@ class PrepareScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
-        """Nothing has been asked yet."""
         super().__init__()
         self._prospect: Prospect | None = None
         self._check: Answer | None = None
@@ -52,7 +51,6 @@ class PrepareScreen(StationScreen):
         self._run_before: LiveRun | None = None
 
     def body(self) -> ComposeResult:
-        """Yield what is entered and what is missing; check and plan."""
         with Container(id="columns"):
             with Vertical(id="entries"):
                 for name, words, placeholder in _FIELDS:
@@ -66,7 +64,6 @@ class PrepareScreen(StationScreen):
                 yield Static(id="plan", markup=False, classes="block")
 
     def row_below(self) -> ComposeResult:
-        """Yield START and whether it would do something."""
         with Horizontal(id="start-row"):
             yield Button("START  F7", id="start", compact=True, disabled=True)
             yield Static(id="summary", markup=False)
@@ -77,7 +74,6 @@ class PrepareScreen(StationScreen):
         for name, *_ in _FIELDS:
             with self.prevent(Input.Changed):
                 self.query_one(f"#{name}", Input).value = getattr(choices, name)
-        self._show()
         self.set_focus(self.query_one("#operator" if not choices.operator else "#serial", Input))
 
     def prepare(self, script: str) -> None:
@@ -89,10 +85,9 @@ class PrepareScreen(StationScreen):
         """Take over what was typed; bench and script are looked at when they are complete."""
         if event.input.id in ("operator", "serial"):
             self._take_over()
-            self._show()
         else:
             self._prospect = None
-            self._show()
+        self.redraw()
 
     def action_enter(self) -> None:
         """Go to the next field, or press what has the focus; bench and script are then looked at."""
@@ -108,21 +103,15 @@ class PrepareScreen(StationScreen):
             self.action_look_again()
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """Start."""
         if event.button.id == "start":
             self.action_start()
-
-    def on_resize(self, event: Any) -> None:
-        """Draw the motion as wide as there is room."""
-        super().on_resize(event)
-        self.call_after_refresh(self._show)
 
     def on_screen_resume(self) -> None:
         """Ask bench and script once the first picture is out, and again when a session has ended since."""
         ended = self.station.shown is not self._run_before and not self.station.busy
         if self._prospect is None or ended:
             self.call_after_refresh(self.action_look_again)
-        self._show()
+        self.redraw()
 
     def action_look_again(self) -> None:
         """Read bench and script, ask the devices, plan; what was asked before is given up."""
@@ -130,8 +119,8 @@ class PrepareScreen(StationScreen):
         self._prospect = self._check = self._plan = None
         self._checking = ""
         self._run_before = self.station.shown
-        self._show()
-        self.work(partial(self._look, self.station.choices), "look")
+        self.redraw()
+        self.station.work(partial(self._look, self.station.choices), "look")
 
     def action_start(self) -> None:
         """Start the run, if nothing stands against it."""
@@ -141,7 +130,7 @@ class PrepareScreen(StationScreen):
         obstacles = self._obstacles()
         if obstacles or self._prospect is None:
             self.notify("; ".join(text for _, text in obstacles), title="Not started", severity="warning", markup=False)
-            self._show()
+            self.redraw()
         else:
             self.station.start_run(self._prospect)
 
@@ -149,7 +138,7 @@ class PrepareScreen(StationScreen):
         found = await asyncio.to_thread(look_ahead, choices)
         self._prospect = found
         self._recall(found)
-        self._show()
+        self.redraw()
         if found.bench_wrong:
             return
         await asyncio.gather(self._look_at_devices(choices, found), self._look_at_plan(choices, found))
@@ -158,21 +147,21 @@ class PrepareScreen(StationScreen):
         others = await sessions_on(found.bench, choices.bench)
         if others or self.station.busy:  # a port that two programs read loses samples of both
             self._checking = "a session runs on this bench: its devices are not asked (F6 asks again)"
-            self._show()
+            self.redraw()
             return
         self._checking = ""
         self._check = await ask(choices.check_arguments(found.all_twins), self._tell)
         self._suggest(self._check)
-        self._show()
+        self.redraw()
 
     async def _look_at_plan(self, choices: Choices, found: Prospect) -> None:
         if not found.script_wrong:
             self._plan = await ask(choices.plan_arguments())
-            self._show()
+            self.redraw()
 
     def _tell(self, line: str) -> None:
         self._checking = line
-        self._show()
+        self.redraw()
 
     def _recall(self, found: Prospect) -> None:
         """Fill in the serial number that this bench had last, if none was entered."""
@@ -230,7 +219,7 @@ class PrepareScreen(StationScreen):
             return [("WRONG", f"check: {self._check.reason}")]
         return [("WRONG", f"{d['device']}: {wrong}") for d in devices for wrong in d["wrong"]]
 
-    def _show(self) -> None:
+    def redraw(self) -> None:
         if not self.is_mounted:
             return
         obstacles = self._obstacles()
@@ -244,24 +233,20 @@ class PrepareScreen(StationScreen):
         if prospect is not None and not prospect.bench_wrong:
             limits = prospect.limits or ("none: every run that comes to its end passes",)
         self.query_one("#limits", Static).update(titled("Limits of the bench", [Text(line) for line in limits]))
-        values = {"title": self._bench_title(), "check": self._check, "checking": self._checking}
+        values = {
+            "bench": prospect.bench if prospect is not None else "",
+            "check": self._check,
+            "checking": self._checking,
+        }
         self.query_one("#check", Static).update(templated("check.rich", {**values, "degrees": _degrees}))
         width = max(self.query_one("#plan").size.width, 40)
         self.query_one("#plan", Static).update(_plan(prospect, self._plan, width))
 
-    def _bench_title(self) -> str:
-        return (
-            f"Devices of {self._prospect.bench}" if self._prospect is not None and self._prospect.bench else "Devices"
-        )
-
     def _warnings(self) -> list[str]:
         plan = self._plan.found if self._plan is not None else {}
         missed = [gyro["name"] for gyro in plan.get("gyros", []) if not gyro["reached"]]
-        if not missed:
-            return []
-        return [
-            f"this script does not reach the sigmas that the bench requires ({', '.join(missed)}): it will end FAIL"
-        ]
+        warning = "this script does not reach the sigmas that the bench requires ({}): it will end FAIL"
+        return [warning.format(", ".join(missed))] if missed else []
 
 
 def _summary(obstacles: list[tuple[str, str]]) -> Text:

@@ -15,18 +15,18 @@ from textual.containers import Horizontal
 from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
-from station.screen.archive.archive import INVESTIGATION, Entry, GyroEntry, Whole, last_before
+from station.screen.archive.entries import INVESTIGATION, Entry, Whole, last_before
 from station.screen.base import StationScreen
 from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.figures import columns, headed, state_cells, state_heads, templated, titled
+from station.screen.figures import columns, headed, state_heads, state_lines, templated, titled
 from station.screen.plots import gyro_plots
-from station.screen.sessions.live_run import Trend
 from station.screen.sessions.programs import ask
 from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
 
 _MANY_SIGMAS = 3.0
 _REASONS = 4
 _MOST_OFFERED = 20
+_LOOKING = "looking for what the model lacks"
 _NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
 _NAMED = {"operator": "operator", "script": "script", "station": "bench"}
 """What identifies a run beside its device, and what it is called."""
@@ -52,7 +52,6 @@ class ResultScreen(StationScreen):
     ]
 
     def __init__(self) -> None:
-        """Nothing is open yet."""
         super().__init__()
         self._path: Path | None = None
         self._whole: Whole | None = None
@@ -61,53 +60,40 @@ class ResultScreen(StationScreen):
         self._model: Sequence[RenderableType] = ()
         self._busy = ""
         self._said = ""
-        self._gyro = 0
 
     def body(self) -> ComposeResult:
-        """Yield the blocks."""
         for name in ("verdict", "states", "change", "model", "curves", "record"):
             yield Static(id=name, markup=False, classes="block")
 
     def row_below(self) -> ComposeResult:
-        """Yield what can be done."""
         with Horizontal(id="actions", classes="buttons"):
             for name, words in _BUTTONS:
                 yield Button(words, id=name, compact=True, disabled=True)
 
-    def on_mount(self) -> None:
-        """Show that nothing is open, or what was opened before the screen was there."""
-        self._show()
-
-    def open(self, path: Path, *, fresh: bool = False) -> None:
+    def _open(self, path: Path, fresh: bool) -> None:
         """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
         self._path, self._whole, self._same, self._found = path, None, [], {}
-        self._busy, self._said, self._gyro = "reading", "", 0
-        self._show()
-        self.work(partial(self._read, path, fresh), "read")
-
-    def on_resize(self, event: Any) -> None:
-        """Draw the curves as wide as there is room."""
-        super().on_resize(event)
-        self.call_after_refresh(self._show)
+        self._busy, self._said, self.gyro = "reading", "", 0
+        self.redraw()
+        self.station.work(partial(self._read, path, fresh), "open")
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """Do what the button says."""
         getattr(self, f"action_{event.button.id}")()
 
     async def _read(self, path: Path, fresh: bool) -> None:
         whole = await self.station.archive.read(path)
         self._whole, self._busy = whole, ""
-        await self._take_investigation(whole.found.get("investigation") or {})
+        await self._take_investigation(whole.investigation)
         entry = whole.entry
         if fresh and entry.texts.get("outcome") == "FAIL" and entry.gyros:
             self._look_for_cause([])
         self._same = [e async for e in self.station.archive.entries(path.parent) if entry.same_calibrated(e)]
-        self._show()
+        self.redraw()
 
     async def _take_investigation(self, found: Mapping[str, Any]) -> None:
         self._found = found
         self._model = await asyncio.to_thread(_investigation, found) if found.get("verdict") else ()
-        self._show()
+        self.redraw()
 
     def action_investigate(self) -> None:
         """Look for what the model lacks; ask by which run that is to be judged, if there are others of the device."""
@@ -130,9 +116,8 @@ class ResultScreen(StationScreen):
     def _look_for_cause(self, judging: Sequence[Entry]) -> None:
         """Investigate in a process of its own; ``judging`` are the runs that verify what is found."""
         if self._path is not None:
-            self._busy = "looking for what the model lacks"
-            self._show()
-            self.work(partial(self._investigate, self._path, [entry.path for entry in judging]), "investigate")
+            self._tell(_LOOKING)
+            self.station.work(partial(self._investigate, self._path, [entry.path for entry in judging]), "investigate")
 
     async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
         kept, script = await asyncio.to_thread(
@@ -143,16 +128,17 @@ class ResultScreen(StationScreen):
         )
         verify = ["--verify", *map(str, judging)] if judging else []
         files = ["--output", str(kept), "--next-script", str(script)]
-        answer = await ask(["investigate", str(path), *verify, "--json", *files], self._tell)
+        arguments = ["investigate", str(path), *verify, "--json", *files]
+        answer = await ask(arguments, lambda line: self._tell(f"{_LOOKING}: {line}"))
         if path != self._path:
             return
         self._busy = ""
         self._said = "" if answer.found.get("verdict") else f"no verdict: {answer.reason}"
         await self._take_investigation(answer.found)
 
-    def _tell(self, line: str) -> None:
-        self._busy = f"looking for what the model lacks: {line}"
-        self._show()
+    def _tell(self, busy: str) -> None:
+        self._busy = busy
+        self.redraw()
 
     def action_accept(self) -> None:
         """Ask whether to accept, then record who did and write the certificate."""
@@ -165,9 +151,8 @@ class ResultScreen(StationScreen):
 
     def _accepted(self, answer: str | None) -> None:
         if answer == "yes" and self._path is not None:
-            self._busy = "writing the certificate"
-            self._show()
-            self.work(partial(self._certify, self._path), "accept")
+            self._tell("writing the certificate")
+            self.station.work(partial(self._certify, self._path), "accept")
 
     async def _certify(self, path: Path) -> None:
         now = datetime.now(UTC).isoformat(timespec="seconds")
@@ -185,22 +170,15 @@ class ResultScreen(StationScreen):
         whole = await self.station.archive.read(path)
         if path == self._path:
             self._busy, self._said, self._whole = "", said, whole
-            self._show()
+            self.redraw()
 
     def action_repeat(self) -> None:
-        """Prepare the same run again."""
         if self._may("repeat"):
             self.station.prepare(None)
 
     def action_next(self) -> None:
-        """Prepare a run of the script that the investigation asks for."""
         if self._may("next"):
             self.station.prepare(str(self._found["next_script"]))
-
-    def action_gyro(self, step: int) -> None:
-        """Show the curves of another gyro."""
-        self._gyro += step
-        self._show()
 
     def _may(self, what: str) -> bool:
         """Return whether something can be done, and say why not."""
@@ -234,12 +212,12 @@ class ResultScreen(StationScreen):
 
     def on_screen_resume(self) -> None:
         """Open what a run has left in the meantime; show what may be done now."""
-        fresh = self.station.take_fresh()
-        if fresh is not None:
-            self.open(fresh, fresh=True)
-        self._show()
+        to_open = self.station.take_recording()
+        if to_open is not None:
+            self._open(*to_open)
+        self.redraw()
 
-    def _show(self) -> None:
+    def redraw(self) -> None:
         if not self.is_mounted:
             return
         for name, _ in _BUTTONS:
@@ -264,12 +242,11 @@ class ResultScreen(StationScreen):
         block.update("" if shown is None else shown)
 
     def _curves(self, whole: Whole) -> Text | None:
-        curves = whole.found.get("curves") or {}
-        if not curves:
+        if not whole.curves:
             return None
-        name = list(curves)[self._gyro % len(curves)]
+        name = list(whole.curves)[self.gyro % len(whole.curves)]
         width = max(self.query_one("#body").size.width - 2, 76)
-        return Text("\n").join(gyro_plots(name, _trend(curves[name]), width))
+        return Text("\n").join(gyro_plots(name, whole.curves[name], width))
 
 
 def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
@@ -286,12 +263,6 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
     return [Text.from_markup(what, emoji=False) if isinstance(what, str) else what for what, _ in shown]
 
 
-def state_lines(gyros: Sequence[GyroEntry]) -> list[Text]:
-    """Return the states with their sigmas, a line a gyro below a heading."""
-    rows = [[gyro.name, *state_cells(gyro.states, gyro.sds)] for gyro in gyros]
-    return headed(columns([*state_heads("gyro"), *rows], gap=" "), 2)
-
-
 def _change(entry: Entry, last: Entry | None) -> Text:
     title = "Change since the last calibration of this device"
     if last is None:
@@ -305,7 +276,7 @@ def _change(entry: Entry, last: Entry | None) -> Text:
             continue
         cells, far = [gyro.name], False
         for state, new_value, new_sd, value, sd in zip(
-            STATE_FIGURES, gyro.states, gyro.sds, old.states, old.sds, strict=True
+            STATE_FIGURES, gyro.values, gyro.sds, old.values, old.sds, strict=True
         ):
             delta, sigma = new_value - value, math.hypot(new_sd, sd)
             ratio = delta / sigma if sigma > 0 else math.nan
@@ -353,14 +324,8 @@ def _short(reason: str) -> str:
 def _record(whole: Whole) -> Text:
     reasons = whole.entry.texts.get("reason", "").split("; ")
     values = {
-        "found": whole.found,
+        "whole": whole,
         "reasons": reasons if len(reasons) > _REASONS else [],
-        "nis": number(whole.found.get("nis_mean"), 3),
+        "nis": number(whole.nis_mean, 3),
     }
     return templated("record.rich", values)
-
-
-def _trend(curve: Mapping[str, Any]) -> Trend:
-    states = [tuple(math.nan if v is None else v for v in row) for row in curve["states"]]
-    sds = [tuple(math.nan if v is None else v for v in row) for row in curve["sd"]]
-    return Trend(list(curve["t_s"]), states, sds)

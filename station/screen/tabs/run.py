@@ -10,12 +10,12 @@ from typing import ClassVar
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.containers import Container, Vertical
-from textual.widgets import Input, Static
 
 from station.run.snapshot import PAUSED, Snapshot
-from station.screen.bars import SILENCE_S, Lines, StopBar
-from station.screen.base import Field, StationDialog, StationScreen
-from station.screen.figures import columns, headed, state_cells, state_heads
+from station.screen.bars import SILENCE_S, Lines
+from station.screen.base import StationScreen
+from station.screen.dialogs import AskTextDialog
+from station.screen.figures import columns, headed, state_lines
 from station.screen.plots import bar, gyro_plots
 from station.screen.sessions.live_run import LiveRun, Stage, Trend
 from station.views.figures import OUTCOME_STYLES, clock, number
@@ -43,14 +43,9 @@ class RunScreen(StationScreen):
         ("left", "gyro(-1)", "Previous gyro"),
     ]
 
-    def __init__(self) -> None:
-        """Begin with the first gyro."""
-        super().__init__()
-        self._gyro = 0
-        self._drawn_s = -math.inf
+    _drawn_s = -math.inf
 
     def body(self) -> ComposeResult:
-        """Yield the blocks: the run, axes, sources, innovations, estimates; plots and events."""
         yield Lines(id="progress")
         with Container(id="columns"):
             with Vertical(id="figures"):
@@ -60,10 +55,12 @@ class RunScreen(StationScreen):
                 for name in _BLOCKS[4:]:
                     yield Lines(id=name, classes="block")
 
-    def on_screen_resume(self) -> None:
-        """Draw at once."""
+    def redraw(self) -> None:
+        """Draw all at once, the plots too."""
         self._drawn_s = -math.inf
         self.tick()
+
+    on_screen_resume = redraw
 
     def tick(self) -> None:
         """Show figures at each tick, plots once a second; what has not changed costs nothing."""
@@ -83,7 +80,7 @@ class RunScreen(StationScreen):
             ("axes", axis_lines(snapshot, run.stage is not Stage.RUNNING or run.silent_s > SILENCE_S)),
             ("sources", source_lines(snapshot)),
             ("innovations", innovation_lines(snapshot)),
-            ("estimates", estimate_lines(snapshot)),
+            ("estimates", state_lines(snapshot.gyros, nis=True)),
         ):
             self._show(name, rows)
         self._show("events", _event_lines(run))
@@ -98,44 +95,23 @@ class RunScreen(StationScreen):
     def _plots(self, run: LiveRun, snapshot: Snapshot) -> list[Text]:
         if not snapshot.gyros:
             return []
-        gyro = snapshot.gyros[self._gyro % len(snapshot.gyros)]
+        gyro = snapshot.gyros[self.gyro % len(snapshot.gyros)]
         room = self.query_one("#pictures").size.width or self.size.width
         name = gyro.name if gyro.name == gyro.source else f"{gyro.name} of {gyro.source}"
         return gyro_plots(name, run.trends.get(gyro.name) or Trend(), room)
-
-    def action_gyro(self, step: int) -> None:
-        """Show the plots of another gyro."""
-        self._gyro += step
-        self._drawn_s = -math.inf
-        self.tick()
 
     def action_pause(self) -> None:
         """Hold after the step under way, or go on."""
         self.station.pause_run()
 
     def action_others(self) -> None:
-        """Ask which session is to be shown."""
         self.station.choose_session()
 
     def action_note(self) -> None:
-        """Ask for a note, and have it recorded."""
         if self.station.shown is not None and self.station.shown.active:
-            self.app.push_screen(NoteDialog(), self.station.note_run)
-
-
-class NoteDialog(StationDialog):
-    """Asks for a note."""
-
-    def compose(self) -> ComposeResult:
-        """Yield one line of input."""
-        with Vertical(id="dialog"):
-            yield Static("Note for the record (Enter keeps it, Escape goes back)")
-            yield Field(max_length=200)
-        yield StopBar()
-
-    def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Hand the note over."""
-        self.dismiss(event.value.strip() or None)
+            self.app.push_screen(
+                AskTextDialog("Note for the record (Enter keeps it, Escape goes back)"), self.station.note_run
+            )
 
 
 def _progress(run: LiveRun, width: int) -> list[Text]:
@@ -239,13 +215,6 @@ def _judgement(snapshot: Snapshot) -> Text:
     if abs(snapshot.whiteness) > _WHITE_OFF:
         return Text("NOT WHITE: something is not in the model", "bold red")
     return Text("good: near 1, and white", "green")
-
-
-def estimate_lines(snapshot: Snapshot) -> list[Text]:
-    """Return the estimates, a line a gyro below a heading."""
-    names, units = state_heads("gyro")
-    gyros = [[g.name, *state_cells(g.values, g.sds), number(g.nis, 2).rjust(4)] for g in snapshot.gyros]
-    return headed(columns([[*names, "NIS"], [*units, ""], *gyros], gap=" "), 2)
 
 
 def _event_lines(run: LiveRun) -> list[Text]:

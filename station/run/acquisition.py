@@ -1,0 +1,279 @@
+"""What comes of the devices of a run: into the recording, the live filters, and what can be seen meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from drivers.clocks.sampling import Alignment
+from drivers.errors import LinkLost
+from drivers.types import Floats, Identity, ImuBlock, SourceCounts
+from estimator.calibration.error_model import ErrorModel
+from estimator.estimation.live.sample_columns import SampleColumns
+from estimator.observations.timing import TimeOffset
+from estimator.recordings.writing import RecordingWriter
+from station.opening import OpenBench, OpenImu
+from station.opening.reopening import Reopening
+from station.run.event_loop.loops import is_virtual
+from station.run.live import LiveEstimate, LiveSource
+from station.run.monitor import Monitor
+from station.run.snapshot import EventKind
+from station.run.table_watch import TableRow
+from station.views.json_values import named
+
+_FLUSH_S = 0.2  # what a killed station loses, at most, beyond what was on its way
+_FLUSH_SIMULATED_S = 2.0  # a simulated second lasts milliseconds
+_SYNC_S = 0.5
+_SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
+_LATE_S = 0.03  # of the host, after which a computer may be why a run fails
+_FIRST_SAMPLE_S = 3.0
+_SILENCE_S = 1.0
+_TIMED_S, _SIGMAS = 0.0005, 4.0  # an offset that is told lies beyond both
+
+
+@dataclass(frozen=True, slots=True)
+class SourceReport:
+    """Counts of one source; its clock against the station's, and its samples against the table, where known."""
+
+    name: str
+    counts: SourceCounts
+    clock: Alignment | None
+    offset: TimeOffset | None = None
+
+    def attributes(self) -> dict[str, float | int]:
+        """Return what the recording keeps beside the samples."""
+        found: dict[str, float | int] = named(self.counts, ("lost", "repeated", "late", "corrupt"))
+        if self.clock is not None:
+            found |= {
+                "clock_drift_ppm": self.clock.drift_ppm,
+                "clock_drift_sd_ppm": self.clock.sd_drift_ppm,
+                "clock_offset_sd_s": self.clock.sd_offset_s,
+                "arrival_jitter_rms_s": self.clock.jitter_rms_s,
+            }
+        if self.offset is not None:
+            found |= {"time_offset_s": self.offset.offset_s, "time_offset_sd_s": self.offset.sd_s}
+        return found
+
+    def as_object(self) -> dict[str, Any]:
+        """Return what --json prints, in SI."""
+        return {
+            **asdict(self.counts),
+            "clock": self.clock and asdict(self.clock),
+            "offset_to_table": self.offset and asdict(self.offset),
+        }
+
+    @property
+    def mistimed(self) -> str:
+        """Say so if the samples were not taken when the table was read."""
+        if self.offset is None or abs(self.offset.offset_s) < max(_TIMED_S, _SIGMAS * self.offset.sd_s):
+            return ""
+        return f"{self.name} is {self.offset.offset_s * 1e3:+.2f} ± {self.offset.sd_s * 1e3:.2f} ms against the table"
+
+    def text(self) -> str:
+        """Return one line for people."""
+        counts = self.counts
+        line = (
+            f"{self.name}: {counts.samples} samples, {counts.lost} lost, {counts.repeated} repeated, "
+            f"{counts.late} late, {counts.corrupt} corrupt"
+        )
+        if self.clock is not None:
+            line += f"; clock {self.clock.drift_ppm:+.1f} ± {self.clock.sd_drift_ppm:.1f} ppm"
+            line += f", arrivals jitter {self.clock.jitter_rms_s * 1e3:.2f} ms"
+        if self.offset is not None:
+            line += f"; {self.offset.offset_s * 1e3:+.2f} ± {self.offset.sd_s * 1e3:.2f} ms against the table"
+        return line
+
+
+class Acquisition:
+    """The recording of one run and all that is written into it until it is closed."""
+
+    def __init__(
+        self,
+        opened: OpenBench,
+        writer: RecordingWriter,
+        model: ErrorModel | None,
+        time_scale: float,
+        reopening: Reopening,
+        on_event: Callable[[float, EventKind, str], None] | None,
+    ) -> None:
+        """Describe table and sources in the recording; ``time_scale`` is how fast the loop's clock runs."""
+        self._imus, self._bench = opened.imus, opened.bench
+        self.writer, self._model, self._reopening, self._on_event = writer, model, reopening, on_event
+        self._host_scale, self._scale = time_scale, max(time_scale, 1.0)  # below 1 devices are slow, too
+        self.live = LiveEstimate(self._bench.table.gimbals, self._bench.site)
+        self.monitor = Monitor(opened, self.live, reopening, self._scale)
+        self.reports: dict[str, SourceReport] = {}
+        """What was had of each source, once all is closed."""
+        self.closed = False
+        self._last_seen_s: dict[str, float] = {}
+        self._half_width_ns, self._rate_window_ns, self._late_s, self._late_at_s = 0, 0, 0.0, -np.inf
+        self._sync: asyncio.Future[Any] | None = None
+        writer.add_table(self._bench.table.gimbals, self._bench.table.uncertainty)
+        for imu in self._imus:
+            self._add_sources(imu)
+
+    def _add_sources(self, imu: OpenImu) -> None:
+        config, table = imu.config, self._bench.table
+        noise_rps = float(config.noise.arw * np.sqrt(config.rate_hz))
+        timing_s = table.uncertainty.timing_s if table.uncertainty else 0.0
+        for name, gyros in config.gyros_of(imu.source.names).items():
+            array = config.array.select(gyros)
+            noise = [config.noise.arw, config.noise.instability, config.noise.walk]
+            about = {"device": config.name, "rate_hz": config.rate_hz, "lost": 0, "noise": noise}
+            self.writer.add_source(name, array, config.prior, about)
+            effects = SampleColumns(self._model, table.gimbals, self._bench.site, array) if self._model else None
+            self.live.sources[name] = LiveSource(array, config.rate_hz, noise_rps, config.prior, effects, timing_s)
+
+    async def open(self, imu: OpenImu) -> Identity:
+        """Open a device under test, and record and return what it says it is."""
+        await imu.source.open()
+        identity = await imu.source.identify()
+        for name in imu.source.names:
+            self.writer.set_source(name, identity_attributes("", identity))
+        return identity
+
+    async def acquire(self, imu: OpenImu) -> None:
+        """Take in samples until cancelled; a lost link is opened again while nothing turns."""
+        while True:
+            try:
+                async for name, block in imu.source.blocks():
+                    self._take_block(name, block)
+            except LinkLost as error:
+                await self._reopening.restore(imu.source, error)
+                now_s = asyncio.get_running_loop().time()
+                self._last_seen_s |= {name: now_s for name in imu.source.names if name in self._last_seen_s}
+
+    def _take_block(self, name: str, block: ImuBlock) -> None:
+        self._last_seen_s[name] = asyncio.get_running_loop().time()
+        self.monitor.take_block(name, block)
+        keys = ("t_ns", "arrival_ns", "rate_rps", "temperature_c", "counter")
+        columns = {key: values for key in keys if (values := getattr(block, key)) is not None}
+        if block.accel_mps2 is not None:
+            columns["accel_mps2"] = self._in_body_axes(name, block.accel_mps2)
+        self.writer.append_rows(f"imu/{name}", columns)
+        self.live.sources[name].add(block)
+
+    def _in_body_axes(self, name: str, accel_mps2: Floats) -> Floats:
+        """Return specific force (n, 3) along the body's axes; a device tells it along those of its three gyros."""
+        p = self.live.sources[name].array.p
+        return np.asarray(np.linalg.solve(p, accel_mps2.T).T) if p.shape == (3, 3) else accel_mps2
+
+    def take_row(self, row: TableRow) -> None:
+        columns = row._asdict()
+        if columns.pop("rate_window_ns") != self._rate_window_ns:
+            table, self._rate_window_ns = self._bench.table, row.rate_window_ns
+            self.writer.add_table(table.gimbals, table.uncertainty, row.rate_window_ns)
+        self.writer.append_rows("table", {key: np.array([value]) for key, value in columns.items()})
+        self._half_width_ns = max(self._half_width_ns, row.half_width_ns)
+        self.live.add_row(row)
+        self.monitor.row = row
+
+    def end_step(self, label: str, start_ns: int, end_ns: int) -> None:
+        self.writer.append_text("steps", {"t_start_ns": start_ns, "t_end_ns": end_ns}, "label", label)
+
+    def event(self, kind: EventKind, text: str) -> None:
+        """Record what happened, and tell whoever listens."""
+        now_ns = round(asyncio.get_running_loop().time() * 1e9)
+        self.writer.append_text("events", {"t_ns": now_ns}, "text", text, kind=np.array([kind.encode()], dtype="S16"))
+        if self._on_event is not None:
+            self._on_event(now_ns * 1e-9, kind, text)
+
+    async def first_samples(self) -> None:
+        """Wait for samples of every source; LinkLost if one has none."""
+        limit_s = _FIRST_SAMPLE_S * self._scale
+        names = {name for imu in self._imus for name in imu.source.names}
+        deadline = asyncio.get_running_loop().time() + limit_s
+        while missing := sorted(names - set(self._last_seen_s)):
+            if asyncio.get_running_loop().time() > deadline:
+                raise LinkLost(
+                    self._device_of(missing[0]),
+                    f"no samples from {', '.join(missing)} within {limit_s:g} s; is it powered, the link right, "
+                    "the rate as in the bench file?",
+                )
+            await asyncio.sleep(0.05)
+
+    async def watch_silence(self) -> None:
+        """Look until cancelled whether samples come; LinkLost if those of a source do not."""
+        limit_s = _SILENCE_S * self._scale
+        while True:
+            await self._sleep(limit_s / 4)
+            now = asyncio.get_running_loop().time()
+            silent = [
+                name
+                for name, seen in self._last_seen_s.items()
+                if now - seen > limit_s and self._device_of(name) not in self._reopening.under_way
+            ]
+            if silent:
+                late = f"; {self._late}" * (self._late_at_s > min(self._last_seen_s[name] for name in silent))
+                raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s{late}")
+
+    def _device_of(self, source: str) -> str:
+        return next(imu.config.name for imu in self._imus if source in imu.source.names)
+
+    async def _sleep(self, time_s: float) -> None:
+        """Sleep, and keep by how much the computer was late with that (s of the host), and when it was last."""
+        loop = asyncio.get_running_loop()
+        due_s = loop.time() + time_s
+        await asyncio.sleep(time_s)
+        late_s = (loop.time() - due_s) / self._host_scale
+        if late_s > _LATE_S:
+            self._late_s, self._late_at_s = max(self._late_s, late_s), loop.time()
+
+    async def keep_flushing(self) -> None:
+        """Hand rows to the operating system five times a second, and have it write them out twice a second.
+
+        By the host's time, however fast the loop's clock runs: it is the host that may die. A simulated run needs no
+        protection from a power cut and is flushed less often.
+        """
+        loop = asyncio.get_running_loop()
+        sync_due_s = loop.time()
+        every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S * self._host_scale
+        while True:
+            await self._sleep(every_s)
+            self.monitor.mark()
+            if self._sync is not None and not self._sync.done():
+                continue  # a write now would wait for the disk, and everything for that write
+            self.writer.flush()
+            if not is_virtual(loop) and loop.time() >= sync_due_s:
+                sync_due_s = loop.time() + _SYNC_S * self._host_scale
+                self._sync = loop.run_in_executor(None, os.fsync, self.writer.descriptor)
+
+    async def close(self, attributes: Mapping[str, str]) -> None:
+        """Close the links of all devices under test and, with these attributes, the recording."""
+        self.monitor.end()
+        for imu in self._imus:
+            imu.source.close()
+            for name, block in imu.source.flush():
+                self._take_block(name, block)
+            for name in imu.source.names:
+                self.reports[name] = SourceReport(name, imu.source.counts(name), imu.source.alignment(name))
+                self.writer.set_source(name, self.reports[name].attributes())
+        self.writer.set_attributes({"table_read_half_width_ns": self._half_width_ns, **attributes})
+        if self._sync is not None:
+            with suppress(OSError):
+                await self._sync
+        self.writer.close()
+        self.closed = True
+
+    @property
+    def _late(self) -> str:
+        return f"this computer did not keep up: the run waited for it for up to {self._late_s * 1e3:.0f} ms"
+
+    def causes(self) -> list[str]:
+        """Return what may have made a run fail beside its gyros: samples at other instants, a late computer."""
+        took_s = 2e-9 * self._half_width_ns
+        slow = f"the table took up to {took_s * 1e3:.0f} ms to answer: when it was where is known no better"
+        found = [report.mistimed for report in self.reports.values()]
+        found += [slow] * (took_s > _SLOW_S) + [self._late] * (self._late_s > 0.0)
+        return [cause for cause in found if cause]
+
+
+def identity_attributes(prefix: str, identity: Identity) -> dict[str, Any]:
+    """Return as attributes what a device says it is."""
+    return {f"{prefix}{key}": value for key, value in asdict(identity).items() if value}

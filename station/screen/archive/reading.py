@@ -1,0 +1,131 @@
+"""What a process beside the screen does with recordings: a damaged HDF5 file can hang or kill it, not the screen."""
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from estimator.errors import RecordingError, first_line
+from estimator.recordings.recording import FORMAT, FORMAT_VERSION
+from estimator.recordings.writing import plain, write_attributes
+from station.bench.bench import read_limits
+from station.errors import BenchError
+from station.run.snapshot import GyroSnapshot
+from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, Entry, Whole
+from station.screen.sessions.live_run import Trend
+
+_MOST_POINTS = 400
+_TEXTS = ("station", "script", "outcome", "reason", "operator", "device_serial", "accepted_by", "accepted_utc")
+
+
+def accept(path: Path, attributes: Mapping[str, str]) -> str:
+    """Write attributes into a copy that then takes the recording's place: a full disk in between costs nothing.
+
+    Return what went wrong, empty if nothing did. A write that fails within HDF5 leaves a file that cannot be opened any
+    more, and a process that should write no other.
+    """
+    path = path.resolve()  # a link to a recording stays one
+    copy = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        shutil.copy2(path, copy)
+        write_attributes(copy, attributes)
+        with copy.open("rb+") as file:
+            os.fsync(file.fileno())
+        copy.replace(path)
+    except (OSError, RecordingError) as error:
+        said = error.strerror if isinstance(error, OSError) else str(error).rpartition("cannot be written: ")[2]
+        return f"it cannot be written, and is as it was ({said})"
+    finally:
+        copy.unlink(missing_ok=True)
+    return ""
+
+
+def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
+    """Return a recording that was changed last at ``when_utc_s``, or only its entry; the entry says what is wrong."""
+    unread = Entry(path, when_utc_s)
+    try:
+        # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
+        with h5py.File(path, "r", locking=False) as file:
+            if plain(file.attrs.get("format")) != FORMAT:
+                return Whole(replace(unread, wrong="an HDF5 file, but no recording", foreign=True))
+            version = plain(file.attrs.get("format_version", 0))
+            if not isinstance(version, int) or version > FORMAT_VERSION:
+                wrong = f"format version {version}, this program reads up to {FORMAT_VERSION}: update it"
+                return Whole(replace(unread, wrong=wrong))
+            entry = _entry(unread, file)
+            return _whole(entry, file) if everything else Whole(entry)
+    except Exception as error:  # whatever a file made by hand holds, the next one is to be read
+        wrong = f"it cannot be read, it is damaged or not whole ({first_line(error)})"
+        return Whole(replace(unread, wrong=wrong))
+
+
+def _entry(unread: Entry, file: Any) -> Entry:
+    began_utc_s = plain(file.attrs.get("clock_zero_utc_s"))
+    devices = [str(plain(source.attrs.get("device", ""))) for source in file.get("imu", {}).values()]
+    gyros: tuple[GyroSnapshot, ...] = ()
+    if (group := file.get("calibration")) is not None:
+        rows = zip(*(group[name][()] for name in ("name", "source", "states", "sd")), strict=True)
+        gyros = tuple(
+            GyroSnapshot(plain(name), plain(source), tuple(states.tolist()), tuple(sd.tolist()))
+            for name, source, states, sd in rows
+        )
+    return replace(
+        unread,
+        when_utc_s=unread.when_utc_s if began_utc_s is None else float(began_utc_s),
+        texts={name: str(plain(file.attrs.get(name, ""))) for name in _TEXTS},
+        devices=tuple(filter(None, dict.fromkeys(devices))) or (str(plain(file.attrs.get("device", ""))),),
+        gyros=gyros,
+    )
+
+
+def _whole(entry: Entry, file: Any) -> Whole:
+    found: dict[str, Any] = {}
+    if (group := file.get("calibration")) is not None:
+        found = {key: plain(group.attrs[key]) for key in ("samples", "lost", "nis_mean") if key in group.attrs}
+        found |= {key: [str(plain(text)) for text in group.attrs.get(key, [])] for key in ("notes", "excluded")}
+    events = file.get("events")
+    if events is not None and "text" in events:
+        rows = zip(events["t_ns"][()], events["text"][()], strict=False)
+        found["events"] = [(float(t) * 1e-9, plain(text)) for t, text in rows]
+    return Whole(
+        entry,
+        **found,
+        sizes=_sizes(str(plain(file.attrs.get("bench", "")))),
+        curves=_curves(file),
+        investigation=_investigation(entry.path),
+    )
+
+
+def _curves(file: Any) -> dict[str, Trend]:
+    found = {}
+    for source, estimate in file.get("estimate", {}).items():
+        step = max(len(estimate["t_ns"]) // _MOST_POINTS, 1)
+        t_ns, states, sds = (estimate[key][::step].tolist() for key in ("t_ns", "states", "sd"))
+        t_s = [t * 1e-9 for t in t_ns]
+        for number, name in enumerate(file[f"imu/{source}"].attrs.get("names", [source])):
+            values, sigmas = ([tuple(row[number]) for row in rows] for rows in (states, sds))
+            found[str(plain(name))] = Trend(t_s, values, sigmas)
+    return found
+
+
+def _investigation(recording: Path) -> dict[str, Any]:
+    """Return what the newest investigation that is kept beside a recording found; nothing if there is none."""
+    kept = recording.parent.glob(f"{recording.stem}{INVESTIGATION}*.h5")
+    newest = max(kept, key=lambda path: path.stat().st_mtime, default=None)
+    if newest is None:
+        return {}
+    with h5py.File(newest, "r", locking=False) as file:
+        found: dict[str, Any] = json.loads(plain(file["investigation"].attrs["json"]))
+        return found
+
+
+def _sizes(bench: str) -> tuple[float, ...]:
+    try:
+        return read_limits(bench).sizes
+    except BenchError:
+        return NO_LIMITS
