@@ -32,7 +32,8 @@ class CanChannel:
 
     ``rate`` is one signal for each gyro, all of one message. ``counter`` counts samples, ``step`` on with each, or
     ``time`` is the device's own clock; its raw number begins anew at ``wrap``, or if that is 0 at its length.
-    ``units`` has what the DBC does not say: the unit of "rate", "temperature", "acceleration", "time".
+    ``units`` has what the DBC does not say: the unit of "rate", "temperature", "acceleration", "time". With
+    ``saturates`` a rate or an acceleration at an end of the DBC's range is none.
     """
 
     name: str
@@ -44,6 +45,7 @@ class CanChannel:
     units: tuple[tuple[str, str], ...] = ()
     wrap: int = 0
     step: int = 1
+    saturates: bool = False
 
     @property
     def rates(self) -> tuple[str, ...]:
@@ -69,7 +71,8 @@ class ChannelSignals:
         units = dict(channel.units)
 
         def reader(name: str, quantity: str) -> SignalReader:
-            return SignalReader(device, database, dbc, name, quantity, units.get(quantity, ""))
+            saturates = channel.saturates and quantity in ("rate", "acceleration")
+            return SignalReader(device, database, dbc, name, quantity, units.get(quantity, ""), saturates)
 
         self.rates = [reader(name, "rate") for name in channel.rates]
         self.acceleration = [reader(name, "acceleration") for name in channel.acceleration or ()]
