@@ -18,8 +18,9 @@ from turntable_rigs import COUNTS, DEG, LIMITS, MAX_RATE, MemoryWire, model_of, 
 
 from drivers.errors import DeviceFault, DeviceRefused, LinkLost
 from drivers.links.byte_links import MemoryLink
+from drivers.specs import AxisSetup
 from drivers.tables.acutrol.language import NUMBER, OK, AcutrolFraming, refusal
-from drivers.tables.acutrol.table import AcutrolAxis, AcutrolTable
+from drivers.tables.acutrol.table import AcutrolTable
 from drivers.tables.unwrap import Unwrapper
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
@@ -236,9 +237,8 @@ async def lone_axis(
     near, far = MemoryLink.pair("table")
     wire = MemoryWire(far)
     wire.controller = AcutrolController(model, wire.write, {"x": 2}, **options)
-    table = AcutrolTable(
-        "table", near, {"x": AcutrolAxis(2, limits)}, 0.2, prefix_length=options.get("prefix_length", 8)
-    )
+    axes = {"x": AxisSetup(2, COUNTS["acutrol"], limits)}
+    table = AcutrolTable("table", near, axes, 0.2, prefix_length=options.get("prefix_length", 8))
     carrier = asyncio.get_running_loop().create_task(wire.carry())
     try:
         yield table, model
@@ -267,7 +267,7 @@ def test_a_wrong_length_of_the_prefix_is_found_when_the_link_is_opened() -> None
         near, far = MemoryLink.pair("table")
         wire = MemoryWire(far)
         wire.controller = AcutrolController(model, wire.write, {"x": 1}, prefix_length=0)
-        table = AcutrolTable("table", near, {"x": AcutrolAxis(1, LIMITS)}, 0.2)
+        table = AcutrolTable("table", near, {"x": AxisSetup(1, COUNTS["acutrol"], LIMITS)}, 0.2)
         carrier = asyncio.get_running_loop().create_task(wire.carry())
         with pytest.raises(LinkLost, match="no answer within 0.4 s"):
             await table.open()

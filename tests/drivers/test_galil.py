@@ -17,8 +17,9 @@ from turntable_rigs import COUNTS, DEG, LIMITS, MAX_RATE, model_of, rig, settle,
 
 from drivers.errors import DeviceFault, DeviceRefused
 from drivers.links.byte_links import MemoryLink
+from drivers.specs import AxisSetup
 from drivers.tables.galil.language import NUMBER, GalilFraming, Switches, error_of, floor_acceleration, revision
-from drivers.tables.galil.table import GalilAxis, GalilTable
+from drivers.tables.galil.table import GalilTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
 from sims.tables.galil_controller import GalilController
@@ -240,7 +241,7 @@ def test_the_index_can_be_home() -> None:
         model = model_of("x", COUNTS["galil"])
         near, far = MemoryLink.pair("table")
         controller = GalilController(model, far.write, {"x": "C"})
-        table = GalilTable("table", near, {"x": GalilAxis("C", COUNTS["galil"], LIMITS)}, 0.2, homing="FI")
+        table = GalilTable("table", near, {"x": AxisSetup("C", COUNTS["galil"], LIMITS)}, 0.2, homing="FI")
         carrier = asyncio.get_running_loop().create_task(carry(far, controller))
         await table.open()
         await table.enable()
@@ -264,7 +265,7 @@ def test_soft_limits_are_set_from_home_and_end_a_jog() -> None:
         near, far = MemoryLink.pair("table")
         controller = GalilController(model, far.write, {"x": "A"})
         limits = replace(LIMITS, travel_rad=(-90 * DEG, 45 * DEG))
-        axis = GalilAxis("A", COUNTS["galil"], limits, error_limit_rad=1 * DEG)
+        axis = AxisSetup("A", COUNTS["galil"], limits, options={"error_limit": 1 * DEG})
         table = GalilTable("table", near, {"x": axis}, 0.2)
         carrier = asyncio.get_running_loop().create_task(carry(far, controller))
         await table.open()
@@ -349,7 +350,7 @@ def test_a_ramp_gentler_than_the_controller_has_is_refused_where_the_axis_is_not
         model = model_of("x", 1000)
         controller = GalilController(model, far.write, {"x": "A"})
         limits = AxisLimits(MAX_RATE, 50 * DEG)  # 139 counts/s2
-        table = GalilTable("table", near, {"x": GalilAxis("A", 1000, limits)}, 0.2)
+        table = GalilTable("table", near, {"x": AxisSetup("A", 1000, limits)}, 0.2)
         carrier = asyncio.get_running_loop().create_task(carry(far, controller))
         await table.open()
         await table.enable()
@@ -365,7 +366,7 @@ def test_a_ramp_gentler_than_the_controller_has_is_refused_where_the_axis_is_not
 
 @pytest.mark.parametrize("letters", [("A", "A"), ("Q",)])
 def test_letters_that_cannot_be_are_refused(letters: tuple[str, ...]) -> None:
-    axes = {axis: GalilAxis(letter, 1000, LIMITS) for axis, letter in zip("xyz", letters, strict=False)}
+    axes = {axis: AxisSetup(letter, 1000, LIMITS) for axis, letter in zip("xyz", letters, strict=False)}
     with pytest.raises(ValueError, match="axis letters"):
         GalilTable("table", MemoryLink("table"), axes, 0.2)
 

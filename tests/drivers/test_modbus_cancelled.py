@@ -8,8 +8,9 @@ import time
 
 from support import TwinProcess
 
+from drivers.specs import AxisSetup
 from drivers.tables.modbus.registers import load_profile
-from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 
 TIMEOUT_S = 0.5
@@ -19,7 +20,7 @@ def test_a_request_after_a_cancelled_one_is_answered_at_once() -> None:
     async def slowest_s(link: str) -> float:
         chance = random.Random(1)
         host, port = link.removeprefix("tcp://").split(":")
-        axes = {axis: DriveAxis(unit, 65536, AxisLimits(1.0, 1.0)) for axis, unit in zip("xyz", (1, 2, 3), strict=True)}
+        axes = {axis: AxisSetup(unit, 65536, AxisLimits(1.0, 1.0)) for axis, unit in zip("xyz", (1, 2, 3), strict=True)}
         table = ModbusTable("table", (host, int(port)), load_profile("kinco"), axes, TIMEOUT_S)
         await table.open()
         took_s = []

@@ -13,11 +13,12 @@ from typing import Any, Protocol
 from pymodbus.transport import NULLMODEM_HOST
 
 from drivers.links.byte_links import MemoryLink
-from drivers.tables.acutrol.table import AcutrolAxis, AcutrolTable
+from drivers.specs import AxisSetup
+from drivers.tables.acutrol.table import AcutrolTable
 from drivers.tables.aerosmith.table import AerosmithTable
-from drivers.tables.galil.table import GalilAxis, GalilTable
+from drivers.tables.galil.table import GalilTable
 from drivers.tables.modbus.registers import load_profile
-from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
 from sims.tables.acutrol_controller import AcutrolController
@@ -103,11 +104,11 @@ def byte_pair(
     """Return driver and twin of one protocol, joined to nothing but ``link`` and ``write``."""
     if kind == "galil":
         letters = dict(zip(axes, "ABC", strict=False))
-        galil_axes = {axis: GalilAxis(letter, COUNTS[kind], LIMITS) for axis, letter in letters.items()}
+        galil_axes = {axis: AxisSetup(letter, COUNTS[kind], LIMITS) for axis, letter in letters.items()}
         return GalilTable("table", link, galil_axes, TIMEOUT_S), GalilController(model, write, letters, **twin)
     if kind == "acutrol":
         numbers = {axis: place for place, axis in enumerate(axes, 1)}
-        acutrol_axes = {axis: AcutrolAxis(number, LIMITS) for axis, number in numbers.items()}
+        acutrol_axes = {axis: AxisSetup(number, COUNTS["acutrol"], LIMITS) for axis, number in numbers.items()}
         return AcutrolTable("table", link, acutrol_axes, TIMEOUT_S), AcutrolController(model, write, numbers, **twin)
     table = AerosmithTable("table", link, axes, LIMITS, TIMEOUT_S, fault_mask=STA_FAULT)
     return table, AerosmithController(model, write, axes, **twin)
@@ -149,7 +150,7 @@ async def _modbus_rig(opened: bool, watchdog_s: float = 0.0) -> AsyncIterator[Ri
     address = (NULLMODEM_HOST, next(_wires))
     server = modbus_server(model, profile, unit_ids, address, watchdog_s)
     await server.serve_forever(background=True)
-    drives = {axis: DriveAxis(unit_id, COUNTS["modbus"], LIMITS) for axis, unit_id in unit_ids.items()}
+    drives = {axis: AxisSetup(unit_id, COUNTS["modbus"], LIMITS) for axis, unit_id in unit_ids.items()}
     table = ModbusTable("table", address, profile, drives, TIMEOUT_S)
     try:
         if opened:

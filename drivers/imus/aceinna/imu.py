@@ -7,6 +7,7 @@ from drivers.errors import DeviceRefused, LinkLost
 from drivers.imus.aceinna import codec as aceinna
 from drivers.imus.can.imu import CanChannel, CanImu
 from drivers.protocols import FrameLink
+from drivers.specs import ImuSpec, described
 from drivers.types import Identity
 
 _GATHER_S = 0.03
@@ -103,3 +104,12 @@ class AceinnaImu(CanImu):
                             return frame.data
         except TimeoutError:
             return None
+
+
+SPEC = described(
+    ImuSpec,
+    __package__,
+    {"model": {"one_of": aceinna.AXIS_ORDERS}, "address": {"one_of": range(0xFE), "default": aceinna.DEFAULT_ADDRESS}},
+    make=lambda own, link: AceinnaImu(own.name, link, own.rate_hz, **own.options),
+    rates_hz=sorted(aceinna.RATES_HZ),
+)

@@ -17,6 +17,7 @@ from drivers.errors import DeviceError
 from drivers.imus.samples import Companion, Piece, block_of, regular_block
 from drivers.imus.signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.protocols import FrameLink
+from drivers.specs import ImuSpec, described
 from drivers.types import Flags, Floats, Frame, Identity, ImuBlock, Octets, SourceCounts, Stamps
 
 BUILT_IN_DBC = Path(__file__).with_name("gyro_nodes.dbc")
@@ -342,3 +343,13 @@ class _Source:
         held = known[told]
         self._temperature_c = float(held[-1])
         return np.asarray(held[1:])
+
+
+SPEC = described(
+    ImuSpec,
+    __package__,
+    make=lambda own, link: CanImu(
+        own.name, link, own.signals.dbc, own.signals.channels, own.rate_hz, source_address=own.signals.source_address
+    ),
+    gyros=None,
+)

@@ -13,8 +13,9 @@ from drivers.errors import DeviceRefused
 from drivers.imus.one_source import OneSource
 from drivers.imus.stim300 import codec as stim300
 from drivers.imus.stim300.special import RATES_HZ, Configuration, PartNumber, SerialNumber, Special
-from drivers.imus.stim300.units import UNITS, accel_unit_mps2, gyro_unit_rps
+from drivers.imus.stim300.units import ACCEL_LSB_G, UNITS, accel_unit_mps2, gyro_unit_rps
 from drivers.protocols import ByteLink
+from drivers.specs import ImuSpec, described
 from drivers.types import ByteChunk, Identity, ImuBlock, SourceCounts, Stamps
 
 _BLOCK_S = 0.01
@@ -218,3 +219,20 @@ class Stim300Imu(OneSource[ByteLink]):
         raise DeviceRefused(
             self._device, f"the device {found}, the bench file says {wanted}: correct the bench file{otherwise}"
         )
+
+
+_RANGES = {"one_of": ACCEL_LSB_G, "told": f"is one of {', '.join(map(str, ACCEL_LSB_G))} g"}
+SPEC = described(
+    ImuSpec,
+    __package__,
+    {"gyro_unit": {"one_of": UNITS.values()}, "accel_range": _RANGES},
+    make=lambda own, link: Stim300Imu(
+        own.name,
+        link,
+        round(own.rate_hz),
+        gyro_unit=own.options["gyro_unit"],
+        accel_range_g=own.options["accel_range"],
+        timeout_s=own.timeout_s,
+    ),
+    rates_hz=RATES_HZ,
+)

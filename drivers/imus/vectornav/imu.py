@@ -12,6 +12,7 @@ from drivers.imus.one_source import OneSource
 from drivers.imus.samples import regular_block
 from drivers.imus.vectornav import codec as vectornav
 from drivers.protocols import ByteLink
+from drivers.specs import ImuSpec, described
 from drivers.types import ByteChunk, Flags, Identity, ImuBlock, SourceCounts, Stamps
 
 Output = Literal["binary", "ascii"]
@@ -256,3 +257,12 @@ def _same(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
 
 def _code(sentence: vectornav.Sentence) -> int:
     return vectornav.error_code(sentence.fields[0]) if sentence.fields else -1
+
+
+SPEC = described(
+    ImuSpec,
+    __package__,
+    {"output": {"one_of": vectornav.RATES_HZ}},
+    make=lambda own, link: VectorNavImu(own.name, link, own.rate_hz, **own.options, timeout_s=own.timeout_s),
+    rates_hz=vectornav.RATES_HZ,
+)

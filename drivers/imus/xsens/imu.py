@@ -14,6 +14,7 @@ from drivers.imus.xsens import mtdata2
 from drivers.imus.xsens.requests import XbusLink
 from drivers.imus.xsens.xbus import Bytes, Messages, Mid, error_text, firmware_of, product_of, serial_of
 from drivers.protocols import ByteLink
+from drivers.specs import ImuSpec, described
 from drivers.types import Flags, Floats, Identity, ImuBlock, SourceCounts, Stamps
 
 HIGHEST_RATE_HZ = 2000
@@ -294,3 +295,11 @@ class _Timing:
                 sound[i], newest, self._in_a_row = True, max(newest, now), 0
         self._newest = newest
         return sound
+
+
+SPEC = described(
+    ImuSpec,
+    __package__,
+    make=lambda own, link: XsensImu(own.name, link, own.rate_hz, **own.options, timeout_s=own.timeout_s),
+    rates_hz=range(1, HIGHEST_RATE_HZ + 1),
+)

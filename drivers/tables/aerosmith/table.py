@@ -15,6 +15,7 @@ import re
 from drivers.errors import DeviceRefused
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer, Framed, Token
+from drivers.specs import TableSetup, TableSpec, described
 from drivers.tables.line_table import LineTable, unwrapped
 from drivers.tables.unwrap import Unwrapper
 from drivers.types import AxisLimits, AxisState, AxisStatus, Identity
@@ -201,3 +202,11 @@ class AerosmithTable(LineTable):
 def _value(answer: Answer, pattern: re.Pattern[str]) -> float:
     found = pattern.fullmatch(answer.text)
     return float(found[1]) if found else math.nan
+
+
+def _make(setup: TableSetup, link: ByteLink) -> AerosmithTable:
+    (name, axis), *_ = setup.axes.items()
+    return AerosmithTable("table", link, name, axis.limits, setup.timeout_s, **setup.options)
+
+
+SPEC = described(TableSpec, __package__, make=_make)

@@ -3,17 +3,18 @@
 import asyncio
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 from functools import partial
 
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
+from drivers.specs import AxisSetup
 from drivers.tables.base import Table
 from drivers.tables.halting import kept
 from drivers.tables.modbus import cia402
 from drivers.tables.modbus.line import Address, ModbusLine, Reply
 from drivers.tables.modbus.order import LineCounts, Request
 from drivers.tables.modbus.registers import DriveProfile
-from drivers.types import AxisLimits, AxisState, AxisStatus, Identity
+from drivers.types import AxisState, AxisStatus, Identity
 
 TURN = 2 * math.pi
 _POLL_S = 0.02
@@ -23,35 +24,22 @@ _HOMING_LIMIT_S = 60.0
 _FAULTS = (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION)
 
 
-@dataclass(frozen=True, slots=True)
-class DriveAxis:
-    """One drive: its unit id on the bus, counts of its encoder per turn of the axis, and its limits.
-
-    ``address`` is where it is if not where the table is: some drives have a TCP address each.
-    """
-
-    unit_id: int
-    counts_per_turn: int
-    limits: AxisLimits
-    address: Address | None = None
-
-
 class ModbusTable(Table):
     """Turntable driver over a stock pymodbus client."""
 
     def __init__(
-        self, device: str, address: Address, profile: DriveProfile, axes: Mapping[str, DriveAxis], timeout_s: float
+        self, device: str, address: Address, profile: DriveProfile, axes: Mapping[str, AxisSetup], timeout_s: float
     ) -> None:
-        """Name the peer; it is connected by ``open``. A request is tried twice within two ``timeout_s``."""
+        """Name the peer and the drives, told apart by unit id; a request is tried twice within two ``timeout_s``."""
         super().__init__(device, {name: axis.limits for name, axis in axes.items()}, timeout_s)
         self._profile = profile
         self._axes = dict(axes)
         probes: dict[Address, dict[int, list[Request]]] = {}
         for axis, drive in self._axes.items():
             harmless = [self._reading(axis, name) for name in ("statusword", "position")]
-            probes.setdefault(drive.address or address, {})[drive.unit_id] = harmless
+            probes.setdefault(drive.link or address, {})[int(drive.address)] = harmless
         lines = {where: ModbusLine(device, where, timeout_s, reads) for where, reads in probes.items()}
-        self._lines = {axis: lines[drive.address or address] for axis, drive in self._axes.items()}
+        self._lines = {axis: lines[drive.link or address] for axis, drive in self._axes.items()}
         self._ready: set[str] = set()  # axes to which what the profile says was written since their line was opened
 
     @property
@@ -281,7 +269,7 @@ class ModbusTable(Table):
 
     def _reading(self, axis: str, name: str) -> Request:
         register = self._profile[name]
-        return Request(axis, self._axes[axis].unit_id, name, register.address, register.words)
+        return Request(axis, int(self._axes[axis].address), name, register.address, register.words)
 
     def _writing(self, axis: str, name: str, value: float) -> Request:
         drive, register = self._axes[axis], self._profile[name]
@@ -289,4 +277,4 @@ class ModbusTable(Table):
             words = register.encode(value, drive.counts_per_turn)
         except ValueError as error:
             raise DeviceRefused(self._device, f"axis {axis}: {error}") from None
-        return Request(axis, drive.unit_id, name, register.address, len(words), tuple(words))
+        return Request(axis, int(drive.address), name, register.address, len(words), tuple(words))
