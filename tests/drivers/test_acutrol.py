@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from late_wire import read_under_lateness
 from turntable_rigs import COUNTS, DEG, LIMITS, MAX_RATE, MemoryWire, model_of, rig, settle, virtually
+from wire_pair import pair
 
 from drivers.errors import DeviceFault, DeviceRefused, LinkLost
-from drivers.links.byte_links import MemoryLink
 from drivers.specs import AxisSetup
 from drivers.tables.acutrol.language import NUMBER, OK, AcutrolFraming, refusal
 from drivers.tables.acutrol.table import AcutrolTable
@@ -234,7 +234,7 @@ async def lone_axis(
 ) -> AsyncIterator[tuple[AcutrolTable, TableModel]]:
     """Join a driver of one axis with ``limits`` and a twin with options of its own."""
     model = model_of("x", counts_per_turn)
-    near, far = MemoryLink.pair("table")
+    near, far = pair("table")
     wire = MemoryWire(far)
     wire.controller = AcutrolController(model, wire.write, {"x": 2}, **options)
     axes = {"x": AxisSetup(2, COUNTS["acutrol"], limits)}
@@ -264,7 +264,7 @@ def test_the_length_of_the_prefix_is_an_option(length: int) -> None:
 def test_a_wrong_length_of_the_prefix_is_found_when_the_link_is_opened() -> None:
     async def main() -> None:
         model = model_of("x", COUNTS["acutrol"])
-        near, far = MemoryLink.pair("table")
+        near, far = pair("table")
         wire = MemoryWire(far)
         wire.controller = AcutrolController(model, wire.write, {"x": 1}, prefix_length=0)
         table = AcutrolTable("table", near, {"x": AxisSetup(1, COUNTS["acutrol"], LIMITS)}, 0.2)

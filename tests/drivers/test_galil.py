@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from late_wire import read_under_lateness
 from turntable_rigs import COUNTS, DEG, LIMITS, MAX_RATE, model_of, rig, settle, virtually
+from wire_pair import pair
 
 from drivers.errors import DeviceFault, DeviceRefused
 from drivers.links.byte_links import MemoryLink
@@ -239,7 +240,7 @@ def test_the_controller_is_known_by_model_firmware_and_serial_number() -> None:
 def test_the_index_can_be_home() -> None:
     async def main() -> None:
         model = model_of("x", COUNTS["galil"])
-        near, far = MemoryLink.pair("table")
+        near, far = pair("table")
         controller = GalilController(model, far.write, {"x": "C"})
         table = GalilTable("table", near, {"x": AxisSetup("C", COUNTS["galil"], LIMITS)}, 0.2, homing="FI")
         carrier = asyncio.get_running_loop().create_task(carry(far, controller))
@@ -262,7 +263,7 @@ async def carry(link: MemoryLink, controller: GalilController) -> None:
 def test_soft_limits_are_set_from_home_and_end_a_jog() -> None:
     async def main() -> None:
         model = model_of("x", COUNTS["galil"])
-        near, far = MemoryLink.pair("table")
+        near, far = pair("table")
         controller = GalilController(model, far.write, {"x": "A"})
         limits = replace(LIMITS, travel_rad=(-90 * DEG, 45 * DEG))
         axis = AxisSetup("A", COUNTS["galil"], limits, options={"error_limit": 1 * DEG})
@@ -346,7 +347,7 @@ def test_a_fault_from_before_the_driver_came_is_told() -> None:
 
 def test_a_ramp_gentler_than_the_controller_has_is_refused_where_the_axis_is_not_allowed_it() -> None:
     async def main() -> None:
-        near, far = MemoryLink.pair("table")
+        near, far = pair("table")
         model = model_of("x", 1000)
         controller = GalilController(model, far.write, {"x": "A"})
         limits = AxisLimits(MAX_RATE, 50 * DEG)  # 139 counts/s2

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from stim300_console import Stim300Service, Stim300Utility
+from wire_pair import pair
 
 from drivers.errors import DeviceRefused, LinkLost
 from drivers.imus.stim300.codec import encode_special
@@ -55,7 +56,7 @@ class Wire:
 
 @asynccontextmanager
 async def wired(rate_hz: int = 2000, **options: Any) -> AsyncIterator[Wire]:
-    near, far = MemoryLink.pair("imu")
+    near, far = pair("imu")
     gyros, motion = on_a_table(rate_hz)
     wire = Wire(Stim300Device(gyros, far.write, rate_hz, **options), near, motion)
 
@@ -137,7 +138,7 @@ def test_a_lost_question_is_asked_again() -> None:
 @pytest.mark.parametrize("streams", [True, False])
 def test_a_device_that_does_not_answer_is_taken_as_it_is(streams: bool) -> None:
     async def scene() -> None:
-        near, far = MemoryLink.pair("imu")
+        near, far = pair("imu")
         imu = Stim300Imu("imu", near, 500, timeout_s=0.5)
         task = asyncio.ensure_future(Stim300Device(on_a_table(500)[0], far.write, 500).serve())
         if not streams:
@@ -154,7 +155,7 @@ def test_a_device_that_does_not_answer_is_taken_as_it_is(streams: bool) -> None:
 
 def test_a_wire_that_is_pulled_while_it_is_asked_is_a_lost_link() -> None:
     async def scene() -> None:
-        near, far = MemoryLink.pair("imu")
+        near, far = pair("imu")
         asyncio.get_running_loop().call_later(0.2, far.close)
         with pytest.raises(LinkLost):
             await Stim300Imu("imu", near, 500).identify()
@@ -183,7 +184,7 @@ def test_a_device_set_otherwise_than_the_bench_says_is_refused(
 
 def test_external_trigger_and_a_gyro_that_is_off_are_refused() -> None:
     async def scene(byte: int, value: int, words: str) -> None:
-        near, far = MemoryLink.pair("imu")
+        near, far = pair("imu")
         data = bytearray(Configuration.of(rate_hz=2000).data)
         data[byte] = value
         far.write(encode_special(Configuration(bytes(data))))
@@ -264,7 +265,7 @@ def test_what_the_device_calls_invalid_is_no_number() -> None:
 
 def test_bytes_that_come_one_by_one_still_make_blocks_of_ten_milliseconds() -> None:
     async def scene() -> None:
-        near, far = MemoryLink.pair("imu")
+        near, far = pair("imu")
 
         def drip(data: bytes) -> None:
             for i in range(len(data)):
@@ -341,7 +342,7 @@ def test_service_mode_identifies_sets_and_refuses() -> None:
 @pytest.mark.parametrize("mode", [Stim300Utility, Stim300Service])
 def test_a_device_without_a_voice_is_a_lost_link(mode: type[Stim300Utility] | type[Stim300Service]) -> None:
     async def scene() -> None:
-        near, far = MemoryLink.pair("imu")
+        near, far = pair("imu")
         task = asyncio.ensure_future(Stim300Device(on_a_table(500)[0], far.write, 500).serve())
         with pytest.raises(LinkLost, match="is it powered, and sending samples"):
             async with mode("imu", near):

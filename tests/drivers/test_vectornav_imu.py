@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from wire_pair import pair
 
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
 from drivers.imus.vectornav.codec import Sentence, encode_sentence
@@ -58,7 +59,7 @@ async def bench(
     **twin: Any,
 ) -> AsyncIterator[Bench]:
     """Join a source to its twin; ``wire`` hands on what the twin sends, ``to_device`` what it is sent."""
-    near, far = MemoryLink.pair("imu")
+    near, far = pair("imu")
     device = VectorNavDevice(gyros(rate_hz), lambda data: wire(data, far.write), rate_hz=rate_hz, **twin)
 
     async def hear() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from wire_pair import pair
 
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused, LinkLost
 from drivers.imus.xsens.imu import XsensImu
@@ -138,7 +139,7 @@ def with_twin(
 
     async def main() -> tuple[Identity, Taken, XsensDevice]:
         loop = asyncio.get_running_loop()
-        near, far = MemoryLink.pair("mti")
+        near, far = pair("mti")
         table = Table()
         due = [0.0]
 
@@ -171,7 +172,7 @@ def with_peer(
 
     async def main() -> tuple[Any, float, list[tuple[int, bytes]]]:
         loop = asyncio.get_running_loop()
-        near, far = MemoryLink.pair("mti")
+        near, far = pair("mti")
         decoder, requests = XbusDecoder(), []
 
         def received(data: bytes) -> None:
@@ -205,7 +206,7 @@ def from_bytes(parts: list[tuple[float, bytes]], rate_hz: float = 100) -> Taken:
 
     async def main() -> Taken:
         loop = asyncio.get_running_loop()
-        near, far = MemoryLink.pair("mti")
+        near, far = pair("mti")
         imu = XsensImu("mti", near, rate_hz, configure=False)
         await imu.open()
         for at, together in groupby(parts, key=lambda part: part[0]):
@@ -315,7 +316,7 @@ def test_a_device_without_accelerometers_gives_none() -> None:
 def test_a_source_may_be_started_again() -> None:
     async def main() -> None:
         loop = asyncio.get_running_loop()
-        near, far = MemoryLink.pair("mti")
+        near, far = pair("mti")
         device = XsensDevice(Table().gyros(100), far.write, 100)
         tasks = [loop.create_task(device.serve()), loop.create_task(listen(far, device.received))]
         imu = XsensImu("mti", near, 100)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from pymodbus.transport import NULLMODEM_HOST
+from wire_pair import pair
 
 from drivers.links.byte_links import MemoryLink
 from drivers.specs import AxisSetup
@@ -123,7 +124,7 @@ async def rig(kind: str, *, opened: bool = True, **twin: Any) -> AsyncIterator[R
         return
     axes = "x" if kind == "aerosmith" else "xyz"
     model = model_of(axes, COUNTS[kind])
-    near, far = MemoryLink.pair("table")
+    near, far = pair("table")
     wire = MemoryWire(far)
     table, wire.controller = byte_pair(kind, near, model, wire.write, axes, **twin)
     carrier = asyncio.get_running_loop().create_task(wire.carry())
