@@ -1,6 +1,5 @@
 """What drivers of tables have in common whose controllers speak lines of text."""
 
-import asyncio
 import math
 import re
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -11,8 +10,6 @@ from drivers.requests.exchange import Answer, Exchange, Framing
 from drivers.tables.base import Table
 from drivers.tables.unwrap import Unwrapper
 from drivers.types import AxisLimits, AxisState
-
-_HOMING_LIMIT_S = 60.0
 
 
 class LineTable(Table):
@@ -42,23 +39,6 @@ class LineTable(Table):
     ) -> str:
         """Bring all axes to rest by the lines that stop one, and return what was seen (``bring_to_rest``)."""
         return await self._bring_to_rest(lambda axis: self._exchange.tell_all(lines(axis)), read, idle)
-
-    async def _wait_for_home(self, poll_s: float) -> None:
-        """Ask the axes until all are at home; after a minute ``_give_up_homing`` and DeviceRefused."""
-        loop = asyncio.get_running_loop()
-        deadline = loop.time() + _HOMING_LIMIT_S
-        while self.homing:
-            for axis in sorted(self.homing):
-                if await self._at_home(axis):
-                    self.homing.discard(axis)
-            if self.homing and loop.time() > deadline:
-                await self._give_up_homing()
-                said = f"axis {', '.join(sorted(self.homing))} found no home within {_HOMING_LIMIT_S:.0f} s"
-                raise DeviceRefused(self._device, said)
-            await asyncio.sleep(poll_s)
-
-    async def _give_up_homing(self) -> None:
-        """End a homing that the controller does by itself."""
 
     async def _tell(self, line: str) -> None:
         """Send a command that answers nothing but that it is done."""

@@ -20,7 +20,6 @@ TURN = 2 * math.pi
 _POLL_S = 0.02
 _STATE_LIMIT_S = 2.0
 _HOMING_RATE_RPS = math.radians(30.0)
-_HOMING_LIMIT_S = 60.0
 _FAULTS = (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION)
 
 
@@ -99,23 +98,20 @@ class ModbusTable(Table):
             await self._command(axis, "enable")
             await self._command(axis, "home")
             await self._hail(self._axes)
-        deadline = asyncio.get_running_loop().time() + _HOMING_LIMIT_S
-        while self.homing:
-            for axis in self._axes:  # also those at home: each drive watches for its master's silence by itself
-                word = int(await self._read(axis, "statusword"))
-                if cia402.state_of(word) in _FAULTS:
-                    raise DeviceFault(self._device, await self._fault_text(axis, word))
-                if axis not in self.homing:
-                    continue
-                if word & cia402.BIT_13:
-                    raise DeviceRefused(self._device, f"axis {axis} reports a homing error")
-                if word & cia402.BIT_12 and word & cia402.TARGET_REACHED:
-                    self.homing.discard(axis)
-                    await self._command(axis, "enable")  # takes the start bit back
-            if self.homing and asyncio.get_running_loop().time() > deadline:
-                waiting = ", ".join(sorted(self.homing))
-                raise DeviceRefused(self._device, f"axis {waiting} found no home within {_HOMING_LIMIT_S:.0f} s")
-            await asyncio.sleep(_POLL_S)
+        await self._wait_for_home(_POLL_S)
+
+    async def _at_home(self, axis: str) -> bool:
+        word = int(await self._read(axis, "statusword"))
+        if cia402.state_of(word) in _FAULTS:
+            raise DeviceFault(self._device, await self._fault_text(axis, word))
+        if axis not in self.homing:
+            return True
+        if word & cia402.BIT_13:
+            raise DeviceRefused(self._device, f"axis {axis} reports a homing error")
+        there = bool(word & cia402.BIT_12 and word & cia402.TARGET_REACHED)
+        if there:
+            await self._command(axis, "enable")  # takes the start bit back
+        return there
 
     async def _hail(self, axes: Iterable[str]) -> None:
         """Ask drives for no more than a sign of life from us: each watches for its master's silence by itself."""
