@@ -2,14 +2,15 @@
 
 import math
 import re
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 
 from drivers.errors import DeviceRefused
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer, Exchange, Framing
+from drivers.specs import TableSetup
 from drivers.tables.base import Table
 from drivers.tables.unwrap import Unwrapper
-from drivers.types import AxisLimits, AxisState
+from drivers.types import AxisState
 
 
 class LineTable(Table):
@@ -18,12 +19,10 @@ class LineTable(Table):
     _done = re.compile("")
     """What a command is answered with that is carried out."""
 
-    def __init__(
-        self, device: str, link: ByteLink, framing: Framing, timeout_s: float, limits: Mapping[str, AxisLimits]
-    ) -> None:
-        """A request is tried twice, each for ``timeout_s``; ``limits`` are by axis."""
-        super().__init__(device, limits, timeout_s)
-        self._exchange = Exchange(device, link, framing, timeout_s)
+    def __init__(self, setup: TableSetup, link: ByteLink, framing: Framing) -> None:
+        """Take what the bench says, the link, which is not open yet, and how requests and answers stand in bytes."""
+        super().__init__("table", {name: axis.limits for name, axis in setup.axes.items()}, setup.timeout_s)
+        self._exchange = Exchange(self._device, link, framing, setup.timeout_s)
         self.counts = self._exchange.counts
         """Counts of what went wrong on the link."""
 

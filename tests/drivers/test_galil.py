@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from late_wire import read_under_lateness
+from table_setups import setup_of, twin_on
 from turntable_rigs import COUNTS, DEG, LIMITS, MAX_RATE, model_of, rig, settle, virtually
 from wire_pair import pair
 
@@ -39,7 +40,7 @@ def twin_at_rest(**options: Any) -> tuple[GalilController, list[bytes], TableMod
     """Return a twin of axes A, B, C at a clock that stands, and what it writes."""
     written: list[bytes] = []
     model = TableModel({axis: AxisData(MAX_RATE, LIMITS.acceleration_rps2, 65536) for axis in "xyz"}, lambda: 0.0)
-    return GalilController(model, written.append, dict(zip("xyz", "ABC", strict=True)), **options), written, model
+    return twin_on("galil", model, written.append, dict(zip("xyz", "ABC", strict=True)), **options), written, model
 
 
 def say(controller: GalilController, written: list[bytes], line: str) -> str:
@@ -241,8 +242,8 @@ def test_the_index_can_be_home() -> None:
     async def main() -> None:
         model = model_of("x", COUNTS["galil"])
         near, far = pair("table")
-        controller = GalilController(model, far.write, {"x": "C"})
-        table = GalilTable("table", near, {"x": AxisSetup("C", COUNTS["galil"], LIMITS)}, 0.2, homing="FI")
+        controller = twin_on("galil", model, far.write, {"x": "C"})
+        table = GalilTable(setup_of("galil", {"x": AxisSetup("C", COUNTS["galil"], LIMITS)}, 0.2, homing="FI"), near)
         carrier = asyncio.get_running_loop().create_task(carry(far, controller))
         await table.open()
         await table.enable()
@@ -264,10 +265,10 @@ def test_soft_limits_are_set_from_home_and_end_a_jog() -> None:
     async def main() -> None:
         model = model_of("x", COUNTS["galil"])
         near, far = pair("table")
-        controller = GalilController(model, far.write, {"x": "A"})
+        controller = twin_on("galil", model, far.write, {"x": "A"})
         limits = replace(LIMITS, travel_rad=(-90 * DEG, 45 * DEG))
         axis = AxisSetup("A", COUNTS["galil"], limits, options={"error_limit": 1 * DEG})
-        table = GalilTable("table", near, {"x": axis}, 0.2)
+        table = GalilTable(setup_of("galil", {"x": axis}, 0.2), near)
         carrier = asyncio.get_running_loop().create_task(carry(far, controller))
         await table.open()
         await table.enable()
@@ -333,7 +334,7 @@ def test_a_fault_from_before_the_driver_came_is_told() -> None:
             await made.table.enable()
             made.model.trip("x", "servo trip")
             await made.table.status("x")
-            again = GalilTable("table", made.table._exchange._link, made.table._axes, 0.2)
+            again = GalilTable(setup_of("galil", made.table._axes, 0.2), made.table._exchange._link)
             assert "SC 15, amplifier fault" in (await again.status("x")).fault
             await again.reset_fault()
             assert (await again.status("x")).fault == ""
@@ -349,9 +350,9 @@ def test_a_ramp_gentler_than_the_controller_has_is_refused_where_the_axis_is_not
     async def main() -> None:
         near, far = pair("table")
         model = model_of("x", 1000)
-        controller = GalilController(model, far.write, {"x": "A"})
+        controller = twin_on("galil", model, far.write, {"x": "A"})
         limits = AxisLimits(MAX_RATE, 50 * DEG)  # 139 counts/s2
-        table = GalilTable("table", near, {"x": AxisSetup("A", 1000, limits)}, 0.2)
+        table = GalilTable(setup_of("galil", {"x": AxisSetup("A", 1000, limits)}, 0.2), near)
         carrier = asyncio.get_running_loop().create_task(carry(far, controller))
         await table.open()
         await table.enable()
@@ -369,7 +370,7 @@ def test_a_ramp_gentler_than_the_controller_has_is_refused_where_the_axis_is_not
 def test_letters_that_cannot_be_are_refused(letters: tuple[str, ...]) -> None:
     axes = {axis: AxisSetup(letter, 1000, LIMITS) for axis, letter in zip("xyz", letters, strict=False)}
     with pytest.raises(ValueError, match="axis letters"):
-        GalilTable("table", MemoryLink("table"), axes, 0.2)
+        GalilTable(setup_of("galil", axes, 0.2), MemoryLink("table"))
 
 
 # Late answers

@@ -11,6 +11,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 import pytest
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.transport import NULLMODEM_HOST
+from table_setups import setup_of
 
 from drivers.errors import DeviceFault, DeviceRefused
 from drivers.specs import AxisSetup
@@ -49,7 +50,7 @@ async def drives(profile: DriveProfile = PROFILE) -> AsyncIterator[tuple[ModbusT
             await server.serve_forever(background=True)
             stack.push_async_callback(server.shutdown)
             axes[axis] = AxisSetup(1, COUNTS, LIMITS, address)
-        table = ModbusTable("table", axes["x"].address or ("", 0), profile, axes, 0.2)
+        table = ModbusTable(setup_of("modbus", axes, 0.2, profile=profile), axes["x"].link or ("", 0))
         stack.callback(table.close)
         yield table, model
 

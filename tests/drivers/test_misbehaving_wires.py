@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from misbehaving_wire import KINDS, Kind, Proxy
+from table_setups import setup_of
 from turntable_rigs import COUNTS, DEG, LIMITS, byte_pair, model_of
 
 from drivers.errors import DeviceError
@@ -89,7 +90,7 @@ async def joined(protocol: str, proxy: Proxy) -> AsyncIterator[tuple[Any, TableM
                 proxy.port = server.transport.sockets[0].getsockname()[1]
                 await proxy.listen()
                 address = proxy.where
-            table: Any = ModbusTable("table", address, PROFILE, drives, TIMEOUT_S)
+            table: Any = ModbusTable(setup_of("modbus", drives, TIMEOUT_S, profile=PROFILE), address)
         else:
             made = await stack.enter_async_context(
                 on_tcp(lambda write: byte_pair(own, MemoryLink("unused"), model, write, "xyz")[1], "127.0.0.1")

@@ -7,6 +7,7 @@ import random
 import time
 
 from support import TwinProcess
+from table_setups import setup_of
 
 from drivers.specs import AxisSetup
 from drivers.tables.modbus.registers import load_profile
@@ -21,7 +22,7 @@ def test_a_request_after_a_cancelled_one_is_answered_at_once() -> None:
         chance = random.Random(1)
         host, port = link.removeprefix("tcp://").split(":")
         axes = {axis: AxisSetup(unit, 65536, AxisLimits(1.0, 1.0)) for axis, unit in zip("xyz", (1, 2, 3), strict=True)}
-        table = ModbusTable("table", (host, int(port)), load_profile("kinco"), axes, TIMEOUT_S)
+        table = ModbusTable(setup_of("modbus", axes, TIMEOUT_S, profile=load_profile("kinco")), (host, int(port)))
         await table.open()
         took_s = []
         for _ in range(200):

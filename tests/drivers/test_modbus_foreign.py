@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from serial_wire import wire
+from table_setups import setup_of
 
 from drivers.specs import AxisSetup
 from drivers.tables.modbus.line import Address, SerialPort
@@ -161,7 +162,7 @@ def test_a_drive_served_by_libmodbus_is_enabled_jogged_read_and_stopped(libmodbu
             port = int(await server.stdout.readline())
             address: Address = ("127.0.0.1", port) if transport == "tcp" else SerialPort(near, 115200)
             drives = {"x": AxisSetup(1, COUNTS, AxisLimits(100 * DEG, 50 * DEG))}
-            table = ModbusTable("table", address, PROFILE, drives, 0.5)
+            table = ModbusTable(setup_of("modbus", drives, 0.5, profile=PROFILE), address)
             await table.open()
             assert (await table.status("x")).text == "switch on disabled"
             await table.enable()

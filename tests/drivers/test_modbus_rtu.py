@@ -22,6 +22,7 @@ from pymodbus.server import ModbusSerialServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 from pymodbus.transport import NULLMODEM_HOST
 from serial_wire import peer, wire
+from table_setups import setup_of
 
 from drivers.errors import BadReply, DeviceRefused, LinkLost
 from drivers.specs import AxisSetup
@@ -403,7 +404,9 @@ def test_a_port_that_goes_away_is_a_lost_link() -> None:
 def test_drives_whose_values_are_all_of_one_width_are_refused_on_a_serial_line() -> None:
     async def main() -> None:
         drives = {"x": AxisSetup(1, COUNTS, AxisLimits(1.0, 1.0))}
-        table = ModbusTable("table", SerialPort("/dev/null"), load_profile("lexium32"), drives, TIMEOUT_S)
+        table = ModbusTable(
+            setup_of("modbus", drives, TIMEOUT_S, profile=load_profile("lexium32")), SerialPort("/dev/null")
+        )
         with pytest.raises(DeviceRefused, match="all of one width.*use Modbus TCP"):
             await table.open()
 
@@ -413,7 +416,7 @@ def test_drives_whose_values_are_all_of_one_width_are_refused_on_a_serial_line()
 def table_on(port: SerialPort, timeout_s: float) -> ModbusTable:
     limits = AxisLimits(100 * DEG, 50 * DEG)
     drives = {axis: AxisSetup(unit, COUNTS, limits) for axis, unit in zip("xyz", UNITS, strict=True)}
-    return ModbusTable("table", port, load_profile("kinco"), drives, timeout_s)
+    return ModbusTable(setup_of("modbus", drives, timeout_s, profile=load_profile("kinco")), port)
 
 
 @asynccontextmanager

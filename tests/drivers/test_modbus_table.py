@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from pymodbus.transport import NULLMODEM_HOST
+from table_setups import setup_of
 
 from drivers.errors import DeviceFault, DeviceRefused, LinkLost
 from drivers.specs import AxisSetup
@@ -48,7 +49,7 @@ def null_modem(transport: str) -> Address:
 def driver(address: Address, axes: dict[str, int] = UNIT_IDS, timeout_s: float = 0.2) -> ModbusTable:
     limits = AxisLimits(MAX_RATE, MAX_ACCELERATION)
     drives = {axis: AxisSetup(unit_id, COUNTS, limits) for axis, unit_id in axes.items()}
-    return ModbusTable("table", address, PROFILE, drives, timeout_s)
+    return ModbusTable(setup_of("modbus", drives, timeout_s, profile=PROFILE), address)
 
 
 @asynccontextmanager

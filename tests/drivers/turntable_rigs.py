@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from pymodbus.transport import NULLMODEM_HOST
+from table_setups import setup_of, twin_on
 from wire_pair import pair
 
 from drivers.links.byte_links import MemoryLink
@@ -22,9 +23,7 @@ from drivers.tables.modbus.registers import load_profile
 from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
-from sims.tables.acutrol_controller import AcutrolController
-from sims.tables.aerosmith_controller import STA_FAULT, AerosmithController
-from sims.tables.galil_controller import GalilController
+from sims.tables.aerosmith_controller import STA_FAULT
 from sims.tables.modbus import modbus_server
 from station.run.event_loop.loops import VirtualLoop
 
@@ -106,13 +105,17 @@ def byte_pair(
     if kind == "galil":
         letters = dict(zip(axes, "ABC", strict=False))
         galil_axes = {axis: AxisSetup(letter, COUNTS[kind], LIMITS) for axis, letter in letters.items()}
-        return GalilTable("table", link, galil_axes, TIMEOUT_S), GalilController(model, write, letters, **twin)
+        table: Any = GalilTable(setup_of("galil", galil_axes, TIMEOUT_S), link)
+        return table, twin_on("galil", model, write, letters, **twin)
     if kind == "acutrol":
         numbers = {axis: place for place, axis in enumerate(axes, 1)}
         acutrol_axes = {axis: AxisSetup(number, COUNTS["acutrol"], LIMITS) for axis, number in numbers.items()}
-        return AcutrolTable("table", link, acutrol_axes, TIMEOUT_S), AcutrolController(model, write, numbers, **twin)
-    table = AerosmithTable("table", link, axes, LIMITS, TIMEOUT_S, fault_mask=STA_FAULT)
-    return table, AerosmithController(model, write, axes, **twin)
+        table = AcutrolTable(setup_of("acutrol", acutrol_axes, TIMEOUT_S), link)
+        return table, twin_on("acutrol", model, write, numbers, **twin)
+    table = AerosmithTable(
+        setup_of("aerosmith", {axes: AxisSetup("", 1, LIMITS)}, TIMEOUT_S, fault_mask=STA_FAULT), link
+    )
+    return table, twin_on("aerosmith", model, write, {axes: ""}, **twin)
 
 
 @asynccontextmanager
@@ -152,7 +155,7 @@ async def _modbus_rig(opened: bool, watchdog_s: float = 0.0) -> AsyncIterator[Ri
     server = modbus_server(model, profile, unit_ids, address, watchdog_s)
     await server.serve_forever(background=True)
     drives = {axis: AxisSetup(unit_id, COUNTS["modbus"], LIMITS) for axis, unit_id in unit_ids.items()}
-    table = ModbusTable("table", address, profile, drives, TIMEOUT_S)
+    table = ModbusTable(setup_of("modbus", drives, TIMEOUT_S, profile=profile), address)
     try:
         if opened:
             await table.open()

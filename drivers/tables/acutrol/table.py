@@ -8,13 +8,12 @@ position. While an axis turns, a task reads it often enough to count its turns.
 import asyncio
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer, Unanswered, UnexpectedReply
-from drivers.specs import AxisSetup, TableSpec, described
+from drivers.specs import AxisSetup, TableSetup, TableSpec, described
 from drivers.tables.acutrol import language as acutrol
 from drivers.tables.halting import kept
 from drivers.tables.line_table import LineTable, unwrapped
@@ -59,26 +58,18 @@ class AcutrolTable(LineTable):
 
     _done = acutrol.OK
 
-    def __init__(
-        self,
-        device: str,
-        link: ByteLink,
-        axes: Mapping[str, AxisSetup],
-        timeout_s: float,
-        *,
-        prefix_length: int = acutrol.PREFIX_LENGTH,
-    ) -> None:
-        """Name the axes, whose addresses are numbers; ``prefix_length`` bytes before each answer are left out.
+    def __init__(self, setup: TableSetup, link: ByteLink) -> None:
+        """Take axes whose addresses are numbers; ``reply_prefix`` of the options are bytes before each answer.
 
-        A request is tried twice, each for ``timeout_s``. ValueError for a number that two axes have.
+        ValueError for a number that two axes have.
         """
-        self._axes = {name: _Axis(axis) for name, axis in axes.items()}
-        numbers = [axis.address for axis in axes.values()]
+        self._axes = {name: _Axis(axis) for name, axis in setup.axes.items()}
+        numbers = [axis.address for axis in setup.axes.values()]
         if len(set(numbers)) != len(numbers):
             raise ValueError(f"two axes have the same number: {numbers}")
-        first = next(iter(axes.values()))
-        framing = acutrol.AcutrolFraming(int(first.address), math.degrees(first.limits.rate_rps), prefix_length)
-        super().__init__(device, link, framing, timeout_s, {name: axis.limits for name, axis in axes.items()})
+        first = next(iter(setup.axes.values()))
+        most_dps, prefix_length = math.degrees(first.limits.rate_rps), setup.options["reply_prefix"]
+        super().__init__(setup, link, acutrol.AcutrolFraming(int(first.address), most_dps, prefix_length))
         self._watchers: set[asyncio.Task[None]] = set()
         self._failure: DeviceError | None = None
 
@@ -374,10 +365,4 @@ class AcutrolTable(LineTable):
             raise
 
 
-SPEC = described(
-    TableSpec,
-    __package__,
-    make=lambda setup, link: AcutrolTable(
-        "table", link, setup.axes, setup.timeout_s, prefix_length=setup.options["reply_prefix"]
-    ),
-)
+SPEC = described(TableSpec, __package__, make=AcutrolTable)

@@ -1,19 +1,18 @@
 """A turntable on a Galil DMC motion controller: up to eight axes on one controller, told apart by letter."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 from drivers.errors import DeviceFault, DeviceRefused
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer
-from drivers.specs import AxisSetup, TableSpec, described
+from drivers.specs import TableSetup, TableSpec, described
 from drivers.tables.galil import language as galil
 from drivers.tables.halting import bring_to_rest
 from drivers.tables.line_table import LineTable
 from drivers.types import AxisState, AxisStatus, Identity
 
 TURN = 2 * math.pi
-VELOCITY_WINDOW_S = 0.25  # TV is the mean of the last 0.25 s at the default sample time (TM 1000)
 
 _LETTERS = "ABCDEFGH"
 _POLL_S = 0.02
@@ -32,35 +31,20 @@ class _RefusedError(DeviceRefused):
 class GalilTable(LineTable):
     """Turntable driver over a byte link, serial or TCP."""
 
-    def __init__(
-        self,
-        device: str,
-        link: ByteLink,
-        axes: Mapping[str, AxisSetup],
-        timeout_s: float,
-        *,
-        homing: str = "HM",
-        velocity_window_s: float = VELOCITY_WINDOW_S,
-    ) -> None:
-        """Name the axes, whose addresses are letters; the travel of each is set as soft limits once it is home.
+    def __init__(self, setup: TableSetup, link: ByteLink) -> None:
+        """Take axes whose addresses are different letters, ValueError for others.
 
-        ``error_limit`` among its options is the following error (rad) at which the controller switches the motor off,
-        left as it is there if not given. ``homing`` is HM (home switch) or FI (index pulse, in positive direction).
-
-        ``velocity_window_s``: the time that TV is the mean of, which goes with the controller's sample time (TM).
-
-        A request is tried twice, each for ``timeout_s``. ValueError for letters that cannot be.
+        The travel of each is set as soft limits once it is home. ``error_limit`` among its options is the following
+        error (rad) at which the controller switches the motor off, left as it is there if not given. Options of the
+        table: ``homing`` is HM (home switch) or FI (index pulse, in positive direction), ``velocity_window`` (s) the
+        time that TV is the mean of, which goes with the controller's sample time (TM).
         """
-        letters = [str(axis.address) for axis in axes.values()]
+        letters = [str(axis.address) for axis in setup.axes.values()]
         if not set(letters) <= set(_LETTERS) or len(set(letters)) != len(letters):
             raise ValueError(f"axis letters must be different ones of {_LETTERS}, not {', '.join(letters)}")
-        if homing not in ("HM", "FI"):
-            raise ValueError(f"homing must be HM or FI, not {homing}")
-        super().__init__(
-            device, link, galil.GalilFraming(), timeout_s, {name: axis.limits for name, axis in axes.items()}
-        )
-        self._axes, self._homing = dict(axes), homing
-        self._velocity_delay_s = velocity_window_s / 2
+        super().__init__(setup, link, galil.GalilFraming())
+        self._axes, self._homing = setup.axes, setup.options["homing"]
+        self._velocity_delay_s = setup.options["velocity_window"] / 2
         self._powered: set[str] = set()
         self._jogs: dict[str, int] = {}  # rate in counts/s of axes that were told to jog
         self._known_stops: dict[str, int] = {}  # stop codes that an operator has seen and reset
@@ -310,17 +294,4 @@ class GalilTable(LineTable):
         return _RefusedError(self._device, f"refuses {line!r}: TC {code}, {words}", code)
 
 
-SPEC = described(
-    TableSpec,
-    __package__,
-    {"velocity_window": {"default": VELOCITY_WINDOW_S}},
-    make=lambda setup, link: GalilTable(
-        "table",
-        link,
-        setup.axes,
-        setup.timeout_s,
-        homing=setup.options["homing"],
-        velocity_window_s=setup.options["velocity_window"],
-    ),
-    acceleration_step=galil.ACCELERATION_STEP,
-)
+SPEC = described(TableSpec, __package__, make=GalilTable, acceleration_step=galil.ACCELERATION_STEP)

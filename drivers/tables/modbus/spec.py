@@ -13,7 +13,7 @@ _DIRECT_IDS = (0, 255)  # of a device that is at its address itself (Modbus Mess
 def _make(setup: TableSetup, address: Any) -> Turntable:
     from drivers.tables.modbus.table import ModbusTable  # with pymodbus, half a second
 
-    return ModbusTable("table", address, setup.options["profile"], setup.axes, setup.timeout_s)
+    return ModbusTable(setup, address)
 
 
 def _profile(name: str, folder: Path) -> DriveProfile:

@@ -2,12 +2,12 @@
 
 import asyncio
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import astuple
 from functools import partial
 
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
-from drivers.specs import AxisSetup
+from drivers.specs import TableSetup
 from drivers.tables.base import Table
 from drivers.tables.halting import kept
 from drivers.tables.modbus import cia402
@@ -26,18 +26,16 @@ _FAULTS = (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION)
 class ModbusTable(Table):
     """Turntable driver over a stock pymodbus client."""
 
-    def __init__(
-        self, device: str, address: Address, profile: DriveProfile, axes: Mapping[str, AxisSetup], timeout_s: float
-    ) -> None:
-        """Name the peer and the drives, told apart by unit id; a request is tried twice within two ``timeout_s``."""
-        super().__init__(device, {name: axis.limits for name, axis in axes.items()}, timeout_s)
-        self._profile = profile
-        self._axes = dict(axes)
+    def __init__(self, setup: TableSetup, address: Address) -> None:
+        """Take drives whose addresses are unit ids, at ``address`` where they have no ``link`` of their own."""
+        super().__init__("table", {name: axis.limits for name, axis in setup.axes.items()}, setup.timeout_s)
+        self._profile: DriveProfile = setup.options["profile"]
+        self._axes = setup.axes
         probes: dict[Address, dict[int, list[Request]]] = {}
         for axis, drive in self._axes.items():
             harmless = [self._reading(axis, name) for name in ("statusword", "position")]
             probes.setdefault(drive.link or address, {})[int(drive.address)] = harmless
-        lines = {where: ModbusLine(device, where, timeout_s, reads) for where, reads in probes.items()}
+        lines = {where: ModbusLine(self._device, where, setup.timeout_s, reads) for where, reads in probes.items()}
         self._lines = {axis: lines[drive.link or address] for axis, drive in self._axes.items()}
         self._ready: set[str] = set()  # axes to which what the profile says was written since their line was opened
 
