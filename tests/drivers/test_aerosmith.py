@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from table_setups import twin_on
+from setups import twin_on
 from turntable_rigs import DEG, MAX_RATE, rig, settle, virtually
 
 from drivers.errors import DeviceRefused, LinkLost

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from late_wire import read_under_lateness
-from table_setups import setup_of, twin_on
+from setups import setup_of, twin_on
 from turntable_rigs import COUNTS, DEG, LIMITS, MAX_RATE, model_of, rig, settle, virtually
 from wire_pair import pair
 

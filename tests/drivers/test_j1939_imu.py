@@ -14,6 +14,7 @@ import pytest
 from can_support import collect, gyros, in_virtual_time, vectors, wire
 from hypothesis import given
 from hypothesis import strategies as st
+from setups import imu_setup
 
 from drivers.errors import DeviceRefused, LinkLost
 from drivers.imus.aceinna.codec import (
@@ -84,7 +85,7 @@ def decoded(model: str, rates: bytes, accelerations: bytes) -> tuple[list[float]
 
     async def main() -> tuple[list[float], list[float]]:
         messages = [(identifier(ACCS, DEVICE), accelerations), (identifier(ARI, DEVICE), rates)]
-        imu = AceinnaImu("imu", Told(messages), 100.0, model=model)
+        imu = AceinnaImu(imu_setup("j1939", "imu", 100.0, model=model), Told(messages))
         with suppress(LinkLost):
             async for _ in imu.blocks():
                 pass
@@ -154,7 +155,7 @@ def test_settings_make_the_documented_commands() -> None:
 )
 def test_what_the_device_cannot_do_is_refused_before_it_is_asked(rate_hz: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        AceinnaImu("imu", CanLink("imu", "memory", wire(), {}), rate_hz, configure=True)
+        AceinnaImu(imu_setup("j1939", "imu", rate_hz, configure=True), CanLink("imu", "memory", wire(), {}))
 
 
 @given(st.lists(st.integers(0, 0xFFFF), min_size=3, max_size=3))
@@ -213,7 +214,8 @@ def with_twin(
             device.received(msg)
 
         ear = MemoryBus(name, hear if listening else (lambda msg: None))
-        imu = AceinnaImu("imu", CanLink("imu", "memory", name, {}), rate_hz, model=model, configure=configure)
+        setup = imu_setup("j1939", "imu", rate_hz, model=model, configure=configure)
+        imu = AceinnaImu(setup, CanLink("imu", "memory", name, {}))
         task = asyncio.create_task(device.serve())
         try:
             return await main(imu, device, bus)

@@ -11,7 +11,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 import pytest
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.transport import NULLMODEM_HOST
-from table_setups import setup_of
+from setups import setup_of
 
 from drivers.errors import DeviceFault, DeviceRefused
 from drivers.specs import AxisSetup

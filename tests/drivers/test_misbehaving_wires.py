@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from misbehaving_wire import KINDS, Kind, Proxy
-from table_setups import setup_of
+from setups import setup_of
 from turntable_rigs import COUNTS, DEG, LIMITS, byte_pair, model_of
 
 from drivers.errors import DeviceError

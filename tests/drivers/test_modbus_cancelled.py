@@ -6,8 +6,8 @@ import asyncio
 import random
 import time
 
+from setups import setup_of
 from support import TwinProcess
-from table_setups import setup_of
 
 from drivers.specs import AxisSetup
 from drivers.tables.modbus.registers import load_profile

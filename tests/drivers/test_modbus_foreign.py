@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from serial_wire import wire
-from table_setups import setup_of
+from setups import setup_of
 
 from drivers.specs import AxisSetup
 from drivers.tables.modbus.line import Address, SerialPort

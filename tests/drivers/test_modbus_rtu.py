@@ -22,7 +22,7 @@ from pymodbus.server import ModbusSerialServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 from pymodbus.transport import NULLMODEM_HOST
 from serial_wire import peer, wire
-from table_setups import setup_of
+from setups import setup_of
 
 from drivers.errors import BadReply, DeviceRefused, LinkLost
 from drivers.specs import AxisSetup

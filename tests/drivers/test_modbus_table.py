@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from pymodbus.transport import NULLMODEM_HOST
-from table_setups import setup_of
+from setups import setup_of
 
 from drivers.errors import DeviceFault, DeviceRefused, LinkLost
 from drivers.specs import AxisSetup

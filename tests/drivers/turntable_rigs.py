@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from pymodbus.transport import NULLMODEM_HOST
-from table_setups import setup_of, twin_on
+from setups import setup_of, twin_on
 from wire_pair import pair
 
 from drivers.links.byte_links import MemoryLink

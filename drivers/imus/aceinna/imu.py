@@ -7,7 +7,7 @@ from drivers.errors import DeviceRefused, LinkLost
 from drivers.imus.aceinna import codec as aceinna
 from drivers.imus.can.imu import CanChannel, CanImu
 from drivers.protocols import FrameLink
-from drivers.specs import ImuSpec, described
+from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import Identity
 
 _GATHER_S = 0.03
@@ -19,31 +19,22 @@ _OWN_ADDRESS = 0  # of the station on J1939
 class AceinnaImu(CanImu):
     """One source of three gyros and accelerometers. There is no counter on this wire: samples are timed by rhythm."""
 
-    def __init__(
-        self,
-        device: str,
-        link: FrameLink,
-        rate_hz: float,
-        *,
-        model: str = "openimu300ri",
-        axis_order: aceinna.AxisOrder | None = None,
-        address: int = aceinna.DEFAULT_ADDRESS,
-        configure: bool = False,
-    ) -> None:
-        """Expect messages at ``rate_hz`` from J1939 address ``address``.
+    def __init__(self, setup: ImuSetup, link: FrameLink) -> None:
+        """Expect messages from J1939 ``address``; ValueError for a rate that it is to be set to and does not have.
 
         ``model`` is one of ``AXIS_ORDERS`` and decides the order of axes unless ``axis_order`` says it; with
-        ``configure`` it is set to this rate when the link is opened. ValueError for a rate that it does not have.
+        ``configure`` it is set to this rate when the link is opened.
         """
-        x, y, z = (place + 1 for place in aceinna.COLUMNS[axis_order or aceinna.AXIS_ORDERS[model]])
+        own, device, rate_hz = setup.options, setup.name, setup.rate_hz
+        x, y, z = (place + 1 for place in aceinna.COLUMNS[own["axis_order"] or aceinna.AXIS_ORDERS[own["model"]]])
+        self._peer, self._settings = own["address"], aceinna.settings(rate_hz) if own["configure"] else []
         channel = CanChannel(
             device,
             (f"ARI.Rate{x}", f"ARI.Rate{y}", f"ARI.Rate{z}"),
             acceleration=(f"ACCS.Acceleration{x}", f"ACCS.Acceleration{y}", f"ACCS.Acceleration{z}"),
             saturates=True,
         )
-        self._peer, self._settings = address, aceinna.settings(rate_hz) if configure else []
-        super().__init__(device, link, aceinna.DBC, (channel,), rate_hz, source_address=address)
+        super().__init__(device, link, aceinna.DBC, (channel,), rate_hz, source_address=self._peer)
         self._gather_s = _GATHER_S
         self._styles: tuple[bool, ...] = (False, True)  # ways of writing a request: Aceinna's, the standard's
 
@@ -110,6 +101,6 @@ SPEC = described(
     ImuSpec,
     __package__,
     {"model": {"one_of": aceinna.AXIS_ORDERS}, "address": {"one_of": range(0xFE), "default": aceinna.DEFAULT_ADDRESS}},
-    make=lambda own, link: AceinnaImu(own.name, link, own.rate_hz, **own.options),
+    make=AceinnaImu,
     rates_hz=sorted(aceinna.RATES_HZ),
 )

@@ -13,7 +13,7 @@ from drivers.imus.xsens import mtdata2
 from drivers.imus.xsens.requests import XbusDevice
 from drivers.imus.xsens.xbus import Bytes, Messages, Mid, error_text, firmware_of, product_of, serial_of
 from drivers.protocols import ByteLink
-from drivers.specs import ImuSpec, described
+from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import Flags, Floats, Identity, ImuBlock, SourceCounts, Stamps
 
 HIGHEST_RATE_HZ = 2000
@@ -32,24 +32,14 @@ _Batch = tuple[Stamps, Stamps, Floats, Floats, Floats]
 class XsensImu(XbusDevice):
     """One source of three gyros, with accelerometer and temperature where the device sends them."""
 
-    def __init__(
-        self,
-        device: str,
-        link: ByteLink,
-        rate_hz: float,
-        *,
-        number_format: int = mtdata2.FLOAT32,
-        configure: bool = True,
-        timeout_s: float = 0.5,
-    ) -> None:
-        """Ask for samples at ``rate_hz``, a whole number of Hz up to 2000, in one of the four number formats.
+    def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
+        """Ask for samples at a whole number of Hz up to 2000, in ``number_format``, FLOAT32 if none is given.
 
-        With ``configure=False`` nothing is ever sent to a device that already streams at this rate. ``timeout_s``
-        is for one try, of which each request has two.
+        With the option ``configure`` false nothing is ever sent to a device that already streams at this rate.
         """
-        super().__init__(device, link, timeout_s)
-        self._rate_hz = round(rate_hz)
-        self._format, self._configures = number_format, configure
+        super().__init__(setup.name, link, setup.timeout_s)
+        self._rate_hz = round(setup.rate_hz)
+        self._format, self._configures = setup.options.get("number_format", mtdata2.FLOAT32), setup.options["configure"]
         self._counts = SourceCounts()
         self._unusable = 0
         self._has_accel: bool | None = None
@@ -296,9 +286,4 @@ class _Timing:
         return sound
 
 
-SPEC = described(
-    ImuSpec,
-    __package__,
-    make=lambda own, link: XsensImu(own.name, link, own.rate_hz, **own.options, timeout_s=own.timeout_s),
-    rates_hz=range(1, HIGHEST_RATE_HZ + 1),
-)
+SPEC = described(ImuSpec, __package__, make=XsensImu, rates_hz=range(1, HIGHEST_RATE_HZ + 1))
