@@ -1,6 +1,6 @@
 """A device as one record: what it is called, how it is reached, what a bench file says of it, how its driver is made.
 
-Such a record stands in the folder of its device, plain facts in spec.toml, the rest in spec.py;
+Such a record stands in the folder of its device, plain facts in spec.toml, the rest beside its driver;
 ``drivers.imus.registry`` and ``drivers.tables.registry`` name them.
 """
 

@@ -46,8 +46,7 @@ class NumberedTable(LineTable):
     """The driver."""
 
     def __init__(self, setup: TableSetup, link: ByteLink) -> None:
-        limits = {name: axis.limits for name, axis in setup.axes.items()}
-        super().__init__("table", link, NumberedFraming(), setup.timeout_s, limits)
+        super().__init__(setup, link, NumberedFraming())
 
     async def open(self) -> None:
         await self._exchange.open()

@@ -7,12 +7,12 @@ IMUS = Registry(
     ImuSpec,
     "turntable_station.imus",
     {
-        "can": "drivers.imus.can.spec",
-        "described": "drivers.imus.described.spec",
-        "j1939": "drivers.imus.aceinna.spec",
-        "stim300": "drivers.imus.stim300.spec",
-        "vectornav": "drivers.imus.vectornav.spec",
-        "xsens": "drivers.imus.xsens.spec",
+        "can": "drivers.imus.can.imu",
+        "described": "drivers.imus.described.imu",
+        "j1939": "drivers.imus.aceinna.imu",
+        "stim300": "drivers.imus.stim300.imu",
+        "vectornav": "drivers.imus.vectornav.imu",
+        "xsens": "drivers.imus.xsens.imu",
     },
 )
 """Built in and installed ones; a bench file brings its own beside them."""

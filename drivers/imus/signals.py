@@ -54,11 +54,13 @@ class SignalReader:
     ``key`` and ``name`` are message and signal; ``bits`` of the raw number, ``scale`` of its least one in SI.
     """
 
-    def __init__(self, device: str, database: Any, dbc: Path, name: str, quantity: str, unit: str = "") -> None:
+    def __init__(
+        self, device: str, database: Any, dbc: Path, name: str, quantity: str, unit: str = "", saturates: bool = False
+    ) -> None:
         """Find ``MESSAGE.Signal``; DeviceError if there is none or it cannot be that quantity.
 
         ``quantity`` is one of ``UNITS``, or "count" for a plain number; ``unit`` counts before the DBC's own, for
-        files that are silent.
+        files that are silent. What ``saturates`` has no value at the ends of the DBC's range: the true one is beyond.
         """
         message_name, _, signal_name = name.partition(".")
         try:
@@ -76,6 +78,8 @@ class SignalReader:
         self._first, self._shift, self._order = _place(signal)
         if not 0 <= self._shift <= 64 - self.bits or (self._float and self.bits not in (32, 64)):
             raise DeviceError(device, f"{name} in {dbc.name} has {self.bits} bits across {_WINDOW + 1} bytes or more")
+        low, high = (signal.minimum, signal.maximum) if saturates else (-np.inf, np.inf)
+        self._least, self._most = (end * self._si - self._zero for end in (low, high))
         # In J1939 the highest codes of a number of whole bytes are no measurements.
         self._coded = is_j1939(self.message) and not self._signed and self.bits % 8 == 0
         self._selector: SignalReader | None = None
@@ -116,7 +120,8 @@ class SignalReader:
         out = number * self.scale + self._offset
         if self._coded:
             out[word >> np.uint64(self.bits - 8) >= _NO_MEASUREMENT] = np.nan
-        out[~self.present(data)] = np.nan
+        little = abs(self.scale) / 2
+        out[~self.present(data) | (out < self._least + little) | (out > self._most - little)] = np.nan
         return np.asarray(out)
 
     def present(self, data: Octets) -> Flags:

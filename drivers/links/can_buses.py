@@ -8,15 +8,11 @@ seconds at full speed. These two are put right here; all other interfaces are py
 import select
 import socket
 import time
-from collections import deque
 from typing import Any
 
 import can
 from can.interfaces.slcan import slcanBus
-from can.interfaces.socketcand.socketcand import (
-    convert_ascii_message_to_can_message,
-    convert_can_message_to_ascii_message,
-)
+from can.interfaces.socketcand.socketcand import convert_can_message_to_ascii_message
 
 SOCKETCAND_PORT = 29536
 _READ_LIMIT = 65536
@@ -44,7 +40,6 @@ class SlcanBus(slcanBus):
         """Take python-can's options for slcan; the port itself never waits."""
         self.malformed = 0
         """Lines that began like a frame and were none."""
-        self._lines: deque[str] = deque()
         super().__init__(channel, **{"timeout": 0.0, **options})
         self.serialPortOrig.write_timeout = _HANDSHAKE_S
 
@@ -57,12 +52,17 @@ class SlcanBus(slcanBus):
 
     def frames(self, timeout: float | None) -> list[Raw]:
         """Return the data frames of all lines that have come; what else there is is dropped. Waits for the first."""
-        if not self._lines:
-            self._take_waiting(timeout)
-        lines, self._lines = self._lines, deque()
+        if timeout != 0:
+            self._wait(timeout)
+        try:
+            self._buffer += self.serialPortOrig.read(_READ_LIMIT)
+        except (OSError, TypeError) as error:  # the latter from a port that was closed in the meantime
+            raise can.CanOperationError(f"serial port: {error}") from error
+        *lines, rest = bytes(self._buffer).replace(self._ERROR, self._OK).split(self._OK)
+        self._buffer = bytearray(rest[-_LONGEST_LINE:])
         found = []
-        for line in lines:
-            digits = {"t": 3, "T": 8}.get(line[0])
+        for line in (line.decode("ascii", "replace") for line in lines):
+            digits = {"t": 3, "T": 8}.get(line[:1])
             if digits is None:
                 continue
             try:
@@ -74,29 +74,6 @@ class SlcanBus(slcanBus):
             except (ValueError, IndexError):
                 self.malformed += 1
         return found
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        try:
-            return super()._recv_internal(timeout)
-        except (ValueError, IndexError):
-            self.malformed += 1
-            return None, False
-
-    def _read(self, timeout: float | None) -> str | None:
-        if not self._lines:
-            self._take_waiting(timeout)
-        return self._lines.popleft() if self._lines else None
-
-    def _take_waiting(self, timeout: float | None) -> None:
-        if timeout != 0:
-            self._wait(timeout)
-        try:
-            self._buffer += self.serialPortOrig.read(_READ_LIMIT)
-        except (OSError, TypeError) as error:  # the latter from a port that was closed in the meantime
-            raise can.CanOperationError(f"serial port: {error}") from error
-        *lines, rest = bytes(self._buffer).replace(self._ERROR, self._OK).split(self._OK)
-        self._lines.extend(line.decode("ascii", "replace") for line in lines if line)
-        self._buffer = bytearray(rest[-_LONGEST_LINE:])
 
     def _wait(self, timeout: float | None) -> None:
         try:
@@ -115,16 +92,13 @@ class SocketcandBus(can.BusABC):
         self.malformed = 0
         """Frames that could not be read."""
         self._rest = b""
-        self._messages: deque[can.Message] = deque()
         self._stream = socket.create_connection((host, port), _HANDSHAKE_S)
         try:
             self._stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            early = self._expect("hi", [])
+            self._early = self._expect("hi", [])
             for command in (f"open {channel}", "rawmode"):
                 self._stream.sendall(f"< {command} >".encode())
-                early = self._expect("ok", early)
-            for element in early:
-                self._take(element)
+                self._early = self._expect("ok", self._early)
         except BaseException:
             self._stream.close()
             raise
@@ -147,36 +121,20 @@ class SocketcandBus(can.BusABC):
     def frames(self, timeout: float | None) -> list[Raw]:
         """Return the data frames that have come, waiting for the first."""
         found: list[Raw] = []
-        for message in self._messages:
-            if not message.is_error_frame and not message.is_remote_frame:
-                found.append((message.arbitration_id, message.is_extended_id, bytes(message.data)))
-        self._messages.clear()
-        if found or not select.select([self._stream], [], [], timeout)[0]:
+        early, self._early = self._early, []
+        if not early and not select.select([self._stream], [], [], timeout)[0]:
             return found
-        for element in self._elements():
+        for element in early or self._elements():
             parts = element.split()
             if len(parts) not in (5, 6) or parts[1] != "frame":
                 continue
             try:
+                float(parts[3])  # a stamp that is none tells of damage
                 data = bytes.fromhex(parts[4]) if len(parts) == 6 else b""
                 found.append((int(parts[2], 16), len(parts[2]) != 3, data))
             except ValueError:
                 self.malformed += 1
         return found
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if not self._messages and select.select([self._stream], [], [], timeout)[0]:
-            for element in self._elements():
-                self._take(element)
-        return (self._messages.popleft() if self._messages else None), False
-
-    def _take(self, element: str) -> None:
-        if not element.startswith(("< frame ", "< error ")):
-            return
-        try:
-            self._messages.append(convert_ascii_message_to_can_message(element))
-        except (ValueError, IndexError):
-            self.malformed += 1
 
     def _elements(self) -> list[str]:
         """Receive once; return the whole elements ``< ... >`` that have come, and keep the beginning of the next."""

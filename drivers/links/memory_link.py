@@ -1,7 +1,5 @@
 """A wire in memory: two ends in one event loop, without thread or socket, for virtual time too."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 
@@ -20,17 +18,8 @@ class MemoryLink:
         self._device = device
         self._inbox = Inbox(device)
         self._send = send
-        self._other: MemoryLink | None = None
         self._unplugged = ""
         self._closed = False
-
-    @classmethod
-    def pair(cls, device: str) -> tuple[MemoryLink, MemoryLink]:
-        """Return the two ends of a wire; must be called within a running loop."""
-        near, far = cls(device), cls(device)
-        near._other, far._other = far, near
-        near._send, far._send = far.deliver, near.deliver
-        return near, far
 
     async def open(self) -> None:
         """Take hold of this end, after ``close`` again; LinkLost while the wire is unplugged."""
@@ -63,11 +52,6 @@ class MemoryLink:
         self._unplugged = ""
 
     def close(self) -> None:
-        """Let go of this end; a pair that one end has left stays apart."""
-        if self._closed:
-            return
+        """Let go of this end; twice is once."""
         self._closed = True
-        if self._other is not None:
-            self.unplug()
-            self._other.unplug()
         self._inbox.end("the link was closed")

@@ -1,10 +1,13 @@
 """What drivers of tables have in common, whatever their controllers speak."""
 
+import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 
-from drivers.errors import DeviceFault
+from drivers.errors import DeviceFault, DeviceRefused
 from drivers.tables.halting import bring_to_rest
 from drivers.types import AxisLimits, AxisState, AxisStatus
+
+_HOMING_LIMIT_S = 60.0
 
 
 class Table:
@@ -45,6 +48,23 @@ class Table:
         if status.fault:
             raise DeviceFault(self._device, status.fault)
         return status.target_reached
+
+    async def _wait_for_home(self, poll_s: float) -> None:
+        """Ask all axes until each is at home; after a minute ``_give_up_homing`` and DeviceRefused."""
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + _HOMING_LIMIT_S
+        while self.homing:
+            for axis in self.limits:  # also those at home: one may trip, and may watch for its master's silence
+                if await self._at_home(axis):
+                    self.homing.discard(axis)
+            if self.homing and loop.time() > deadline:
+                await self._give_up_homing()
+                said = f"axis {', '.join(sorted(self.homing))} found no home within {_HOMING_LIMIT_S:.0f} s"
+                raise DeviceRefused(self._device, said)
+            await asyncio.sleep(poll_s)
+
+    async def _give_up_homing(self) -> None:
+        """End a homing that the controller does by itself."""
 
     async def _bring_to_rest(
         self,

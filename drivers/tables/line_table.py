@@ -1,18 +1,16 @@
 """What drivers of tables have in common whose controllers speak lines of text."""
 
-import asyncio
 import math
 import re
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 
 from drivers.errors import DeviceRefused
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer, Exchange, Framing
+from drivers.specs import TableSetup
 from drivers.tables.base import Table
 from drivers.tables.unwrap import Unwrapper
-from drivers.types import AxisLimits, AxisState
-
-_HOMING_LIMIT_S = 60.0
+from drivers.types import AxisState
 
 
 class LineTable(Table):
@@ -21,12 +19,10 @@ class LineTable(Table):
     _done = re.compile("")
     """What a command is answered with that is carried out."""
 
-    def __init__(
-        self, device: str, link: ByteLink, framing: Framing, timeout_s: float, limits: Mapping[str, AxisLimits]
-    ) -> None:
-        """A request is tried twice, each for ``timeout_s``; ``limits`` are by axis."""
-        super().__init__(device, limits, timeout_s)
-        self._exchange = Exchange(device, link, framing, timeout_s)
+    def __init__(self, setup: TableSetup, link: ByteLink, framing: Framing) -> None:
+        """Take what the bench says, the link, which is not open yet, and how requests and answers stand in bytes."""
+        super().__init__("table", {name: axis.limits for name, axis in setup.axes.items()}, setup.timeout_s)
+        self._exchange = Exchange(self._device, link, framing, setup.timeout_s)
         self.counts = self._exchange.counts
         """Counts of what went wrong on the link."""
 
@@ -42,23 +38,6 @@ class LineTable(Table):
     ) -> str:
         """Bring all axes to rest by the lines that stop one, and return what was seen (``bring_to_rest``)."""
         return await self._bring_to_rest(lambda axis: self._exchange.tell_all(lines(axis)), read, idle)
-
-    async def _wait_for_home(self, poll_s: float) -> None:
-        """Ask the axes until all are at home; after a minute ``_give_up_homing`` and DeviceRefused."""
-        loop = asyncio.get_running_loop()
-        deadline = loop.time() + _HOMING_LIMIT_S
-        while self.homing:
-            for axis in sorted(self.homing):
-                if await self._at_home(axis):
-                    self.homing.discard(axis)
-            if self.homing and loop.time() > deadline:
-                await self._give_up_homing()
-                said = f"axis {', '.join(sorted(self.homing))} found no home within {_HOMING_LIMIT_S:.0f} s"
-                raise DeviceRefused(self._device, said)
-            await asyncio.sleep(poll_s)
-
-    async def _give_up_homing(self) -> None:
-        """End a homing that the controller does by itself."""
 
     async def _tell(self, line: str) -> None:
         """Send a command that answers nothing but that it is done."""

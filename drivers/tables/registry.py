@@ -8,9 +8,9 @@ TABLES = Registry(
     "turntable_station.tables",
     {
         "modbus": "drivers.tables.modbus.spec",
-        "galil": "drivers.tables.galil.spec",
-        "acutrol": "drivers.tables.acutrol.spec",
-        "aerosmith": "drivers.tables.aerosmith.spec",
+        "galil": "drivers.tables.galil.table",
+        "acutrol": "drivers.tables.acutrol.table",
+        "aerosmith": "drivers.tables.aerosmith.table",
     },
 )
 """Built in and installed ones; a bench file brings its own beside them."""

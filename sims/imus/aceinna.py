@@ -6,8 +6,10 @@ import can
 import numpy as np
 
 from drivers.imus.aceinna import codec as aceinna
+from drivers.imus.can.imu import load_dbc
 from drivers.imus.signals import parameter_group
 from drivers.types import Floats
+from sims.physics.geometry import tilt_deg
 from sims.physics.gyro import GyroArray
 from sims.wires.frames import FrameSink, NodeFaults, SpecificForce
 
@@ -37,7 +39,8 @@ class AceinnaDevice:
         Without ``specific_force`` the accelerometers say 0.
         """
         self._gyros, self._bus = gyros, bus
-        self._order: aceinna.AxisOrder = axis_order or aceinna.AXIS_ORDERS[model]
+        self._columns = list(aceinna.COLUMNS[axis_order or aceinna.AXIS_ORDERS[model]])
+        self._messages = {one.name.lower(): one for one in load_dbc("j1939 twin", aceinna.DBC).messages}
         self._address = address
         self._specific_force = specific_force
         self.faults = faults or NodeFaults()
@@ -83,15 +86,14 @@ class AceinnaDevice:
 
     def _send_sample(self, rates_dps: Floats, force_mps2: Floats) -> None:
         """Send what is switched on, in the order of a real device's trace."""
-        packets = self._held[aceinna.PACKET_TYPES][1]
-        if packets & aceinna.PACKETS["ssi2"]:
-            x, y, z = force_mps2
-            pitch, roll = np.degrees([np.arctan2(-x, np.hypot(y, z)), np.arctan2(y, z)])
-            self._send(aceinna.SSI2, aceinna.encode_slope(float(pitch), float(roll)))
-        if packets & aceinna.PACKETS["accs"]:
-            self._send(aceinna.ACCS, aceinna.encode_accelerations(force_mps2, self._order))
-        if packets & aceinna.PACKETS["ari"]:
-            self._send(aceinna.ARI, aceinna.encode_rates(np.clip(rates_dps, -1e9, 1e9), self._order))
+        roll, pitch, _ = tilt_deg(force_mps2[None] / max(float(np.linalg.norm(force_mps2)), 1e-9))[0]
+        values = {"ssi2": np.array([pitch, roll]), "accs": force_mps2[self._columns], "ari": rates_dps[self._columns]}
+        for name, fields in values.items():
+            if self._held[aceinna.PACKET_TYPES][1] & aceinna.PACKETS[name]:
+                message = self._messages[name]
+                ranged = zip(message.signals, fields, strict=True)
+                told = {signal.name: np.clip(value, signal.minimum, signal.maximum) for signal, value in ranged}
+                self._send(parameter_group(message.frame_id), message.encode(told))
 
     def _answer(self, wanted: bytes, destination: int, host: int) -> None:
         """Answer a request, written by the standard (low byte first) or in Aceinna's way, or refuse it.

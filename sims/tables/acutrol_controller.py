@@ -6,12 +6,11 @@ a rate demand of long ago still holds when rate mode is entered. The prefix of a
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 
 from drivers.packaged import packaged_toml
-from sims.physics.table import TableModel
 from sims.tables.acutrol_axis import LIMITED_MODES, AclError, AcutrolAxisTwin
-from sims.wires.line_controller import LineController, number
+from sims.wires.line_controller import LineController, Seat, number
 
 _VTRIP = 1.1
 _JERK_DPS3 = 100_000.0
@@ -26,19 +25,16 @@ class AcutrolController(LineController):
 
     def __init__(
         self,
-        table: TableModel,
+        seat: Seat,
         write: Callable[[bytes], None],
-        axes: Mapping[str, int],
         *,
-        watchdog_s: float = 0.0,
-        prefix_length: int = 8,
         wrapped: bool = True,
         identity: str = "Acutronic,ACUTROL3000,3117,2.4",
     ) -> None:
-        """``axes`` gives each axis of the table its number; ``watchdog_s`` of silence stops them (0: never)."""
-        super().__init__(table, write, watchdog_s)
-        self._prefix_length, self._identity = prefix_length, identity
-        self._axes = {number: AcutrolAxisTwin(table, axis, wrapped) for axis, number in axes.items()}
+        """Axes have numbers as addresses; ``reply_prefix`` of the options is the length of what is before an answer."""
+        super().__init__(seat, write)
+        self._prefix_length, self._identity = seat.options["reply_prefix"], identity
+        self._axes = {number: AcutrolAxisTwin(seat.table, axis, wrapped) for axis, number in seat.addresses.items()}
         self._answers = 0
 
     def _is_powered(self) -> bool:

@@ -7,8 +7,7 @@ import math
 import re
 from collections.abc import Callable
 
-from sims.physics.table import TableModel
-from sims.wires.line_controller import LineController
+from sims.wires.line_controller import LineController, Seat
 
 STA_MOVING, STA_FAULT, STA_SERVO_OFF, STA_FORWARD_LIMIT, STA_REVERSE_LIMIT = 1, 2, 4, 8, 16
 
@@ -18,17 +17,15 @@ _COMMAND = re.compile(r"([A-Z]{3})([-+]?\d+(?:\.\d*)?)?")
 class AerosmithController(LineController):
     """One axis; a line ends with CR."""
 
-    def __init__(
-        self, table: TableModel, write: Callable[[bytes], None], axis: str, *, watchdog_s: float = 0.0
-    ) -> None:
-        """Start with the servo off; ``watchdog_s`` of silence stops the axis (0: never)."""
-        super().__init__(table, write, watchdog_s)
-        self._table, self._axis = table, axis
+    def __init__(self, seat: Seat, write: Callable[[bytes], None]) -> None:
+        """Start with the servo off."""
+        super().__init__(seat, write)
+        self._table, (self._axis,) = seat.table, seat.addresses
         self._servo_on = False
         self._faulty = False
         self._held_prompt = False
         self._homing = False
-        data = table.data[axis]
+        data = self._table.data[self._axis]
         self._most_dps, self._most_dps2 = math.degrees(data.max_rate_rps), math.degrees(data.max_acceleration_rps2)
         self._velocity_dps, self._acceleration_dps2 = self._most_dps, self._most_dps2
 

@@ -5,13 +5,12 @@ what a program on a real controller has to do: a DMC has none of its own.
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 from drivers.packaged import packaged_codes, packaged_toml
 from drivers.tables.galil.language import LONGEST_LINE, UNRECOGNIZED
-from sims.physics.table import TableModel
 from sims.tables.galil_axis import GalilAxisTwin
-from sims.wires.line_controller import LineController, Refused, number
+from sims.wires.line_controller import LineController, Refused, Seat, number
 
 _LETTERS = "ABCDEFGH"
 _SYNONYMS = str.maketrans("XYZW", "ABCD")
@@ -33,25 +32,18 @@ class GalilController(LineController):
 
     def __init__(
         self,
-        table: TableModel,
+        seat: Seat,
         write: Callable[[bytes], None],
-        axes: Mapping[str, str],
         *,
-        watchdog_s: float = 0.0,
-        velocity_window_s: float = 0.25,
         echo: bool = False,
         revision: str = "DMC4030 Rev 1.2c",
         serial: int = 9046,
     ) -> None:
-        """``axes`` gives each axis of the table its letter; ``watchdog_s`` of silence stops them (0: never).
-
-        Velocities are means of ``velocity_window_s``.
-        """
-        super().__init__(table, write, watchdog_s)
-        self._axes = {
-            letter: GalilAxisTwin(table, axis, velocity_window_s)
-            for axis, letter in sorted(axes.items(), key=lambda a: a[1])
-        }
+        """Axes have letters as addresses; velocities are means of the option ``velocity_window`` (s)."""
+        super().__init__(seat, write)
+        by_letter = sorted(seat.addresses.items(), key=lambda a: str(a[1]))
+        window_s = seat.options["velocity_window"]
+        self._axes = {letter: GalilAxisTwin(seat.table, axis, window_s) for axis, letter in by_letter}
         self._echo, self._revision, self._serial = echo, revision, serial
         self._error = 0
         self._leading_zeros = False

@@ -11,7 +11,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import numpy as np
 from pymodbus.constants import ExcCodes
 from pymodbus.framer import FramerRTU
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
@@ -23,7 +22,7 @@ from drivers.tables.modbus.order import READ, WRITE_MORE, WRITE_ONE
 from drivers.tables.modbus.registers import DriveProfile, Register
 from sims.physics.table import TableModel
 from sims.tables.drive import Drive
-from sims.wires.faults import Line, Silence, WireFaults, damaged
+from sims.wires.faults import FaultyWay, WireFaults, damaged
 from sims.wires.line_controller import Refused
 from sims.wires.wires import ByteDevice, Write
 
@@ -34,27 +33,24 @@ _LENGTHS = range(2, 255)  # of unit id and PDU
 _LONGEST_FRAME = 256  # on RTU
 
 
-class FaultyModbus:
+class FaultyModbus(FaultyWay[bytes]):
     """What a wire does to requests and replies on it."""
 
     def __init__(self, faults: WireFaults, seed: int | tuple[int, ...]) -> None:
         """Must be made within a running loop."""
-        self._faults = faults
-        self._random = np.random.default_rng(seed)
-        self._silence = Silence(faults)
         # A reply is late by what request and reply take: the stock server has no place for two requests at once.
         both = replace(faults, latency_s=2 * faults.latency_s, jitter_s=2 * faults.jitter_s)
-        self._line = Line(self._write, both, self._random)
+        super().__init__(self._write, both, seed)
         self.server: ModbusTcpServer | ModbusSerialServer | None = None
 
     def trace(self, sending: bool, data: bytes) -> bytes:
         """Return what comes through of a frame at once."""
-        if self._silence.now or self._random.random() < self._faults.loss:
+        if self.silent or self._random.random() < self._faults.loss:
             return b""
         data = damaged(data, self._faults, self._random)
         if not sending or not self._faults.delays:
             return data
-        self._line.put(data)
+        self._put(data)
         return b""
 
     def _write(self, data: bytes) -> None:

@@ -149,58 +149,92 @@ def damaged(data: bytes, faults: WireFaults, random: np.random.Generator) -> byt
     return octets[random.random(len(octets)) >= faults.byte_loss].tobytes()
 
 
-class FaultyBytes:
-    """One way of a wire for bytes."""
+class FaultyWay(Generic[T]):
+    """One way of a wire: what is lost on it, comes twice, or comes late, in its order."""
 
-    def __init__(self, write: Write, faults: WireFaults, seed: int | tuple[int, ...]) -> None:
-        """Write by ``write`` what comes through; must be made within a running loop."""
-        self._faults = faults
+    def __init__(
+        self, hand_on: Callable[[T], None], faults: WireFaults, seed: Any, *, silent_unplugged: bool = False
+    ) -> None:
+        """Hand what comes through to ``hand_on``; must be made within a running loop.
+
+        Nothing comes through while it is silent, nor, ``silent_unplugged``, while the plug is out.
+        """
+        self._hand_on, self._faults = hand_on, faults
         self._random = np.random.default_rng(seed)
-        self._line = Line(self._deliver, faults, self._random)
-        self._silence = Silence(faults)
-        self._write = write
+        self._under_way: deque[tuple[float, T]] = deque(maxlen=_MOST_UNDER_WAY)
+        self._last_s = -math.inf
+        spans = [(faults.silent_from_s, faults.silent_until_s), (faults.unplug_s, faults.replug_s)]
+        self._spans = [span for span in spans[: 1 + silent_unplugged] if span[0] < math.inf]
+        self._began_s = asyncio.get_running_loop().time()
+
+    def __call__(self, item: T) -> None:
+        """Send."""
+        if self.silent or _share(self._random, self._faults.loss):
+            return
+        for _ in range(2 if _share(self._random, self._faults.doubled) else 1):
+            self._put(self._damaged(item))
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing comes through now."""
+        at_s = asyncio.get_running_loop().time() - self._began_s if self._spans else 0.0
+        return any(from_s <= at_s < until_s for from_s, until_s in self._spans)
+
+    def _damaged(self, item: T) -> T:
+        return item
+
+    def _put(self, item: T) -> None:
+        faults = self._faults
+        if not faults.delays:
+            self._deliver(item)
+            return
+        loop = asyncio.get_running_loop()
+        late_s = faults.latency_s + (self._random.exponential(faults.jitter_s) if faults.jitter_s else 0.0)
+        late_s += faults.late_by_s if _share(self._random, faults.late) else 0.0
+        self._last_s = max(self._last_s, loop.time() + late_s)
+        self._under_way.append((self._last_s, item))
+        if len(self._under_way) == 1:
+            loop.call_at(self._last_s, self._arrive)
+
+    def _arrive(self) -> None:
+        loop = asyncio.get_running_loop()
+        while self._under_way and self._under_way[0][0] <= loop.time() + 1e-9:
+            self._deliver(self._under_way.popleft()[1])
+        if self._under_way:
+            loop.call_at(self._under_way[0][0], self._arrive)
+
+    def _deliver(self, item: T) -> None:
+        if not self.silent:
+            self._hand_on(item)
+
+
+class FaultyBytes(FaultyWay[bytes]):
+    """One way of a wire for bytes."""
 
     def __call__(self, data: bytes) -> None:
         """Send bytes."""
-        faults = self._faults
-        if not data or self._silence.now or _share(self._random, faults.loss):
-            return
-        for _ in range(2 if _share(self._random, faults.doubled) else 1):
-            self._line.put(damaged(data, faults, self._random))
+        if data:
+            super().__call__(data)
+
+    def _damaged(self, data: bytes) -> bytes:
+        return damaged(data, self._faults, self._random)
 
     def _deliver(self, data: bytes) -> None:
-        if self._silence.now:
-            return
-        if self._faults.one_byte:
-            for i in range(len(data)):
-                self._write(data[i : i + 1])
-        elif data:
-            self._write(data)
+        size = 1 if self._faults.one_byte else max(len(data), 1)
+        for i in range(0, 0 if self.silent else len(data), size):
+            self._hand_on(data[i : i + size])
 
 
-class FaultyFrames:
+class FaultyFrames(FaultyWay[can.Message]):
     """One way of a CAN bus to one node. A bus drops damaged frames by itself; a node that is unplugged is silent."""
 
     def __init__(self, sink: FrameSink | Callable[[can.Message], None], faults: WireFaults, seed: Any) -> None:
         """Hand what comes through to ``sink``; must be made within a running loop."""
-        self._hand_on = sink if callable(sink) else sink.send
-        self._faults = faults
-        self._random = np.random.default_rng(seed)
-        self._line = Line(self._deliver, faults, self._random)
-        self._silence = Silence(faults, unplugged_too=True)
+        super().__init__(sink if callable(sink) else sink.send, faults, seed, silent_unplugged=True)
 
     def send(self, msg: can.Message) -> None:
         """Send a frame."""
-        if self._silence.now or _share(self._random, self._faults.loss):
-            return
-        for _ in range(2 if _share(self._random, self._faults.doubled) else 1):
-            self._line.put(msg)
-
-    __call__ = send
-
-    def _deliver(self, msg: can.Message) -> None:
-        if not self._silence.now:
-            self._hand_on(msg)
+        self(msg)
 
 
 def faulty_device(
@@ -225,53 +259,6 @@ class _Behind:
 
     def __init__(self, received: Write, hung_up: Callable[[], None]) -> None:
         self.received, self.hung_up = received, hung_up
-
-
-class Line(Generic[T]):
-    """Delivers late, in order."""
-
-    def __init__(self, deliver: Callable[[T], None], faults: WireFaults, random: np.random.Generator) -> None:
-        self._deliver, self._faults, self._random = deliver, faults, random
-        self._under_way: deque[tuple[float, T]] = deque(maxlen=_MOST_UNDER_WAY)
-        self._last_s = -math.inf
-
-    def put(self, item: T) -> None:
-        faults = self._faults
-        if not faults.delays:
-            self._deliver(item)
-            return
-        loop = asyncio.get_running_loop()
-        late_s = faults.latency_s + (self._random.exponential(faults.jitter_s) if faults.jitter_s else 0.0)
-        late_s += faults.late_by_s if _share(self._random, faults.late) else 0.0
-        self._last_s = max(self._last_s, loop.time() + late_s)
-        self._under_way.append((self._last_s, item))
-        if len(self._under_way) == 1:
-            loop.call_at(self._last_s, self._arrive)
-
-    def _arrive(self) -> None:
-        loop = asyncio.get_running_loop()
-        while self._under_way and self._under_way[0][0] <= loop.time() + 1e-9:
-            self._deliver(self._under_way.popleft()[1])
-        if self._under_way:
-            loop.call_at(self._under_way[0][0], self._arrive)
-
-
-class Silence:
-    """Whether nothing comes through now."""
-
-    def __init__(self, faults: WireFaults, *, unplugged_too: bool = False) -> None:
-        spans = [(faults.silent_from_s, faults.silent_until_s)]
-        if unplugged_too:
-            spans.append((faults.unplug_s, faults.replug_s))
-        self._spans = [span for span in spans if span[0] < math.inf]
-        self._began_s = asyncio.get_running_loop().time()
-
-    @property
-    def now(self) -> bool:
-        if not self._spans:
-            return False
-        at_s = asyncio.get_running_loop().time() - self._began_s
-        return any(from_s <= at_s < until_s for from_s, until_s in self._spans)
 
 
 def _share(random: np.random.Generator, share: float) -> bool:

@@ -1,7 +1,9 @@
 """What twins that are spoken to have in common: bytes to lines, numbers, refusals, and the watchdog of controllers."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 from sims.physics.table import TableModel
 from sims.wires.watchdog import Watchdog
@@ -47,15 +49,29 @@ class LineDevice:
         raise NotImplementedError
 
 
+@dataclass(frozen=True, slots=True)
+class Seat:
+    """A controller as it stands before the simulated table.
+
+    ``addresses`` are those of its axes, outermost first, ``options`` the protocol's keys in the bench file.
+    ``watchdog_s`` of silence stops the axes (0: never).
+    """
+
+    table: TableModel
+    addresses: Mapping[str, Any]
+    options: Mapping[str, Any]
+    watchdog_s: float
+
+
 class LineController(LineDevice):
     """A controller of axes that stops them when its master falls silent."""
 
     skipped = b"\n"
 
-    def __init__(self, table: TableModel, write: Callable[[bytes], None], watchdog_s: float) -> None:
-        """``watchdog_s`` of silence stops the axes (0: never)."""
+    def __init__(self, seat: Seat, write: Callable[[bytes], None]) -> None:
+        """Stand where the table is."""
         super().__init__(write)
-        self._watchdog = Watchdog(table.clock, watchdog_s, self._master_is_silent)
+        self._watchdog = Watchdog(seat.table.clock, seat.watchdog_s, self._master_is_silent)
 
     def received(self, data: bytes) -> None:
         """Take bytes from the host, cut anywhere."""

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import pytest
 from turntable_rigs import COUNTS, DEG, Controller, byte_pair, model_of, virtually
+from wire_pair import pair
 
 from drivers.errors import BadReply, LinkLost
 from drivers.links.byte_links import MemoryLink
@@ -78,7 +79,7 @@ def read_under_lateness(kind: str, seed: int, noise: float) -> tuple[int, int]:
     async def main() -> None:
         nonlocal read, lost
         model = model_of("xyz", COUNTS[kind])
-        near, far = MemoryLink.pair("table")
+        near, far = pair("table")
         wire = LateWire(far, seed, often_late)
         wire.late = False
         table, wire.controller = byte_pair(kind, near, model, wire.write, "xyz")

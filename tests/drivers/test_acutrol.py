@@ -14,12 +14,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from late_wire import read_under_lateness
+from setups import setup_of, twin_on
 from turntable_rigs import COUNTS, DEG, LIMITS, MAX_RATE, MemoryWire, model_of, rig, settle, virtually
+from wire_pair import pair
 
 from drivers.errors import DeviceFault, DeviceRefused, LinkLost
-from drivers.links.byte_links import MemoryLink
+from drivers.specs import AxisSetup
 from drivers.tables.acutrol.language import NUMBER, OK, AcutrolFraming, refusal
-from drivers.tables.acutrol.table import AcutrolAxis, AcutrolTable
+from drivers.tables.acutrol.table import AcutrolTable
 from drivers.tables.unwrap import Unwrapper
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
@@ -39,7 +41,11 @@ def twin_at_rest(**options: Any) -> tuple[AcutrolController, list[bytes], TableM
     """Return a twin of axes 1, 2, 3 at a clock that stands, and what it writes."""
     written: list[bytes] = []
     model = TableModel({axis: AxisData(MAX_RATE, LIMITS.acceleration_rps2, 36_000_000) for axis in "xyz"}, lambda: 0.0)
-    return AcutrolController(model, written.append, dict(zip("xyz", (1, 2, 3), strict=True)), **options), written, model
+    return (
+        twin_on("acutrol", model, written.append, dict(zip("xyz", (1, 2, 3), strict=True)), **options),
+        written,
+        model,
+    )
 
 
 def say(controller: AcutrolController, written: list[bytes], line: str, prefix: int = 8) -> str:
@@ -129,7 +135,7 @@ def test_ok_and_values_are_no_refusals() -> None:
 
 
 def test_a_token_is_its_own_number_after_an_ok() -> None:
-    framing = AcutrolFraming(1, 100.0)
+    framing = AcutrolFraming(1, 100.0, 8)
     token = framing.token()
     number = token.request.split(b"synt,1,")[1].split(b"\r")[0]
     answers = b"00000007OK\r\n00000008" + number + b"00\r\n"
@@ -144,7 +150,7 @@ def test_a_token_is_its_own_number_after_an_ok() -> None:
 @given(noise=st.binary(max_size=60))
 @settings(max_examples=200, deadline=None)
 def test_framing_of_any_bytes_never_raises(noise: bytes) -> None:
-    framing = AcutrolFraming(1, 100.0)
+    framing = AcutrolFraming(1, 100.0, 8)
     answer = framing.answer(":read:rate 1", noise)
     assert answer is None or 0 < answer.length <= len(noise)
     framing.token().find(noise)
@@ -233,12 +239,11 @@ async def lone_axis(
 ) -> AsyncIterator[tuple[AcutrolTable, TableModel]]:
     """Join a driver of one axis with ``limits`` and a twin with options of its own."""
     model = model_of("x", counts_per_turn)
-    near, far = MemoryLink.pair("table")
+    near, far = pair("table")
     wire = MemoryWire(far)
-    wire.controller = AcutrolController(model, wire.write, {"x": 2}, **options)
-    table = AcutrolTable(
-        "table", near, {"x": AcutrolAxis(2, limits)}, 0.2, prefix_length=options.get("prefix_length", 8)
-    )
+    wire.controller = twin_on("acutrol", model, wire.write, {"x": 2}, **options)
+    axes = {"x": AxisSetup(2, COUNTS["acutrol"], limits)}
+    table = AcutrolTable(setup_of("acutrol", axes, 0.2, reply_prefix=options.get("reply_prefix", 8)), near)
     carrier = asyncio.get_running_loop().create_task(wire.carry())
     try:
         yield table, model
@@ -250,7 +255,7 @@ async def lone_axis(
 @pytest.mark.parametrize("length", [0, 3, 20])
 def test_the_length_of_the_prefix_is_an_option(length: int) -> None:
     async def main() -> None:
-        async with lone_axis(prefix_length=length) as (table, model):
+        async with lone_axis(reply_prefix=length) as (table, model):
             await table.open()
             await table.enable()
             await table.home()
@@ -264,10 +269,10 @@ def test_the_length_of_the_prefix_is_an_option(length: int) -> None:
 def test_a_wrong_length_of_the_prefix_is_found_when_the_link_is_opened() -> None:
     async def main() -> None:
         model = model_of("x", COUNTS["acutrol"])
-        near, far = MemoryLink.pair("table")
+        near, far = pair("table")
         wire = MemoryWire(far)
-        wire.controller = AcutrolController(model, wire.write, {"x": 1}, prefix_length=0)
-        table = AcutrolTable("table", near, {"x": AcutrolAxis(1, LIMITS)}, 0.2)
+        wire.controller = twin_on("acutrol", model, wire.write, {"x": 1}, reply_prefix=0)
+        table = AcutrolTable(setup_of("acutrol", {"x": AxisSetup(1, COUNTS["acutrol"], LIMITS)}, 0.2), near)
         carrier = asyncio.get_running_loop().create_task(wire.carry())
         with pytest.raises(LinkLost, match="no answer within 0.4 s"):
             await table.open()

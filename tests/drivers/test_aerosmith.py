@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from setups import twin_on
 from turntable_rigs import DEG, MAX_RATE, rig, settle, virtually
 
 from drivers.errors import DeviceRefused, LinkLost
@@ -30,7 +31,7 @@ VECTORS = {
 def twin_at_rest() -> tuple[AerosmithController, list[bytes], TableModel]:
     written: list[bytes] = []
     model = TableModel({"x": AxisData(MAX_RATE, 50 * DEG, 3_600_000)}, lambda: 0.0)
-    return AerosmithController(model, written.append, "x"), written, model
+    return twin_on("aerosmith", model, written.append, {"x": ""}), written, model
 
 
 def say(controller: AerosmithController, written: list[bytes], line: str) -> str:

@@ -13,9 +13,10 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import ExitStack, asynccontextmanager, closing, contextmanager, suppress
 
 import pytest
+from wire_pair import pair
 
 from drivers.errors import DeviceFault, LinkLost
-from drivers.links.byte_links import MemoryLink, SerialLink, TcpLink
+from drivers.links.byte_links import SerialLink, TcpLink
 from drivers.links.reopen import BackOff, reopen
 from drivers.protocols import ByteLink
 from station.run.event_loop.loops import VirtualLoop
@@ -322,7 +323,7 @@ def test_nobody_listening_says_so() -> None:
 
 def test_what_nobody_takes_is_bounded() -> None:
     async def main() -> None:
-        near, far = MemoryLink.pair("imu")
+        near, far = pair("imu")
         for _ in range(100):
             far.write(bytes(100_000))
         assert 4_100_000 <= len(await received(near, 4_100_000)) <= 1 << 22
@@ -332,7 +333,7 @@ def test_what_nobody_takes_is_bounded() -> None:
 
 def test_the_two_ends_of_a_wire_in_memory_part_together() -> None:
     async def main() -> None:
-        near, far = MemoryLink.pair("imu")
+        near, far = pair("imu")
         near.write(b"a")
         assert (await far.receive()).data == b"a"
         near.close()

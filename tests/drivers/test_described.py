@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from wire_pair import pair
 
 from drivers.imus.can.imu import ChannelSignals
 from drivers.imus.described.framing import Decoder, Frames
 from drivers.imus.described.imu import DescribedImu, Description
-from drivers.links.byte_links import MemoryLink
 from drivers.types import ImuBlock
 from sims.imus.described import DescribedDevice
 from sims.physics.body import Body
@@ -265,7 +265,7 @@ class Bench:
         wire: Callable[[bytes], bytes] = lambda data: data,
         **faults: float,
     ) -> None:
-        self.near, self.far = MemoryLink.pair("imu")
+        self.near, self.far = pair("imu")
         body = Body("z", lambda _axis, t: self.SLOPE_RPS2 * t**2 / 2, lambda: 0, 0.0, 0.0, earth_turns=False)
         axes = np.eye(3)[np.arange(len(description.channels[0].rates)) % 3]
         none = np.zeros(len(axes))

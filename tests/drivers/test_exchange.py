@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from turntable_rigs import virtually
+from wire_pair import pair
 
 from drivers.errors import LinkLost
 from drivers.links.byte_links import MemoryLink, TcpLink
@@ -66,7 +67,7 @@ class Peer:
 
 @asynccontextmanager
 async def exchange(timeout_s: float = 0.2) -> AsyncIterator[tuple[Exchange, Peer]]:
-    near, far = MemoryLink.pair("table")
+    near, far = pair("table")
     peer = Peer(far)
     serving = asyncio.get_running_loop().create_task(peer.serve())
     made = Exchange("table", near, GalilFraming(), timeout_s)

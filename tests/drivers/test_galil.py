@@ -13,12 +13,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from late_wire import read_under_lateness
+from setups import setup_of, twin_on
 from turntable_rigs import COUNTS, DEG, LIMITS, MAX_RATE, model_of, rig, settle, virtually
+from wire_pair import pair
 
 from drivers.errors import DeviceFault, DeviceRefused
 from drivers.links.byte_links import MemoryLink
+from drivers.specs import AxisSetup
 from drivers.tables.galil.language import NUMBER, GalilFraming, Switches, error_of, floor_acceleration, revision
-from drivers.tables.galil.table import GalilAxis, GalilTable
+from drivers.tables.galil.table import GalilTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
 from sims.tables.galil_controller import GalilController
@@ -37,7 +40,7 @@ def twin_at_rest(**options: Any) -> tuple[GalilController, list[bytes], TableMod
     """Return a twin of axes A, B, C at a clock that stands, and what it writes."""
     written: list[bytes] = []
     model = TableModel({axis: AxisData(MAX_RATE, LIMITS.acceleration_rps2, 65536) for axis in "xyz"}, lambda: 0.0)
-    return GalilController(model, written.append, dict(zip("xyz", "ABC", strict=True)), **options), written, model
+    return twin_on("galil", model, written.append, dict(zip("xyz", "ABC", strict=True)), **options), written, model
 
 
 def say(controller: GalilController, written: list[bytes], line: str) -> str:
@@ -238,9 +241,9 @@ def test_the_controller_is_known_by_model_firmware_and_serial_number() -> None:
 def test_the_index_can_be_home() -> None:
     async def main() -> None:
         model = model_of("x", COUNTS["galil"])
-        near, far = MemoryLink.pair("table")
-        controller = GalilController(model, far.write, {"x": "C"})
-        table = GalilTable("table", near, {"x": GalilAxis("C", COUNTS["galil"], LIMITS)}, 0.2, homing="FI")
+        near, far = pair("table")
+        controller = twin_on("galil", model, far.write, {"x": "C"})
+        table = GalilTable(setup_of("galil", {"x": AxisSetup("C", COUNTS["galil"], LIMITS)}, 0.2, homing="FI"), near)
         carrier = asyncio.get_running_loop().create_task(carry(far, controller))
         await table.open()
         await table.enable()
@@ -261,11 +264,11 @@ async def carry(link: MemoryLink, controller: GalilController) -> None:
 def test_soft_limits_are_set_from_home_and_end_a_jog() -> None:
     async def main() -> None:
         model = model_of("x", COUNTS["galil"])
-        near, far = MemoryLink.pair("table")
-        controller = GalilController(model, far.write, {"x": "A"})
+        near, far = pair("table")
+        controller = twin_on("galil", model, far.write, {"x": "A"})
         limits = replace(LIMITS, travel_rad=(-90 * DEG, 45 * DEG))
-        axis = GalilAxis("A", COUNTS["galil"], limits, error_limit_rad=1 * DEG)
-        table = GalilTable("table", near, {"x": axis}, 0.2)
+        axis = AxisSetup("A", COUNTS["galil"], limits, options={"error_limit": 1 * DEG})
+        table = GalilTable(setup_of("galil", {"x": axis}, 0.2), near)
         carrier = asyncio.get_running_loop().create_task(carry(far, controller))
         await table.open()
         await table.enable()
@@ -331,7 +334,7 @@ def test_a_fault_from_before_the_driver_came_is_told() -> None:
             await made.table.enable()
             made.model.trip("x", "servo trip")
             await made.table.status("x")
-            again = GalilTable("table", made.table._exchange._link, made.table._axes, 0.2)
+            again = GalilTable(setup_of("galil", made.table._axes, 0.2), made.table._exchange._link)
             assert "SC 15, amplifier fault" in (await again.status("x")).fault
             await again.reset_fault()
             assert (await again.status("x")).fault == ""
@@ -345,11 +348,11 @@ def test_a_fault_from_before_the_driver_came_is_told() -> None:
 
 def test_a_ramp_gentler_than_the_controller_has_is_refused_where_the_axis_is_not_allowed_it() -> None:
     async def main() -> None:
-        near, far = MemoryLink.pair("table")
+        near, far = pair("table")
         model = model_of("x", 1000)
-        controller = GalilController(model, far.write, {"x": "A"})
+        controller = twin_on("galil", model, far.write, {"x": "A"})
         limits = AxisLimits(MAX_RATE, 50 * DEG)  # 139 counts/s2
-        table = GalilTable("table", near, {"x": GalilAxis("A", 1000, limits)}, 0.2)
+        table = GalilTable(setup_of("galil", {"x": AxisSetup("A", 1000, limits)}, 0.2), near)
         carrier = asyncio.get_running_loop().create_task(carry(far, controller))
         await table.open()
         await table.enable()
@@ -365,9 +368,9 @@ def test_a_ramp_gentler_than_the_controller_has_is_refused_where_the_axis_is_not
 
 @pytest.mark.parametrize("letters", [("A", "A"), ("Q",)])
 def test_letters_that_cannot_be_are_refused(letters: tuple[str, ...]) -> None:
-    axes = {axis: GalilAxis(letter, 1000, LIMITS) for axis, letter in zip("xyz", letters, strict=False)}
+    axes = {axis: AxisSetup(letter, 1000, LIMITS) for axis, letter in zip("xyz", letters, strict=False)}
     with pytest.raises(ValueError, match="axis letters"):
-        GalilTable("table", MemoryLink("table"), axes, 0.2)
+        GalilTable(setup_of("galil", axes, 0.2), MemoryLink("table"))
 
 
 # Late answers

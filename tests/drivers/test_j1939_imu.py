@@ -11,14 +11,17 @@ from typing import Any, TypeVar
 import can
 import numpy as np
 import pytest
-from can_support import Flood, collect, gyros, in_virtual_time, vectors, wire
+from can_support import collect, gyros, in_virtual_time, vectors, wire
 from hypothesis import given
 from hypothesis import strategies as st
+from setups import imu_setup
 
 from drivers.errors import DeviceRefused, LinkLost
 from drivers.imus.aceinna.codec import (
     ACCS,
     ARI,
+    AXIS_ORDERS,
+    DBC,
     ORIENTATION,
     PACKET_TYPES,
     RATE_DIVIDER,
@@ -28,18 +31,14 @@ from drivers.imus.aceinna.codec import (
     SSI2,
     Name,
     command,
-    decode_accelerations,
-    decode_rates,
     decode_version,
-    encode_accelerations,
-    encode_rates,
-    encode_slope,
     identifier,
     message,
     request,
     settings,
 )
 from drivers.imus.aceinna.imu import AceinnaImu
+from drivers.imus.can.imu import load_dbc
 from drivers.imus.signals import parameter_group
 from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
@@ -53,19 +52,48 @@ FORCE = np.array([1.0, -2.0, 9.8])
 HOST, DEVICE = 0x00, 0x80
 
 
-def one(data: bytes) -> Any:
-    return np.frombuffer(data, dtype=np.uint8).reshape(1, -1)
-
-
 def fields(decoded: dict[str, Any], unit: str) -> list[float]:
     if "acc_mps2" in decoded:
         return [float(v) for v in decoded["acc_mps2"]]
     return [float(decoded[f"field{i}_{unit}"]) for i in (1, 2, 3)]
 
 
-def decode_slope(data: bytes) -> tuple[float, ...]:
-    """Return pitch and roll in deg of an SSI2 message."""
-    return tuple(int.from_bytes(data[i : i + 3], "little") / 32768 - 250 for i in (0, 3))
+class Told:
+    """A link that hands over frames once, and is lost."""
+
+    def __init__(self, frames: list[tuple[int, bytes]]) -> None:
+        self._frames = [Frame(10_000_000 * i, number, True, data) for i, (number, data) in enumerate(frames)]
+
+    async def open(self) -> None:
+        pass
+
+    async def receive(self) -> list[Frame]:
+        if not self._frames:
+            raise LinkLost("imu", "that was all")
+        frames, self._frames = self._frames, []
+        return frames
+
+    def send(self, frame: Frame) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def decoded(model: str, rates: bytes, accelerations: bytes) -> tuple[list[float], list[float]]:
+    """Return rates (deg/s) and accelerations (m/s2) that the driver makes of the data of a message each."""
+
+    async def main() -> tuple[list[float], list[float]]:
+        messages = [(identifier(ACCS, DEVICE), accelerations), (identifier(ARI, DEVICE), rates)]
+        imu = AceinnaImu(imu_setup("j1939", "imu", 100.0, model=model), Told(messages))
+        with suppress(LinkLost):
+            async for _ in imu.blocks():
+                pass
+        ((_, block),) = imu.flush()
+        assert block.accel_mps2 is not None
+        return np.degrees(block.rate_rps[0]).tolist(), block.accel_mps2[0].tolist()
+
+    return in_virtual_time(main)
 
 
 def action(group: int, destination: int, source: int) -> Frame:
@@ -73,28 +101,26 @@ def action(group: int, destination: int, source: int) -> Frame:
     return message(group, bytes([0, destination, 0]), source)
 
 
-DATA = [v for v in vectors("can_aceinna_j1939") if v["can_id"] in ("0CF02980", "0CF02A80", "08F02D80")]
+DATA = {v["can_id"]: v for v in vectors("can_aceinna_j1939") if v["can_id"] in ("0CF02980", "0CF02A80", "08F02D80")}
 
 
-@pytest.mark.parametrize("vector", DATA, ids=lambda v: f"{v['can_id']}-{v['hex']}")
-def test_the_data_messages_of_a_real_trace_decode_and_encode(vector: dict[str, Any]) -> None:
-    data, decoded = bytes.fromhex(vector["hex"]), vector["decoded"]
+@pytest.mark.parametrize("model", ["openimu300ri", "mtlt305d"])
+@pytest.mark.parametrize("vector", [v for v in vectors("can_aceinna_j1939") if v["can_id"] in DATA], ids=str)
+def test_the_data_messages_of_a_real_trace_decode_and_encode(vector: dict[str, Any], model: str) -> None:
+    data, told = bytes.fromhex(vector["hex"]), vector["decoded"]
+    message = load_dbc("imu", DBC).get_message_by_frame_id(int(vector["can_id"], 16))
+    values = message.decode(data)
+    assert message.encode(values)[:6] == data[:6]
     group = parameter_group(int(vector["can_id"], 16))
     assert identifier(group, DEVICE) == int(vector["can_id"], 16)
     if group == SSI2:
-        assert decode_slope(data) == pytest.approx((decoded["pitch_deg"], decoded["roll_deg"]), abs=1e-12)
-        assert encode_slope(decoded["pitch_deg"], decoded["roll_deg"], data[6:]) == data
+        assert list(values.values()) == pytest.approx([told["pitch_deg"], told["roll_deg"]], abs=1e-12)
         return
-    decode, encode, unit = {
-        ARI: (decode_rates, encode_rates, "dps"),
-        ACCS: (decode_accelerations, encode_accelerations, "mps2"),
-    }[group]
-    expected = np.array(fields(decoded, unit))
-    for order, columns in (("xyz", [0, 1, 2]), ("sae", [1, 0, 2])):
-        values, saturated = decode(one(data), order)  # type: ignore[arg-type]
-        np.testing.assert_allclose(values[0], expected[columns], atol=1e-9)
-        assert not saturated.any()
-        assert encode(values[0], order, data[6:]) == data  # type: ignore[arg-type]
+    expected = np.array(fields(told, "dps" if group == ARI else "mps2"))
+    assert list(values.values()) == pytest.approx(expected, abs=1e-9)
+    columns = [0, 1, 2] if AXIS_ORDERS[model] == "xyz" else [1, 0, 2]
+    rates, accelerations = decoded(model, *((data, bytes(8)) if group == ARI else (bytes(8), data)))
+    assert (rates if group == ARI else accelerations) == pytest.approx(expected[columns], abs=1e-9)
 
 
 REQUESTS = {
@@ -129,17 +155,16 @@ def test_settings_make_the_documented_commands() -> None:
 )
 def test_what_the_device_cannot_do_is_refused_before_it_is_asked(rate_hz: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        AceinnaImu("imu", CanLink("imu", "memory", wire(), {}), rate_hz, configure=True)
+        AceinnaImu(imu_setup("j1939", "imu", rate_hz, configure=True), CanLink("imu", "memory", wire(), {}))
 
 
 @given(st.lists(st.integers(0, 0xFFFF), min_size=3, max_size=3))
-def test_every_code_is_a_rate_saturated_or_none(raw: list[int]) -> None:
-    values, saturated = decode_rates(one(np.array([*raw, 0], dtype="<u2").tobytes()), "xyz")
-    for code, value, at_end in zip(raw, values[0], saturated[0], strict=True):
-        assert at_end == (code == 0 or 64000 <= code < 0xFB00)
-        assert math.isnan(value) == (code >= 0xFB00)
-        if code < 0xFB00:
-            assert value == code / 128 - 250
+def test_every_code_is_a_rate_or_none_at_the_ends_and_beyond(raw: list[int]) -> None:
+    rates, _ = decoded("openimu300ri", np.array([*raw, 0], dtype="<u2").tobytes(), bytes(8))
+    for code, rate in zip(raw, rates, strict=True):
+        assert math.isnan(rate) == (code == 0 or code >= 64000)
+        if 0 < code < 64000:
+            assert rate == pytest.approx(code / 128 - 250, abs=1e-12)
 
 
 @given(st.binary(max_size=12))
@@ -189,7 +214,8 @@ def with_twin(
             device.received(msg)
 
         ear = MemoryBus(name, hear if listening else (lambda msg: None))
-        imu = AceinnaImu("imu", CanLink("imu", "memory", name, {}), rate_hz, model=model, configure=configure)
+        setup = imu_setup("j1939", "imu", rate_hz, model=model, configure=configure)
+        imu = AceinnaImu(setup, CanLink("imu", "memory", name, {}))
         task = asyncio.create_task(device.serve())
         try:
             return await main(imu, device, bus)
@@ -344,24 +370,6 @@ def test_random_frames_do_not_disturb_the_driver() -> None:
     block, counts = with_twin(main)
     np.testing.assert_allclose(np.degrees(block.rate_rps), np.tile(RATES_DPS, (len(block.t_ns), 1)), atol=0.004)
     assert counts == SourceCounts(samples=len(block.t_ns))
-
-
-@pytest.mark.parametrize(
-    "frames", [5_000, pytest.param(1_700_000, marks=[pytest.mark.full, pytest.mark.timeout(1800)])]
-)
-def test_a_flood_of_random_frames_never_raises_and_is_not_kept(frames: int) -> None:
-    own = [(identifier(group, DEVICE), True) for group in (ARI, ACCS, SSI2)]
-
-    async def main() -> int:
-        imu = AceinnaImu("imu", Flood(own, frames), 100.0)
-        most = 0
-        with suppress(LinkLost):
-            async for _ in imu.blocks():
-                held = len(imu._waiting) + len(imu._accelerations._pieces) + len(imu._clock._held)
-                most = max(most, held)
-        return most
-
-    assert 0 < in_virtual_time(main) < 1000
 
 
 def test_the_twin_answers_only_what_is_asked_of_it() -> None:

@@ -11,10 +11,12 @@ from contextlib import AsyncExitStack, asynccontextmanager
 import pytest
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.transport import NULLMODEM_HOST
+from setups import setup_of
 
 from drivers.errors import DeviceFault, DeviceRefused
+from drivers.specs import AxisSetup
 from drivers.tables.modbus.registers import DriveProfile, load_profile
-from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits, Identity
 from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import modbus_server
@@ -47,8 +49,8 @@ async def drives(profile: DriveProfile = PROFILE) -> AsyncIterator[tuple[ModbusT
             server = modbus_server(model, PROFILE, {axis: 1}, address, 0.0)
             await server.serve_forever(background=True)
             stack.push_async_callback(server.shutdown)
-            axes[axis] = DriveAxis(1, COUNTS, LIMITS, address)
-        table = ModbusTable("table", axes["x"].address or ("", 0), profile, axes, 0.2)
+            axes[axis] = AxisSetup(1, COUNTS, LIMITS, address)
+        table = ModbusTable(setup_of("modbus", axes, 0.2, profile=profile), axes["x"].link or ("", 0))
         stack.callback(table.close)
         yield table, model
 

@@ -14,13 +14,15 @@ from typing import Any
 
 import pytest
 from misbehaving_wire import KINDS, Kind, Proxy
+from setups import setup_of
 from turntable_rigs import COUNTS, DEG, LIMITS, byte_pair, model_of
 
 from drivers.errors import DeviceError
 from drivers.links.byte_links import MemoryLink, TcpLink
+from drivers.specs import AxisSetup
 from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import load_profile
-from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.tables.modbus.table import ModbusTable
 from sims.physics.table import TableModel
 from sims.tables.modbus import modbus_server
 from sims.wires.wires import on_pty, on_tcp
@@ -76,7 +78,7 @@ async def joined(protocol: str, proxy: Proxy) -> AsyncIterator[tuple[Any, TableM
     async with AsyncExitStack() as stack:
         address: Address
         if own == "modbus":
-            drives = {axis: DriveAxis(unit_id, COUNTS[own], LIMITS) for axis, unit_id in UNIT_IDS.items()}
+            drives = {axis: AxisSetup(unit_id, COUNTS[own], LIMITS) for axis, unit_id in UNIT_IDS.items()}
             if protocol == "rtu":
                 address, far = await serial_pair(stack, proxy)
             else:
@@ -88,7 +90,7 @@ async def joined(protocol: str, proxy: Proxy) -> AsyncIterator[tuple[Any, TableM
                 proxy.port = server.transport.sockets[0].getsockname()[1]
                 await proxy.listen()
                 address = proxy.where
-            table: Any = ModbusTable("table", address, PROFILE, drives, TIMEOUT_S)
+            table: Any = ModbusTable(setup_of("modbus", drives, TIMEOUT_S, profile=PROFILE), address)
         else:
             made = await stack.enter_async_context(
                 on_tcp(lambda write: byte_pair(own, MemoryLink("unused"), model, write, "xyz")[1], "127.0.0.1")

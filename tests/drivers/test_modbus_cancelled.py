@@ -6,10 +6,12 @@ import asyncio
 import random
 import time
 
+from setups import setup_of
 from support import TwinProcess
 
+from drivers.specs import AxisSetup
 from drivers.tables.modbus.registers import load_profile
-from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 
 TIMEOUT_S = 0.5
@@ -19,8 +21,8 @@ def test_a_request_after_a_cancelled_one_is_answered_at_once() -> None:
     async def slowest_s(link: str) -> float:
         chance = random.Random(1)
         host, port = link.removeprefix("tcp://").split(":")
-        axes = {axis: DriveAxis(unit, 65536, AxisLimits(1.0, 1.0)) for axis, unit in zip("xyz", (1, 2, 3), strict=True)}
-        table = ModbusTable("table", (host, int(port)), load_profile("kinco"), axes, TIMEOUT_S)
+        axes = {axis: AxisSetup(unit, 65536, AxisLimits(1.0, 1.0)) for axis, unit in zip("xyz", (1, 2, 3), strict=True)}
+        table = ModbusTable(setup_of("modbus", axes, TIMEOUT_S, profile=load_profile("kinco")), (host, int(port)))
         await table.open()
         took_s = []
         for _ in range(200):

@@ -14,10 +14,12 @@ from typing import Any
 import pytest
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from serial_wire import wire
+from setups import setup_of
 
+from drivers.specs import AxisSetup
 from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import load_profile
-from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import modbus_server
@@ -159,8 +161,8 @@ def test_a_drive_served_by_libmodbus_is_enabled_jogged_read_and_stopped(libmodbu
             assert server.stdout is not None
             port = int(await server.stdout.readline())
             address: Address = ("127.0.0.1", port) if transport == "tcp" else SerialPort(near, 115200)
-            drives = {"x": DriveAxis(1, COUNTS, AxisLimits(100 * DEG, 50 * DEG))}
-            table = ModbusTable("table", address, PROFILE, drives, 0.5)
+            drives = {"x": AxisSetup(1, COUNTS, AxisLimits(100 * DEG, 50 * DEG))}
+            table = ModbusTable(setup_of("modbus", drives, 0.5, profile=PROFILE), address)
             await table.open()
             assert (await table.status("x")).text == "switch on disabled"
             await table.enable()

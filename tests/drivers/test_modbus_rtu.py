@@ -22,12 +22,14 @@ from pymodbus.server import ModbusSerialServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 from pymodbus.transport import NULLMODEM_HOST
 from serial_wire import peer, wire
+from setups import setup_of
 
 from drivers.errors import BadReply, DeviceRefused, LinkLost
+from drivers.specs import AxisSetup
 from drivers.tables.modbus.line import ModbusLine, SerialPort
 from drivers.tables.modbus.order import LineCounts, Request, RtuGate, rtu_frames
 from drivers.tables.modbus.registers import load_profile
-from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import modbus_server
@@ -401,8 +403,10 @@ def test_a_port_that_goes_away_is_a_lost_link() -> None:
 
 def test_drives_whose_values_are_all_of_one_width_are_refused_on_a_serial_line() -> None:
     async def main() -> None:
-        drives = {"x": DriveAxis(1, COUNTS, AxisLimits(1.0, 1.0))}
-        table = ModbusTable("table", SerialPort("/dev/null"), load_profile("lexium32"), drives, TIMEOUT_S)
+        drives = {"x": AxisSetup(1, COUNTS, AxisLimits(1.0, 1.0))}
+        table = ModbusTable(
+            setup_of("modbus", drives, TIMEOUT_S, profile=load_profile("lexium32")), SerialPort("/dev/null")
+        )
         with pytest.raises(DeviceRefused, match="all of one width.*use Modbus TCP"):
             await table.open()
 
@@ -411,8 +415,8 @@ def test_drives_whose_values_are_all_of_one_width_are_refused_on_a_serial_line()
 
 def table_on(port: SerialPort, timeout_s: float) -> ModbusTable:
     limits = AxisLimits(100 * DEG, 50 * DEG)
-    drives = {axis: DriveAxis(unit, COUNTS, limits) for axis, unit in zip("xyz", UNITS, strict=True)}
-    return ModbusTable("table", port, load_profile("kinco"), drives, timeout_s)
+    drives = {axis: AxisSetup(unit, COUNTS, limits) for axis, unit in zip("xyz", UNITS, strict=True)}
+    return ModbusTable(setup_of("modbus", drives, timeout_s, profile=load_profile("kinco")), port)
 
 
 @asynccontextmanager

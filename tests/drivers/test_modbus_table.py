@@ -12,11 +12,13 @@ from typing import Any
 
 import pytest
 from pymodbus.transport import NULLMODEM_HOST
+from setups import setup_of
 
 from drivers.errors import DeviceFault, DeviceRefused, LinkLost
+from drivers.specs import AxisSetup
 from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import DriveProfile, load_profile
-from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits, Identity
 from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import modbus_server
@@ -46,8 +48,8 @@ def null_modem(transport: str) -> Address:
 
 def driver(address: Address, axes: dict[str, int] = UNIT_IDS, timeout_s: float = 0.2) -> ModbusTable:
     limits = AxisLimits(MAX_RATE, MAX_ACCELERATION)
-    drives = {axis: DriveAxis(unit_id, COUNTS, limits) for axis, unit_id in axes.items()}
-    return ModbusTable("table", address, PROFILE, drives, timeout_s)
+    drives = {axis: AxisSetup(unit_id, COUNTS, limits) for axis, unit_id in axes.items()}
+    return ModbusTable(setup_of("modbus", drives, timeout_s, profile=PROFILE), address)
 
 
 @asynccontextmanager

@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from setups import imu_setup
 from stim300_console import Stim300Service, Stim300Utility
+from wire_pair import pair
 
 from drivers.errors import DeviceRefused, LinkLost
 from drivers.imus.stim300.codec import encode_special
@@ -55,7 +57,7 @@ class Wire:
 
 @asynccontextmanager
 async def wired(rate_hz: int = 2000, **options: Any) -> AsyncIterator[Wire]:
-    near, far = MemoryLink.pair("imu")
+    near, far = pair("imu")
     gyros, motion = on_a_table(rate_hz)
     wire = Wire(Stim300Device(gyros, far.write, rate_hz, **options), near, motion)
 
@@ -98,7 +100,7 @@ def joined(blocks: list[ImuBlock], name: str) -> np.ndarray:
 def test_it_tells_who_it_is_and_no_sample_is_lost_by_asking(options: dict[str, Any]) -> None:
     async def scene() -> None:
         async with wired(1000, **options) as wire:
-            imu = Stim300Imu("imu", wire.near, 1000)
+            imu = Stim300Imu(imu_setup("stim300", "imu", 1000), wire.near)
             await asyncio.sleep(0.1)
             assert await imu.identify() == WHO
             blocks = await gathered(imu, 1.0)
@@ -115,7 +117,7 @@ def test_it_tells_who_it_is_and_no_sample_is_lost_by_asking(options: dict[str, A
 def test_samples_that_came_while_it_was_asked_are_kept() -> None:
     async def scene() -> None:
         async with wired() as wire:
-            imu = Stim300Imu("imu", wire.near, 2000)
+            imu = Stim300Imu(imu_setup("stim300", "imu", 2000), wire.near)
             await asyncio.sleep(0.5)
             await imu.identify()
             first = (await gathered(imu, 0.1))[0]
@@ -128,7 +130,7 @@ def test_a_lost_question_is_asked_again() -> None:
     async def scene() -> None:
         async with wired() as wire:
             wire.deaf = {b"C\r", b"I\r", b"N\r"}
-            assert await Stim300Imu("imu", wire.near, 2000).identify() == WHO
+            assert await Stim300Imu(imu_setup("stim300", "imu", 2000), wire.near).identify() == WHO
             assert wire.heard == b"C\rC\rI\rI\rN\rN\r"
 
     virtually(scene)
@@ -137,8 +139,8 @@ def test_a_lost_question_is_asked_again() -> None:
 @pytest.mark.parametrize("streams", [True, False])
 def test_a_device_that_does_not_answer_is_taken_as_it_is(streams: bool) -> None:
     async def scene() -> None:
-        near, far = MemoryLink.pair("imu")
-        imu = Stim300Imu("imu", near, 500, timeout_s=0.5)
+        near, far = pair("imu")
+        imu = Stim300Imu(imu_setup("stim300", "imu", 500, timeout_s=0.5), near)
         task = asyncio.ensure_future(Stim300Device(on_a_table(500)[0], far.write, 500).serve())
         if not streams:
             task.cancel()
@@ -154,10 +156,10 @@ def test_a_device_that_does_not_answer_is_taken_as_it_is(streams: bool) -> None:
 
 def test_a_wire_that_is_pulled_while_it_is_asked_is_a_lost_link() -> None:
     async def scene() -> None:
-        near, far = MemoryLink.pair("imu")
+        near, far = pair("imu")
         asyncio.get_running_loop().call_later(0.2, far.close)
         with pytest.raises(LinkLost):
-            await Stim300Imu("imu", near, 500).identify()
+            await Stim300Imu(imu_setup("stim300", "imu", 500), near).identify()
 
     virtually(scene)
 
@@ -167,7 +169,7 @@ def test_a_wire_that_is_pulled_while_it_is_asked_is_a_lost_link() -> None:
     [
         ({"rate_hz": 500}, {}, "sends at 500 Hz, the bench file says rate 2000 Hz.*m 4, then s"),
         ({"gyro_unit": "increment"}, {"gyro_unit": "rate"}, "gyro unit increment, the bench file says rate.*u g,0"),
-        ({"accel_range_g": 30, "identifier": 0x91}, {"accel_range_g": 10}, "accelerometers of 30 g.*says 10 g"),
+        ({"accel_range_g": 30, "identifier": 0x91}, {"accel_range": 10}, "accelerometers of 30 g.*says 10 g"),
     ],
 )
 def test_a_device_set_otherwise_than_the_bench_says_is_refused(
@@ -176,19 +178,19 @@ def test_a_device_set_otherwise_than_the_bench_says_is_refused(
     async def scene() -> None:
         async with wired(**({"rate_hz": 2000} | set_to)) as wire:
             with pytest.raises(DeviceRefused, match=words):
-                await Stim300Imu("imu", wire.near, 2000, **bench).identify()
+                await Stim300Imu(imu_setup("stim300", "imu", 2000, **bench), wire.near).identify()
 
     virtually(scene)
 
 
 def test_external_trigger_and_a_gyro_that_is_off_are_refused() -> None:
     async def scene(byte: int, value: int, words: str) -> None:
-        near, far = MemoryLink.pair("imu")
+        near, far = pair("imu")
         data = bytearray(Configuration.of(rate_hz=2000).data)
         data[byte] = value
         far.write(encode_special(Configuration(bytes(data))))
         with pytest.raises(DeviceRefused, match=words):
-            await Stim300Imu("imu", near, 2000).identify()
+            await Stim300Imu(imu_setup("stim300", "imu", 2000), near).identify()
 
     virtually(lambda: scene(2, 5 << 5, "external trigger"))
     virtually(lambda: scene(4, 0x50, "gyro y is off"))
@@ -199,7 +201,7 @@ def test_external_trigger_and_a_gyro_that_is_off_are_refused() -> None:
 def test_every_gyro_unit_gives_the_rate_at_its_time(unit: str, rate_hz: int) -> None:
     async def scene() -> None:
         async with wired(rate_hz, gyro_unit=unit) as wire:
-            imu = Stim300Imu("imu", wire.near, rate_hz)
+            imu = Stim300Imu(imu_setup("stim300", "imu", rate_hz), wire.near)
             await imu.identify()
             await gathered(imu, 1.0)
             turning = asyncio.get_running_loop().time()
@@ -219,7 +221,7 @@ def test_every_gyro_unit_gives_the_rate_at_its_time(unit: str, rate_hz: int) -> 
 def test_an_integral_over_a_gap_is_not_guessed() -> None:
     async def scene() -> None:
         async with wired(500, gyro_unit="integrated") as wire:
-            imu = Stim300Imu("imu", wire.near, 500)
+            imu = Stim300Imu(imu_setup("stim300", "imu", 500), wire.near)
             await imu.identify()
             await gathered(imu, 0.5)
             wire.device.faults.dropped = 0.1
@@ -235,7 +237,7 @@ def test_an_integral_over_a_gap_is_not_guessed() -> None:
 def test_the_accelerometer_range_is_the_devices_own() -> None:
     async def scene() -> None:
         async with wired(1000, identifier=0xA7 - 2, accel_range_g=5) as wire:
-            imu = Stim300Imu("imu", wire.near, 1000)
+            imu = Stim300Imu(imu_setup("stim300", "imu", 1000), wire.near)
             await imu.identify()
             blocks = await gathered(imu, 0.2)
             np.testing.assert_allclose(joined(blocks, "accel_mps2")[-1], [0, 0, 9.80665], atol=1e-4)
@@ -247,7 +249,7 @@ def test_the_accelerometer_range_is_the_devices_own() -> None:
 def test_what_the_device_calls_invalid_is_no_number() -> None:
     async def scene() -> None:
         async with wired(1000, cold=True, identifier=0xA5) as wire:
-            imu = Stim300Imu("imu", wire.near, 1000)
+            imu = Stim300Imu(imu_setup("stim300", "imu", 1000), wire.near)
             await imu.identify()
             blocks = await gathered(imu, 1.0)
             valid = np.isfinite(joined(blocks, "rate_rps")).all(axis=1)
@@ -264,7 +266,7 @@ def test_what_the_device_calls_invalid_is_no_number() -> None:
 
 def test_bytes_that_come_one_by_one_still_make_blocks_of_ten_milliseconds() -> None:
     async def scene() -> None:
-        near, far = MemoryLink.pair("imu")
+        near, far = pair("imu")
 
         def drip(data: bytes) -> None:
             for i in range(len(data)):
@@ -272,7 +274,7 @@ def test_bytes_that_come_one_by_one_still_make_blocks_of_ten_milliseconds() -> N
 
         device = Stim300Device(on_a_table(2000)[0], drip, 2000)
         task = asyncio.ensure_future(device.serve())
-        blocks = await gathered(Stim300Imu("imu", near, 2000), 1.0)
+        blocks = await gathered(Stim300Imu(imu_setup("stim300", "imu", 2000), near), 1.0)
         task.cancel()
         assert len(joined(blocks, "counter")) == pytest.approx(2000, abs=20)
         assert len(blocks) < 150
@@ -283,7 +285,7 @@ def test_bytes_that_come_one_by_one_still_make_blocks_of_ten_milliseconds() -> N
 def test_sample_times_follow_a_clock_that_drifts() -> None:
     async def scene() -> None:
         async with wired(125, faults=NodeFaults(clock_ppm=50.0)) as wire:
-            imu = Stim300Imu("imu", wire.near, 125)
+            imu = Stim300Imu(imu_setup("stim300", "imu", 125), wire.near)
             await imu.identify()
             await gathered(imu, 12.0)
             blocks = await gathered(imu, 12.0)
@@ -309,7 +311,7 @@ def test_utility_mode_identifies_sets_and_refuses() -> None:
                 await utility.set_gyro_unit("integrated")
                 await utility.set_datagram(0x91)
                 assert await utility.save() == 9957
-            imu = Stim300Imu("imu", wire.near, 2000, gyro_unit="integrated")
+            imu = Stim300Imu(imu_setup("stim300", "imu", 2000, gyro_unit="integrated"), wire.near)
             assert (await imu.identify()).serial == "N25582405002002"
             blocks = await gathered(imu, 0.5)
             assert len(joined(blocks, "counter")) == pytest.approx(1000, abs=60)
@@ -329,7 +331,7 @@ def test_service_mode_identifies_sets_and_refuses() -> None:
                 await service.set_rate(1000)
                 await service.set_gyro_unit("average")
                 await service.set_datagram(0x91, line_termination=True)
-            imu = Stim300Imu("imu", wire.near, 1000, gyro_unit="average")
+            imu = Stim300Imu(imu_setup("stim300", "imu", 1000, gyro_unit="average"), wire.near)
             assert (await imu.identify()).serial == who.serial
             blocks = await gathered(imu, 0.5)
             assert len(joined(blocks, "counter")) == pytest.approx(500, abs=30)
@@ -341,7 +343,7 @@ def test_service_mode_identifies_sets_and_refuses() -> None:
 @pytest.mark.parametrize("mode", [Stim300Utility, Stim300Service])
 def test_a_device_without_a_voice_is_a_lost_link(mode: type[Stim300Utility] | type[Stim300Service]) -> None:
     async def scene() -> None:
-        near, far = MemoryLink.pair("imu")
+        near, far = pair("imu")
         task = asyncio.ensure_future(Stim300Device(on_a_table(500)[0], far.write, 500).serve())
         with pytest.raises(LinkLost, match="is it powered, and sending samples"):
             async with mode("imu", near):
@@ -362,7 +364,7 @@ def test_over_a_pseudo_terminal_it_names_itself_and_streams() -> None:
         loop.add_reader(ours, lambda: device.received(os.read(ours, 1000)))
         task = asyncio.ensure_future(device.serve())
         link = SerialLink("imu", os.ttyname(theirs), 921600)
-        imu = Stim300Imu("imu", link, 2000)
+        imu = Stim300Imu(imu_setup("stim300", "imu", 2000), link)
         try:
             await imu.open()
             assert await imu.identify() == WHO

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from setups import imu_setup
+from wire_pair import pair
 
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
 from drivers.imus.vectornav.codec import Sentence, encode_sentence
@@ -58,7 +60,7 @@ async def bench(
     **twin: Any,
 ) -> AsyncIterator[Bench]:
     """Join a source to its twin; ``wire`` hands on what the twin sends, ``to_device`` what it is sent."""
-    near, far = MemoryLink.pair("imu")
+    near, far = pair("imu")
     device = VectorNavDevice(gyros(rate_hz), lambda data: wire(data, far.write), rate_hz=rate_hz, **twin)
 
     async def hear() -> None:
@@ -66,7 +68,7 @@ async def bench(
             device.received(to_device((await far.receive()).data))
 
     tasks = [asyncio.ensure_future(hear()), asyncio.ensure_future(device.serve())]
-    imu = VectorNavImu("imu", near, rate_hz, output=output, serial_port=serial_port)
+    imu = VectorNavImu(imu_setup("vectornav", "imu", rate_hz, 0.25, output=output, serial_port=serial_port), near)
     await imu.open()
     try:
         yield Bench(imu, device, far)

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from setups import imu_setup
+from wire_pair import pair
 
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused, LinkLost
 from drivers.imus.xsens.imu import XsensImu
@@ -138,7 +140,7 @@ def with_twin(
 
     async def main() -> tuple[Identity, Taken, XsensDevice]:
         loop = asyncio.get_running_loop()
-        near, far = MemoryLink.pair("mti")
+        near, far = pair("mti")
         table = Table()
         due = [0.0]
 
@@ -149,7 +151,7 @@ def with_twin(
         force = table.body.up if accelerometer else None
         device = XsensDevice(table.gyros(twin_hz or rate_hz), write, twin_hz or rate_hz, specific_force_g=force, **twin)
         prepare(device, table)
-        imu = XsensImu("mti", near, rate_hz, **(options or {}))
+        imu = XsensImu(imu_setup("xsens", "mti", rate_hz, **(options or {})), near)
         tasks = [loop.create_task(device.serve()), loop.create_task(listen(far, device.received))]
         await imu.open()
         identity = await imu.identify() if identify else Identity()
@@ -171,7 +173,7 @@ def with_peer(
 
     async def main() -> tuple[Any, float, list[tuple[int, bytes]]]:
         loop = asyncio.get_running_loop()
-        near, far = MemoryLink.pair("mti")
+        near, far = pair("mti")
         decoder, requests = XbusDecoder(), []
 
         def received(data: bytes) -> None:
@@ -181,7 +183,7 @@ def with_peer(
                     answer(messages.mid, request, far.write)
 
         task = loop.create_task(listen(far, received))
-        imu = XsensImu("mti", near, 100, **options)
+        imu = XsensImu(imu_setup("xsens", "mti", 100, **options), near)
         await imu.open()
         try:
             result = await act(imu)
@@ -205,8 +207,8 @@ def from_bytes(parts: list[tuple[float, bytes]], rate_hz: float = 100) -> Taken:
 
     async def main() -> Taken:
         loop = asyncio.get_running_loop()
-        near, far = MemoryLink.pair("mti")
-        imu = XsensImu("mti", near, rate_hz, configure=False)
+        near, far = pair("mti")
+        imu = XsensImu(imu_setup("xsens", "mti", rate_hz, configure=False), near)
         await imu.open()
         for at, together in groupby(parts, key=lambda part: part[0]):
             loop.call_at(at, far.write, b"".join(data for _, data in together))
@@ -315,10 +317,10 @@ def test_a_device_without_accelerometers_gives_none() -> None:
 def test_a_source_may_be_started_again() -> None:
     async def main() -> None:
         loop = asyncio.get_running_loop()
-        near, far = MemoryLink.pair("mti")
+        near, far = pair("mti")
         device = XsensDevice(Table().gyros(100), far.write, 100)
         tasks = [loop.create_task(device.serve()), loop.create_task(listen(far, device.received))]
-        imu = XsensImu("mti", near, 100)
+        imu = XsensImu(imu_setup("xsens", "mti", 100), near)
         await imu.open()
         for _ in range(2):
             found = []

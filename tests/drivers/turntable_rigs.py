@@ -11,18 +11,19 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from pymodbus.transport import NULLMODEM_HOST
+from setups import setup_of, twin_on
+from wire_pair import pair
 
 from drivers.links.byte_links import MemoryLink
-from drivers.tables.acutrol.table import AcutrolAxis, AcutrolTable
+from drivers.specs import AxisSetup
+from drivers.tables.acutrol.table import AcutrolTable
 from drivers.tables.aerosmith.table import AerosmithTable
-from drivers.tables.galil.table import GalilAxis, GalilTable
+from drivers.tables.galil.table import GalilTable
 from drivers.tables.modbus.registers import load_profile
-from drivers.tables.modbus.table import DriveAxis, ModbusTable
+from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
-from sims.tables.acutrol_controller import AcutrolController
-from sims.tables.aerosmith_controller import STA_FAULT, AerosmithController
-from sims.tables.galil_controller import GalilController
+from sims.tables.aerosmith_controller import STA_FAULT
 from sims.tables.modbus import modbus_server
 from station.run.event_loop.loops import VirtualLoop
 
@@ -103,14 +104,18 @@ def byte_pair(
     """Return driver and twin of one protocol, joined to nothing but ``link`` and ``write``."""
     if kind == "galil":
         letters = dict(zip(axes, "ABC", strict=False))
-        galil_axes = {axis: GalilAxis(letter, COUNTS[kind], LIMITS) for axis, letter in letters.items()}
-        return GalilTable("table", link, galil_axes, TIMEOUT_S), GalilController(model, write, letters, **twin)
+        galil_axes = {axis: AxisSetup(letter, COUNTS[kind], LIMITS) for axis, letter in letters.items()}
+        table: Any = GalilTable(setup_of("galil", galil_axes, TIMEOUT_S), link)
+        return table, twin_on("galil", model, write, letters, **twin)
     if kind == "acutrol":
         numbers = {axis: place for place, axis in enumerate(axes, 1)}
-        acutrol_axes = {axis: AcutrolAxis(number, LIMITS) for axis, number in numbers.items()}
-        return AcutrolTable("table", link, acutrol_axes, TIMEOUT_S), AcutrolController(model, write, numbers, **twin)
-    table = AerosmithTable("table", link, axes, LIMITS, TIMEOUT_S, fault_mask=STA_FAULT)
-    return table, AerosmithController(model, write, axes, **twin)
+        acutrol_axes = {axis: AxisSetup(number, COUNTS["acutrol"], LIMITS) for axis, number in numbers.items()}
+        table = AcutrolTable(setup_of("acutrol", acutrol_axes, TIMEOUT_S), link)
+        return table, twin_on("acutrol", model, write, numbers, **twin)
+    table = AerosmithTable(
+        setup_of("aerosmith", {axes: AxisSetup("", 1, LIMITS)}, TIMEOUT_S, fault_mask=STA_FAULT), link
+    )
+    return table, twin_on("aerosmith", model, write, {axes: ""}, **twin)
 
 
 @asynccontextmanager
@@ -122,7 +127,7 @@ async def rig(kind: str, *, opened: bool = True, **twin: Any) -> AsyncIterator[R
         return
     axes = "x" if kind == "aerosmith" else "xyz"
     model = model_of(axes, COUNTS[kind])
-    near, far = MemoryLink.pair("table")
+    near, far = pair("table")
     wire = MemoryWire(far)
     table, wire.controller = byte_pair(kind, near, model, wire.write, axes, **twin)
     carrier = asyncio.get_running_loop().create_task(wire.carry())
@@ -149,8 +154,8 @@ async def _modbus_rig(opened: bool, watchdog_s: float = 0.0) -> AsyncIterator[Ri
     address = (NULLMODEM_HOST, next(_wires))
     server = modbus_server(model, profile, unit_ids, address, watchdog_s)
     await server.serve_forever(background=True)
-    drives = {axis: DriveAxis(unit_id, COUNTS["modbus"], LIMITS) for axis, unit_id in unit_ids.items()}
-    table = ModbusTable("table", address, profile, drives, TIMEOUT_S)
+    drives = {axis: AxisSetup(unit_id, COUNTS["modbus"], LIMITS) for axis, unit_id in unit_ids.items()}
+    table = ModbusTable(setup_of("modbus", drives, TIMEOUT_S, profile=profile), address)
     try:
         if opened:
             await table.open()

@@ -1,21 +1,20 @@
-"""Aceinna OpenIMU300RI and MTLT305D on SAE J1939: identifiers, data messages, requests. A pure codec.
+"""Aceinna OpenIMU300RI and MTLT305D on SAE J1939: identifiers and requests. A pure codec; a DBC has the data messages.
 
-Source: Aceinna's public documentation of the OpenIMU300RI's J1939 application; SAE J1939-21 for identifiers and
-J1939-71 for codes that are no measurements. All numbers are little endian, unsigned, with an offset.
+Source: Aceinna's public documentation of the OpenIMU300RI's J1939 application; SAE J1939-21 for identifiers.
 """
 
 from __future__ import annotations
 
-import math
-import struct
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
-
-import numpy as np
 
 from drivers.imus.signals import parameter_group
 from drivers.packaged import packaged_toml
-from drivers.types import Flags, Floats, Frame, Octets
+from drivers.types import Frame
+
+DBC = Path(__file__).parents[1] / "can" / "dbc" / "aceinna.dbc"
+"""Data messages: SSI2, ARI, ACCS."""
 
 SSI2, ARI, ACCS = 0xF029, 0xF02A, 0xF02D
 """Slope, angular rate and acceleration messages, as parameter group numbers."""
@@ -35,14 +34,10 @@ AxisOrder = Literal["xyz", "sae"]
 AXIS_ORDERS: dict[str, AxisOrder] = {"openimu300ri": "xyz", "mtlt305d": "sae"}
 """Order of the fields by model: SAE J1939-71 puts pitch before roll and lateral before longitudinal, y before x."""
 
-_COLUMNS: dict[AxisOrder, tuple[int, int, int]] = {"xyz": (0, 1, 2), "sae": (1, 0, 2)}
+COLUMNS: dict[AxisOrder, tuple[int, int, int]] = {"xyz": (0, 1, 2), "sae": (1, 0, 2)}
+"""Places of x, y, z among the fields, and the other way round."""
+
 _PRIORITIES = {SSI2: 3, ARI: 3, ACCS: 2}
-_DPS_PER_BIT, _DPS_OFFSET = 1 / 128, -250.0
-_MPS2_PER_BIT, _MPS2_OFFSET = 0.01, -320.0
-_DEG_PER_BIT, _DEG_OFFSET = 1 / 32768, -250.0
-_TOP = 64000  # the code of +250 deg/s and of +320 m/s2, where the device stops
-_NO_MEASUREMENT = 0xFB00  # from here on: reserved, indicator, error (FExx), not available (FFxx)
-_NOT_AVAILABLE = 0xFFFF
 
 
 def identifier(group: int, source: int, destination: int = EVERYBODY) -> int:
@@ -112,46 +107,3 @@ def decode_version(data: bytes) -> str:
         return ""
     major, minor, patch, stage, build = data
     return f"{major}.{minor}.{patch} stage {stage} build {build}"
-
-
-def decode_rates(data: Octets, order: AxisOrder) -> tuple[Floats, Flags]:
-    """Return rates x, y, z (n, 3) in deg/s of ARI messages (n, 8), and which are saturated; NaN for no measurement."""
-    return _decode(data, order, _DPS_PER_BIT, _DPS_OFFSET)
-
-
-def decode_accelerations(data: Octets, order: AxisOrder) -> tuple[Floats, Flags]:
-    """Return accelerations x, y, z (n, 3) in m/s2 of ACCS messages (n, 8), and which are saturated; NaN as above."""
-    return _decode(data, order, _MPS2_PER_BIT, _MPS2_OFFSET)
-
-
-def encode_rates(rates_dps: Floats, order: AxisOrder, tail: bytes = bytes(2)) -> bytes:
-    """Return the data of ARI for rates x, y, z (3,) in deg/s; ``tail`` is figure of merit and latency."""
-    return _encode(rates_dps, order, _DPS_PER_BIT, _DPS_OFFSET) + tail
-
-
-def encode_accelerations(accel_mps2: Floats, order: AxisOrder, tail: bytes = bytes(2)) -> bytes:
-    """Return the data of ACCS for accelerations x, y, z (3,) in m/s2."""
-    return _encode(accel_mps2, order, _MPS2_PER_BIT, _MPS2_OFFSET) + tail
-
-
-def encode_slope(pitch_deg: float, roll_deg: float, tail: bytes = bytes(2)) -> bytes:
-    """Return the data of SSI2."""
-    raw = [round((angle - _DEG_OFFSET) / _DEG_PER_BIT) for angle in (pitch_deg, roll_deg)]
-    return b"".join(min(max(number, 0), _NO_MEASUREMENT << 8).to_bytes(3, "little") for number in raw) + tail
-
-
-def _decode(data: Octets, order: AxisOrder, per_bit: float, offset: float) -> tuple[Floats, Flags]:
-    raw = np.ascontiguousarray(data[:, :6]).view("<u2")[:, _COLUMNS[order]]
-    values = raw * per_bit + offset
-    none = raw >= _NO_MEASUREMENT
-    values[none] = np.nan
-    return np.asarray(values), np.asarray(((raw == 0) | (raw >= _TOP)) & ~none)
-
-
-def _encode(values: Floats, order: AxisOrder, per_bit: float, offset: float) -> bytes:
-    fields = [float(values[column]) for column in _COLUMNS[order]]  # either order is its own inverse
-    raw = [
-        _NOT_AVAILABLE if math.isnan(field) else round(min(max((field - offset) / per_bit, 0), _TOP))
-        for field in fields
-    ]
-    return struct.pack("<3H", *raw)

@@ -17,6 +17,7 @@ from drivers.errors import DeviceError
 from drivers.imus.samples import Companion, Piece, block_of, regular_block
 from drivers.imus.signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.protocols import FrameLink
+from drivers.specs import ImuSpec, described
 from drivers.types import Flags, Floats, Frame, Identity, ImuBlock, Octets, SourceCounts, Stamps
 
 BUILT_IN_DBC = Path(__file__).with_name("gyro_nodes.dbc")
@@ -32,7 +33,8 @@ class CanChannel:
 
     ``rate`` is one signal for each gyro, all of one message. ``counter`` counts samples, ``step`` on with each, or
     ``time`` is the device's own clock; its raw number begins anew at ``wrap``, or if that is 0 at its length.
-    ``units`` has what the DBC does not say: the unit of "rate", "temperature", "acceleration", "time".
+    ``units`` has what the DBC does not say: the unit of "rate", "temperature", "acceleration", "time". With
+    ``saturates`` a rate or an acceleration at an end of the DBC's range is none.
     """
 
     name: str
@@ -44,6 +46,7 @@ class CanChannel:
     units: tuple[tuple[str, str], ...] = ()
     wrap: int = 0
     step: int = 1
+    saturates: bool = False
 
     @property
     def rates(self) -> tuple[str, ...]:
@@ -69,7 +72,8 @@ class ChannelSignals:
         units = dict(channel.units)
 
         def reader(name: str, quantity: str) -> SignalReader:
-            return SignalReader(device, database, dbc, name, quantity, units.get(quantity, ""))
+            saturates = channel.saturates and quantity in ("rate", "acceleration")
+            return SignalReader(device, database, dbc, name, quantity, units.get(quantity, ""), saturates)
 
         self.rates = [reader(name, "rate") for name in channel.rates]
         self.acceleration = [reader(name, "acceleration") for name in channel.acceleration or ()]
@@ -339,3 +343,13 @@ class _Source:
         held = known[told]
         self._temperature_c = float(held[-1])
         return np.asarray(held[1:])
+
+
+SPEC = described(
+    ImuSpec,
+    __package__,
+    make=lambda own, link: CanImu(
+        own.name, link, own.signals.dbc, own.signals.channels, own.rate_hz, source_address=own.signals.source_address
+    ),
+    gyros=None,
+)

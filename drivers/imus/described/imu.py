@@ -10,6 +10,7 @@ from drivers.errors import LinkLost
 from drivers.imus.can.imu import CanChannel, CanImu
 from drivers.imus.described.framing import Decoder, Frames, Lines
 from drivers.protocols import ByteLink
+from drivers.specs import ImuSpec, described
 from drivers.types import ByteChunk, Frame, SourceCounts
 
 
@@ -86,3 +87,11 @@ class DescribedImu(CanImu):
         counts = super().counts(name)
         counts.corrupt = self._framed.decoder.damaged
         return counts
+
+
+SPEC = described(
+    ImuSpec,
+    __package__,
+    make=lambda own, link: DescribedImu(own.name, link, own.signals, own.rate_hz),
+    gyros=None,
+)

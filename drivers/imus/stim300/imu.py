@@ -13,8 +13,9 @@ from drivers.errors import DeviceRefused
 from drivers.imus.one_source import OneSource
 from drivers.imus.stim300 import codec as stim300
 from drivers.imus.stim300.special import RATES_HZ, Configuration, PartNumber, SerialNumber, Special
-from drivers.imus.stim300.units import UNITS, accel_unit_mps2, gyro_unit_rps
+from drivers.imus.stim300.units import ACCEL_LSB_G, UNITS, accel_unit_mps2, gyro_unit_rps
 from drivers.protocols import ByteLink
+from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import ByteChunk, Identity, ImuBlock, SourceCounts, Stamps
 
 _BLOCK_S = 0.01
@@ -35,27 +36,19 @@ class _Arrived:
 class Stim300Imu(OneSource[ByteLink]):
     """One source of three gyros, with accelerometer and temperatures where the datagram carries them."""
 
-    def __init__(
-        self,
-        device: str,
-        link: ByteLink,
-        rate_hz: int,
-        *,
-        gyro_unit: str | None = None,
-        accel_range_g: int | None = None,
-        timeout_s: float = 0.5,
-    ) -> None:
-        """Expect datagrams at ``rate_hz``, one of 125, 250, 500, 1000, 2000.
+    def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
+        """Expect datagrams at 125, 250, 500, 1000 or 2000 Hz.
 
-        ``gyro_unit`` (a name of ``UNITS``) and ``accel_range_g`` are what the device must be set to; None takes
-        what it says, and of a device that does not say: rate, 10 g. A question waits ``timeout_s`` twice.
+        ``gyro_unit`` (a name of ``UNITS``) and ``accel_range`` (g) are what the device must be set to; None takes
+        what it says, and of a device that does not say: rate, 10 g. A question waits the time-out twice.
         """
-        super().__init__(device, link)
-        self._rate_hz, self._timeout_s = rate_hz, timeout_s
+        super().__init__(setup.name, link)
+        self._rate_hz = rate_hz = round(setup.rate_hz)
+        self._timeout_s = setup.timeout_s
         self._ticks = stim300.INTERNAL_RATE_HZ // rate_hz
-        self._wanted_unit, self._wanted_range_g = gyro_unit, accel_range_g
-        self._gyro = gyro_unit_rps(_CODES[gyro_unit or UNITS[0]], rate_hz)
-        self._accel = accel_unit_mps2(0, accel_range_g or 10, rate_hz)
+        self._wanted_unit, self._wanted_range_g = (setup.options[key] for key in ("gyro_unit", "accel_range"))
+        self._gyro = gyro_unit_rps(_CODES[self._wanted_unit or UNITS[0]], rate_hz)
+        self._accel = accel_unit_mps2(0, self._wanted_range_g or 10, rate_hz)
         self._decoder = stim300.Stim300Decoder()
         self._clock = CounterClock(1 / stim300.INTERNAL_RATE_HZ, stim300.COUNTER_MODULUS, self._ticks)
         self._chunks: list[ByteChunk] = []  # not yet decoded
@@ -218,3 +211,13 @@ class Stim300Imu(OneSource[ByteLink]):
         raise DeviceRefused(
             self._device, f"the device {found}, the bench file says {wanted}: correct the bench file{otherwise}"
         )
+
+
+_RANGES = {"one_of": ACCEL_LSB_G, "told": f"is one of {', '.join(map(str, ACCEL_LSB_G))} g"}
+SPEC = described(
+    ImuSpec,
+    __package__,
+    {"gyro_unit": {"one_of": UNITS.values()}, "accel_range": _RANGES},
+    make=Stim300Imu,
+    rates_hz=RATES_HZ,
+)

@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import AsyncIterator
-from typing import Literal
 
 import numpy as np
 
@@ -12,9 +11,8 @@ from drivers.imus.one_source import OneSource
 from drivers.imus.samples import regular_block
 from drivers.imus.vectornav import codec as vectornav
 from drivers.protocols import ByteLink
+from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import ByteChunk, Flags, Identity, ImuBlock, SourceCounts, Stamps
-
-Output = Literal["binary", "ascii"]
 
 # The rates before the filter takes off the bias that it estimates: that bias moves, and would hide what is calibrated.
 LAYOUT = vectornav.layout_of({vectornav.COMMON: 1 << 0, vectornav.IMU: 1 << 2 | 1 << 3 | 1 << 4})
@@ -39,24 +37,14 @@ _STAMP_MODULUS = 1 << 62  # ns: it never wraps
 class VectorNavImu(OneSource[ByteLink]):
     """One source of three gyros and three accelerometers, uncompensated, with temperature."""
 
-    def __init__(
-        self,
-        device: str,
-        link: ByteLink,
-        rate_hz: float,
-        *,
-        output: Output = "binary",
-        serial_port: int = 1,
-        timeout_s: float = 0.25,
-    ) -> None:
-        """Ask for output at ``rate_hz``, one of those that its record names.
+    def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
+        """Ask for ``output`` ("binary", "ascii") at one of the rates that its record names.
 
-        ``serial_port`` (1, 2) is the device's own, at which the link ends. ``timeout_s`` is for one try, of which
-        each command has two.
+        The option ``serial_port`` (1, 2; if not given 1) is the device's own, at which the link ends.
         """
-        super().__init__(device, link)
-        self._rate_hz = round(rate_hz)
-        self._output, self._serial_port, self._timeout_s = output, serial_port, timeout_s
+        super().__init__(setup.name, link)
+        self._rate_hz, self._timeout_s = round(setup.rate_hz), setup.timeout_s
+        self._output, self._serial_port = setup.options["output"], setup.options.get("serial_port", 1)
         self._decoder = vectornav.VectorNavDecoder()
         self._counts = SourceCounts()
         self._unreadable = 0
@@ -256,3 +244,12 @@ def _same(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
 
 def _code(sentence: vectornav.Sentence) -> int:
     return vectornav.error_code(sentence.fields[0]) if sentence.fields else -1
+
+
+SPEC = described(
+    ImuSpec,
+    __package__,
+    {"output": {"one_of": vectornav.RATES_HZ}},
+    make=VectorNavImu,
+    rates_hz=vectornav.RATES_HZ,
+)

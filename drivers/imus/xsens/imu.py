@@ -9,11 +9,11 @@ import numpy as np
 
 from drivers.clocks.sampling import Alignment, CounterClock
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
-from drivers.imus.one_source import OneSource
 from drivers.imus.xsens import mtdata2
-from drivers.imus.xsens.requests import XbusLink
+from drivers.imus.xsens.requests import XbusDevice
 from drivers.imus.xsens.xbus import Bytes, Messages, Mid, error_text, firmware_of, product_of, serial_of
 from drivers.protocols import ByteLink
+from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import Flags, Floats, Identity, ImuBlock, SourceCounts, Stamps
 
 HIGHEST_RATE_HZ = 2000
@@ -29,27 +29,17 @@ _Batch = tuple[Stamps, Stamps, Floats, Floats, Floats]
 """Count, arrival in ns, rate, temperature, acceleration."""
 
 
-class XsensImu(OneSource[XbusLink]):
+class XsensImu(XbusDevice):
     """One source of three gyros, with accelerometer and temperature where the device sends them."""
 
-    def __init__(
-        self,
-        device: str,
-        link: ByteLink,
-        rate_hz: float,
-        *,
-        number_format: int = mtdata2.FLOAT32,
-        configure: bool = True,
-        timeout_s: float = 0.5,
-    ) -> None:
-        """Ask for samples at ``rate_hz``, a whole number of Hz up to 2000, in one of the four number formats.
+    def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
+        """Ask for samples at a whole number of Hz up to 2000, in ``number_format``, FLOAT32 if none is given.
 
-        With ``configure=False`` nothing is ever sent to a device that already streams at this rate. ``timeout_s``
-        is for one try, of which each request has two.
+        With the option ``configure`` false nothing is ever sent to a device that already streams at this rate.
         """
-        super().__init__(device, XbusLink(device, link, timeout_s))
-        self._rate_hz = round(rate_hz)
-        self._format, self._configures = number_format, configure
+        super().__init__(setup.name, link, setup.timeout_s)
+        self._rate_hz = round(setup.rate_hz)
+        self._format, self._configures = setup.options.get("number_format", mtdata2.FLOAT32), setup.options["configure"]
         self._counts = SourceCounts()
         self._unusable = 0
         self._has_accel: bool | None = None
@@ -57,7 +47,7 @@ class XsensImu(OneSource[XbusLink]):
 
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are damaged messages, those with impossible contents included."""
-        self._counts.corrupt = self._link.bad_messages + self._unusable
+        self._counts.corrupt = self._decoder.bad_messages + self._unusable
         return self._counts
 
     def alignment(self, name: str) -> Alignment | None:
@@ -71,8 +61,8 @@ class XsensImu(OneSource[XbusLink]):
         """
         if not self._configures:
             return Identity()
-        await self._link.request(Mid.GO_TO_CONFIG)
-        serial = serial_of(await self._link.request(Mid.REQ_DEVICE_ID))
+        await self._request(Mid.GO_TO_CONFIG)
+        serial = serial_of(await self._request(Mid.REQ_DEVICE_ID))
         product = product_of(await self._told(Mid.REQ_PRODUCT_CODE))
         return Identity(product, serial, firmware_of(await self._told(Mid.REQ_FIRMWARE)))
 
@@ -81,7 +71,7 @@ class XsensImu(OneSource[XbusLink]):
 
         LinkLost if it does not answer; DeviceRefused, also if it grants another rate than the one asked for.
         """
-        await self._link.request(Mid.GO_TO_CONFIG)
+        await self._request(Mid.GO_TO_CONFIG)
         wanted = mtdata2.encode_outputs(
             (
                 mtdata2.Output(mtdata2.PACKET_COUNTER, mtdata2.EVERY),
@@ -92,13 +82,13 @@ class XsensImu(OneSource[XbusLink]):
                 ),
             )
         )
-        answer = await self._link.request(Mid.OUTPUT_CONFIGURATION, wanted, lambda answer: answer == wanted)
+        answer = await self._request(Mid.OUTPUT_CONFIGURATION, wanted, lambda answer: answer == wanted)
         granted = mtdata2.decode_outputs(answer)
         if granted is None:
             raise BadReply(self._device, "its answer to OutputConfiguration is no output configuration")
         self._check_granted(granted)
         self._has_accel = any(mtdata2.kind_of(output.data_id) == mtdata2.ACCELERATION for output in granted)
-        await self._link.request(Mid.GO_TO_MEASUREMENT)
+        await self._request(Mid.GO_TO_MEASUREMENT)
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
         """Configure the device and yield blocks of about 10 ms; LinkLost when the link ends, and as ``configure``.
@@ -109,7 +99,7 @@ class XsensImu(OneSource[XbusLink]):
         if self._configures:
             await self.configure()
         while True:
-            t_ns, messages = await self._link.receive()
+            t_ns, messages = await self._receive()
             if messages.mid != Mid.MTDATA2:
                 self._complain(messages)
                 continue
@@ -234,7 +224,7 @@ class XsensImu(OneSource[XbusLink]):
     async def _told(self, mid: Mid) -> bytes:
         """Return the answer to what not every device can be asked, empty from those."""
         try:
-            return await self._link.request(mid)
+            return await self._request(mid)
         except DeviceRefused:
             return b""
 
@@ -294,3 +284,6 @@ class _Timing:
                 sound[i], newest, self._in_a_row = True, max(newest, now), 0
         self._newest = newest
         return sound
+
+
+SPEC = described(ImuSpec, __package__, make=XsensImu, rates_hz=range(1, HIGHEST_RATE_HZ + 1))

@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable
 
 from drivers.errors import DeviceRefused, LinkLost
+from drivers.imus.one_source import OneSource
 from drivers.imus.xsens.xbus import ERROR_DATA_OVERFLOW, Messages, Mid, XbusDecoder, encode, error_text
 from drivers.protocols import ByteLink
 
@@ -15,36 +16,23 @@ def _any(_answer: bytes) -> bool:
     return True
 
 
-class XbusLink:
+class XbusDevice(OneSource[ByteLink]):
     """One device alone on its wire."""
 
     def __init__(self, device: str, link: ByteLink, timeout_s: float) -> None:
         """``timeout_s`` is for one try, of which each request has two."""
-        self._device, self._link, self._timeout_s = device, link, timeout_s
-        self._decoder = XbusDecoder()
+        super().__init__(device, link)
+        self._timeout_s, self._decoder = timeout_s, XbusDecoder()
         self._inbox: deque[tuple[int, Messages]] = deque()  # with the instant of arrival, ns
         self._hears_data = False
 
-    @property
-    def bad_messages(self) -> int:
-        """Number of places that began like a message and were none, for instance by their checksum."""
-        return self._decoder.bad_messages
-
-    async def open(self) -> None:
-        """Open the link."""
-        await self._link.open()
-
-    def close(self) -> None:
-        """Close the link."""
-        self._link.close()
-
-    async def receive(self) -> tuple[int, Messages]:
+    async def _receive(self) -> tuple[int, Messages]:
         """Return the next messages, all of a kind, with the loop time at which they arrived; LinkLost if gone."""
         while not self._inbox:
             await self._fill()
         return self._inbox.popleft()
 
-    async def request(self, mid: Mid, data: bytes = b"", expected: Callable[[bytes], bool] = _any) -> bytes:
+    async def _request(self, mid: Mid, data: bytes = b"", expected: Callable[[bytes], bool] = _any) -> bytes:
         """Send a request and return its answer: the one as expected, or the last one when that does not come in time.
 
         Answers bear no number of their request, and devices answer in the order of the requests. So one that comes

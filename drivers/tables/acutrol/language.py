@@ -11,8 +11,6 @@ from collections import deque
 
 from drivers.requests.exchange import Framed, Token
 
-PREFIX_LENGTH = 8  # of an answer on TCP
-
 OK = re.compile("OK")
 NUMBER = re.compile(r"[-+]?\d{1,15}(\.\d{0,15})?([eE][-+]?\d{1,2})?")
 NUMBERS = re.compile(rf"{NUMBER.pattern}(, ?{NUMBER.pattern})*")
@@ -51,7 +49,7 @@ class AcutrolFraming:
     idle = b""
     settle_s = 0.0
 
-    def __init__(self, axis_number: int, largest_rate_dps: float, prefix_length: int = PREFIX_LENGTH) -> None:
+    def __init__(self, axis_number: int, largest_rate_dps: float, prefix_length: int) -> None:
         """``largest_rate_dps`` is what the axis whose limit is written may have as one."""
         self._axis, self._prefix = axis_number, prefix_length
         self._largest = min(max(int(largest_rate_dps * 100) - 1, 200), 9999)

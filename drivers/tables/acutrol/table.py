@@ -8,17 +8,17 @@ position. While an axis turns, a task reads it often enough to count its turns.
 import asyncio
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer, Unanswered, UnexpectedReply
+from drivers.specs import AxisSetup, TableSetup, TableSpec, described
 from drivers.tables.acutrol import language as acutrol
 from drivers.tables.halting import kept
 from drivers.tables.line_table import LineTable, unwrapped
 from drivers.tables.unwrap import Unwrapper
-from drivers.types import AxisLimits, AxisState, AxisStatus, Identity
+from drivers.types import AxisState, AxisStatus, Identity
 
 _POLL_S = 0.02
 _TRACK_S = 0.1
@@ -32,14 +32,6 @@ _LEAD_S = 0.06  # braking begins so much early, for the way of the command to th
 _MOST_LEGS = 8
 _HOMING_RATE_DPS = 30.0
 _MODE_LIMIT_S = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class AcutrolAxis:
-    """One axis: its number on the controller, and its limits."""
-
-    number: int
-    limits: AxisLimits
 
 
 @dataclass(slots=True)
@@ -56,7 +48,7 @@ class _Task:
 class _Axis:
     """What the driver knows of an axis."""
 
-    own: AcutrolAxis
+    own: AxisSetup
     unwrapper: Unwrapper = field(default_factory=lambda: Unwrapper(360.0))
     task: _Task | None = None
 
@@ -66,26 +58,18 @@ class AcutrolTable(LineTable):
 
     _done = acutrol.OK
 
-    def __init__(
-        self,
-        device: str,
-        link: ByteLink,
-        axes: Mapping[str, AcutrolAxis],
-        timeout_s: float,
-        *,
-        prefix_length: int = acutrol.PREFIX_LENGTH,
-    ) -> None:
-        """Name the axes; ``prefix_length`` bytes before each answer are left out.
+    def __init__(self, setup: TableSetup, link: ByteLink) -> None:
+        """Take axes whose addresses are numbers; ``reply_prefix`` of the options are bytes before each answer.
 
-        A request is tried twice, each for ``timeout_s``. ValueError for a number that two axes have.
+        ValueError for a number that two axes have.
         """
-        self._axes = {name: _Axis(axis) for name, axis in axes.items()}
-        numbers = [axis.number for axis in axes.values()]
+        self._axes = {name: _Axis(axis) for name, axis in setup.axes.items()}
+        numbers = [axis.address for axis in setup.axes.values()]
         if len(set(numbers)) != len(numbers):
             raise ValueError(f"two axes have the same number: {numbers}")
-        first = next(iter(axes.values()))
-        framing = acutrol.AcutrolFraming(first.number, math.degrees(first.limits.rate_rps), prefix_length)
-        super().__init__(device, link, framing, timeout_s, {name: axis.limits for name, axis in axes.items()})
+        first = next(iter(setup.axes.values()))
+        most_dps, prefix_length = math.degrees(first.limits.rate_rps), setup.options["reply_prefix"]
+        super().__init__(setup, link, acutrol.AcutrolFraming(int(first.address), most_dps, prefix_length))
         self._watchers: set[asyncio.Task[None]] = set()
         self._failure: DeviceError | None = None
 
@@ -94,7 +78,7 @@ class AcutrolTable(LineTable):
         await self._exchange.open()
         for name, axis in self._axes.items():
             axis.unwrapper.restart()
-            text = (await self._ask(f":limit:absolute? {axis.own.number}", acutrol.NUMBERS)).text
+            text = (await self._ask(f":limit:absolute? {axis.own.address}", acutrol.NUMBERS)).text
             absolute, limits = acutrol.absolute_limits(text), axis.own.limits
             asked = math.degrees(limits.rate_rps), math.degrees(limits.acceleration_rps2)
             if absolute is not None and any(ours > 1.001 * most for ours, most in zip(asked, absolute, strict=True)):
@@ -117,7 +101,7 @@ class AcutrolTable(LineTable):
         for name, axis in self._axes.items():
             if (await self._sound(name)).enabled:
                 continue
-            number = axis.own.number
+            number = axis.own.address
             for line in (":interlock:open", ":interlock:reset", ":interlock:close"):
                 await self._tell(f"{line} {number}")
             await self._enter(name, "rate")
@@ -160,8 +144,8 @@ class AcutrolTable(LineTable):
         """Get mode, interlock and status byte, and the fault in words with both."""
         self._raise_failure()
         own = self._axes[axis]
-        interlock = (await self._ask(f":interlock? {own.own.number}", acutrol.WORD)).text
-        mode = (await self._ask(f":mode? {own.own.number}", acutrol.WORD)).text
+        interlock = (await self._ask(f":interlock? {own.own.address}", acutrol.WORD)).text
+        mode = (await self._ask(f":mode? {own.own.address}", acutrol.WORD)).text
         fault = ""
         if interlock.lower() == "fault":
             byte = round(float((await self._ask("*stb?", acutrol.NUMBER)).text))
@@ -181,16 +165,15 @@ class AcutrolTable(LineTable):
 
         def lines(axis: str) -> tuple[str, ...]:
             own = self._axes[axis].own
-            most_dps2 = math.degrees(own.limits.acceleration_rps2)
-            braking = f":lim:acc rate,{own.number},{most_dps2:.6f}"
-            return braking, f":demand:rate {own.number},0", f":mode:rate {own.number}", f":demand:rate {own.number},0"
+            still, most_dps2 = f":demand:rate {own.address},0", math.degrees(own.limits.acceleration_rps2)
+            return f":lim:acc rate,{own.address},{most_dps2:.6f}", still, f":mode:rate {own.address}", still
 
         return await self._rest(lines, self._read)
 
     async def abort(self) -> None:
         """Open every interlock at once, so that the drives lose their power, and wait for rest."""
         self._drop_tasks()
-        await self._rest(lambda axis: (f":interlock:open {self._axes[axis].own.number}",), self._read)
+        await self._rest(lambda axis: (f":interlock:open {self._axes[axis].own.address}",), self._read)
 
     def _drop_tasks(self) -> None:
         self._failure = None
@@ -199,7 +182,7 @@ class AcutrolTable(LineTable):
 
     async def _clear_fault(self, axis: str) -> None:
         self._axes[axis].task = None
-        await self._tell(f":interlock:reset {self._axes[axis].own.number}")
+        await self._tell(f":interlock:reset {self._axes[axis].own.address}")
 
     async def disable(self) -> None:
         """Switch every axis off and open its interlock; the first failure is raised once all have been tried."""
@@ -208,7 +191,7 @@ class AcutrolTable(LineTable):
             axis.task = None
             for line in (":mode:off", ":interlock:open"):
                 with kept(failures):
-                    await self._tell(f"{line} {axis.own.number}")
+                    await self._tell(f"{line} {axis.own.address}")
         if failures:
             raise failures[0]
 
@@ -303,7 +286,7 @@ class AcutrolTable(LineTable):
             if rate <= _AT_REST_DPS and asyncio.get_running_loop().time() - began > _STUCK_S:
                 break
             await asyncio.sleep(min(max(left / (2 * task.rate_dps), 0.002), _TRACK_S / 2))
-        await self._tell(f":demand:rate {own.own.number},0")
+        await self._tell(f":demand:rate {own.own.address},0")
         return True
 
     async def _until_rest(self, axis: str, task: _Task) -> bool:
@@ -324,7 +307,7 @@ class AcutrolTable(LineTable):
 
     async def _change_position(self, axis: str, way_deg: float, task: _Task) -> None:
         """Change the position demand. If the answer is lost it is not repeated: the next leg sees what came of it."""
-        number = self._axes[axis].own.number
+        number = self._axes[axis].own.address
         await self._tell(f":lim:rate pos,{number},{task.rate_dps:.6f}")
         await self._tell(f":lim:acc pos,{number},{task.acceleration_dps2:.6f}")
         await self._enter(axis, "position")
@@ -334,7 +317,7 @@ class AcutrolTable(LineTable):
             return
 
     async def _turn(self, axis: str, rate_dps: float, acceleration_dps2: float) -> None:
-        number = self._axes[axis].own.number
+        number = self._axes[axis].own.address
         await self._tell(f":lim:acc rate,{number},{acceleration_dps2:.6f}")
         await self._enter(axis, "rate")
         await self._tell(f":demand:rate {number},{rate_dps:.6f}")
@@ -343,7 +326,7 @@ class AcutrolTable(LineTable):
         """Change mode and wait for it; the rate demand is zero before rate mode, whatever it was the last time."""
         if await self._mode(axis) == mode:
             return
-        number = self._axes[axis].own.number
+        number = self._axes[axis].own.address
         if mode == "rate":
             await self._tell(f":demand:rate {number},0")
         await self._tell(f":mode:{mode} {number}")
@@ -363,15 +346,15 @@ class AcutrolTable(LineTable):
 
     async def _read(self, axis: str) -> AxisState:
         own = self._axes[axis]
-        position = await self._ask(f":read:position {own.own.number}", acutrol.NUMBER)
-        rate = await self._ask(f":read:rate {own.own.number}", acutrol.NUMBER)
+        position = await self._ask(f":read:position {own.own.address}", acutrol.NUMBER)
+        rate = await self._ask(f":read:rate {own.own.address}", acutrol.NUMBER)
         return unwrapped(own.unwrapper, (position, float(position.text)), (rate, float(rate.text)))
 
     async def _mode(self, axis: str) -> str:
-        return (await self._ask(f":mode? {self._axes[axis].own.number}", acutrol.WORD)).text.lower()
+        return (await self._ask(f":mode? {self._axes[axis].own.address}", acutrol.WORD)).text.lower()
 
     async def _interlock(self, axis: str) -> str:
-        return (await self._ask(f":interlock? {self._axes[axis].own.number}", acutrol.WORD)).text.lower()
+        return (await self._ask(f":interlock? {self._axes[axis].own.address}", acutrol.WORD)).text.lower()
 
     async def _ask(self, line: str, pattern: re.Pattern[str], *, repeat: bool = True) -> Answer:
         try:
@@ -380,3 +363,6 @@ class AcutrolTable(LineTable):
             if acutrol.refusal(error.text):
                 raise DeviceRefused(self._device, f"refuses {line!r}: {error.text}") from None
             raise
+
+
+SPEC = described(TableSpec, __package__, make=AcutrolTable)

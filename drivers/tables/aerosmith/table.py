@@ -15,9 +15,10 @@ import re
 from drivers.errors import DeviceRefused
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer, Framed, Token
+from drivers.specs import TableSetup, TableSpec, described
 from drivers.tables.line_table import LineTable, unwrapped
 from drivers.tables.unwrap import Unwrapper
-from drivers.types import AxisLimits, AxisState, AxisStatus, Identity
+from drivers.types import AxisState, AxisStatus, Identity
 
 INTEGER = re.compile(r"(?:STA)?\s*(\d+)")
 NUMBER = re.compile(r"(?:PPO|PVE)?\s*([-+]?\d+(?:\.\d*)?)")
@@ -71,12 +72,11 @@ class AerosmithFraming:
 class AerosmithTable(LineTable):
     """Turntable driver over a byte link; one axis. Experimental, as its status says."""
 
-    def __init__(
-        self, device: str, link: ByteLink, axis: str, limits: AxisLimits, timeout_s: float, *, fault_mask: int = 0
-    ) -> None:
-        """``fault_mask``: the bits of STA that mean a fault, by the table's own manual; 0: faults are not seen."""
-        super().__init__(device, link, AerosmithFraming(_SETTLE_SHARE * timeout_s), timeout_s, {axis: limits})
-        self._axis, self._fault_mask = axis, fault_mask
+    def __init__(self, setup: TableSetup, link: ByteLink) -> None:
+        """``fault_mask`` of the options: the bits of STA that mean a fault, by the table's own manual; 0: none seen."""
+        super().__init__(setup, link, AerosmithFraming(_SETTLE_SHARE * setup.timeout_s))
+        (self._axis,) = setup.axes
+        self._fault_mask = setup.options["fault_mask"]
         self._unwrapper = Unwrapper(360.0)
         self._target_deg: float | None = None
         self._jog_dps: float | None = None
@@ -201,3 +201,6 @@ class AerosmithTable(LineTable):
 def _value(answer: Answer, pattern: re.Pattern[str]) -> float:
     found = pattern.fullmatch(answer.text)
     return float(found[1]) if found else math.nan
+
+
+SPEC = described(TableSpec, __package__, make=AerosmithTable)

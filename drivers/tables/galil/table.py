@@ -1,38 +1,23 @@
 """A turntable on a Galil DMC motion controller: up to eight axes on one controller, told apart by letter."""
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 
 from drivers.errors import DeviceFault, DeviceRefused
 from drivers.protocols import ByteLink
 from drivers.requests.exchange import Answer
+from drivers.specs import TableSetup, TableSpec, described
 from drivers.tables.galil import language as galil
 from drivers.tables.halting import bring_to_rest
 from drivers.tables.line_table import LineTable
-from drivers.types import AxisLimits, AxisState, AxisStatus, Identity
+from drivers.types import AxisState, AxisStatus, Identity
 
 TURN = 2 * math.pi
-VELOCITY_WINDOW_S = 0.25  # TV is the mean of the last 0.25 s at the default sample time (TM 1000)
 
 _LETTERS = "ABCDEFGH"
 _POLL_S = 0.02
 _HOMING_RATE_RPS = math.radians(30.0)
 _LARGEST_COUNT = 2**31 - 1
-
-
-@dataclass(frozen=True, slots=True)
-class GalilAxis:
-    """One axis: its letter, counts of its encoder per turn, limits; its travel is set as soft limits once it is home.
-
-    ``error_limit_rad`` is the following error at which the controller switches the motor off, left as it is there if
-    not given.
-    """
-
-    letter: str
-    counts_per_turn: int
-    limits: AxisLimits
-    error_limit_rad: float | None = None
 
 
 class _RefusedError(DeviceRefused):
@@ -46,32 +31,20 @@ class _RefusedError(DeviceRefused):
 class GalilTable(LineTable):
     """Turntable driver over a byte link, serial or TCP."""
 
-    def __init__(
-        self,
-        device: str,
-        link: ByteLink,
-        axes: Mapping[str, GalilAxis],
-        timeout_s: float,
-        *,
-        homing: str = "HM",
-        velocity_window_s: float = VELOCITY_WINDOW_S,
-    ) -> None:
-        """Name the axes. ``homing`` is HM (home switch) or FI (index pulse, in positive direction).
+    def __init__(self, setup: TableSetup, link: ByteLink) -> None:
+        """Take axes whose addresses are different letters, ValueError for others.
 
-        ``velocity_window_s``: the time that TV is the mean of, which goes with the controller's sample time (TM).
-
-        A request is tried twice, each for ``timeout_s``. ValueError for letters that cannot be.
+        The travel of each is set as soft limits once it is home. ``error_limit`` among its options is the following
+        error (rad) at which the controller switches the motor off, left as it is there if not given. Options of the
+        table: ``homing`` is HM (home switch) or FI (index pulse, in positive direction), ``velocity_window`` (s) the
+        time that TV is the mean of, which goes with the controller's sample time (TM).
         """
-        letters = [axis.letter for axis in axes.values()]
+        letters = [str(axis.address) for axis in setup.axes.values()]
         if not set(letters) <= set(_LETTERS) or len(set(letters)) != len(letters):
             raise ValueError(f"axis letters must be different ones of {_LETTERS}, not {', '.join(letters)}")
-        if homing not in ("HM", "FI"):
-            raise ValueError(f"homing must be HM or FI, not {homing}")
-        super().__init__(
-            device, link, galil.GalilFraming(), timeout_s, {name: axis.limits for name, axis in axes.items()}
-        )
-        self._axes, self._homing = dict(axes), homing
-        self._velocity_delay_s = velocity_window_s / 2
+        super().__init__(setup, link, galil.GalilFraming())
+        self._axes, self._homing = setup.axes, setup.options["homing"]
+        self._velocity_delay_s = setup.options["velocity_window"] / 2
         self._powered: set[str] = set()
         self._jogs: dict[str, int] = {}  # rate in counts/s of axes that were told to jog
         self._known_stops: dict[str, int] = {}  # stop codes that an operator has seen and reset
@@ -94,10 +67,10 @@ class GalilTable(LineTable):
         for axis, own in self._axes.items():
             if (await self._sound(axis)).enabled:
                 continue
-            await self._tell(f"OE{own.letter}=1")
-            if own.error_limit_rad is not None:
-                await self._tell(f"ER{own.letter}={max(self._counts(axis, own.error_limit_rad), 1)}")
-            await self._tell(f"SH{own.letter}")
+            await self._tell(f"OE{own.address}=1")
+            if (error_rad := own.options.get("error_limit")) is not None:
+                await self._tell(f"ER{own.address}={max(self._counts(axis, error_rad), 1)}")
+            await self._tell(f"SH{own.address}")
             if (await self._switches(axis)).motor_off:
                 raise DeviceFault(self._device, f"the motor of axis {axis} stays off when it is switched on (SH)")
             self._powered.add(axis)
@@ -110,16 +83,16 @@ class GalilTable(LineTable):
                 await self._halt(axis)
             rate = max(self._counts(axis, min(_HOMING_RATE_RPS, own.limits.rate_rps)), 1)
             await self._set_ramps(axis, own.limits.acceleration_rps2)
-            await self._tell(f"JG{own.letter}={rate}" if self._homing == "FI" else f"SP{own.letter}={rate}")
-            await self._tell(f"{self._homing}{own.letter}")
+            await self._tell(f"JG{own.address}={rate}" if self._homing == "FI" else f"SP{own.address}={rate}")
+            await self._tell(f"{self._homing}{own.address}")
         await self._begin(self._axes)
         await self._wait_for_home(_POLL_S)
         for axis, own in self._axes.items():
-            await self._tell(f"DP{own.letter}=0")
+            await self._tell(f"DP{own.address}=0")
             if own.limits.travel_rad is not None:
                 low, high = (self._counts(axis, angle) for angle in own.limits.travel_rad)
-                await self._tell(f"BL{own.letter}={low}")
-                await self._tell(f"FL{own.letter}={high}")
+                await self._tell(f"BL{own.address}={low}")
+                await self._tell(f"FL{own.address}={high}")
 
     async def _give_up_homing(self) -> None:
         await self.stop()
@@ -136,7 +109,7 @@ class GalilTable(LineTable):
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate, in whole counts a second; a rate changes while it turns without a halt."""
-        self._moved, letter = axis, self._axes[axis].letter
+        self._moved, letter = axis, self._axes[axis].address
         rate = self._rate(axis, rate_rps, acceleration_rps2)
         if (await self._switches(axis)).moving:
             if axis in self._jogs and await self._change_jog(axis, rate, acceleration_rps2):
@@ -149,7 +122,7 @@ class GalilTable(LineTable):
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Start a move to an angle from home; an axis that turns is brought to rest first."""
-        self._moved, letter = axis, self._axes[axis].letter
+        self._moved, letter = axis, self._axes[axis].address
         target, rate = self._counts(axis, angle_rad), abs(self._rate(axis, rate_rps, acceleration_rps2))
         if abs(target) > _LARGEST_COUNT:
             raise DeviceRefused(self._device, f"axis {axis}: the controller cannot count to {target}: fewer turns")
@@ -163,7 +136,7 @@ class GalilTable(LineTable):
 
     async def read(self, axis: str) -> AxisState:
         """Measure angle (TP) and rate (TV). The rate is a mean, so its instant is the middle of that time."""
-        letter, counts = self._axes[axis].letter, self._axes[axis].counts_per_turn
+        letter, counts = self._axes[axis].address, self._axes[axis].counts_per_turn
         position = await self._ask(f"TP{letter}", galil.NUMBER)
         velocity = await self._ask(f"TV{letter}", galil.NUMBER)
         angle, rate = ((one.sent_s, one.received_s, float(one.text) / counts * TURN) for one in (position, velocity))
@@ -174,8 +147,7 @@ class GalilTable(LineTable):
         switches, stop, fault = await self._condition(axis)
         reached = not switches.moving and stop in (galil.AT_TARGET, galil.HOMED)
         if switches.moving and axis in self._jogs:
-            velocity = float((await self._ask(f"TV{self._axes[axis].letter}", galil.NUMBER)).text)
-            reached = abs(velocity - self._jogs[axis]) <= 1.0 + 1e-3 * abs(self._jogs[axis])
+            reached = abs(await self._number("TV", axis) - self._jogs[axis]) <= 1.0 + 1e-3 * abs(self._jogs[axis])
         return AxisStatus(
             enabled=not switches.motor_off,
             target_reached=reached and not switches.motor_off,
@@ -190,7 +162,7 @@ class GalilTable(LineTable):
             return not (await self._switches(axis)).moving
 
         braking = self._hardest_deceleration()
-        return await self._rest(lambda axis: (braking, f"ST{self._axes[axis].letter}"), self.read, idle)
+        return await self._rest(lambda axis: (braking, f"ST{self._axes[axis].address}"), self.read, idle)
 
     async def abort(self) -> None:
         """Stop at once, without a ramp, and wait for rest; the motors go off, as off-on-error is set."""
@@ -221,7 +193,7 @@ class GalilTable(LineTable):
     async def _condition(self, axis: str) -> tuple[galil.Switches, int, str]:
         """Return TS word, stop code and fault, which is empty if there is none."""
         switches = await self._switches(axis)
-        stop = round(float((await self._ask(f"SC{self._axes[axis].letter}", galil.NUMBER)).text))
+        stop = round(await self._number("SC", axis))
         known = self._known_stops.get(axis) == stop
         what = ""
         if switches.motor_off and axis in self._powered:
@@ -236,14 +208,17 @@ class GalilTable(LineTable):
         return switches, stop, fault
 
     async def _switches(self, axis: str) -> galil.Switches:
-        return galil.Switches(round(float((await self._ask(f"TS{self._axes[axis].letter}", galil.NUMBER)).text)) & 0xFF)
+        return galil.Switches(round(await self._number("TS", axis)) & 0xFF)
+
+    async def _number(self, word: str, axis: str) -> float:
+        return float((await self._ask(f"{word}{self._axes[axis].address}", galil.NUMBER)).text)
 
     async def _begin(self, axes: Iterable[str]) -> None:
         """Start what has been set up; begun already is as good, if the answer to the first BG was lost."""
         names = list(axes)
         for axis in names:
             self._known_stops.pop(axis, None)
-        line = "BG" + "".join(sorted(self._axes[axis].letter for axis in names))
+        line = "BG" + "".join(sorted(str(self._axes[axis].address) for axis in names))
         answer = await self._exchange.ask(line, galil.NOTHING)
         if answer.refused:
             error = await self._refusal(line, answer)
@@ -256,7 +231,7 @@ class GalilTable(LineTable):
         """Give a jogging axis another rate; False if it does not jog any more."""
         await self._set_ramps(axis, acceleration_rps2)
         try:
-            await self._tell(f"JG{self._axes[axis].letter}={rate}")
+            await self._tell(f"JG{self._axes[axis].address}={rate}")
         except _RefusedError as error:
             if error.code == galil.NOT_JOGGING:
                 return False
@@ -266,15 +241,15 @@ class GalilTable(LineTable):
 
     async def _halt(self, axis: str) -> None:
         self._jogs.pop(axis, None)
-        line = f"ST{self._axes[axis].letter}"
+        line = f"ST{self._axes[axis].address}"
         await bring_to_rest(self._device, [axis], lambda _: self._tell(line), self.read, self._timeout_s)
 
     def _all_letters(self) -> str:
-        return "".join(sorted(axis.letter for axis in self._axes.values()))
+        return "".join(sorted(str(axis.address) for axis in self._axes.values()))
 
     def _hardest_deceleration(self) -> str:
         by_letter = {
-            own.letter: str(galil.floor_acceleration(own.limits.acceleration_rps2 / TURN * own.counts_per_turn))
+            str(own.address): str(galil.floor_acceleration(own.limits.acceleration_rps2 / TURN * own.counts_per_turn))
             for own in self._axes.values()
         }
         return "DC " + ",".join(by_letter.get(letter, "") for letter in _LETTERS[: ord(max(by_letter)) - 64])
@@ -291,7 +266,7 @@ class GalilTable(LineTable):
                 "more than the axis is allowed",
             )
         for what in ("AC", "DC"):
-            await self._tell(f"{what}{own.letter}={acceleration}")
+            await self._tell(f"{what}{own.address}={acceleration}")
 
     def _rate(self, axis: str, rate_rps: float, acceleration_rps2: float) -> int:
         """Return a rate in counts/s; DeviceRefused beyond the limits, which the controller does not know."""
@@ -317,3 +292,6 @@ class GalilTable(LineTable):
         reason = await self._exchange.ask("TC1", galil.TEXT)
         code, words = galil.error_of("" if reason.refused else reason.text)
         return _RefusedError(self._device, f"refuses {line!r}: TC {code}, {words}", code)
+
+
+SPEC = described(TableSpec, __package__, make=GalilTable, acceleration_step=galil.ACCELERATION_STEP)

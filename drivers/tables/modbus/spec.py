@@ -11,13 +11,9 @@ _DIRECT_IDS = (0, 255)  # of a device that is at its address itself (Modbus Mess
 
 
 def _make(setup: TableSetup, address: Any) -> Turntable:
-    from drivers.tables.modbus.table import DriveAxis, ModbusTable  # with pymodbus, half a second
+    from drivers.tables.modbus.table import ModbusTable  # with pymodbus, half a second
 
-    drives = {
-        name: DriveAxis(int(axis.address), axis.counts_per_turn, axis.limits, axis.link or None)
-        for name, axis in setup.axes.items()
-    }
-    return ModbusTable("table", address, setup.options["profile"], drives, setup.timeout_s)
+    return ModbusTable(setup, address)
 
 
 def _profile(name: str, folder: Path) -> DriveProfile:

@@ -2,56 +2,41 @@
 
 import asyncio
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass
+from collections.abc import Iterable
+from dataclasses import astuple
 from functools import partial
 
 from drivers.errors import BadReply, DeviceError, DeviceFault, DeviceRefused
+from drivers.specs import TableSetup
 from drivers.tables.base import Table
 from drivers.tables.halting import kept
 from drivers.tables.modbus import cia402
 from drivers.tables.modbus.line import Address, ModbusLine, Reply
 from drivers.tables.modbus.order import LineCounts, Request
 from drivers.tables.modbus.registers import DriveProfile
-from drivers.types import AxisLimits, AxisState, AxisStatus, Identity
+from drivers.types import AxisState, AxisStatus, Identity
 
 TURN = 2 * math.pi
 _POLL_S = 0.02
 _STATE_LIMIT_S = 2.0
 _HOMING_RATE_RPS = math.radians(30.0)
-_HOMING_LIMIT_S = 60.0
 _FAULTS = (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION)
-
-
-@dataclass(frozen=True, slots=True)
-class DriveAxis:
-    """One drive: its unit id on the bus, counts of its encoder per turn of the axis, and its limits.
-
-    ``address`` is where it is if not where the table is: some drives have a TCP address each.
-    """
-
-    unit_id: int
-    counts_per_turn: int
-    limits: AxisLimits
-    address: Address | None = None
 
 
 class ModbusTable(Table):
     """Turntable driver over a stock pymodbus client."""
 
-    def __init__(
-        self, device: str, address: Address, profile: DriveProfile, axes: Mapping[str, DriveAxis], timeout_s: float
-    ) -> None:
-        """Name the peer; it is connected by ``open``. A request is tried twice within two ``timeout_s``."""
-        super().__init__(device, {name: axis.limits for name, axis in axes.items()}, timeout_s)
-        self._profile = profile
-        self._axes = dict(axes)
+    def __init__(self, setup: TableSetup, address: Address) -> None:
+        """Take drives whose addresses are unit ids, at ``address`` where they have no ``link`` of their own."""
+        super().__init__("table", {name: axis.limits for name, axis in setup.axes.items()}, setup.timeout_s)
+        self._profile: DriveProfile = setup.options["profile"]
+        self._axes = setup.axes
         probes: dict[Address, dict[int, list[Request]]] = {}
         for axis, drive in self._axes.items():
             harmless = [self._reading(axis, name) for name in ("statusword", "position")]
-            probes.setdefault(drive.address or address, {})[drive.unit_id] = harmless
-        lines = {where: ModbusLine(device, where, timeout_s, reads) for where, reads in probes.items()}
-        self._lines = {axis: lines[drive.address or address] for axis, drive in self._axes.items()}
+            probes.setdefault(drive.link or address, {})[int(drive.address)] = harmless
+        lines = {where: ModbusLine(self._device, where, setup.timeout_s, reads) for where, reads in probes.items()}
+        self._lines = {axis: lines[drive.link or address] for axis, drive in self._axes.items()}
         self._ready: set[str] = set()  # axes to which what the profile says was written since their line was opened
 
     @property
@@ -111,23 +96,20 @@ class ModbusTable(Table):
             await self._command(axis, "enable")
             await self._command(axis, "home")
             await self._hail(self._axes)
-        deadline = asyncio.get_running_loop().time() + _HOMING_LIMIT_S
-        while self.homing:
-            for axis in self._axes:  # also those at home: each drive watches for its master's silence by itself
-                word = int(await self._read(axis, "statusword"))
-                if cia402.state_of(word) in _FAULTS:
-                    raise DeviceFault(self._device, await self._fault_text(axis, word))
-                if axis not in self.homing:
-                    continue
-                if word & cia402.BIT_13:
-                    raise DeviceRefused(self._device, f"axis {axis} reports a homing error")
-                if word & cia402.BIT_12 and word & cia402.TARGET_REACHED:
-                    self.homing.discard(axis)
-                    await self._command(axis, "enable")  # takes the start bit back
-            if self.homing and asyncio.get_running_loop().time() > deadline:
-                waiting = ", ".join(sorted(self.homing))
-                raise DeviceRefused(self._device, f"axis {waiting} found no home within {_HOMING_LIMIT_S:.0f} s")
-            await asyncio.sleep(_POLL_S)
+        await self._wait_for_home(_POLL_S)
+
+    async def _at_home(self, axis: str) -> bool:
+        word = int(await self._read(axis, "statusword"))
+        if cia402.state_of(word) in _FAULTS:
+            raise DeviceFault(self._device, await self._fault_text(axis, word))
+        if axis not in self.homing:
+            return True
+        if word & cia402.BIT_13:
+            raise DeviceRefused(self._device, f"axis {axis} reports a homing error")
+        there = bool(word & cia402.BIT_12 and word & cia402.TARGET_REACHED)
+        if there:
+            await self._command(axis, "enable")  # takes the start bit back
+        return there
 
     async def _hail(self, axes: Iterable[str]) -> None:
         """Ask drives for no more than a sign of life from us: each watches for its master's silence by itself."""
@@ -281,7 +263,7 @@ class ModbusTable(Table):
 
     def _reading(self, axis: str, name: str) -> Request:
         register = self._profile[name]
-        return Request(axis, self._axes[axis].unit_id, name, register.address, register.words)
+        return Request(axis, int(self._axes[axis].address), name, register.address, register.words)
 
     def _writing(self, axis: str, name: str, value: float) -> Request:
         drive, register = self._axes[axis], self._profile[name]
@@ -289,4 +271,4 @@ class ModbusTable(Table):
             words = register.encode(value, drive.counts_per_turn)
         except ValueError as error:
             raise DeviceRefused(self._device, f"axis {axis}: {error}") from None
-        return Request(axis, drive.unit_id, name, register.address, len(words), tuple(words))
+        return Request(axis, int(drive.address), name, register.address, len(words), tuple(words))

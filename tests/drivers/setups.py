@@ -1,0 +1,39 @@
+"""What a bench would say of a table or an IMU, for a driver in a test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from drivers.imus.registry import IMUS
+from drivers.specs import AxisSetup, ImuSetup, TableSetup
+from drivers.tables.registry import TABLES
+from sims.physics.table import TableModel
+from sims.tables.registry import TWINS, Seat
+
+
+def setup_of(protocol: str, axes: Mapping[str, AxisSetup], timeout_s: float, **options: Any) -> TableSetup:
+    """Return it; options that are not given are as in a bench file that does not give them."""
+    defaults = {key.name: key.default for key in TABLES[protocol].keys}
+    return TableSetup(axes, timeout_s, defaults | options)
+
+
+def twin_on(
+    protocol: str,
+    table: TableModel,
+    write: Callable[[bytes], None],
+    addresses: Mapping[str, Any],
+    *,
+    watchdog_s: float = 0.0,
+    **more: Any,
+) -> Any:
+    """Return the twin of a controller; ``more`` are options of the bench file and knobs of the twin."""
+    options = setup_of(protocol, {}, 0.0).options
+    seat = Seat(table, addresses, {name: more.pop(name, value) for name, value in options.items()}, watchdog_s)
+    return TWINS[protocol](seat, write, **more)
+
+
+def imu_setup(protocol: str, name: str, rate_hz: float, timeout_s: float = 0.5, **options: Any) -> ImuSetup:
+    """Return what it would say of an IMU."""
+    defaults = {key.name: key.default for key in IMUS[protocol].keys}
+    return ImuSetup(name, rate_hz, timeout_s, defaults | options)
