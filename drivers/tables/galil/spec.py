@@ -15,5 +15,5 @@ def _make(setup: TableSetup, link: ByteLink) -> Turntable:
     return GalilTable("table", link, axes, setup.timeout_s, homing=homing, velocity_window_s=window_s)
 
 
-_KEYS = {"velocity_window": {"default": VELOCITY_WINDOW_S}}
+_KEYS = {"velocity_window": {"default": f"{VELOCITY_WINDOW_S:g} s"}}
 SPEC = described(TableSpec, __package__, _KEYS, make=_make, acceleration_step=ACCELERATION_STEP)
