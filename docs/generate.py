@@ -15,6 +15,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -165,7 +166,7 @@ def _specs(kind: str) -> list[Any]:
 def _key_table(rows: Iterable[tuple[Any, str]]) -> str:
     return table(
         ("key", "meaning", "is", "if left out"),
-        ((f"`{key.name}`{of}", key.doc, _kind(key), _left_out(key)) for key, of in rows),
+        ((f"`{key.name}`{of}", key.doc, _kind(key), _left_out(key)) for key, of in rows if key.name != "*"),
     )
 
 
@@ -190,60 +191,26 @@ def _left_out(key: Any) -> str:
     return f"`{json.dumps(key.default)}`"
 
 
+_ALTERNATIVES = ("array", "cone", "axes", "mapped", "listed", "described")
+"""Sections of an [[imu]] of which others may stand in place, so that nothing of them is required."""
+
+
 def json_schemas() -> dict[str, dict[str, Any]]:
     """Return a JSON Schema for each kind of file, which editors take for completion."""
-    axis = _object("bench.axis", "bench.encoder", "bench.own_link", more=_device_options("axes"))
-    datasheet = _object("bench.noise", "bench.prior")
-    fault: dict[str, Any] = {"type": "object"}
-    truth = _object("bench.truth", fault=fault)
-    wires = {"type": "object", "additionalProperties": {"type": "string"}}
-    mapped = ("bench.array", "bench.cone", "bench.axes", "bench.mapped", "bench.listed", "bench.described")
-    imu = _object("bench.imu", maybe=mapped, more=_device_options("imus"), datasheet=datasheet)
-    imu["properties"]["channels"]["items"] = _object("bench.channel")
-    bench = _object(
-        "bench.bench",
-        station=_object("bench.station"),
-        site=_object("bench.site"),
-        table=_object(
-            "bench.table",
-            more=_device_options("tables"),
-            uncertainty=_object("bench.uncertainty"),
-            **dict.fromkeys("xyz", axis),
-        ),
-        imu=imu,
-        limits=_object("bench.limits"),
-        undeclared=_object("bench.undeclared"),
-        twin=_object("bench.twin", "bench.power_on", wires=wires, fault=fault) | {"additionalProperties": truth},
-    )
-    steps = ("rest", "move", "rotate")
-    step = {
-        "properties": {"kind": {**_property(_keys_of("script.step")[0])}},
-        "required": ["kind"],
-        "allOf": [
-            {
-                "if": {"properties": {"kind": {"const": kind}}, "required": ["kind"]},
-                "then": _object("script.step", f"script.{kind}"),
-            }
-            for kind in steps
-        ],
-    }
-    signals = {"units": _object("can_mapping.units")}
-    check = _object("description.check")
-    field = {"type": "object", "additionalProperties": _object("description.field")}
-    scale = {"type": "object", "additionalProperties": {"type": "number"}}
+    steps = [
+        {
+            "if": {"properties": {"kind": {"const": kind}}, "required": ["kind"]},
+            "then": _object("script.step", f"script.{kind}"),
+        }
+        for kind in ("rest", "move", "rotate")
+    ]
+    script = _object("script.script")
+    script["properties"]["step"]["items"] |= {"additionalProperties": True, "allOf": steps}
     return {
-        "bench": bench,
-        "script": _object("script.script", step=step),
-        "can_mapping": _object("can_mapping.can_mapping", **signals, sources=_object("can_mapping.source")),
-        "description": _object(
-            "can_mapping.source",
-            "description.description",
-            **signals,
-            frame=_object("description.frame", fields=field, check=check),
-            line=_object("description.line", check=check, scale=scale),
-            start=_object("description.phrase"),
-            stop=_object("description.phrase"),
-        ),
+        "bench": _object("bench.bench"),
+        "script": script,
+        "can_mapping": _object("can_mapping.can_mapping"),
+        "description": _object("can_mapping.source", "description.description"),
     }
 
 
@@ -253,34 +220,30 @@ def _keys_of(section: str) -> Sequence[Any]:
     return keys_of(section)
 
 
-def _object(
-    *sections: str,
-    maybe: Sequence[str] = (),
-    more: dict[str, Any] | None = None,
-    **within: dict[str, Any],
-) -> dict[str, Any]:
-    """Return the schema of a table with these sections, those of ``maybe`` not required, and the tables within it."""
-    properties, required = dict(more or {}), []
-    for section in (*sections, *maybe):
-        for key in _keys_of(section):
-            properties[key.name] = _property(key)
-            if key.required and section not in maybe:
-                required.append(key.name)
-    for name, schema in within.items():
-        said = properties.get(name, {})
-        if said.get("type") == "array":
-            properties[name] = {**said, "items": schema}
-        else:
-            properties[name] = {**said, **schema}
-    return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
+def _object(*sections: str) -> dict[str, Any]:
+    """Return the schema of a table with these sections, and of the tables within it."""
+    properties: dict[str, Any] = {}
+    required, others = [], False
+    for section in sections:
+        name = section.partition(".")[2]
+        for key in (*_keys_of(section), *_device_keys(name)):
+            if key.name == "*":
+                others = _property(key)
+            else:
+                properties[key.name] = _property(key)
+                required += [key.name] if key.required and name not in _ALTERNATIVES else []
+    return {"type": "object", "properties": properties, "required": required, "additionalProperties": others}
 
 
-def _device_options(which: str) -> dict[str, Any]:
-    found = {}
-    for spec in _specs("imus" if which == "imus" else "tables"):
-        own = (*([spec.address] if spec.address else []), *spec.axis_keys) if which == "axes" else spec.keys
-        found |= {key.name: _property(key) for key in own}
-    return found
+def _device_keys(section: str) -> list[Any]:
+    """Return the keys that only some protocols have in a section; any of them may be absent."""
+    tables, imus = _specs("tables"), _specs("imus")
+    found = {
+        "table": [key for spec in tables for key in spec.keys],
+        "axis": [key for spec in tables for key in (*([spec.address] if spec.address else []), *spec.axis_keys)],
+        "imu": [key for spec in imus for key in spec.keys],
+    }
+    return [replace(key, required=False) for key in found.get(section, ())]
 
 
 def _property(key: Any) -> dict[str, Any]:
@@ -300,7 +263,8 @@ def _property(key: Any) -> dict[str, Any]:
         one |= {"above_zero": {"exclusiveMinimum": 0}, "not_negative": {"minimum": 0}}.get(low, {})
         one |= {"minimum": float(low), "maximum": float(high)} if high else {}
     elif key.kind in ("table", "tables", "any"):
-        one = {"table": {"type": "object"}, "tables": {"type": "array"}}.get(key.kind, {})
+        within = _object(*key.of) if key.of else {"type": "object"}
+        one = {"table": within, "tables": {"type": "array", "items": within}}.get(key.kind, {})
     if key.one_of:
         one["enum"] = list(key.one_of)
     if key.name == "protocol":  # a plug-in may bring another

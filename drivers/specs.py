@@ -26,7 +26,8 @@ class Key:
     "above_zero", "not_negative", or "0 to 253"; ``told`` is what is said of a number that is beyond, with {} for it.
     Of an ``each`` there may be one for all, or a list of one each. ``read`` makes something else of a text, given the
     folder of the file; its ValueError is told. ``station init`` asks for the value of one that is ``asked``, and
-    shows an ``example`` of one that it leaves out. It becomes the ``field``, if that has another name.
+    shows an ``example`` of one that it leaves out. It becomes the ``field``, if that has another name; a table has the
+    sections that it is ``of``.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Key:
     each: bool = False
     field: str = ""
     example: Any = None
+    of: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
