@@ -15,7 +15,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -210,8 +210,39 @@ def json_schemas() -> dict[str, dict[str, Any]]:
         "bench": _object("bench.bench"),
         "script": script,
         "can_mapping": _object("can_mapping.can_mapping"),
+        "profile": _object("profile.profile"),
+        "hidden": _hidden(),
         "description": _object("can_mapping.source", "description.description"),
     }
+
+
+def _hidden() -> dict[str, Any]:
+    """Return the schema of a file of hidden effects: a table for each, or several of a kind."""
+    from sims.physics.hidden import KINDS, Temperature
+    from sims.physics.hidden.fields import key_of
+
+    def effect(kind: Any) -> dict[str, Any]:
+        stated = [one for one in fields(kind) if one.metadata]
+        properties = {key_of(one): _field(one) for one in stated}
+        required = [key_of(one) for one in stated if one.default is MISSING]
+        said = {"description": (kind.__doc__ or "").splitlines()[0], "type": "object", "properties": properties}
+        return said | {"required": required, "additionalProperties": False}
+
+    several = {name: effect(kind) for name, kind in KINDS.items()}
+    properties = {name: {"anyOf": [one, {"type": "array", "items": one}]} for name, one in several.items()}
+    devices = {"type": "array", "items": {"type": "string"}}
+    devices["description"] = "devices whose gyros have the effects; left out: all"
+    properties |= {"devices": devices, "temperature": effect(Temperature)}
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def _field(one: Any) -> dict[str, Any]:
+    if one.metadata.get("whole"):
+        return {"type": "integer", "minimum": 1}
+    if "choices" in one.metadata:
+        return {"enum": list(one.metadata["choices"])}
+    number = {"type": "string", "pattern": r"^\s*[+-]?\.?\d", "examples": [f"1 {one.metadata['like']}"]}
+    return {"anyOf": [number, {"type": "array", "items": number}]} if one.metadata.get("each") else number
 
 
 def _keys_of(section: str) -> Sequence[Any]:

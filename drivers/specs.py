@@ -27,7 +27,7 @@ class Key:
     Of an ``each`` there may be one for all, or a list of one each. ``read`` makes something else of a text, given the
     folder of the file; its ValueError is told. ``station init`` asks for the value of one that is ``asked``, and
     shows an ``example`` of one that it leaves out. It becomes the ``field``, if that has another name; a table has the
-    sections that it is ``of``.
+    sections that it is ``of``, and a .toml that a text names those of the ``file``, which is checked before it is read.
     """
 
     name: str
@@ -44,6 +44,7 @@ class Key:
     field: str = ""
     example: Any = None
     of: Sequence[str] = ()
+    file: str = ""
 
 
 @dataclass(frozen=True, slots=True)

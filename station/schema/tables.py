@@ -65,6 +65,17 @@ class Table(StrictTable):
         self.done()
         return found
 
+    def check(self, *sections: str) -> None:
+        """See that a table, and all within it, is as these sections declare it."""
+        keys = {key.name: key for section in sections for key in keys_of(section)}
+        for name in {**keys, **dict.fromkeys(self.remaining())}:
+            if name != "*" and (key := keys.get(name) or keys.get("*")):
+                found = self.option(replace(key, name=name))
+                for table in found if isinstance(found, list) else [found]:
+                    if isinstance(table, Table):
+                        table.check(*key.of)
+        self.done()
+
     def options(self, keys: Iterable[Key], folder: Path) -> dict[str, Any]:
         """Take the keys that the record of a device declares, by their names."""
         return {key.name: self.option(key, folder) for key in keys}
@@ -120,6 +131,8 @@ def _value(key: Key, value: object, folder: Path, each: int) -> Any:
     text = str(typed(value, (str,), "a text"))
     if key.one_of and text not in key.one_of:
         raise ValueError(not_one_of(text, key.one_of))
+    if key.file and (file := folder / text).is_file():
+        Table.load(file, UsageError).check(key.file)
     if key.read is not None:
         return key.read(text, folder)
     if key.kind == "pattern":

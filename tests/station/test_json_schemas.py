@@ -6,11 +6,11 @@ import json
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from jsonschema import Draft7Validator
 
+from drivers.tables.modbus.registers import PROFILE_FOLDER
 from station.bench.bench import default_bench_text
 from station.bench.can_mappings import MAPPING_FOLDER
 from station.bench.descriptions import DESCRIPTIONS
@@ -36,6 +36,24 @@ duration = "90 s"
 """
 
 
+HIDDEN = """
+devices = ["array"]
+[temperature]
+rise = "8 degC"
+shape = "linear"
+[thermal_bias]
+linear = ["0.005 deg/s/degC", "1 deg/h/degC"]
+[[tone]]
+size = "0.1 deg/s"
+frequency = "7 Hz"
+[[tone]]
+size = "0.1 deg/s"
+frequency = "9 Hz"
+[sample_hold]
+samples = 3
+"""
+
+
 def valid(kind: str) -> Draft7Validator:
     schema = json.loads((SCHEMAS / f"{kind}.json").read_text(encoding="utf-8"))
     Draft7Validator.check_schema(schema)
@@ -45,10 +63,12 @@ def valid(kind: str) -> Draft7Validator:
 def files() -> Iterator[tuple[str, str]]:
     yield "bench", default_bench_text()
     yield "script", SCRIPT
+    yield "hidden", HIDDEN
     for kind, folder in (
         ("bench", ROOT / "tests/data/benches"),
         ("can_mapping", MAPPING_FOLDER),
         ("description", DESCRIPTIONS),
+        ("profile", PROFILE_FOLDER),
     ):
         yield from ((kind, path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.toml")))
 
@@ -77,10 +97,12 @@ def test_what_init_writes_the_schema_takes(table: str, tmp_path: Path) -> None:
         ("bench", "nis_low = 0.8", 'nis_low = "0.8"', ["limits", "nis_low"]),
         ("script", '"rotate"', '"turn"', ["step", 2, "kind"]),
         ("script", "angle =", "angel =", ["step", 1]),
+        ("hidden", "[sample_hold]", "[sample_holt]", []),
+        ("hidden", "samples = 3", 'samples = "3"', ["sample_hold"]),
     ],
 )
 def test_what_the_station_refuses_the_schema_underlines(kind: str, old: str, new: str, at: list[str | int]) -> None:
-    texts: dict[str, Any] = {"bench": default_bench_text(), "script": SCRIPT}
+    texts = {"bench": default_bench_text(), "script": SCRIPT, "hidden": HIDDEN}
     assert old in texts[kind]
     errors = valid(kind).iter_errors(tomllib.loads(texts[kind].replace(old, new, 1)))
     assert at in [list(error.absolute_path) for error in errors]
