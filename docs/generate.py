@@ -166,7 +166,7 @@ def _specs(kind: str) -> list[Any]:
 def _key_table(rows: Iterable[tuple[Any, str]]) -> str:
     return table(
         ("key", "meaning", "is", "if left out"),
-        ((f"`{key.name}`{of}", key.doc, _kind(key), _left_out(key)) for key, of in rows if key.name != "*"),
+        ((f"`{key.name}`{of}", key.doc, _kind(key), _if_left_out(key)) for key, of in rows if key.name != "*"),
     )
 
 
@@ -181,7 +181,7 @@ def _kind(key: Any) -> str:
     return kind + (f", {bound}" if bound else "") + (", or a list of them" if key.each else "")
 
 
-def _left_out(key: Any) -> str:
+def _if_left_out(key: Any) -> str:
     if key.required:
         return "must be given"
     if key.default is None or key.default in ({}, ""):

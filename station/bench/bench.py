@@ -124,8 +124,8 @@ def read_bench(
     and effects of their own, beside those that it lists.
     """
     top = Table.parse(text, file, BenchError)
-    own = top.whole("bench.bench", folder)
-    name, place = own["name"] or called, own["station"].whole("bench.station")
+    own = top.read_all("bench.bench", folder)
+    name, place = own["name"] or called, own["station"].read_all("bench.station")
     try:
         modules = [load_file(plugin) for plugin in (*(folder / listed for listed in own["plugins"] or ()), *plugins)]
         imus, tables = IMUS.beside(modules), TABLES.beside(modules)
@@ -135,10 +135,10 @@ def read_bench(
     bench = Bench(
         name=name,
         text=text,
-        site=Site(**own["site"].whole("bench.site")) if own["site"] else None,
+        site=Site(**own["site"].read_all("bench.site")) if own["site"] else None,
         table=read_table(own["table"], folder, tables),
         imus=_distinct([read_imu(table, folder, imus) for table in own["imu"]]),
-        limits=Limits(**own["limits"].whole("bench.limits")),
+        limits=Limits(**own["limits"].read_all("bench.limits")),
         twin=TwinConfig(truths=own["twin"], **own["twin"].read("bench.twin", folder)),
         station=place["name"] or name,
         operator_pattern=place["operator_pattern"],
@@ -169,7 +169,7 @@ def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:
 
 def read_limits(text: str) -> Limits:
     """Return the limits of a bench file's text, for instance the one that a recording carries."""
-    return Limits(**_recorded(text, "limits").whole("bench.limits"))
+    return Limits(**_recorded(text, "limits").read_all("bench.limits"))
 
 
 def read_excluded(text: str) -> frozenset[str] | None:
@@ -182,7 +182,7 @@ def _recorded(text: str, section: str) -> Table:
 
 
 def _excluded(table: Table) -> frozenset[str] | None:
-    own = table.whole("bench.undeclared")
+    own = table.read_all("bench.undeclared")
     laws = [record.name for record in records() if record.kind is Kind.LAW and record.listed(1.0)]
     excluded = frozenset(own["excluded"] or ())
     for unknown in sorted(excluded.difference(laws)):

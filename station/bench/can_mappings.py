@@ -42,7 +42,7 @@ def load_mapping(name_or_path: str, folder: Path | None = None) -> CanMapping:
     """
     path = shipped_or_own(name_or_path, folder, MAPPING_FOLDER, "CAN mapping", MappingError)
     top = Table.load(path, MappingError)
-    own = top.whole("can_mapping.can_mapping", path.parent)
+    own = top.read_all("can_mapping.can_mapping", path.parent)
     units = read_units(own["units"])
     sources = tuple(read_source(table, units, str(i)) for i, table in enumerate(own["sources"], 1))
     for table in own["sources"]:
@@ -95,7 +95,7 @@ def read_source(table: Table, units: tuple[tuple[str, str], ...], name: str) -> 
 
 def read_units(table: Table) -> tuple[tuple[str, str], ...]:
     """Return the units that nothing else states, by quantity."""
-    units = {quantity: unit for quantity, unit in table.whole("can_mapping.units").items() if unit is not None}
+    units = {quantity: unit for quantity, unit in table.read_all("can_mapping.units").items() if unit is not None}
     for quantity, unit in units.items():
         if plain_unit(unit) not in UNITS[quantity]:
             known = ", ".join(name for name in UNITS[quantity] if name)

@@ -78,7 +78,7 @@ def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChan
 
 def _frame(table: Table) -> tuple[Frames, list[Any]]:
     """Return the framing, and the signals in a frame."""
-    own = table.whole("description.frame", sync=_bytes, end=_known)
+    own = table.read_all("description.frame", sync=_bytes, end=_known)
     size, order = own["bytes"], own["byte_order"]
     sync, end = own["sync"], own["end"]
     framing = Frames(size, sync, end)
@@ -95,7 +95,7 @@ def _frame(table: Table) -> tuple[Frames, list[Any]]:
     signals = []
     for name in own["fields"].remaining():
         of = own["fields"].table(name)
-        told = of.whole("description.field")
+        told = of.read_all("description.field")
         kind, big = told["type"], (told["byte_order"] or order) == "big"
         at = _place(of, told["at"], int(kind[1:]), size)
         signals.append(signal(name, at, kind, big, told["scale"], told["offset"]))
@@ -104,7 +104,7 @@ def _frame(table: Table) -> tuple[Frames, list[Any]]:
 
 def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChannel]:
     """Return the framing, the signals in a line, and the source with its wrap as it is then kept."""
-    own, check, first = table.whole("description.line"), None, 0
+    own, check, first = table.read_all("description.line"), None, 0
     columns = own["columns"]
     names = [name for name in columns if name != "-"]
     if len(set(names)) < len(names):
@@ -130,7 +130,7 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChanne
 
 def _check(table: Table) -> tuple[Check, dict[str, Any]]:
     """Return a check, and where it is."""
-    own, known = table.whole("description.check"), packaged_toml("drivers", "codes.toml")["check"]
+    own, known = table.read_all("description.check"), packaged_toml("drivers", "codes.toml")["check"]
     if own["name"] in known:
         return Check(**known[own["name"]]), own
     if own["name"] is not None or own["bits"] is None:
@@ -143,7 +143,7 @@ def _check(table: Table) -> tuple[Check, dict[str, Any]]:
 
 def _phrase(table: Table) -> tuple[bytes, float]:
     """Return what is sent, and the pause behind it."""
-    own = table.whole("description.phrase", hex=_known)
+    own = table.read_all("description.phrase", hex=_known)
     if (own["text"] is None) == (own["hex"] is None):
         raise table.fail(None, "needs text or hex, and not both")
     return own["text"].encode() if own["hex"] is None else own["hex"], own["pause"]

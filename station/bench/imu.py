@@ -89,7 +89,7 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     options = table.options(spec.keys, folder)
     if refused := spec.refused_rate(own["rate_hz"], options):
         raise table.fail("rate", refused)
-    prior, noise = Prior(**sheet.read("bench.prior")), NoiseModel(**sheet.whole("bench.noise"))
+    prior, noise = Prior(**sheet.read("bench.prior")), NoiseModel(**sheet.read_all("bench.noise"))
     table.done(also={key.name for section in _VARIANTS for key in keys_of(section)}.intersection(table.remaining()))
     return ImuConfig(array_name=array_name, array=array, can=can, noise=noise, prior=prior, options=options, **own)
 
@@ -129,5 +129,5 @@ def _can(table: Table, folder: Path, device: str, array: SensorArray) -> CanSour
     own = table.read("bench.listed", folder)
     if len(own["channels"]) != len(array):
         raise table.fail("channels", f"{len(own['channels'])} channels for an array of {len(array)} gyros")
-    channels = (CanChannel(n, **c.whole("bench.channel")) for n, c in zip(array.names, own["channels"], strict=True))
+    channels = (CanChannel(n, **c.read_all("bench.channel")) for n, c in zip(array.names, own["channels"], strict=True))
     return CanSource(own["dbc"] or BUILT_IN_DBC, tuple(channels))

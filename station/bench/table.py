@@ -69,7 +69,7 @@ def read_table(table: Table, folder: Path, known: Registry[TableSpec] = TABLES) 
         gimbals=gimbals,
         options=table.options(spec.keys, folder),
         axes={axis: _axis(table.table(axis), spec, folder) for axis in gimbals},
-        uncertainty=TableUncertainty(**sheet.whole("bench.uncertainty")) if sheet else None,
+        uncertainty=TableUncertainty(**sheet.read_all("bench.uncertainty")) if sheet else None,
         **own,
     )
     if config.link == TWIN and (linked := [axis.link for axis in config.axes.values() if axis.link]):

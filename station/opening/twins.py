@@ -219,7 +219,7 @@ def hidden_of(bench: Bench) -> Hidden | None:
 
 def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
     table = truths.table(imu.name, optional=True)
-    own = table.whole("bench.truth", each=len(imu.array))
+    own = table.read_all("bench.truth", each=len(imu.array))
     del own["fault"]  # read by read_faults
     own = {key: np.array(value) if isinstance(value, tuple) else value for key, value in own.items()}
     return GyroTruth(**{**own, "arw_rps_rthz": imu.noise.arw if own["arw_rps_rthz"] is None else own["arw_rps_rthz"]})

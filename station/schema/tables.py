@@ -59,7 +59,7 @@ class Table(StrictTable):
         keys = (replace(key, read=made.get(key.name)) for key in keys_of(section))
         return {key.field or key.name: self.option(key, folder, each) for key in keys}
 
-    def whole(self, section: str, folder: Path = Path(), **more: Any) -> dict[str, Any]:
+    def read_all(self, section: str, folder: Path = Path(), **more: Any) -> dict[str, Any]:
         """Take a section likewise, and complain of what else there is."""
         found = self.read(section, folder, **more)
         self.done()

@@ -102,7 +102,7 @@ def paper_script() -> Script:
 
 def load_script(path: Path) -> Script:
     """Read a script from TOML; ScriptError with the line of what is wrong."""
-    own = Table.load(path, ScriptError).whole("script.script")
+    own = Table.load(path, ScriptError).read_all("script.script")
     if not own["step"]:
         raise ScriptError(f'{path}: no [[step]] in it; a step is kind = "rest", "move" or "rotate"')
     return Script(own["name"] or path.stem, tuple(map(_read_step, own["step"])))
@@ -196,7 +196,7 @@ def is_possible(script: Script, limits: Mapping[str, AxisLimits]) -> bool:
 
 def _read_step(table: Table) -> Step:
     kind = table.read("script.step")["kind"]
-    own = table.whole(f"script.{kind}")
+    own = table.read_all(f"script.{kind}")
     if kind == "rest":
         return Rest(**own)
     if kind == "move":
