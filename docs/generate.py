@@ -1,7 +1,8 @@
 """Writes what the reference pages take from the code: ``python docs/generate.py``; ``--check`` only names stale pages.
 
 A page holds ``<!-- generated: NAME -->`` and ``<!-- end -->``; what stands between them is made by the function of that
-name. Pictures of the screen are the pictures that the tests compare with, without the fonts that they would fetch.
+name, of the words behind it. JSON Schemas for editors are made of the same declarations as the tables of keys.
+Pictures of the screen are the pictures that the tests compare with, without the fonts that they would fetch.
 """
 
 import argparse
@@ -13,7 +14,8 @@ import math
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,7 @@ PAGES = ROOT / "docs/pages"
 COMMAND = "python docs/generate.py"
 _SHOTS = ROOT / "tests/station/screen/__snapshots__/test_pictures"
 _PICTURES = {"run.svg": "test_a_run[80x24].svg", "run-wide.svg": "test_a_run[150x44].svg"}
-_BLOCK = re.compile(r"(?<=<!-- generated: )([a-z_]+)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
+_BLOCK = re.compile(r"(?<=<!-- generated: )([a-z_. ]+?)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
 @cache
@@ -135,20 +137,36 @@ def _parameters(effect: dict[str, Any]) -> list[str]:
     return [*lines, f"found in the data: {free}"] if free else lines
 
 
-def _keys(section: str) -> str:
-    bounds = {"above_zero": "above zero", "not_negative": "zero or more"}
-    kinds = {0.05: "5 %", 0.02: "20 mrad", math.inf: "not checked", 1.0: "not checked"}
+def keys(*sections: str) -> str:
+    """Keys of sections of a file that a person writes."""
+    return _key_table((key, "") for section in sections for key in _keys_of(section))
+
+
+def device_keys(which: str) -> str:
+    """Keys that only some protocols have: of "tables", of their "axes", or of "imus"."""
+    rows: list[tuple[Any, list[str]]] = []
+    for spec in _specs("imus" if which == "imus" else "tables"):
+        own = (*([spec.address] if spec.address else []), *spec.axis_keys) if which == "axes" else spec.keys
+        for key in own:
+            names = next((names for known, names in rows if known == key), [])
+            if not names:
+                rows.append((key, names))
+            names.append(spec.name)
+    return _key_table((key, f" ({', '.join(names)})") for key, names in rows)
+
+
+def _specs(kind: str) -> list[Any]:
+    """Return the records of built-in devices."""
+    from drivers.imus.registry import IMUS
+    from drivers.tables.registry import TABLES
+
+    return list((IMUS if kind == "imus" else TABLES).values())
+
+
+def _key_table(rows: Iterable[tuple[Any, str]]) -> str:
     return table(
-        ("key", "measures", "if left out", "must be"),
-        (
-            (
-                f"`{key}`",
-                f"[{says['kind']}](units.md)",
-                "must be given" if "default" not in says else str(kinds.get(says["default"], says["default"])),
-                bounds.get(says.get("bound", ""), ""),
-            )
-            for key, says in packaged("keys.toml")[section].items()
-        ),
+        ("key", "meaning", "is", "if left out"),
+        ((f"`{key.name}`{of}", key.doc, _kind(key), _if_left_out(key)) for key, of in rows if key.name != "*"),
     )
 
 
@@ -197,29 +215,140 @@ def _bound(says: dict[str, Any]) -> str:
     )
 
 
-def limit_keys() -> str:
-    """Quantities of [limits]."""
-    return _keys("limits")
+def _kind(key: Any) -> str:
+    known = {"text": "text", "texts": "list of texts", "flag": "true or false", "integer": "whole number"}
+    known |= {"number": "number", "path": "path", "pattern": "regular expression", "link": "[link](bench.md#links)"}
+    known |= {"table": "table", "tables": "tables", "any": "see there"}
+    kind = known.get(key.kind, f"[{key.kind}](units.md)")
+    if key.one_of and len(key.one_of) < 13:
+        kind = ("different ones of " if key.kind == "texts" else "") + ", ".join(f"`{one}`" for one in key.one_of)
+    bound = {"above_zero": "above zero", "not_negative": "zero or more"}.get(key.bound, key.bound)
+    return kind + (f", {bound}" if bound else "") + (", or a list of them" if key.each else "")
 
 
-def prior_keys() -> str:
-    """Quantities of [imu.datasheet] that are the prior."""
-    return _keys("prior")
+def _if_left_out(key: Any) -> str:
+    if key.required:
+        return "must be given"
+    if key.default is None or key.default in ({}, ""):
+        return ""
+    if key.default == math.inf:
+        return "not checked"
+    return f"`{json.dumps(key.default)}`"
 
 
-def noise_keys() -> str:
-    """Quantities of [imu.datasheet] that are noise."""
-    return _keys("noise")
+_ALTERNATIVES = ("array", "cone", "axes", "mapped", "listed", "described")
+"""Sections of an [[imu]] of which others may stand in place, so that nothing of them is required."""
 
 
-def axis_keys() -> str:
-    """Quantities of an axis."""
-    return _keys("axis")
+def json_schemas() -> dict[str, dict[str, Any]]:
+    """Return a JSON Schema for each kind of file, which editors take for completion."""
+    steps = [
+        {
+            "if": {"properties": {"kind": {"const": kind}}, "required": ["kind"]},
+            "then": _object("script.step", f"script.{kind}"),
+        }
+        for kind in ("rest", "move", "rotate")
+    ]
+    script = _object("script.script")
+    script["properties"]["step"]["items"] |= {"additionalProperties": True, "allOf": steps}
+    return {
+        "bench": _object("bench.bench"),
+        "script": script,
+        "can_mapping": _object("can_mapping.can_mapping"),
+        "profile": _object("profile.profile"),
+        "hidden": _hidden(),
+        "description": _object("can_mapping.source", "description.description"),
+    }
 
 
-def uncertainty_keys() -> str:
-    """Quantities of [table.uncertainty]."""
-    return _keys("uncertainty")
+def _hidden() -> dict[str, Any]:
+    """Return the schema of a file of hidden effects: a table for each, or several of a kind."""
+    from sims.physics.hidden import KINDS, Temperature
+    from sims.physics.hidden.fields import key_of
+
+    def effect(kind: Any) -> dict[str, Any]:
+        stated = [one for one in fields(kind) if one.metadata]
+        properties = {key_of(one): _field(one) for one in stated}
+        required = [key_of(one) for one in stated if one.default is MISSING]
+        said = {"description": (kind.__doc__ or "").splitlines()[0], "type": "object", "properties": properties}
+        return said | {"required": required, "additionalProperties": False}
+
+    several = {name: effect(kind) for name, kind in KINDS.items()}
+    properties = {name: {"anyOf": [one, {"type": "array", "items": one}]} for name, one in several.items()}
+    devices = {"type": "array", "items": {"type": "string"}}
+    devices["description"] = "devices whose gyros have the effects; left out: all"
+    properties |= {"devices": devices, "temperature": effect(Temperature)}
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def _field(one: Any) -> dict[str, Any]:
+    if one.metadata.get("whole"):
+        return {"type": "integer", "minimum": 1}
+    if "choices" in one.metadata:
+        return {"enum": list(one.metadata["choices"])}
+    number = {"type": "string", "pattern": r"^\s*[+-]?\.?\d", "examples": [f"1 {one.metadata['like']}"]}
+    return {"anyOf": [number, {"type": "array", "items": number}]} if one.metadata.get("each") else number
+
+
+def _keys_of(section: str) -> Sequence[Any]:
+    from station.schema.tables import keys_of
+
+    return keys_of(section)
+
+
+def _object(*sections: str) -> dict[str, Any]:
+    """Return the schema of a table with these sections, and of the tables within it."""
+    properties: dict[str, Any] = {}
+    required, others = [], False
+    for section in sections:
+        name = section.partition(".")[2]
+        for key in (*_keys_of(section), *_device_keys(name)):
+            if key.name == "*":
+                others = _property(key)
+            else:
+                properties[key.name] = _property(key)
+                required += [key.name] if key.required and name not in _ALTERNATIVES else []
+    return {"type": "object", "properties": properties, "required": required, "additionalProperties": others}
+
+
+def _device_keys(section: str) -> list[Any]:
+    """Return the keys that only some protocols have in a section; any of them may be absent."""
+    tables, imus = _specs("tables"), _specs("imus")
+    found = {
+        "table": [key for spec in tables for key in spec.keys],
+        "axis": [key for spec in tables for key in (*([spec.address] if spec.address else []), *spec.axis_keys)],
+        "imu": [key for spec in imus for key in spec.keys],
+    }
+    return [replace(key, required=False) for key in found.get(section, ())]
+
+
+def _property(key: Any) -> dict[str, Any]:
+    from station.schema.quantities import UNITS
+
+    left_out = (
+        "" if key.required or key.default in (None, math.inf, {}, []) else f"; left out: {json.dumps(key.default)}"
+    )
+    schema: dict[str, Any] = {"description": f"{key.doc}{left_out}"}
+    one: dict[str, Any] = {"type": "string"}
+    if key.kind in UNITS:
+        units = "|".join(re.escape(unit) for unit in UNITS[key.kind])
+        one["pattern"] = rf"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*({units})\s*$"
+    elif key.kind in ("integer", "number", "flag"):
+        one["type"] = {"flag": "boolean"}.get(key.kind, key.kind)
+        low, _, high = key.bound.partition(" to ")
+        one |= {"above_zero": {"exclusiveMinimum": 0}, "not_negative": {"minimum": 0}}.get(low, {})
+        one |= {"minimum": float(low), "maximum": float(high)} if high else {}
+    elif key.kind in ("table", "tables", "any"):
+        within = _object(*key.of) if key.of else {"type": "object"}
+        one = {"table": within, "tables": {"type": "array", "items": within}}.get(key.kind, {})
+    if key.one_of:
+        one["enum"] = list(key.one_of)
+    if key.name == "protocol":  # a plug-in may bring another
+        names = [spec.name for spec in _specs("tables" if key.default else "imus")]
+        one = {"anyOf": [{"enum": names}, one]}
+    if key.kind == "texts" or key.each:
+        one = {"anyOf": [one, {"type": "array", "items": one}]}
+    return schema | one | ({"examples": [key.example]} if key.example is not None else {})
 
 
 def units() -> str:
@@ -241,13 +370,39 @@ def imus() -> str:
 
 
 def _devices(kind: str) -> str:
+    of_imus = kind == "imus"
     return table(
-        ("`protocol`", "what it is", "link, for instance"),
         (
-            (f"`{name}`", says["what"], ", ".join(f"`{link}`" for link in says["link"].split(" or ")))
-            for name, says in packaged("devices.toml")[kind].items()
+            "`protocol`",
+            "what it is",
+            "link, for instance",
+            "baud rate, port if left out",
+            "`rate`" if of_imus else "axes",
+        ),
+        (
+            (
+                f"`{spec.name}`",
+                spec.what,
+                ", ".join(f"`{link}`" for link in spec.link.split(" or ")),
+                "" if spec.on_can else f"{spec.baud}" + (f"; {spec.tcp_port}" if spec.tcp_port else ""),
+                _rates(spec) if of_imus else f"up to {spec.most_axes}",
+            )
+            for spec in _specs(kind)
         ),
     )
+
+
+def _rates(spec: Any) -> str:
+    """Return the rates that a device can send at."""
+
+    def listed(rates_hz: Sequence[float]) -> str:
+        if isinstance(rates_hz, range):
+            return f"whole Hz up to {rates_hz[-1]}"
+        return ", ".join(f"{rate:g}" for rate in rates_hz) + " Hz" if rates_hz else "what it sends"
+
+    if isinstance(spec.rates_hz, Mapping):
+        return "; ".join(f"{name}: {listed(rates)}" for name, rates in spec.rates_hz.items())
+    return listed(spec.rates_hz)
 
 
 def exports() -> str:
@@ -292,14 +447,18 @@ def decisions() -> str:
     return table(("no.", "decision", "area", "date"), rows)
 
 
-MADE: dict[str, Callable[[], str]] = {
+MADE: dict[str, Callable[..., str]] = {
     made.__name__: made
     for made in (
         *(commands, effects, units, tables, imus, exports, vectornav_fields, xsens_packets, decisions),
-        *(limit_keys, prior_keys, noise_keys, axis_keys, uncertainty_keys, mapping_keys),
+        *(keys, device_keys, mapping_keys),
     )
 }
 """What can stand between the marks of a page."""
+
+
+def _made(name: str, *what: str) -> str:
+    return MADE[name](*what)
 
 
 def made_pages() -> dict[Path, str]:
@@ -307,9 +466,12 @@ def made_pages() -> dict[Path, str]:
     pages = {}
     for path in sorted(PAGES.rglob("*.md")):
         text = path.read_text(encoding="utf-8")
-        made = _BLOCK.sub(lambda mark: f"{mark[1]}{mark[2]}\n{MADE[mark[1]]().strip()}\n\n", text)
+        made = _BLOCK.sub(lambda mark: f"{mark[1]}{mark[2]}\n{_made(*mark[1].split()).strip()}\n\n", text)
         if made != text or _BLOCK.search(text):
             pages[path] = made
+    for kind, schema in json_schemas().items():
+        named = {"$schema": "http://json-schema.org/draft-07/schema#", "title": kind.replace("_", " "), **schema}
+        pages[PAGES / f"reference/schemas/{kind}.json"] = json.dumps(named, indent=1) + "\n"
     for name, shot in _PICTURES.items():
         svg = (_SHOTS / shot).read_text(encoding="utf-8")
         pages[PAGES / "pictures" / name] = re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL)
@@ -329,6 +491,7 @@ if __name__ == "__main__":
     old = stale()
     if "--check" not in sys.argv[1:]:
         for path, text in made_pages().items():
+            path.parent.mkdir(exist_ok=True)
             path.write_text(text, encoding="utf-8")
     print("\n".join(old) or "all pages are up to date")
     sys.exit(bool(old) and "--check" in sys.argv[1:])

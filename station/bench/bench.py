@@ -124,29 +124,27 @@ def read_bench(
     and effects of their own, beside those that it lists.
     """
     top = Table.parse(text, file, BenchError)
-    name, place = top.string("name", called), top.table("station", optional=True)
-    listed = [folder / plugin for plugin in top.strings("plugins", ())]
+    own = top.read_all("bench.bench", folder)
+    name, place = own["name"] or called, own["station"].read_all("bench.station")
     try:
-        own = [load_file(plugin) for plugin in (*listed, *plugins)]
-        imus, tables = IMUS.beside(own), TABLES.beside(own)
-        register(*(effect for module in own for effect in records_of(module, Record)))
+        modules = [load_file(plugin) for plugin in (*(folder / listed for listed in own["plugins"] or ()), *plugins)]
+        imus, tables = IMUS.beside(modules), TABLES.beside(modules)
+        register(*(effect for module in modules for effect in records_of(module, Record)))
     except (PluginError, EffectError) as error:
-        raise top.fail("plugins" if listed else None, str(error)) from None
+        raise top.fail("plugins" if own["plugins"] else None, str(error)) from None
     bench = Bench(
         name=name,
         text=text,
-        site=_site(top),
-        table=read_table(top.table("table"), folder, tables),
-        imus=_distinct([read_imu(t, folder, imus) for t in top.tables("imu")]),
-        limits=_limits(top.table("limits", optional=True)),
-        twin=_twin(top.table("twin", optional=True), folder),
-        station=place.string("name", name),
-        operator_pattern=_pattern(place, "operator_pattern"),
-        serial_pattern=_pattern(place, "serial_pattern"),
-        excluded=_excluded(top.table("undeclared", optional=True)),
+        site=Site(**own["site"].read_all("bench.site")) if own["site"] else None,
+        table=read_table(own["table"], folder, tables),
+        imus=_distinct([read_imu(table, folder, imus) for table in own["imu"]]),
+        limits=Limits(**own["limits"].read_all("bench.limits")),
+        twin=TwinConfig(truths=own["twin"], **own["twin"].read("bench.twin", folder)),
+        station=place["name"] or name,
+        operator_pattern=place["operator_pattern"],
+        serial_pattern=place["serial_pattern"],
+        excluded=_excluded(own["undeclared"]),
     )
-    place.done()
-    top.done()
     names = [imu.name for imu in bench.imus]
     if not names or len(set(names)) != len(names):
         raise BenchError(f"{file}: it needs one [[imu]] or more, each with a name of its own; it has {names}")
@@ -171,31 +169,25 @@ def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:
 
 def read_limits(text: str) -> Limits:
     """Return the limits of a bench file's text, for instance the one that a recording carries."""
-    return _limits(Table.parse(text, "bench in the recording", BenchError).table("limits", optional=True))
+    return Limits(**_recorded(text, "limits").read_all("bench.limits"))
 
 
 def read_excluded(text: str) -> frozenset[str] | None:
     """Return the effects that a bench file's text rules out, None if all."""
-    return _excluded(Table.parse(text, "bench in the recording", BenchError).table("undeclared", optional=True))
+    return _excluded(_recorded(text, "undeclared"))
+
+
+def _recorded(text: str, section: str) -> Table:
+    return Table.parse(text, "bench in the recording", BenchError).table(section, optional=True)
 
 
 def _excluded(table: Table) -> frozenset[str] | None:
-    which = table.string("effects", "all", one_of=("all", "none"))
-    excluded = frozenset(table.strings("excluded")) if table.has("excluded") else frozenset[str]()
+    own = table.read_all("bench.undeclared")
     laws = [record.name for record in records() if record.kind is Kind.LAW and record.listed(1.0)]
-    for unknown in sorted(excluded - set(laws)):
+    excluded = frozenset(own["excluded"] or ())
+    for unknown in sorted(excluded.difference(laws)):
         raise table.fail("excluded", f"{unknown!r} is none of {', '.join(laws)}")
-    table.done()
-    return None if which == "none" else excluded
-
-
-def _pattern(table: Table, key: str) -> str:
-    text = table.string(key, "")
-    try:
-        re.compile(text)
-    except re.error as error:
-        raise table.fail(key, f"not a regular expression: {error}") from None
-    return text
+    return None if own["effects"] == "none" else excluded
 
 
 def _matched(text: str, pattern: str, option: str, key: str) -> str:
@@ -205,30 +197,3 @@ def _matched(text: str, pattern: str, option: str, key: str) -> str:
     if pattern and not re.fullmatch(pattern, kept):
         raise UsageError(f"{option} {kept!r} is not what this bench expects: {pattern} ({key} in [station])")
     return kept
-
-
-def _site(top: Table) -> Site | None:
-    if not top.has("site"):
-        return None
-    table = top.table("site")
-    site = Site(table.quantity("latitude", "angle"), table.quantity("heading", "angle", 0.0))
-    if abs(site.latitude_rad) > math.pi / 2:
-        raise table.fail("latitude", "beyond the poles: give -90 deg to 90 deg")
-    table.done()
-    return site
-
-
-def _limits(table: Table) -> Limits:
-    nis = {"nis_low": table.number("nis_low", 0.0), "nis_high": table.number("nis_high", math.inf)}
-    limits = Limits(**table.declared("limits"), **nis)
-    table.done()
-    return limits
-
-
-def _twin(table: Table, folder: Path) -> TwinConfig:
-    seed = table.integer("seed", 0)
-    if seed < 0:
-        raise table.fail("seed", "must not be negative")
-    watchdog_s = table.quantity("watchdog", "time", 0.0)
-    hidden = folder / table.string("hidden") if table.has("hidden") else None
-    return TwinConfig(seed, watchdog_s, table, hidden, table.quantity("started", "time", 0.0))

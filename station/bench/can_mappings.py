@@ -1,15 +1,12 @@
 """Mapping files: which signals of a DBC are the channels of an IMU on CAN."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import drivers.imus.can.dbc
 from drivers.imus.can.imu import CanChannel
 from drivers.imus.signals import UNITS, plain_unit
-from drivers.packaged import packaged_toml
-from drivers.specs import Key
 from station.errors import UsageError
 from station.schema.tables import Table
 
@@ -45,19 +42,14 @@ def load_mapping(name_or_path: str, folder: Path | None = None) -> CanMapping:
     """
     path = shipped_or_own(name_or_path, folder, MAPPING_FOLDER, "CAN mapping", MappingError)
     top = Table.load(path, MappingError)
-    name, dbc, _ = top.string("name"), path.parent / top.string("dbc"), top.string("confidence", "")
-    address = top.integer("source_address") if top.has("source_address") else None
-    if address is not None and not 0 <= address <= 0xFD:
-        raise top.fail("source_address", f"{address} is no J1939 address, 0 to 253")
-    units = read_units(top)
-    tables = top.tables("sources")
-    sources = tuple(read_source(table, str(i), units) for i, table in enumerate(tables, 1))
-    for table in tables:
+    own = top.read_all("can_mapping.can_mapping", path.parent)
+    units = read_units(own["units"])
+    sources = tuple(read_source(table, units, str(i)) for i, table in enumerate(own["sources"], 1))
+    for table in own["sources"]:
         table.done()
-    top.done()
     if not sources:
         raise top.fail(None, "needs one [[sources]] or more")
-    return CanMapping(name, dbc, sources, address)
+    return CanMapping(own["name"], own["dbc"], sources, own["source_address"])
 
 
 def shipped_or_own(name_or_path: str, folder: Path | None, shipped: Path, what: str, error: type[UsageError]) -> Path:
@@ -93,37 +85,19 @@ def channels_of(mapping: CanMapping, device: str, gyros: Sequence[str]) -> tuple
     return tuple(named)
 
 
-def read_source(table: Table, name: str, units: tuple[tuple[str, str], ...]) -> CanChannel:
+def read_source(table: Table, units: tuple[tuple[str, str], ...], name: str) -> CanChannel:
     """Take one source out of a table; ``name`` is its own if it states none."""
-    acceleration = table.strings("acceleration") if table.has("acceleration") else None
-    if acceleration is not None and len(acceleration) != 3:
-        raise table.fail("acceleration", f"names {len(acceleration)} signals, not x, y and z")
-    single: dict[str, Any] = {
-        key: table.string(key) if table.has(key) else None for key in ("temperature", "counter", "time")
-    }
-    return CanChannel(
-        table.string("name", name),
-        table.strings("rate"),
-        **single,
-        acceleration=None if acceleration is None else (acceleration[0], acceleration[1], acceleration[2]),
-        units=units,
-        **read_keys(table, "source"),
-    )
+    own = table.read("can_mapping.source")
+    if own["acceleration"] and len(own["acceleration"]) != 3:
+        raise table.fail("acceleration", f"names {len(own['acceleration'])} signals, not x, y and z")
+    return CanChannel(units=units, **{**own, "name": own["name"] or name})
 
 
-def read_keys(table: Table, section: str, **read: Callable[[str, Path], Any]) -> dict[str, Any]:
-    """Take the keys of a table, as description_keys.toml has them; ``read`` makes something else of some texts."""
-    keys = packaged_toml("station.bench", "description_keys.toml")[section]
-    return {name: table.option(Key(name, **key, read=read.get(name))) for name, key in keys.items()}
-
-
-def read_units(top: Table) -> tuple[tuple[str, str], ...]:
-    """Take the table of units that nothing else states, by quantity."""
-    table = top.table("units", optional=True)
-    units = {quantity: table.string(quantity) for quantity in UNITS if table.has(quantity)}
+def read_units(table: Table) -> tuple[tuple[str, str], ...]:
+    """Return the units that nothing else states, by quantity."""
+    units = {quantity: unit for quantity, unit in table.read_all("can_mapping.units").items() if unit is not None}
     for quantity, unit in units.items():
         if plain_unit(unit) not in UNITS[quantity]:
             known = ", ".join(name for name in UNITS[quantity] if name)
             raise table.fail(quantity, f"{unit!r}: give one of {known}")
-    table.done()
     return tuple(units.items())

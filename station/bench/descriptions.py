@@ -12,7 +12,7 @@ from drivers.imus.described.framing import MESSAGE, RESOLUTION, TIME_TICK_S, Fra
 from drivers.imus.described.imu import Description
 from drivers.imus.signals import UNITS, plain_unit
 from drivers.packaged import packaged_toml
-from station.bench.can_mappings import read_keys, read_source, read_units, shipped_or_own
+from station.bench.can_mappings import read_source, read_units, shipped_or_own
 from station.errors import UsageError
 from station.schema.tables import Table
 
@@ -34,23 +34,24 @@ def load_description(name_or_path: str, folder: Path | None = None, device: str 
 
     path = shipped_or_own(name_or_path, folder, DESCRIPTIONS, "description", DescriptionError)
     top = Table.load(path, DescriptionError)
-    source = read_source(top, "", read_units(top))
-    if top.has("frame") == top.has("line"):
+    own = top.read("description.description")
+    source = read_source(top, read_units(own["units"]), "")
+    if (own["frame"] is None) == (own["line"] is None):
         raise top.fail(None, "needs a table [frame] or a table [line], and not both")
+    top.done()
     framing: Frames | Lines
-    if top.has("frame"):
-        framing, signals = _frame(top.table("frame"))
+    if own["frame"]:
+        framing, signals = _frame(own["frame"])
         size = framing.size
     else:
-        framing, signals, source = _line(top.table("line"), source)
+        framing, signals, source = _line(own["line"], source)
         size = 8 * len(signals)
     try:
         database = Database([Message(0, MESSAGE, size, signals)])
     except Error as error:
         raise top.fail("frame", str(error)) from None
     channel = _checked(top, source, {signal.name: signal for signal in signals})
-    start, stop = (tuple(_phrase(phrase) for phrase in top.tables(key)) for key in ("start", "stop"))
-    top.done()
+    start, stop = (tuple(map(_phrase, own[key])) for key in ("start", "stop"))
     return Description(path, (replace(channel, name=device),), framing, database, start, stop)
 
 
@@ -77,43 +78,39 @@ def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChan
 
 def _frame(table: Table) -> tuple[Frames, list[Any]]:
     """Return the framing, and the signals in a frame."""
-    own = read_keys(table, "frame", sync=_bytes, end=_known)
+    own = table.read_all("description.frame", sync=_bytes, end=_known)
     size, order = own["bytes"], own["byte_order"]
     sync, end = own["sync"], own["end"]
     framing = Frames(size, sync, end)
-    if table.has("check"):
-        within = table.table("check")
-        rule, own = _check(within)
-        first, last = own["from"], (own["to"] or 0) % size or size
-        big = (own["byte_order"] or order) == "big"
-        framing = Frames(size, sync, end, rule, _place(within, own["at"], rule.bits, size), big, first, last)
+    if own["check"]:
+        rule, within = _check(own["check"])
+        first, last = within["from"], (within["to"] or 0) % size or size
+        big = (within["byte_order"] or order) == "big"
+        framing = Frames(size, sync, end, rule, _place(own["check"], within["at"], rule.bits, size), big, first, last)
     known = len(sync) - sync.count(None)
     if not known or (framing.check is None and known + len(end) < 2):
         raise table.fail("sync", "too little tells a frame: give 2 bytes or more in sync and end, or 1 and a check")
     if len(sync) + len(end) > size:
         raise table.fail("bytes", f"{size}: sync and end alone have {len(sync) + len(end)}")
-    fields, signals = table.table("fields"), []
-    for name in fields.remaining():
-        of = fields.table(name)
-        own = read_keys(of, "field")
-        kind, big = own["type"], (own["byte_order"] or order) == "big"
-        at = _place(of, own["at"], int(kind[1:]), size)
-        signals.append(signal(name, at, kind, big, own["scale"], own["offset"]))
-        of.done()
-    table.done()
+    signals = []
+    for name in own["fields"].remaining():
+        of = own["fields"].table(name)
+        told = of.read_all("description.field")
+        kind, big = told["type"], (told["byte_order"] or order) == "big"
+        at = _place(of, told["at"], int(kind[1:]), size)
+        signals.append(signal(name, at, kind, big, told["scale"], told["offset"]))
     return framing, signals
 
 
 def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChannel]:
     """Return the framing, the signals in a line, and the source with its wrap as it is then kept."""
-    own, check = read_keys(table, "line"), None
-    columns = table.strings("columns")
+    own, check, first = table.read_all("description.line"), None, 0
+    columns = own["columns"]
     names = [name for name in columns if name != "-"]
     if len(set(names)) < len(names):
         raise table.fail("columns", 'a name is there twice; what is to be passed over is called "-"')
-    scales = table.table("scale", optional=True)
-    scale = {name: scales.number(name, 1.0) for name in names}
-    scales.done()
+    scale = {name: own["scale"].number(name, 1.0) for name in names}
+    own["scale"].done()
     if not own["separator"]:
         raise table.fail("separator", 'give what stands between two columns, as "," or " "')
     unit_s = UNITS["time"][plain_unit(dict(source.units).get("time", "s"))]
@@ -123,11 +120,9 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChanne
     if source.counter in by:
         by[source.counter] = 1.0
     signals = [signal(name, 8 * i, "i64", False, scale[name] / by[name], 0.0) for i, name in enumerate(names)]
-    first = 0
-    if table.has("check"):
-        check, where = _check(table.table("check"))
+    if own["check"]:
+        check, where = _check(own["check"])
         first = where["from"]
-    table.done()
     whole = tuple(by.get(name) for name in columns)
     framing = Lines(whole, own["separator"].encode(), own["prefix"].encode(), check, first)
     return framing, signals, replace(source, wrap=round(source.wrap * by.get(source.time or "", 1.0)))
@@ -135,8 +130,7 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChanne
 
 def _check(table: Table) -> tuple[Check, dict[str, Any]]:
     """Return a check, and where it is."""
-    own, known = read_keys(table, "check"), packaged_toml("drivers", "codes.toml")["check"]
-    table.done()
+    own, known = table.read_all("description.check"), packaged_toml("drivers", "codes.toml")["check"]
     if own["name"] in known:
         return Check(**known[own["name"]]), own
     if own["name"] is not None or own["bits"] is None:
@@ -149,8 +143,7 @@ def _check(table: Table) -> tuple[Check, dict[str, Any]]:
 
 def _phrase(table: Table) -> tuple[bytes, float]:
     """Return what is sent, and the pause behind it."""
-    own = read_keys(table, "phrase", hex=_known)
-    table.done()
+    own = table.read_all("description.phrase", hex=_known)
     if (own["text"] is None) == (own["hex"] is None):
         raise table.fail(None, "needs text or hex, and not both")
     return own["text"].encode() if own["hex"] is None else own["hex"], own["pause"]

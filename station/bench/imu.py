@@ -16,11 +16,12 @@ from estimator.errors import GeometryError
 from estimator.geometry.array import SensorArray, cone, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
-from station.bench.can_mappings import MappingError, channels_of, load_mapping
-from station.bench.descriptions import DescriptionError, load_description
-from station.bench.table import TWIN
-from station.schema.tables import Table
+from station.bench.can_mappings import channels_of, load_mapping
+from station.bench.descriptions import load_description
+from station.schema.tables import Table, keys_of, known_in
 
+_ARRAYS = {"triad": triad, "tetrahedron": tetrahedron, "dodecahedron": dodecahedron}
+_VARIANTS = ("bench.array", "bench.cone", "bench.axes", "bench.mapped", "bench.listed", "bench.described")
 _NOT_NAMES = ("table", "seed", "watchdog", "start", "fault", "faults", "hidden", "started", "wires")
 
 
@@ -73,87 +74,60 @@ class ImuConfig:
 
 def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> ImuConfig:
     """Read a section; the table's error with line and key for what is wrong."""
-    name = table.string("name")
+    own = table.read("bench.imu", folder, protocol=known_in(known))
+    name, spec, sheet = own["name"], own["spec"], own.pop("datasheet")
     if name in _NOT_NAMES:
         raise table.fail("name", f"{name!r} means something else on a bench: take another name")
-    spec = table.record("protocol", known)
     array_name, array = _array(table, name)
-    rate_hz = table.quantity("rate", "frequency", bound="above_zero")
     if spec.gyros not in (None, len(array)):
         raise table.fail("array", f"protocol {spec.name} has {spec.gyros} gyros, this array {len(array)}")
-    can: CanSource | Description | None = _can(table, folder, name, array) if spec.signals_of_dbc else None
-    if spec.described:
+    can: CanSource | Description | None = None
+    if spec.signals_of_dbc:
+        can = _can(table, folder, name, array)
+    elif spec.described:
         can = _described(table, folder, name, array)
     options = table.options(spec.keys, folder)
-    if refused := spec.refused_rate(rate_hz, options):
+    if refused := spec.refused_rate(own["rate_hz"], options):
         raise table.fail("rate", refused)
-    noise, prior = _datasheet(table.table("datasheet"))
-    config = ImuConfig(
-        name,
-        spec,
-        table.link("link", TWIN),
-        array_name,
-        array,
-        rate_hz,
-        can,
-        noise,
-        prior,
-        table.flag("used", True),
-        options,
-    )
-    table.done()
-    return config
+    prior, noise = Prior(**sheet.read("bench.prior")), NoiseModel(**sheet.read_all("bench.noise"))
+    table.done(also={key.name for section in _VARIANTS for key in keys_of(section)}.intersection(table.remaining()))
+    return ImuConfig(array_name=array_name, array=array, can=can, noise=noise, prior=prior, options=options, **own)
 
 
 def _described(table: Table, folder: Path, device: str, array: SensorArray) -> Description:
     """Return the description that the section names, which must have the gyros of the array."""
-    try:
-        description = load_description(table.string("description"), folder, device)
-    except DescriptionError as error:
-        raise table.fail("description", str(error)) from None
+    description: Description = table.read(
+        "bench.described", folder, description=lambda name, folder: load_description(name, folder, device)
+    )["description"]
     if (gyros := len(description.channels[0].rates)) != len(array):
         raise table.fail("array", f"the description has {gyros} gyros, this array {len(array)}")
     return description
-
-
-def _datasheet(sheet: Table) -> tuple[NoiseModel, Prior]:
-    prior, noise = Prior(**sheet.declared("prior")), NoiseModel(**sheet.declared("noise"))
-    sheet.done()
-    return noise, prior
 
 
 def _array(table: Table, device: str) -> tuple[str, SensorArray]:
     explicit = table.has("p")
     try:
         if explicit:
-            p, j, k = table.value("p"), table.value("j"), table.value("k")
-            names = [f"gyro{i + 1}" for i in range(len(p) if isinstance(p, list) else 0)]
-            return "explicit", sensor_array(p, j, k, names=names)
-        kind = table.string("array", one_of=("triad", "tetrahedron", "dodecahedron", "cone"))
-        if kind == "cone":
-            return kind, cone(table.integer("gyros"), table.quantity("half_angle", "angle"))
-        return kind, {"triad": triad, "tetrahedron": tetrahedron, "dodecahedron": dodecahedron}[kind]()
+            own = table.read("bench.axes")
+            names = [f"gyro{i + 1}" for i in range(len(own["p"]) if isinstance(own["p"], list) else 0)]
+            return "explicit", sensor_array(**own, names=names)
+        kind = table.read("bench.array")["array"]
+        return kind, cone(**table.read("bench.cone")) if kind == "cone" else _ARRAYS[kind]()
     except GeometryError as error:
         raise table.fail("p" if explicit else "array", f"{device}: {error}") from None
 
 
 def _can(table: Table, folder: Path, device: str, array: SensorArray) -> CanSource:
     """Return the signals: those of a mapping file, or one channel a gyro as the bench file lists them."""
+
+    def mapped(name: str, folder: Path) -> CanSource:
+        mapping = load_mapping(name, folder)
+        return CanSource(mapping.dbc, channels_of(mapping, device, array.names), mapping.source_address)
+
     if table.has("mapping"):
-        try:
-            mapping = load_mapping(table.string("mapping"), folder)
-            return CanSource(mapping.dbc, channels_of(mapping, device, array.names), mapping.source_address)
-        except MappingError as error:
-            raise table.fail("mapping", str(error)) from None
-    dbc = folder / table.string("dbc") if table.has("dbc") else BUILT_IN_DBC
-    listed = table.tables("channels")
-    if len(listed) != len(array):
-        raise table.fail("channels", f"{len(listed)} channels for an array of {len(array)} gyros")
-    channels = []
-    for name, channel in zip(array.names, listed, strict=True):
-        temperature, counter, time = (
-            channel.string(key) if channel.has(key) else None for key in ("temperature", "counter", "time")
-        )
-        channels.append(CanChannel(name, channel.string("rate"), temperature, counter, time))
-        channel.done()
-    return CanSource(dbc, tuple(channels))
+        return table.read("bench.mapped", folder, mapping=mapped)["mapping"]  # type: ignore[no-any-return]
+    own = table.read("bench.listed", folder)
+    if len(own["channels"]) != len(array):
+        raise table.fail("channels", f"{len(own['channels'])} channels for an array of {len(array)} gyros")
+    channels = (CanChannel(n, **c.read_all("bench.channel")) for n, c in zip(array.names, own["channels"], strict=True))
+    return CanSource(own["dbc"] or BUILT_IN_DBC, tuple(channels))

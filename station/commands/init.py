@@ -13,7 +13,8 @@ from station.atomic_write import write_whole
 from station.bench.bench import Bench, load_bench
 from station.bench.table import TWIN
 from station.errors import EXIT_ABORTED, ScriptError, UsageError
-from station.init.bench_text import BenchAnswer, ImuAnswer, bench_text
+from station.init.asking import Data
+from station.init.bench_text import bench_text
 from station.init.dialogue import Dialogue, EndedError
 from station.init.hardware import can_interfaces, serial_ports
 from station.init.imu import ask_imu
@@ -63,7 +64,7 @@ def _check_place(path: Path, dialogue: Dialogue, force: bool) -> None:
             raise UsageError(f"{path} is left as it is: give another name")
 
 
-def _ask(dialogue: Dialogue, arguments: argparse.Namespace, path: Path) -> BenchAnswer:
+def _ask(dialogue: Dialogue, arguments: argparse.Namespace, path: Path) -> Data:
     dialogue.say(
         "This writes a bench file: which devices there are, and where. What stands in brackets is taken if you type\n"
         "nothing; a - is an empty answer. What is not there yet gets a simulated twin. Ctrl-C ends, and writes nothing."
@@ -72,12 +73,12 @@ def _ask(dialogue: Dialogue, arguments: argparse.Namespace, path: Path) -> Bench
     links = Links(serial_ports(), can_interfaces()) if dialogue.asks else Links()
     name = dialogue.ask("\nname of the bench", path.stem, _check_name)
     table = ask_table(dialogue, links, folder, arguments.table or "", arguments.table_link or "")
-    imus: list[ImuAnswer] = []
+    imus: list[Data] = []
     for protocol, link in zip_longest(arguments.imu or [""], arguments.imu_link, fillvalue=""):
-        imus.append(ask_imu(dialogue, links, folder, protocol, link, [imu.name for imu in imus]))
+        imus.append(ask_imu(dialogue, links, folder, protocol, link, [imu["name"] for imu in imus]))
     while dialogue.asks and dialogue.agrees("\nAnother device under test?", False):
-        imus.append(ask_imu(dialogue, links, folder, "", "", [imu.name for imu in imus]))
-    return ask_rest(dialogue, BenchAnswer(name, table, imus))
+        imus.append(ask_imu(dialogue, links, folder, "", "", [imu["name"] for imu in imus]))
+    return ask_rest(dialogue, {"name": name, "table": table, "imu": imus})
 
 
 def _check_name(text: str) -> None:

@@ -108,7 +108,9 @@ def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | N
         text = recording.attributes.get("bench")
         if text and isinstance(recording.reference, TableReadings):
             table = Table.parse(str(text), f"bench in {recording.name}", UsageError).table("table")
-            axes = {axis: AxisLimits(**table.table(axis).declared("axis")) for axis in recording.reference.gimbals}
+            axes = {
+                axis: AxisLimits(**table.table(axis).read("bench.axis", each=2)) for axis in recording.reference.gimbals
+            }
             return Limits(axes, f"the bench in {recording.name}")
     return None
 

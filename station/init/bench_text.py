@@ -1,100 +1,28 @@
-"""A bench file made of answers: TOML with comments, as the built-in one has."""
+"""A bench file made of answers: TOML with comments."""
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 
 from drivers.imus.registry import IMUS
+from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.registry import TABLES
 from station.bench.table import TWIN
-from station.render.template import rendered
+from station.init.asking import Data
+from station.schema.writing import lines_of
+
+_HEAD = """\
+# A bench: the table, the gyros on it, and what counts as a pass. Every number has its unit.
+# What each key means is in docs/pages/reference/bench.md; `station check FILE` sees whether everything answers.
+
+"""
 
 
-@dataclass(frozen=True, slots=True)
-class AxisAnswer:
-    """One axis of the table; ``address`` and ``counts_per_turn`` are empty where the protocol needs none.
-
-    ``travel`` is empty for an axis that turns without end, ``link`` for one that has none of its own.
-    """
-
-    address: str
-    counts_per_turn: str
-    max_rate: str
-    max_acceleration: str
-    travel: tuple[str, ...] = ()
-    link: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class TableAnswer:
-    """The table: keys of its protocol that are asked for, axes by name, outermost first."""
-
-    protocol: str
-    link: str
-    options: Mapping[str, str]
-    axes: Mapping[str, AxisAnswer]
-
-
-@dataclass(frozen=True, slots=True)
-class ImuAnswer:
-    """A device under test.
-
-    Its name is a bare key of TOML. ``geometry`` are the keys of its array, values as TOML. Of gyros on CAN: a mapping,
-    or ``channels``, the signals of the rate and (empty for none) of the temperature of each gyro in the DBC, the
-    built-in one if ``dbc`` is empty. Of a described one: its ``description``.
-    """
-
-    name: str
-    protocol: str
-    link: str
-    geometry: Mapping[str, str]
-    rate: str
-    arw: str
-    bias_instability: str
-    mapping: str = ""
-    dbc: str = ""
-    channels: tuple[tuple[str, str], ...] = ()
-    description: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class BenchAnswer:
-    """A whole bench; ``latitude`` is empty if Earth rate is to be left out, patterns are empty for anything."""
-
-    name: str
-    table: TableAnswer
-    imus: Sequence[ImuAnswer]
-    latitude: str = ""
-    heading: str = "0 deg"
-    limits: Mapping[str, str] = field(default_factory=dict)
-    operator_pattern: str = ""
-    serial_pattern: str = ""
-
-
-def bench_text(bench: BenchAnswer) -> str:
+def bench_text(bench: Data) -> str:
     """Return the whole file."""
-    return _rendered("bench.toml", bench=bench, simulated=all(imu.link == TWIN for imu in bench.imus))
-
-
-def table_text(table: TableAnswer) -> str:
-    """Return the section [table] and its axes."""
-    return _rendered("table.toml", table=table)
-
-
-def imu_text(imu: ImuAnswer) -> str:
-    """Return the section [[imu]] of a device."""
-    return _rendered("imu.toml", imu=imu)
-
-
-def _rendered(name: str, **values: object) -> str:
-    values |= {"quoted": _quoted, "link_comment": _link_comment, "tables": TABLES, "imus": IMUS}
-    return rendered("station.init", name, values)
-
-
-def _quoted(value: str | Sequence[str]) -> str:
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _link_comment(device: TableAnswer | ImuAnswer) -> str:
-    spec = TABLES[device.protocol] if isinstance(device, TableAnswer) else IMUS[device.protocol]
-    return f"the twin; hardware: {spec.link}" if device.link == TWIN else ""
+    docs: dict[str, str] = {}
+    specs: Mapping[str, ImuSpec | TableSpec] = {**IMUS, **TABLES}
+    for path, device in (("table.", bench["table"]), *((f"imu.{imu['name']}.", imu) for imu in bench["imu"])):
+        spec = specs[device["protocol"]]
+        docs |= {f"{path}{key.name}": key.doc for key in spec.keys}
+        docs[f"{path}protocol"] = ", ".join(TABLES if isinstance(spec, TableSpec) else IMUS)
+        docs[f"{path}link"] = f"the twin; hardware: {spec.link}" if device["link"] == TWIN else ""
+    return _HEAD + "\n".join(lines_of(bench, ["bench.bench"], docs)) + "\n"

@@ -1,6 +1,5 @@
 """What is asked about gyros on CAN, or described by a file: how they lie, and which signals they are."""
 
-import json
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -10,28 +9,32 @@ from pathlib import Path
 from drivers.packaged import packaged_toml
 from station.bench.descriptions import DESCRIPTIONS, load_description
 from station.errors import UsageError
-from station.init.bench_text import ImuAnswer
-from station.init.checks import quantity_of, whole_number
+from station.init.asking import Data, ask_key
 from station.init.dialogue import Dialogue
+from station.schema.tables import keys_of
 
 _ARRAYS: Mapping[str, str] = packaged_toml("station.init", "devices.toml")["arrays"]
 GYROS: Mapping[str, int] = packaged_toml("station.init", "devices.toml")["gyros"]
 """Number of gyros by array, where the array says it."""
 _BUILT_IN = 4
-_MOST = 64
+_COUNT, _HALF_ANGLE = keys_of("bench.cone")
+_COUNT = replace(_COUNT, bound="3 to 64", told="give a whole number from 3 to 64")
 _UNIT_AXES = ("1 0 0", "0 1 0", "0 0 1")
 
 
-def built_in_channels(count: int) -> tuple[tuple[str, str], ...]:
+def built_in_channels(count: int) -> list[Data]:
     """Return the signals of the built-in DBC: the rate and the temperature of each gyro."""
-    return tuple((f"GYRO{n}_RATE.Rate", f"GYRO{n}_TEMPERATURE.Temperature") for n in range(1, count + 1))
+    return [
+        {"rate": f"GYRO{n}_RATE.Rate", "temperature": f"GYRO{n}_TEMPERATURE.Temperature"} for n in range(1, count + 1)
+    ]
 
 
-def ask_gyros(dialogue: Dialogue, answer: ImuAnswer, folder: Path, checked: Callable[[ImuAnswer], object]) -> ImuAnswer:
+def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Data], object]) -> Data:
     """Return the device with its geometry and its signals; ``checked`` raises UsageError for what cannot be."""
     dialogue.say("  How do its gyros lie?")
+    bare = {key: value for key, value in imu.items() if key not in ("array", "channels")}
     geometry, count = _ask_geometry(dialogue, dialogue.choose("array", _ARRAYS, "tetrahedron"))
-    answer = replace(answer, geometry=geometry)
+    bare = {**bare, **geometry}
     dialogue.say(
         "  Which signals are they? - for the built-in DBC, of up to four gyros; a mapping (sbg_ecan, xsens_mti600,\n"
         "  aceinna_openimu300ri, or a .toml of your own); or a .dbc."
@@ -41,45 +44,45 @@ def ask_gyros(dialogue: Dialogue, answer: ImuAnswer, folder: Path, checked: Call
         if text.endswith(".dbc"):
             _signals(folder / text)
         elif text:
-            checked(replace(answer, mapping=text, channels=()))
+            checked({**bare, "mapping": text})
         elif count > _BUILT_IN:
             raise UsageError(f"the built-in DBC has {_BUILT_IN} gyros, and these are {count}: give a mapping or a .dbc")
         else:
-            checked(replace(answer, channels=built_in_channels(count)))
+            checked({**bare, "channels": built_in_channels(count)})
 
     chosen = dialogue.ask("mapping or DBC", "", usable)
     if chosen.endswith(".dbc"):
-        return replace(answer, dbc=chosen, channels=_ask_channels(dialogue, folder / chosen, count))
-    return replace(answer, mapping=chosen, channels=() if chosen else built_in_channels(count))
+        return {**bare, "dbc": chosen, "channels": _ask_channels(dialogue, folder / chosen, count)}
+    return {**bare, "mapping": chosen} if chosen else {**bare, "channels": built_in_channels(count)}
 
 
-def ask_description(dialogue: Dialogue, answer: ImuAnswer, folder: Path) -> ImuAnswer:
+def ask_description(dialogue: Dialogue, imu: Data, folder: Path) -> Data:
     """Return the device with its description and, if that does not have three gyros, with its geometry."""
     shipped = ", ".join(sorted(path.stem for path in DESCRIPTIONS.glob("*.toml")))
     question = f"its description: {shipped}, or the path of a .toml"
     chosen = dialogue.ask(question, "csv", lambda text: load_description(text, folder))
     count = len(load_description(chosen, folder).channels[0].rates)
-    geometry = answer.geometry
     if count != GYROS["triad"]:
         dialogue.say(f"  How do its {count} gyros lie?")
         fitting = {kind: what for kind, what in _ARRAYS.items() if GYROS.get(kind, count) == count}
         geometry, _ = _ask_geometry(dialogue, dialogue.choose("array", fitting, next(iter(fitting))), count)
-    return replace(answer, description=chosen, geometry=geometry)
+        imu = {key: value for key, value in imu.items() if key != "array"} | geometry
+    return {**imu, "description": chosen}
 
 
-def _ask_geometry(dialogue: Dialogue, kind: str, count: int = 0) -> tuple[dict[str, str], int]:
-    """Return the keys of an array, values as TOML, and how many gyros it has; ``count`` if that is known."""
+def _ask_geometry(dialogue: Dialogue, kind: str, count: int = 0) -> tuple[Data, int]:
+    """Return the keys of an array, and how many gyros it has; ``count`` if that is known."""
     if kind in GYROS:
-        return {"array": json.dumps(kind)}, GYROS[kind]
-    count = count or int(dialogue.ask("number of gyros", "3", whole_number(3, _MOST)))
+        return {"array": kind}, GYROS[kind]
+    made: Data = ask_key(dialogue, {}, _COUNT, "number of gyros", "3") if not count else {"gyros": count}
+    count = made["gyros"]
     if kind == "cone":
-        angle = dialogue.ask("angle between each and z", "54.7 deg", quantity_of("angle"))
-        return {"array": json.dumps(kind), "gyros": str(count), "half_angle": json.dumps(angle)}, count
+        return {"array": kind, **ask_key(dialogue, made, _HALF_ANGLE, "angle between each and z", "54.7 deg")}, count
     axes = [
         _direction(dialogue.ask(f"sense axis of gyro {n + 1}: x y z", _UNIT_AXES[n % 3], _direction))
         for n in range(count)
     ]
-    return {"p": json.dumps(axes)}, count
+    return {"p": axes}, count
 
 
 def _direction(text: str) -> list[float]:
@@ -107,7 +110,7 @@ def _signals(path: Path) -> list[str]:
     return [f"{message.name}.{s.name}" for message in getattr(base, "messages", ()) for s in message.signals]
 
 
-def _ask_channels(dialogue: Dialogue, path: Path, count: int) -> tuple[tuple[str, str], ...]:
+def _ask_channels(dialogue: Dialogue, path: Path, count: int) -> list[Data]:
     signals = _signals(path)
     dialogue.say("  signals: " + ", ".join(signals))
 
@@ -117,8 +120,8 @@ def _ask_channels(dialogue: Dialogue, path: Path, count: int) -> tuple[tuple[str
 
     channels = []
     for n in range(1, count + 1):
-        rate = dialogue.ask(f"rate of gyro {n}, MESSAGE.Signal", "", known)
-        channels.append(
-            (rate, dialogue.ask("its temperature; - for none", "", lambda text: known(text) if text else None))
-        )
-    return tuple(channels)
+        channel = {"rate": dialogue.ask(f"rate of gyro {n}, MESSAGE.Signal", "", known)}
+        if temperature := dialogue.ask("its temperature; - for none", "", lambda text: known(text) if text else None):
+            channel["temperature"] = temperature
+        channels.append(channel)
+    return channels

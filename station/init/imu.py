@@ -1,55 +1,56 @@
 """What is asked about a device under test."""
 
-import json
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 
 from drivers.imus.registry import IMUS, USUAL_IMU
 from station.bench.imu import read_imu
 from station.bench.table import TWIN
 from station.errors import UsageError
-from station.init.bench_text import ImuAnswer, imu_text
-from station.init.checks import read_section
+from station.init.asking import Data, ask_key, read_data
 from station.init.dialogue import Dialogue
 from station.init.gyros import GYROS, ask_description, ask_gyros, built_in_channels
 from station.init.links import Links
+from station.schema.tables import keys_of
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*\Z")
+_KEYS = {key.name: key for section in ("bench.prior", "bench.imu", "bench.noise") for key in keys_of(section)}
 
 
-def ask_imu(
-    dialogue: Dialogue, links: Links, folder: Path, protocol: str, link: str, names: Sequence[str]
-) -> ImuAnswer:
+def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link: str, names: Sequence[str]) -> Data:
     """Return a device under test whose name is not among ``names``; ``protocol``, ``link`` are proposed, if given."""
 
-    def checked(made: ImuAnswer) -> None:
-        read_section(imu_text(made), lambda top: read_imu(top.tables("imu")[0], folder))
+    def checked(made: Data) -> None:
+        read_data({"imu": [made]}, lambda top: read_imu(top.tables("imu")[0], folder))
 
     dialogue.say("\nA device under test. What is it?")
     protocol = dialogue.choose("device", {name: spec.what for name, spec in IMUS.items()}, protocol or USUAL_IMU)
     spec = IMUS[protocol]
     usual = spec.proposed
-    channels = built_in_channels(GYROS[usual.array]) if spec.signals_of_dbc else ()
-    noise = {"rate": usual.rate, "arw": usual.arw, "bias_instability": usual.bias_instability}
-    geometry = {"array": json.dumps(usual.array)}
-    answer = ImuAnswer(_free(usual.name, names), protocol, TWIN, geometry, **noise, channels=channels)
+    imu: Data = {"name": _free(usual.name, names), "protocol": protocol, "link": TWIN, "array": usual.array}
+    imu["rate"] = usual.rate
+    if spec.signals_of_dbc:
+        imu["channels"] = built_in_channels(GYROS[usual.array])
+    prior = {key.name: key.default for key in keys_of("bench.prior")}
+    imu["datasheet"] = {"arw": usual.arw, "bias_instability": usual.bias_instability, **prior}
     if spec.described:
-        answer = ask_description(dialogue, answer, folder)
+        imu = ask_description(dialogue, imu, folder)
 
-    def check_name(text: str) -> None:
-        if not _NAME.match(text) or text in names:
+    def check_name(made: Data) -> None:
+        if not _NAME.match(made["name"]) or made["name"] in names:
             raise UsageError("give a name that no other device has: a letter, then letters, digits, _ and -")
-        checked(replace(answer, name=text))
+        checked(made)
 
-    answer = replace(answer, name=dialogue.ask("its name on the bench", answer.name, check_name))
-    answer = replace(answer, link=links.ask(dialogue, spec, answer.name, link))
+    imu = ask_key(dialogue, imu, _KEYS["name"], checked=check_name)
+    imu["link"] = links.ask(dialogue, spec, imu["name"], link)
     if spec.signals_of_dbc and dialogue.asks:
-        answer = ask_gyros(dialogue, answer, folder, checked)
-    answer = _ask_key(dialogue, answer, "rate", "samples a second", checked)
-    answer = _ask_key(dialogue, answer, "arw", "angle random walk, by its data sheet", checked)
-    return _ask_key(dialogue, answer, "bias_instability", "bias instability, by its data sheet", checked)
+        imu = ask_gyros(dialogue, imu, folder, checked)
+    imu = ask_key(dialogue, imu, _KEYS["rate"], checked=checked)
+    for name in ("arw", "bias_instability"):
+        question = f"{name.replace('arw', 'angle random walk').replace('_', ' ')}, by its data sheet"
+        imu["datasheet"] = ask_key(dialogue, imu["datasheet"], _KEYS[name], question)
+    return imu
 
 
 def _free(name: str, names: Sequence[str]) -> str:
@@ -59,12 +60,3 @@ def _free(name: str, names: Sequence[str]) -> str:
         number += 1
         free = f"{name}_{number}"
     return free
-
-
-def _ask_key(
-    dialogue: Dialogue, answer: ImuAnswer, key: str, question: str, checked: Callable[[ImuAnswer], object]
-) -> ImuAnswer:
-    def made(text: str) -> ImuAnswer:
-        return replace(answer, **{key: text})  # type: ignore[arg-type]
-
-    return made(dialogue.ask(question, str(getattr(answer, key)), lambda text: checked(made(text))))

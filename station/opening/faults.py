@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from sims.physics.hidden import HiddenError
 from sims.wires.faults import DeviceFaults, TableFault, WireFaults, device_faults, table_faults
@@ -20,10 +21,10 @@ class BenchFaults:
     wires: Mapping[str, WireFaults]
 
 
-def read_faults(truths: Table, bench: Bench) -> BenchFaults:
+def read_faults(of_table: Any, truths: Table, bench: Bench) -> BenchFaults:
     """Read them; BenchError for what cannot be."""
     try:
-        fault, wire = table_faults(truths.value("fault", {}), bench.table.gimbals, "twin.fault")
+        fault, wire = table_faults(of_table, bench.table.gimbals, "twin.fault")
         devices, wires = {}, {"table": wire}
         for imu in bench.imus:
             said = truths.again().table(imu.name, optional=True).value("fault", {})

@@ -26,33 +26,25 @@ def driver_link(
     ``gather_s`` is for streams, whose bytes may come in handfuls.
     """
     if spec.on_can:
-        return CanLink(device, *can_address(link, device))
-    if _url(link, device).scheme == "tcp":
-        host, number = tcp_address(link, device, spec.tcp_port)
-        return (host, number) if spec.opens_links else TcpLink(device, host, number, _TCP_LIMIT_S * time_scale)
-    serial = _serial(link, device, spec.baud)
-    if spec.opens_links:
-        return serial
-    return SerialLink(
-        device,
-        serial.port,
-        serial.baud,
-        parity=serial.parity,
-        stop_bits=serial.stop_bits,
-        gather_s=max(gather_s / time_scale, _LEAST_GATHER_S) if gather_s else 0.0,
-    )
-
-
-def tcp_address(link: str, device: str, default_port: int | None) -> tuple[str, int]:
-    """Return host and port of tcp://host:port; BenchError if it is no such link."""
-    url = _url(link, device)
-    port = url.port or default_port
-    if url.scheme != "tcp" or not url.hostname or port is None:
+        return CanLink(device, *_can_address(link, device))
+    try:
+        url = urlsplit(link_of(link))
+    except ValueError as error:
+        raise BenchError(f"{device}: {error}") from None
+    if url.scheme != "tcp":
+        serial = _serial(url, link, device, spec.baud)
+        gather_s = max(gather_s / time_scale, _LEAST_GATHER_S) if gather_s else 0.0
+        if spec.opens_links:
+            return serial
+        parity, stop_bits = serial.parity, serial.stop_bits
+        return SerialLink(device, serial.port, serial.baud, parity=parity, stop_bits=stop_bits, gather_s=gather_s)
+    port = url.port or spec.tcp_port
+    if not url.hostname or port is None:
         raise BenchError(f"{device}: {link!r} is no link it can use: write tcp://host:port, or twin:")
-    return url.hostname, port
+    return (url.hostname, port) if spec.opens_links else TcpLink(device, url.hostname, port, _TCP_LIMIT_S * time_scale)
 
 
-def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
+def _can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
     """Split can:INTERFACE:CHANNEL?option=value; numbers among the options become numbers."""
     address, _, query = link.partition("?")
     parts = address.split(":", 2)
@@ -69,15 +61,7 @@ def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
     return parts[1], parts[2], options
 
 
-def _url(link: str, device: str) -> SplitResult:
-    try:
-        return urlsplit(link_of(link))
-    except ValueError as error:
-        raise BenchError(f"{device}: {error}") from None
-
-
-def _serial(link: str, device: str, baud: int) -> SerialPort:
-    url = _url(link, device)
+def _serial(url: SplitResult, link: str, device: str, baud: int) -> SerialPort:
     options = {key: values[0] for key, values in parse_qs(url.query).items()}
     port = url.path if url.scheme == "serial" else link.partition("?")[0]
     if url.scheme not in ("serial", "socket", "rfc2217") or not (url.path or url.netloc) or not port:

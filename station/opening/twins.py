@@ -48,10 +48,10 @@ class Twins:
         self.watchdog_s = bench.twin.watchdog_s * max(time_scale, 1.0)  # it waits for a host
         loop = asyncio.get_running_loop()
         truths = bench.twin.truths.again()
-        start = truths.quantities("start", "angle", len(bench.table.gimbals), 0.0)
+        told = truths.read("bench.power_on", each=len(bench.table.gimbals))
         axes = {
             name: AxisData(axis.limits.rate_rps, axis.limits.acceleration_rps2, axis.counts_per_turn, angle)
-            for (name, axis), angle in zip(bench.table.axes.items(), start, strict=True)
+            for (name, axis), angle in zip(bench.table.axes.items(), told["start"], strict=True)
         }
         self._hidden = hidden_of(bench)
         faults = self._hidden.table if self._hidden is not None else TableFaults()
@@ -66,8 +66,8 @@ class Twins:
             heading,
             directions=faults.directions(bench.table.gimbals),
         )
-        self._wires = self._read_wires(truths)
-        self._faults = read_faults(truths, bench)
+        self._wires = self._read_wires(told["wires"])
+        self._faults = read_faults(told["fault"], truths, bench)
         self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
         truths.done()
         if (fault := self._faults.table) is not None:
@@ -174,8 +174,7 @@ class Twins:
         """Return what a device is served on."""
         return self._wires[device]
 
-    def _read_wires(self, truths: Table) -> dict[str, str]:
-        table = truths.table("wires", optional=True)
+    def _read_wires(self, table: Table) -> dict[str, str]:
         wires = {"table": table.string("table", "tcp", one_of=("tcp", "serial"))}
         for imu in self.bench.imus:
             known = ("udp_multicast", "slcan", "socketcand") if imu.spec.on_can else ("serial", "tcp")
@@ -220,20 +219,10 @@ def hidden_of(bench: Bench) -> Hidden | None:
 
 def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
     table = truths.table(imu.name, optional=True)
-    table.value("fault", {})  # read by read_faults
-    n = len(imu.array)
-    truth = GyroTruth(
-        k=np.array(table.quantities("k", "ratio", n, 0.0)),
-        b_rps=np.array(table.quantities("b", "rate", n, 0.0)),
-        sigma_j_rad=np.array(table.quantities("sigma_j", "angle", n, 0.0)),
-        sigma_k_rad=np.array(table.quantities("sigma_k", "angle", n, 0.0)),
-        arw_rps_rthz=table.quantity("arw", "angle random walk", imu.noise.arw),
-        bias_instability_rps=table.quantity("bias_instability", "rate", 0.0),
-        rate_random_walk_rps_rts=table.quantity("rate_random_walk", "rate random walk", 0.0),
-        temperature_c=table.quantity("temperature", "temperature", 25.0),
-    )
-    table.done()
-    return truth
+    own = table.read_all("bench.truth", each=len(imu.array))
+    del own["fault"]  # read by read_faults
+    own = {key: np.array(value) if isinstance(value, tuple) else value for key, value in own.items()}
+    return GyroTruth(**{**own, "arw_rps_rthz": imu.noise.arw if own["arw_rps_rthz"] is None else own["arw_rps_rthz"]})
 
 
 def mounting_of(imu: ImuConfig) -> Mounting:

@@ -1,7 +1,11 @@
-"""TOML files read strictly, with numbers that carry their units."""
+"""TOML files that people write, read strictly by what the TOML files beside this module declare of their keys."""
 
+import math
+import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Self, TypeVar
 from urllib.parse import urlsplit
@@ -11,13 +15,22 @@ from drivers.plugins import PluginError, Registry
 from drivers.specs import Key
 from estimator.strict_toml import StrictTable, not_one_of, typed
 from station.errors import UsageError
-from station.schema.quantities import QuantityError, parse
+from station.schema.quantities import UNITS, parse
 
 T = TypeVar("T")
 
+_WRONG = {"above_zero": "must be above zero", "not_negative": "must not be negative"}
+
+
+@cache
+def keys_of(section: str) -> tuple[Key, ...]:
+    """Return the keys of a section: "bench.site" is that of the name in bench.toml."""
+    kind, name = section.split(".")
+    return tuple(Key(key, **facts) for key, facts in packaged_toml("station.schema", f"{kind}.toml")[name].items())
+
 
 class Table(StrictTable):
-    """One table of a bench file or a script. Values are taken out by key; ``done`` complains of what nobody took."""
+    """One table of a file that a person writes."""
 
     @classmethod
     def load(cls, path: Path, error: type[UsageError]) -> Self:
@@ -35,80 +48,134 @@ class Table(StrictTable):
         except tomllib.TOMLDecodeError as reason:
             raise error(f"{file}: not valid TOML: {reason}") from None
 
-    def quantity(self, key: str, kind: str, default: float | str | None = None, bound: str = "") -> float:
-        """Take a number with a unit, in SI; ``bound`` is "above_zero", "not_negative" or none."""
+    def read(
+        self, section: str, folder: Path = Path(), *, each: int = 1, **made: Callable[[str, Path], Any]
+    ) -> dict[str, Any]:
+        """Take the keys of a section, by the fields that they become; None for one that is left out and has no default.
 
-        def convert(value: object) -> float:
-            number = parse(value, kind)
-            if bound and (number < 0 or (number == 0 and bound == "above_zero")):
-                raise QuantityError("must be above zero" if bound == "above_zero" else "must not be negative")
-            return number
+        Paths count from ``folder``; ``each`` is how many values there are where each has its own. ``made`` makes
+        something else of some texts; what its ValueError says is told.
+        """
+        keys = (replace(key, read=made.get(key.name)) for key in keys_of(section))
+        return {key.field or key.name: self.option(key, folder, each) for key in keys}
 
-        return self.take(key, parse(default, kind) if isinstance(default, str) else default, convert)
+    def read_all(self, section: str, folder: Path = Path(), **more: Any) -> dict[str, Any]:
+        """Take a section likewise, and complain of what else there is."""
+        found = self.read(section, folder, **more)
+        self.done()
+        return found
 
-    def link(self, key: str, default: str) -> str:
-        """Take a link whose parts can be told."""
-        return self.take(key, default, link_of)
-
-    def declared(self, section: str) -> dict[str, Any]:
-        """Take the quantities that keys.toml declares for a section, by the fields that they become."""
-        keys = packaged_toml("station.schema", "keys.toml")[section]
-        return {
-            key["field"]: self.quantity(name, key["kind"], key.get("default"), key.get("bound", ""))
-            for name, key in keys.items()
-        }
-
-    def record(self, key: str, known: Registry[T], default: str | None = None) -> T:
-        """Take the name of a record, and return the record."""
-
-        def convert(value: object) -> T:
-            name = str(typed(value, (str,), "a text"))
-            try:
-                return known[name]
-            except KeyError:
-                raise ValueError(not_one_of(name, known)) from None
-            except PluginError as error:
-                raise ValueError(str(error)) from None
-
-        return self.take(key, None if default is None else known[default], convert)
+    def check(self, *sections: str) -> None:
+        """See that a table, and all within it, is as these sections declare it."""
+        keys = {key.name: key for section in sections for key in keys_of(section)}
+        for name in {**keys, **dict.fromkeys(self.remaining())}:
+            if name != "*" and (key := keys.get(name) or keys.get("*")):
+                found = self.option(replace(key, name=name))
+                for table in found if isinstance(found, list) else [found]:
+                    if isinstance(table, Table):
+                        table.check(*key.of)
+        self.done()
 
     def options(self, keys: Iterable[Key], folder: Path) -> dict[str, Any]:
-        """Take the keys that the record of a device declares; None for one that is left out and has no default."""
+        """Take the keys that the record of a device declares, by their names."""
         return {key.name: self.option(key, folder) for key in keys}
 
-    def option(self, key: Key, folder: Path = Path()) -> Any:
-        """Take one of them; what a text names is read from a folder."""
-        name, read = key.name, key.read
-        if key.default is None and not key.required and not self.has(name):
-            return None
-        if key.kind == "flag":
-            return self.flag(name, key.default)
-        if key.kind == "integer":
-            number = self.integer(name, key.default)
-            if (key.one_of and number not in key.one_of) or (key.bound and number < (key.bound == "above_zero")):
-                raise self.fail(name, key.told.format(number))
-            return number
-        if key.kind == "number":
-            return self.number(name, key.default)
-        if key.kind != "text":
-            return self.quantity(name, key.kind, key.default, key.bound)
-        text = self.string(name, key.default, one_of=key.one_of or None)
+    def option(self, key: Key, folder: Path = Path(), each: int = 1) -> Any:
+        """Take one key as it is declared."""
+        if not self.has(key.name) and key.default is None and not key.required:
+            return [] if key.kind == "tables" else None
+        if key.kind == "table":
+            return self.table(key.name, optional=not key.required)
+        if key.kind == "tables":
+            return self.tables(key.name)
+
+        def convert(value: object) -> Any:
+            try:
+                return _value(key, value, folder, each)
+            except UsageError as error:  # of another file that it names
+                raise ValueError(str(error)) from None
+
+        default = convert(key.default) if isinstance(key.default, str | list) else key.default
+        return self.take(key.name, default, convert)
+
+
+def known_in(known: Registry[T]) -> Callable[[str, Path], T]:
+    """Return what makes of the name of a record the record; its ValueError tells which there are, and the nearest."""
+
+    def record(name: str, _: Path) -> T:
         try:
-            return text if read is None else read(text, folder)
-        except ValueError as error:
-            raise self.fail(name, str(error)) from None
+            return known[name]
+        except KeyError:
+            raise ValueError(not_one_of(name, known)) from None
+        except PluginError as error:
+            raise ValueError(str(error)) from None
 
-    def quantities(self, key: str, kind: str, count: int, default: float | None = None) -> list[float]:
-        """Take one quantity for all, or a list of ``count`` of them."""
+    return record
 
-        def convert(value: object) -> list[float]:
-            if not isinstance(value, list):
-                return [parse(value, kind)] * count
-            if len(value) != count:
-                raise QuantityError(f"{len(value)} values where {count} belong: give one for all, or one each")
-            return [parse(v, kind) for v in value]
 
-        return self.take(key, None if default is None else [default] * count, convert)
+def _value(key: Key, value: object, folder: Path, each: int) -> Any:
+    """Return what a key says; ValueError for what it cannot say."""
+    if key.each:
+        values = value if isinstance(value, list) else [value] * each
+        if len(values) != each:
+            raise ValueError(f"{len(values)} values where {each} belong: give one for all, or one each")
+        return tuple(_number(key, one) for one in values)
+    if key.kind == "texts":
+        return _texts(key, value)
+    if key.kind == "any":
+        return value
+    if key.kind == "flag":
+        return typed(value, (bool,), "true or false")
+    if key.kind in ("integer", "number", *UNITS):
+        return _number(key, value)
+    text = str(typed(value, (str,), "a text"))
+    if key.one_of and text not in key.one_of:
+        raise ValueError(not_one_of(text, key.one_of))
+    if key.file and (file := folder / text).is_file():
+        Table.load(file, UsageError).check(key.file)
+    if key.read is not None:
+        return key.read(text, folder)
+    if key.kind == "pattern":
+        try:
+            re.compile(text)
+        except re.error as error:
+            raise ValueError(f"not a regular expression: {error}") from None
+    return folder / text if key.kind == "path" else link_of(text) if key.kind == "link" else text
+
+
+def _texts(key: Key, value: object) -> tuple[str, ...]:
+    """Return a list of texts, or one, which are all different where they are of a few."""
+    listed = value if isinstance(value, list) else [value]
+    if not listed or not all(isinstance(one, str) for one in listed):
+        raise ValueError(key.told.format(value) or f'{value!r}: write names, ["a", "b", "c"]')
+    if key.one_of and (len({*listed}) < len(listed) or not {*listed} <= {*key.one_of}):
+        raise ValueError(key.told.format(value))
+    return tuple(listed)
+
+
+def _number(key: Key, value: object) -> float:
+    """Return a number within its bounds, in SI if it has a unit."""
+    number: float
+    if key.kind == "integer":
+        number = int(typed(value, (int,), "a whole number"))
+    elif key.kind == "number":
+        number = float(typed(value, (int, float), "a number"))
+    else:
+        number = parse(value, key.kind)
+    if not math.isfinite(number):
+        raise ValueError(f"{value!r}: write a number")
+    if not _within(key, number):
+        raise ValueError(key.told.format(value) or _WRONG.get(key.bound) or f"{value}: give {key.bound}")
+    return number
+
+
+def _within(key: Key, number: float) -> bool:
+    if key.one_of:
+        return number in key.one_of
+    if key.bound in _WRONG:
+        return number > 0 or (number == 0 and key.bound == "not_negative")
+    ends = [parse(end, key.kind) if key.kind in UNITS else float(end) for end in key.bound.split(" to ") if end]
+    return not ends or ends[0] <= number <= ends[1]
 
 
 def link_of(value: object) -> str:

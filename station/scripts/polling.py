@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from station.scripts.script import Move, Rest, Script
+from station.scripts.script import Rest, Script
 
 _READINGS_A_RAMP = 20
 _FEWEST = 3  # readings that tell a ramp's slope
@@ -24,17 +24,12 @@ def wanted_hz(length_s: float) -> float:
 
 def too_steep(script: Script, read_s: float) -> list[str]:
     """Return, in words, the ramps that are over before a table that takes so long to read has been read enough."""
-    angles: dict[str, float] = {}
     steep: dict[str, float] = {}
-    for step in script.steps:
-        if isinstance(step, Rest):
-            continue
-        here = angles.get(step.axis, 0.0)
-        target = step.angle_rad if isinstance(step, Move) else here + step.turn_rad
-        length_s = ramp_s(step.rate_rps, step.acceleration_rps2, target - here)
-        if 0 < length_s < _FEWEST * read_s:
-            steep[step.label] = length_s
-        angles[step.axis] = target
+    for timed in script.timeline():
+        if not isinstance(step := timed.step, Rest):
+            length_s = ramp_s(step.rate_rps, step.acceleration_rps2, timed.to_rad - timed.from_rad)
+            if 0 < length_s < _FEWEST * read_s:
+                steep[step.label] = length_s
     return [
         f"a ramp of step {label!r} takes {length_s:.2g} s and a reading of the table {read_s:.2g} s: the rate is not "
         "known there, and ramps tell when samples are taken; accelerate more slowly, or use a faster link"

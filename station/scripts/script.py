@@ -102,13 +102,10 @@ def paper_script() -> Script:
 
 def load_script(path: Path) -> Script:
     """Read a script from TOML; ScriptError with the line of what is wrong."""
-    table = Table.load(path, ScriptError)
-    name = table.string("name", path.stem)
-    steps = [_read_step(step) for step in table.tables("step")]
-    table.done()
-    if not steps:
+    own = Table.load(path, ScriptError).read_all("script.script")
+    if not own["step"]:
         raise ScriptError(f'{path}: no [[step]] in it; a step is kind = "rest", "move" or "rotate"')
-    return Script(name, tuple(steps))
+    return Script(own["name"] or path.stem, tuple(map(_read_step, own["step"])))
 
 
 def check(script: Script, limits: Mapping[str, AxisLimits]) -> Script:
@@ -198,19 +195,17 @@ def is_possible(script: Script, limits: Mapping[str, AxisLimits]) -> bool:
 
 
 def _read_step(table: Table) -> Step:
-    kind = table.string("kind", one_of=("rest", "move", "rotate"))
-    axis = "" if kind == "rest" else table.string("axis", one_of=("x", "y", "z"))
-    found = table.declared(kind)
-    step: Step
+    kind = table.read("script.step")["kind"]
+    own = table.read_all(f"script.{kind}")
     if kind == "rest":
-        step = Rest(label=table.string("label", "rest"), **found)
-    elif kind == "move":
-        found["rate_rps"] = abs(found["rate_rps"])
-        step = Move(axis, label=table.string("label", f"{axis} to {found['angle_rad'] / _DEG:g} deg"), **found)
+        return Rest(**own)
+    if kind == "move":
+        own["rate_rps"] = abs(own["rate_rps"])
+        made = f"{own['axis']} to {own['angle_rad'] / _DEG:g} deg"
     else:
-        step = Rotate(axis, label=table.string("label", f"{axis} at {found['rate_rps'] / _DEG:g} deg/s"), **found)
-    table.done()
-    return step
+        made = f"{own['axis']} at {own['rate_rps'] / _DEG:g} deg/s"
+    own["label"] = made if own["label"] is None else own["label"]
+    return Move(**own) if kind == "move" else Rotate(**own)
 
 
 def _trapezoid_s(way_rad: float, move: Move) -> float:

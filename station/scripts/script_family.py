@@ -161,15 +161,15 @@ def sums(script: Script, gimbals: Sequence[str]) -> Floats:
     """Return the summed [1, w][1, w]' (4, 4) over the time of a script, the base not turning."""
     total = np.zeros((4, 4))
     angles = dict.fromkeys(gimbals, 0.0)
-    for step, duration_s in zip(script.steps, script.durations_s(), strict=True):
-        if isinstance(step, Rest):
-            total[0, 0] += duration_s
+    for timed in script.timeline():
+        if isinstance(step := timed.step, Rest):
+            total[0, 0] += timed.duration_s
             continue
-        way = step.angle_rad - angles[step.axis] if isinstance(step, Move) else step.turn_rad
+        way = timed.to_rad - timed.from_rad
         peak = min(abs(step.rate_rps), math.sqrt(abs(way) * step.acceleration_rps2))
-        square = _square(peak, duration_s, step.acceleration_rps2)
-        total += _entry(duration_s, way, square, _direction(step.axis, angles, gimbals))
-        angles[step.axis] += way
+        square = _square(peak, timed.duration_s, step.acceleration_rps2)
+        total += _entry(timed.duration_s, way, square, _direction(step.axis, angles, gimbals))
+        angles[step.axis] = timed.to_rad
     return total
 
 

@@ -21,6 +21,9 @@ from pymodbus.pdu.register_message import (
 )
 
 from drivers.tables.modbus.registers import PROFILE_FOLDER, DriveProfile, ProfileError, Register, load_profile
+from station.bench.bench import default_bench_text, read_bench
+from station.errors import BenchError, UsageError
+from station.schema.tables import Table
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "modbus_cia402.json").read_text())["vectors"]
 COUNTS = 65536
@@ -265,22 +268,52 @@ def test_a_profile_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("find", "put", "complaint"),
     [
-        ("statusword      =", "status_word     =", "lacks statusword"),
-        ("quick_stop  = 0x0B", "", "lacks quick_stop"),
-        ('type = "u16"', 'type = "u24"', "type 'u24'.*types are i8"),
-        ('unit = "turn/s2"', 'unit = "deg/s2"', "unit 'deg/s2'.*units turn"),
-        ('word_order = "little"', 'word_order = "middle"', "word_order|middle"),
-        ('word_order = "little"', "", "word_order"),
-        ("address = 0x3200, ", "", "lacks or misspells 'address'"),
-        ('name = "Kinco FD/CD/JD"', "", "name"),
-        ("[registers]", "[registers", "cannot be read"),
-        ("[homing]", "[housing]", "homing"),
         ("[homing]", '[[on_open]]\nregister = "guard"\nvalue = 1\n[homing]', "lacks the register guard of"),
-        ("[homing]", '[[on_open]]\nregister = "mode"\n[homing]', "lacks or misspells 'value'"),
+        ("[registers]", "[registers", "cannot be read"),
         ("0x0001 = ", "zero = ", "lacks or misspells .*zero"),
+        ("address = 0x3200, ", "", "lacks or misspells 'address'"),
     ],
 )
 def test_a_faulty_profile_is_refused_with_its_fault(tmp_path: Path, find: str, put: str, complaint: str) -> None:
     assert find in KINCO_TEXT
     with pytest.raises(ProfileError, match=complaint):
         load_profile(written(tmp_path, KINCO_TEXT.replace(find, put)))
+
+
+@pytest.mark.parametrize(
+    ("find", "put", "complaint"),
+    [
+        ("statusword      =", "status_word     =", r"table \[registers.statusword\] is missing"),
+        ("quick_stop  = 0x0B", "", r"line \d+: commands: quick_stop is missing"),
+        ('type = "u16"', 'type = "u24"', r"line \d+: registers.controlword.type: 'u24' is not one of i8, u8"),
+        (
+            'unit = "turn/s2"',
+            'unit = "deg/s2"',
+            r"line \d+: registers.acceleration.unit: 'deg/s2' is not one of",
+        ),
+        ('word_order = "little"', 'word_order = "middle"', r"line \d+: word_order: 'middle' is not one of little, big"),
+        ('word_order = "little"', "", "word_order is missing"),
+        ("address = 0x3200, ", "", "registers.statusword: address is missing"),
+        ("address = 0x3200, ", "address = 70000, ", r"line \d+: registers.statusword.address: 70000: give 0 to 65535"),
+        ('name = "Kinco FD/CD/JD"', "", "name is missing"),
+        ("[registers]", "[registers", "not valid TOML"),
+        ("[homing]", "[housing]", r"table \[homing\] is missing"),
+        ("[homing]", "[homing]\nmetod = 35", r"line \d+: homing.metod: unknown key; did you mean method\?"),
+        ("[homing]", '[[on_open]]\nregister = "guard"\nvalue = 1\n[homing]', "lacks the register guard of"),
+        ("[homing]", '[[on_open]]\nregister = "mode"\n[homing]', "on_open.0: value is missing"),
+        ("0x0001 = ", "zero = ", "lacks or misspells .*zero"),
+    ],
+)
+def test_a_bench_tells_what_is_wrong_with_a_profile_by_file_line_and_key(
+    tmp_path: Path, find: str, put: str, complaint: str
+) -> None:
+    assert find in KINCO_TEXT
+    path = written(tmp_path, KINCO_TEXT.replace(find, put, 1))
+    text = default_bench_text().replace('profile = "kinco"', f'profile = "{path}"')
+    with pytest.raises(BenchError, match=rf"bench, line \d+: table.profile: .*drive.toml.*{complaint}"):
+        read_bench(text, "bench")
+
+
+@pytest.mark.parametrize("name", ["kinco", "lexium32"])
+def test_profiles_that_ship_are_as_they_are_declared(name: str) -> None:
+    Table.load(PROFILE_FOLDER / f"{name}.toml", UsageError).check("profile.profile")

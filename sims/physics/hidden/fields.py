@@ -57,11 +57,16 @@ def choice(choices: Sequence[str]) -> dict[str, object]:
     return {"choices": tuple(choices)}
 
 
+def key_of(what: Field[Any]) -> str:
+    """Return the key of a field: its name without the unit."""
+    return _SUFFIX.sub("", what.name)
+
+
 def read(kind: type[T], table: object, name: str) -> T:
     """Return the effect that a table of texts describes; HiddenError with table and key for what is wrong."""
     if not isinstance(table, Mapping):
         raise HiddenError(f"{name}: must be a table")
-    declared = {_SUFFIX.sub("", f.name): f for f in fields(kind) if f.metadata}  # type: ignore[arg-type]
+    declared = {key_of(f): f for f in fields(kind) if f.metadata}  # type: ignore[arg-type]
     refuse_unknown(table, declared, name)
     values = {}
     for key, what in declared.items():
@@ -94,7 +99,7 @@ def for_gyros(effect: T, count: int) -> T:
         if what.metadata.get("each"):
             value = np.asarray(getattr(effect, what.name), dtype=np.float64)
             if value.ndim and value.shape != (count,):
-                name = f"{getattr(effect, 'name', '')}.{_SUFFIX.sub('', what.name)}"
+                name = f"{getattr(effect, 'name', '')}.{key_of(what)}"
                 raise HiddenError(f"{name}: {value.size} values for {count} gyros: give one for all, or one each")
             arrays[what.name] = np.broadcast_to(value, (count,))
     return replace(effect, **arrays) if arrays else effect  # type: ignore[type-var]
@@ -109,7 +114,7 @@ def check(effect: object) -> None:
         least = what.metadata["least"]
         if not np.isfinite(value).all() or (least is not None and np.any(value < least)):
             wanted = "a number" if least is None else f"{least:g} or more"
-            name = f"{getattr(effect, 'name', '')}.{_SUFFIX.sub('', what.name)}"
+            name = f"{getattr(effect, 'name', '')}.{key_of(what)}"
             raise HiddenError(f"{name}: must be {wanted}")
 
 

@@ -1,0 +1,57 @@
+"""Files that people will edit, written with what is declared of their keys as comments."""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from station.schema.tables import keys_of
+
+_COMMENTS = 40  # the column behind which they begin
+
+
+def lines_of(
+    data: Mapping[str, Any], sections: Iterable[str], docs: Mapping[str, str], path: str = "", name: str = ""
+) -> Iterator[str]:
+    """Yield the lines of a table with these sections, whose values are those of TOML.
+
+    A key that is left out is shown behind a # if it has an example, a table if it must not be there. ``docs`` are
+    comments in place of those that are declared, by path: "table.link", or "imu.array.rate" of the device of a name.
+    """
+    keys = {key.name: key for section in sections for key in keys_of(section)}
+    inner = {own: value for own, value in data.items() if isinstance(value, dict) or (not path and _tables(value))}
+    for own, value in data.items():
+        if own not in inner:
+            yield _line(f"{own} = {_text(value)}", docs.get(f"{path}{own}", keys[own].doc if own in keys else ""))
+    for key in keys.values():
+        if key.name not in data and key.example is not None:
+            yield _line(f"#{key.name} = {_text(key.example)}", key.doc)
+    for own, value in inner.items():
+        key = keys.get(own) or keys["*"]
+        for table in [value] if isinstance(value, dict) else value:
+            several = key.kind == "tables"
+            yield from ("", _line(f"[[{name}{own}]]" if several else f"[{name}{own}]", key.doc))
+            within = f"{path}{own}.{table['name']}." if several else f"{path}{own}."
+            yield from lines_of(table, key.of, docs, within, f"{name}{own}.")
+    for key in keys.values():
+        if key.kind == "table" and key.default is None and key.name not in (*data, "*"):
+            yield from ("", _line(f"#[{name}{key.name}]", key.doc))
+            for left in (left for section in key.of for left in keys_of(section)):
+                yield _line(f"#{left.name} = {_text(left.example or left.default)}", left.doc)
+
+
+def _tables(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(one, dict) for one in value)
+
+
+def _line(text: str, comment: str) -> str:
+    first, end, rest = text.partition("\n")
+    return f"{first:<{_COMMENTS - 1}} # {comment}{end}{rest}" if comment else text
+
+
+def _text(value: Any) -> str:
+    """Return a value as TOML has it, tables one a line."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_text(own)}" for key, own in value.items()) + " }"
+    if isinstance(value, list) and _tables(value):
+        return "[\n" + "".join(f"    {_text(one)},\n" for one in value) + "]"
+    return json.dumps(value, ensure_ascii=False)
