@@ -199,8 +199,8 @@ def _devices(kind: str) -> str:
     return table(
         ("`protocol`", "what it is", "link, for instance"),
         (
-            (f"`{name}`", says["what"], ", ".join(f"`{link}`" for link in says["link"].split(" or ")))
-            for name, says in packaged("devices.toml")[kind].items()
+            (f"`{name}`", spec.what, ", ".join(f"`{link}`" for link in spec.link.split(" or ")))
+            for name, spec in importlib.import_module(f"drivers.{kind}.registry").__dict__[kind.upper()].items()
         ),
     )
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cached_property, partial
+from functools import cached_property
 from hashlib import sha256
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -16,15 +17,44 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
+GIVEN = "STATION_PLUGINS"
+"""The environment variable that hands Python files to all processes of a command: whole paths, separated as in PATH."""
+
 
 class PluginError(Exception):
     """Something from outside cannot be used; one line with its name, the place and the reason."""
 
 
-def load(group: str) -> dict[str, Callable[[], Any]]:
-    """Return what installed packages announce in a group, by name; called, each imports it, or raises PluginError."""
-    what = "entry point {0.name} of {0.group} ({0.value})"
-    return {entry.name: partial(_guarded, what.format(entry), "", entry.load) for entry in entry_points(group=group)}
+def installed(group: str) -> dict[str, list[EntryPoint]]:
+    """Return what installed packages announce in a group, by name: nothing of it is imported."""
+    found: dict[str, list[EntryPoint]] = {}
+    for entry in entry_points(group=group):
+        found.setdefault(entry.name, []).append(entry)
+    return found
+
+
+def told(entry: EntryPoint) -> str:
+    """Return what an entry point is called in messages."""
+    return f"entry point {entry.name} of {entry.group} ({entry.value})"
+
+
+def load(entry: EntryPoint) -> Any:
+    """Import what an entry point names; PluginError if that fails."""
+    return _guarded(told(entry), "", entry.load)
+
+
+def given() -> list[Path]:
+    """Return the files that ``GIVEN`` names; PluginError for one that would depend on the working folder."""
+    files = [Path(file) for file in os.environ.get(GIVEN, "").split(os.pathsep) if file]
+    for file in files:
+        if not file.is_absolute():
+            raise PluginError(f"{GIVEN} has {file}: give the whole path")
+    return files
+
+
+def load_files(paths: Iterable[Path]) -> list[ModuleType]:
+    """Import the files that were given and these, each once; PluginError if that fails."""
+    return [load_file(path) for path in dict.fromkeys(path.resolve() for path in (*given(), *paths))]
 
 
 def load_file(path: Path) -> ModuleType:
@@ -40,6 +70,14 @@ def load_file(path: Path) -> ModuleType:
         return module
 
     return _guarded(f"plug-in {path}", str(path), run)
+
+
+def origin_of(source: ModuleType | EntryPoint) -> str:
+    """Return where a record comes from, as recordings and models keep it: a file with its hash, or a package."""
+    if isinstance(source, EntryPoint):
+        return f"the package {source.dist.name} {source.dist.version}" if source.dist else told(source)
+    path = Path(str(source.__file__))
+    return f"the plug-in {path.name} (sha256 {sha256(path.read_bytes()).hexdigest()[:12]})"
 
 
 def records_of(module: ModuleType, kind: type[T]) -> list[T]:
@@ -60,18 +98,36 @@ class Registry(Mapping[str, T]):
         found = [record for module in modules for record in records_of(module, self._kind)]
         names = [*self._modules, *self._beside, *(str(getattr(record, "name", "")) for record in found)]
         if taken := {name for name in names if names.count(name) > 1}:
-            raise PluginError(f"two devices are called {', '.join(sorted(taken))}: give yours a name of its own")
+            raise self._taken(", ".join(sorted(taken)))
         return Registry(self._kind, self._group, self._modules, [*self._beside.values(), *found])
 
     def __getitem__(self, name: str) -> T:
-        """Return a record; KeyError if there is none of this name, PluginError if it cannot be imported."""
-        if name in self._modules:
-            record = import_module(self._modules[name]).SPEC
-        else:
-            record = self._beside[name] if name in self._beside else self._installed[name]()
+        """Return a record; KeyError if there is none of this name, PluginError if it is damaged or there are two."""
+        entries = self._installed.get(name, [])
+        if len(entries) + (name in self._modules) + (name in self._beside) > 1:
+            raise self._taken(name)
+        if not entries:
+            return self._beside[name] if name in self._beside else import_module(self._modules[name]).SPEC  # type: ignore[no-any-return]
+        record = load(entries[0])
         if not isinstance(record, self._kind):
-            raise PluginError(f"{name}: {type(record).__name__} is no {self._kind.__name__}")
+            raise PluginError(f"{told(entries[0])}: {type(record).__name__} is no {self._kind.__name__}")
+        if (called := getattr(record, "name", name)) != name:
+            raise PluginError(f"{told(entries[0])}: it calls itself {called}: announce it by that name")
         return record
+
+    def tried(self) -> dict[str, T | PluginError]:
+        """Return every record, or why it cannot be used."""
+        found: dict[str, T | PluginError] = {}
+        for name in self:
+            try:
+                found[name] = self[name]
+            except PluginError as error:
+                found[name] = error
+        return found
+
+    def origin(self, name: str) -> str:
+        """Return the package that brings a record, "" if none does."""
+        return origin_of(self._installed[name][0]) if name in self._installed else ""
 
     def __iter__(self) -> Iterator[str]:
         """Go over the names, the built-in ones first."""
@@ -82,8 +138,12 @@ class Registry(Mapping[str, T]):
         return len(list(iter(self)))
 
     @cached_property
-    def _installed(self) -> dict[str, Callable[[], Any]]:
-        return load(self._group)
+    def _installed(self) -> dict[str, list[EntryPoint]]:
+        return installed(self._group)
+
+    def _taken(self, names: str) -> PluginError:
+        kinds = self._group.rpartition(".")[2]
+        return PluginError(f"two {kinds} are called {names}: give yours a name of its own")
 
 
 def _guarded(what: str, file: str, run: Callable[[], T]) -> T:

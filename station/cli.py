@@ -7,16 +7,19 @@ import importlib
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
+from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn
 
 from drivers.errors import DeviceError
 from drivers.packaged import packaged_toml
+from drivers.plugins import GIVEN, PluginError, installed
 from estimator.effects import GROUP as EFFECTS
 from estimator.errors import EstimatorError
 from station.campaigns import ONE_BLAS_THREAD
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
+from station.exports.held import GROUP as EXPORTS
 from station.exports.held import HELD
 
 _MODULES = dict.fromkeys(("run", "twin", "import"), "station.commands.common") | {"study": "station.studies.command"}
@@ -26,6 +29,16 @@ _TYPED: dict[str, Any] = packaged_toml("station.commands", "commands.toml")
 """What can be typed, and its help."""
 COMMANDS: dict[str, dict[str, Any]] = _TYPED["commands"]
 """Of each command its ``line`` in --help, the ``text`` of its own help, and its ``options``."""
+
+
+class _Forms(Container[str]):
+    """Forms of export as choices: those of packages are named, and none is refused, for files may bring more."""
+
+    def __contains__(self, name: object) -> bool:
+        return True
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys((*HELD, *installed(EXPORTS))))
 
 
 class _Parser(argparse.ArgumentParser):
@@ -57,7 +70,7 @@ def _take(parser: argparse._ActionsContainer, spelled: str, help: str, **more: A
     if more.get("action") == "append":
         more["default"] = []
     if "choices" in more:
-        more["choices"] = tuple(HELD if more["choices"] == "formats" else more["choices"])
+        more["choices"] = _Forms() if more["choices"] == "formats" else tuple(more["choices"])
     if "type" in more:
         more["type"] = _TYPES[more["type"]]
     parser.add_argument(*names, help=help, **more)
@@ -76,9 +89,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         # The libraries behind the commands cost a second: --help does without.
         module = importlib.import_module(_MODULES.get(command, f"station.commands.{command}"))
-        _use_installed_effects()
+        _use_effects(getattr(arguments, "plugin", []))
         return int(getattr(module, f"command_{command}")(arguments))
-    except (UsageError, EstimatorError, DeviceError) as error:
+    except (UsageError, EstimatorError, DeviceError, PluginError) as error:
         return _refuse(error, module, arguments)
     except KeyboardInterrupt:
         print("station: stopped by Ctrl-C", file=sys.stderr)
@@ -88,14 +101,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_USAGE
 
 
-def _use_installed_effects() -> None:
-    """Make known the effects that installed packages bring; say which of them cannot be used."""
-    from importlib.metadata import entry_points
+def _use_effects(plugins: Sequence[str]) -> None:
+    """Hand files to all that the command does, make effects from outside known, say which of them cannot be used."""
+    files = [
+        *filter(None, os.environ.get(GIVEN, "").split(os.pathsep)),
+        *(str(Path(name).absolute()) for name in plugins),
+    ]
+    os.environ[GIVEN] = os.pathsep.join(dict.fromkeys(files))
+    if files or installed(EFFECTS):
+        from station.bench.plugins import use_effects
 
-    if entry_points(group=EFFECTS):
-        from estimator.effects.catalogue import load_entry_points
-
-        for problem in load_entry_points():
+        for problem in use_effects():
             print(f"station: {problem}", file=sys.stderr)
 
 

@@ -142,6 +142,7 @@ class ErrorModel:
         effects = [
             {
                 "effect": known.name,
+                **({"from": known.record.origin} if known.record.origin else {}),
                 **known.settings,
                 "shared": known.shared,
                 "parameters": [{"name": s.name, "unit": s.unit, "mean": s.mean, "sd": s.sd} for s in known.sizes],
@@ -203,6 +204,11 @@ _REMEDIES = {
 def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
     name = str(entry["effect"])
     record = record_of(name)
+    if record is None and "from" in entry:
+        raise ModelError(
+            f"{where} has the effect {name} of {entry['from']}, which is not here: install the package, or give the "
+            "file with --plugin"
+        )
     if record is None or record.not_kept:
         raise ModelError(
             f"{where} has the effect {name}, which this station's catalogue does not know: use the version of the "

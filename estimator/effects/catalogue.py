@@ -1,9 +1,9 @@
 """The catalogue: every effect that is looked for, kept or undone, by its name."""
 
 from collections.abc import Sequence
-from importlib.metadata import entry_points
+from dataclasses import replace
 
-from estimator.effects import GROUP, disturbances, drift, dynamics, scale, site, table, thermal
+from estimator.effects import disturbances, drift, dynamics, scale, site, table, thermal
 from estimator.effects.constructed import CONSTRUCTED
 from estimator.effects.effect import Effect, EffectError, Kind, Record
 
@@ -22,28 +22,18 @@ def record_of(name: str) -> Record | None:
     return _BY_NAME.get(name)
 
 
-def register(*effects: Record) -> None:
+def register(*effects: Record, origin: str = "") -> None:
     """Make effects known to everything that the station does, in the place of others of their names from outside.
 
-    Raises EffectError for one that is damaged, or has the name of a built-in one.
+    ``origin`` says where they come from. Raises EffectError for one that is damaged, or has the name of a built-in one.
     """
     for record in effects:
+        if not isinstance(record, Record):
+            raise EffectError(f"{type(record).__name__} is no Record")
         record.check()
         if record.name in _BUILT_IN:
             raise EffectError(f"there is an effect {record.name} already: give yours another name")
-        _BY_NAME[record.name] = record
-
-
-def load_entry_points() -> list[str]:
-    """Register the effects of installed packages; return a line for each that cannot be used."""
-    problems = []
-    for entry in entry_points(group=GROUP):
-        try:
-            loaded = entry.load()
-            register(*([loaded] if isinstance(loaded, Record) else loaded))
-        except Exception as error:  # whatever it is, it is theirs
-            problems.append(f"the effect {entry.name} ({entry.value}) is not used: {type(error).__name__}: {error}")
-    return problems
+        _BY_NAME[record.name] = replace(record, origin=origin)
 
 
 def catalogue(gimbals: Sequence[str], duration_s: float) -> tuple[Effect, ...]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from drivers.imus.registry import IMUS
 from drivers.packaged import packaged_text
-from drivers.plugins import PluginError, load_file, records_of
+from drivers.plugins import PluginError, load_files, origin_of, records_of
 from drivers.tables.registry import TABLES
 from estimator.effects.catalogue import records, register
 from estimator.effects.effect import EffectError, Kind, Record
@@ -75,7 +75,7 @@ class Bench:
 
     ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
     like there (regular expressions for the whole of it), empty for anything. ``excluded`` are effects of the catalogue
-    that devices and table do not have; None for all of them.
+    that devices and table do not have; None for all of them. ``plugins`` are files and packages from outside.
     """
 
     name: str
@@ -89,6 +89,7 @@ class Bench:
     operator_pattern: str
     serial_pattern: str
     excluded: frozenset[str] | None = None
+    plugins: tuple[str, ...] = ()
 
     def checked_operator(self, text: str) -> str:
         """Return an operator's name as it is to be kept; UsageError with the pattern if it does not match."""
@@ -127,9 +128,10 @@ def read_bench(
     name, place = top.string("name", called), top.table("station", optional=True)
     listed = [folder / plugin for plugin in top.strings("plugins", ())]
     try:
-        own = [load_file(plugin) for plugin in (*listed, *plugins)]
+        own = load_files((*listed, *plugins))
         imus, tables = IMUS.beside(own), TABLES.beside(own)
-        register(*(effect for module in own for effect in records_of(module, Record)))
+        for module in own:
+            register(*records_of(module, Record), origin=origin_of(module))
     except (PluginError, EffectError) as error:
         raise top.fail("plugins" if listed else None, str(error)) from None
     bench = Bench(
@@ -150,7 +152,9 @@ def read_bench(
     names = [imu.name for imu in bench.imus]
     if not names or len(set(names)) != len(names):
         raise BenchError(f"{file}: it needs one [[imu]] or more, each with a name of its own; it has {names}")
-    return bench
+    packages = [tables.origin(bench.table.protocol), *(imus.origin(imu.protocol) for imu in bench.imus)]
+    origins = {*map(origin_of, own), *packages, *(record.origin for record in records())}
+    return replace(bench, plugins=tuple(sorted(filter(None, origins))))
 
 
 def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:
@@ -174,17 +178,20 @@ def read_limits(text: str) -> Limits:
     return _limits(Table.parse(text, "bench in the recording", BenchError).table("limits", optional=True))
 
 
-def read_excluded(text: str) -> frozenset[str] | None:
-    """Return the effects that a bench file's text rules out, None if all."""
-    return _excluded(Table.parse(text, "bench in the recording", BenchError).table("undeclared", optional=True))
+def read_excluded(text: str, plugins: Sequence[str] = ()) -> frozenset[str] | None:
+    """Return the effects that a bench file's text rules out, None if all; its run knew those of ``plugins``, too."""
+    table = Table.parse(text, "bench in the recording", BenchError).table("undeclared", optional=True)
+    return _excluded(
+        table, f"; the run had {', '.join(plugins)}: give such a file with --plugin" if len(plugins) else ""
+    )
 
 
-def _excluded(table: Table) -> frozenset[str] | None:
+def _excluded(table: Table, more: str = "") -> frozenset[str] | None:
     which = table.string("effects", "all", one_of=("all", "none"))
     excluded = frozenset(table.strings("excluded")) if table.has("excluded") else frozenset[str]()
     laws = [record.name for record in records() if record.kind is Kind.LAW and record.listed(1.0)]
     for unknown in sorted(excluded - set(laws)):
-        raise table.fail("excluded", f"{unknown!r} is none of {', '.join(laws)}")
+        raise table.fail("excluded", f"{unknown!r} is none of {', '.join(laws)}{more}")
     table.done()
     return None if which == "none" else excluded
 

@@ -21,7 +21,7 @@ from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import Repeatability, repeatability, same_device
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
-from station.bench.bench import Bench, load_bench, read_excluded, read_limits
+from station.bench.bench import Limits, load_bench, read_excluded, read_limits
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
 from station.render.printing import (
@@ -59,8 +59,9 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     names = recordings_of(arguments.recordings)
     bench = load_bench(Path(arguments.bench)) if arguments.bench else None
     model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
+    limits, excluded = (bench.limits, bench.excluded) if bench else (None, None)
     results, failures = run_all(
-        partial(estimate, bench=bench, write=arguments.write, model=model),
+        partial(estimate, limits=limits, excluded=excluded, write=arguments.write, model=model),
         [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
         label="calibrating",
         scheduler=arguments.scheduler,
@@ -88,17 +89,25 @@ def recordings_of(arguments: Sequence[str]) -> list[str]:
     return list(found.values())
 
 
-def estimate(name: str, *, bench: Bench | None, write: bool, model: ErrorModel | None = None) -> Estimated:
-    """Estimate the gyros of one recording and judge them, by its own bench file unless one is given.
+def estimate(
+    name: str,
+    *,
+    limits: Limits | None,
+    write: bool,
+    model: ErrorModel | None = None,
+    excluded: frozenset[str] | None = None,
+) -> Estimated:
+    """Estimate the gyros of one recording and judge them.
 
+    Without ``limits`` those of its own bench file hold, and the effects that it rules out in place of ``excluded``.
     ``model``: effects to estimate beside the states.
 
     Raises EstimatorError or UsageError for a recording that cannot be used, or not be written into.
     """
     recording = read_recording(Path(name))
-    text = str(recording.attributes.get("bench", ""))
-    limits = bench.limits if bench else read_limits(text)
-    excluded = bench.excluded if bench else read_excluded(text)
+    if limits is None:
+        text = str(recording.attributes.get("bench", ""))
+        limits, excluded = read_limits(text), read_excluded(text, recording.attributes.get("plugins", ()))
     calibration = calibrate(recording, model=model, excluded=excluded)
     verdict = judge(calibration, limits)
     if write:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from rich.markup import escape
 
+from estimator.strict_toml import not_one_of
 from station.atomic_write import write_whole
 from station.errors import UsageError
 from station.exports.exported import Exported, exported_of
-from station.exports.formats import FORMATS
-from station.exports.held import HELD
+from station.exports.formats import Format, formats
 from station.exports.written import Written
 from station.render.rich_table import rich_table
 from station.render.terminal import stdout
@@ -55,7 +55,10 @@ def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
         raise UsageError("give a recording and --format; `station export --list` says what each format holds")
     if arguments.json and arguments.output == _STDOUT:
         raise UsageError("--json says what was written where: give a file with --output")
-    form = FORMATS[arguments.format]
+    forms = formats()
+    if arguments.format not in forms:
+        raise UsageError(f"--format {not_one_of(arguments.format, forms)}")
+    form = forms[arguments.format]
     exported = exported_of(Path(arguments.recording), arguments.device)
     if form.of_one_device and len(exported.devices) > 1 and not arguments.device:
         raise UsageError(
@@ -66,10 +69,14 @@ def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
 
 
 def _print_list(as_json: bool) -> None:
+    tried = formats().tried()
+    listed = {
+        name: (f.holds, f.lacks) if isinstance(f, Format) else (f"not used: {f}", "") for name, f in tried.items()
+    }
     if as_json:
-        print(json.dumps({name: {"holds": holds, "lacks": lacks} for name, (holds, lacks) in HELD.items()}))
+        print(json.dumps({name: {"holds": holds, "lacks": lacks} for name, (holds, lacks) in listed.items()}))
         return
     table = rich_table("Formats of station export", ("--format", "holds", "not in it"), fold=True)
-    for name, (holds, lacks) in HELD.items():
+    for name, (holds, lacks) in listed.items():
         table.add_row(name, escape(holds), escape(lacks))
     stdout().print(table)

@@ -6,3 +6,6 @@ HELD: dict[str, tuple[str, str]] = {
     form: (holds, lacks) for form, (holds, lacks) in packaged_toml("station.exports", "held.toml").items()
 }
 """By the format's name: what it holds, what it does not."""
+
+GROUP = "turntable_station.exports"
+"""Entry points of packages that bring forms of their own."""

@@ -28,7 +28,8 @@ def ask_imu(
         read_section(imu_text(made), lambda top: read_imu(top.tables("imu")[0], folder))
 
     dialogue.say("\nA device under test. What is it?")
-    protocol = dialogue.choose("device", {name: spec.what for name, spec in IMUS.items()}, protocol or USUAL_IMU)
+    choices = {name: getattr(spec, "what", str(spec)) for name, spec in IMUS.tried().items()}
+    protocol = dialogue.choose("device", choices, protocol or USUAL_IMU)
     spec = IMUS[protocol]
     usual = spec.proposed
     channels = built_in_channels(GYROS[usual.array]) if spec.signals_of_dbc else ()

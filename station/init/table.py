@@ -26,7 +26,9 @@ def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, lin
 
     dialogue.say("\nThe table. Which controller turns it?")
     protocol = dialogue.choose(
-        "controller", {name: spec.what for name, spec in TABLES.items()}, protocol or USUAL_TABLE
+        "controller",
+        {name: getattr(spec, "what", str(spec)) for name, spec in TABLES.tried().items()},
+        protocol or USUAL_TABLE,
     )
     spec = TABLES[protocol]
     link = links.ask(dialogue, spec, "table", link)

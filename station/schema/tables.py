@@ -70,7 +70,7 @@ class Table(StrictTable):
             except PluginError as error:
                 raise ValueError(str(error)) from None
 
-        return self._take(key, None if default is None else known[default], convert)
+        return self._take(key, None if default is None or self.has(key) else known[default], convert)
 
     def options(self, keys: Iterable[Key], folder: Path) -> dict[str, Any]:
         """Take the keys that the record of a device declares; None for one that is left out and has no default."""
