@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from hashlib import sha256
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoints, entry_points
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import TypeVar
 
 T = TypeVar("T")
 
@@ -25,36 +25,12 @@ class PluginError(Exception):
     """Something from outside cannot be used; one line with its name, the place and the reason."""
 
 
-def installed(group: str) -> dict[str, list[EntryPoint]]:
-    """Return what installed packages announce in a group, by name: nothing of it is imported."""
-    found: dict[str, list[EntryPoint]] = {}
-    for entry in entry_points(group=group):
-        found.setdefault(entry.name, []).append(entry)
-    return found
-
-
-def told(entry: EntryPoint) -> str:
-    """Return what an entry point is called in messages."""
-    return f"entry point {entry.name} of {entry.group} ({entry.value})"
-
-
-def load(entry: EntryPoint) -> Any:
-    """Import what an entry point names; PluginError if that fails."""
-    return _guarded(told(entry), "", entry.load)
-
-
-def given() -> list[Path]:
-    """Return the files that ``GIVEN`` names; PluginError for one that would depend on the working folder."""
-    files = [Path(file) for file in os.environ.get(GIVEN, "").split(os.pathsep) if file]
-    for file in files:
-        if not file.is_absolute():
-            raise PluginError(f"{GIVEN} has {file}: give the whole path")
-    return files
-
-
-def load_files(paths: Iterable[Path]) -> list[ModuleType]:
-    """Import the files that were given and these, each once; PluginError if that fails."""
-    return [load_file(path) for path in dict.fromkeys(path.resolve() for path in (*given(), *paths))]
+def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
+    """Import the files that ``GIVEN`` names and these, each once; PluginError if that fails."""
+    given = [Path(file) for file in os.environ.get(GIVEN, "").split(os.pathsep) if file]
+    if here := [str(path) for path in given if not path.is_absolute()]:  # the working folder decides nothing
+        raise PluginError(f"{GIVEN} has {', '.join(here)}: give the whole path")
+    return [load_file(path) for path in dict.fromkeys(path.resolve() for path in (*given, *paths))]
 
 
 def load_file(path: Path) -> ModuleType:
@@ -72,11 +48,9 @@ def load_file(path: Path) -> ModuleType:
     return _guarded(f"plug-in {path}", str(path), run)
 
 
-def origin_of(source: ModuleType | EntryPoint) -> str:
-    """Return where a record comes from, as recordings and models keep it: a file with its hash, or a package."""
-    if isinstance(source, EntryPoint):
-        return f"the package {source.dist.name} {source.dist.version}" if source.dist else told(source)
-    path = Path(str(source.__file__))
+def origin_of(module: ModuleType) -> str:
+    """Return what recordings and models keep of a file: its name and hash."""
+    path = Path(str(module.__file__))
     return f"the plug-in {path.name} (sha256 {sha256(path.read_bytes()).hexdigest()[:12]})"
 
 
@@ -103,16 +77,17 @@ class Registry(Mapping[str, T]):
 
     def __getitem__(self, name: str) -> T:
         """Return a record; KeyError if there is none of this name, PluginError if it is damaged or there are two."""
-        entries = self._installed.get(name, [])
+        entries = list(self._installed.select(name=name))
         if len(entries) + (name in self._modules) + (name in self._beside) > 1:
             raise self._taken(name)
         if not entries:
-            return self._beside[name] if name in self._beside else import_module(self._modules[name]).SPEC  # type: ignore[no-any-return]
-        record = load(entries[0])
+            return self._beside[name] if name in self._beside else import_module(self._modules[name]).SPEC
+        what = f"entry point {name} of {self._group} ({entries[0].value})"
+        record = _guarded(what, "", entries[0].load)
         if not isinstance(record, self._kind):
-            raise PluginError(f"{told(entries[0])}: {type(record).__name__} is no {self._kind.__name__}")
-        if (called := getattr(record, "name", name)) != name:
-            raise PluginError(f"{told(entries[0])}: it calls itself {called}: announce it by that name")
+            raise PluginError(f"{what}: {type(record).__name__} is no {self._kind.__name__}")
+        if (called := getattr(record, "name", "")) != name:
+            raise PluginError(f"{what}: it calls itself {called}: announce it by that name")
         return record
 
     def tried(self) -> dict[str, T | PluginError]:
@@ -127,23 +102,23 @@ class Registry(Mapping[str, T]):
 
     def origin(self, name: str) -> str:
         """Return the package that brings a record, "" if none does."""
-        return origin_of(self._installed[name][0]) if name in self._installed else ""
+        packages = (entry.dist for entry in self._installed.select(name=name) if entry.dist)
+        return next((f"the package {package.name} {package.version}" for package in packages), "")
 
     def __iter__(self) -> Iterator[str]:
         """Go over the names, the built-in ones first."""
-        return iter(dict.fromkeys((*self._modules, *self._beside, *self._installed)))
+        return iter(dict.fromkeys((*self._modules, *self._beside, *(entry.name for entry in self._installed))))
 
     def __len__(self) -> int:
         """Return how many there are."""
         return len(list(iter(self)))
 
     @cached_property
-    def _installed(self) -> dict[str, list[EntryPoint]]:
-        return installed(self._group)
+    def _installed(self) -> EntryPoints:
+        return entry_points(group=self._group)
 
     def _taken(self, names: str) -> PluginError:
-        kinds = self._group.rpartition(".")[2]
-        return PluginError(f"two {kinds} are called {names}: give yours a name of its own")
+        return PluginError(f"two {self._group.rpartition('.')[2]} are called {names}: give yours a name of its own")
 
 
 def _guarded(what: str, file: str, run: Callable[[], T]) -> T:

@@ -7,20 +7,20 @@ import importlib
 import json
 import os
 import sys
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn
 
 from drivers.errors import DeviceError
 from drivers.packaged import packaged_toml
-from drivers.plugins import GIVEN, PluginError, installed
-from estimator.effects import GROUP as EFFECTS
+from drivers.plugins import GIVEN, PluginError
 from estimator.errors import EstimatorError
+from station.bench.plugins import use_effects
 from station.campaigns import ONE_BLAS_THREAD
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
-from station.exports.held import GROUP as EXPORTS
-from station.exports.held import HELD
+from station.exports import GROUP as EXPORTS
 
 _MODULES = dict.fromkeys(("run", "twin", "import"), "station.commands.common") | {"study": "station.studies.command"}
 """Where the function of a command is, if not in a module of its name: ``command_NAME(arguments) -> exit code``."""
@@ -31,14 +31,14 @@ COMMANDS: dict[str, dict[str, Any]] = _TYPED["commands"]
 """Of each command its ``line`` in --help, the ``text`` of its own help, and its ``options``."""
 
 
-class _Forms(Container[str]):
-    """Forms of export as choices: those of packages are named, and none is refused, for files may bring more."""
+class _Forms(dict[str, Any]):
+    """Forms of export as choices: those of packages are named, and none is refused, for a file may bring it."""
 
     def __contains__(self, name: object) -> bool:
         return True
 
     def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys((*HELD, *installed(EXPORTS))))
+        return iter((*self.keys(), *(entry.name for entry in entry_points(group=EXPORTS))))
 
 
 class _Parser(argparse.ArgumentParser):
@@ -70,7 +70,11 @@ def _take(parser: argparse._ActionsContainer, spelled: str, help: str, **more: A
     if more.get("action") == "append":
         more["default"] = []
     if "choices" in more:
-        more["choices"] = _Forms() if more["choices"] == "formats" else tuple(more["choices"])
+        more["choices"] = (
+            _Forms(packaged_toml("station.exports", "held.toml"))
+            if more["choices"] == "formats"
+            else tuple(more["choices"])
+        )
     if "type" in more:
         more["type"] = _TYPES[more["type"]]
     parser.add_argument(*names, help=help, **more)
@@ -103,16 +107,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _use_effects(plugins: Sequence[str]) -> None:
     """Hand files to all that the command does, make effects from outside known, say which of them cannot be used."""
-    files = [
-        *filter(None, os.environ.get(GIVEN, "").split(os.pathsep)),
-        *(str(Path(name).absolute()) for name in plugins),
-    ]
-    os.environ[GIVEN] = os.pathsep.join(dict.fromkeys(files))
-    if files or installed(EFFECTS):
-        from station.bench.plugins import use_effects
-
-        for problem in use_effects():
-            print(f"station: {problem}", file=sys.stderr)
+    files = [os.environ.get(GIVEN, ""), *(str(Path(name).absolute()) for name in plugins)]
+    os.environ[GIVEN] = os.pathsep.join(filter(None, dict.fromkeys(files)))
+    for problem in use_effects():
+        print(f"station: {problem}", file=sys.stderr)
 
 
 def _refuse(error: Exception, module: ModuleType | None, arguments: argparse.Namespace) -> int:

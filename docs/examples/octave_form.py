@@ -10,7 +10,7 @@ from station.exports.formats import Format
 from station.exports.written import Written, delay_line, head, lines_of, number
 
 
-def write(exported: Exported, instance: int) -> Written:
+def write(exported: Exported) -> Written:
     """Return the text of the file, and a line for each thing that the calibration has and the file has not."""
     # What is not constant is left out, each with its reason.
     constants, dropped = exported.compensation.simplified((), exported.seen.temperature_c[1])

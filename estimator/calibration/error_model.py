@@ -204,16 +204,11 @@ _REMEDIES = {
 def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
     name = str(entry["effect"])
     record = record_of(name)
-    if record is None and "from" in entry:
-        raise ModelError(
-            f"{where} has the effect {name} of {entry['from']}, which is not here: install the package, or give the "
-            "file with --plugin"
-        )
     if record is None or record.not_kept:
-        raise ModelError(
-            f"{where} has the effect {name}, which this station's catalogue does not know: use the version of the "
-            "station that found it, or investigate again"
-        )
+        remedy = "use the version of the station that found it, or investigate again"
+        if "from" in entry:
+            remedy = f"it is of {entry['from']}; install the package, or give the file with --plugin"
+        raise ModelError(f"{where} has the effect {name}, which this station's catalogue does not know: {remedy}")
     settings = {setting.key: setting.read(setting.key, entry[setting.key]) for setting in record.kept_settings}
     sizes = tuple(
         Size(str(p["name"]), str(p["unit"]), _finite("mean", p["mean"]), positive("sd", p["sd"]))

@@ -28,8 +28,6 @@ def register(*effects: Record, origin: str = "") -> None:
     ``origin`` says where they come from. Raises EffectError for one that is damaged, or has the name of a built-in one.
     """
     for record in effects:
-        if not isinstance(record, Record):
-            raise EffectError(f"{type(record).__name__} is no Record")
         record.check()
         if record.name in _BUILT_IN:
             raise EffectError(f"there is an effect {record.name} already: give yours another name")

@@ -152,9 +152,9 @@ def read_bench(
     names = [imu.name for imu in bench.imus]
     if not names or len(set(names)) != len(names):
         raise BenchError(f"{file}: it needs one [[imu]] or more, each with a name of its own; it has {names}")
-    packages = [tables.origin(bench.table.protocol), *(imus.origin(imu.protocol) for imu in bench.imus)]
-    origins = {*map(origin_of, own), *packages, *(record.origin for record in records())}
-    return replace(bench, plugins=tuple(sorted(filter(None, origins))))
+    origins = {tables.origin(bench.table.protocol), *(imus.origin(imu.protocol) for imu in bench.imus)}
+    origins |= {*map(origin_of, own), *(record.origin for record in records())}
+    return replace(bench, plugins=tuple(sorted(origins - {""})))
 
 
 def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:
@@ -181,9 +181,7 @@ def read_limits(text: str) -> Limits:
 def read_excluded(text: str, plugins: Sequence[str] = ()) -> frozenset[str] | None:
     """Return the effects that a bench file's text rules out, None if all; its run knew those of ``plugins``, too."""
     table = Table.parse(text, "bench in the recording", BenchError).table("undeclared", optional=True)
-    return _excluded(
-        table, f"; the run had {', '.join(plugins)}: give such a file with --plugin" if len(plugins) else ""
-    )
+    return _excluded(table, f"; the run had {', '.join(plugins) or 'no plug-ins'}; --plugin gives a file")
 
 
 def _excluded(table: Table, more: str = "") -> frozenset[str] | None:

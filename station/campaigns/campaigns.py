@@ -4,14 +4,13 @@ import os
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import cache, partial
 from typing import TypeVar
 
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from drivers.plugins import GIVEN
-from station.bench.plugins import use_effects
 from station.campaigns.worker_pool import Ended, attempt, run_in_processes
+from station.errors import UsageError
 from station.render.progress import Bar
 
 T = TypeVar("T")
@@ -61,30 +60,19 @@ def run_all(
 def _ends(
     work: Callable[[T], R], items: Sequence[T], scheduler: str | None, workers: int | None
 ) -> Generator[Ended[R]]:
-    elsewhere = partial(_with_effects, os.environ.get(GIVEN, ""), work)
     if scheduler is not None:
         from station.campaigns.cluster import run_on_cluster
 
-        yield from run_on_cluster(elsewhere, items, scheduler)
+        if os.environ.get(GIVEN):
+            raise UsageError("--plugin reaches no cluster: install what the file brings as a package on every worker")
+        yield from run_on_cluster(work, items, scheduler)
         return
     count = min(workers or len(os.sched_getaffinity(0)), len(items))
     if count > 1:
-        yield from run_in_processes(elsewhere, items, count)
+        yield from run_in_processes(work, items, count)
         return
     for index, item in enumerate(items):
         yield attempt(work, index, item)
-
-
-def _with_effects(files: str, work: Callable[[T], R], item: T) -> R:
-    """Do an item in another process, which knows the effects from outside that this one knows."""
-    _use(files)
-    return work(item)
-
-
-@cache
-def _use(files: str) -> None:
-    os.environ[GIVEN] = files
-    use_effects()
 
 
 class _Bar(Bar):

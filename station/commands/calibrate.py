@@ -39,6 +39,8 @@ from station.views.figures import OUTCOME_STYLES
 _IN_FULL = 5  # more recordings than this are printed a line each: a person compares them
 _KEPT = ("device", "devices", "script", "seed", "clock_zero_utc_s", "outcome", "reason")
 
+_Rules = tuple[Limits, frozenset[str] | None]  # limits, and effects that are ruled out
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimated:
@@ -59,9 +61,8 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     names = recordings_of(arguments.recordings)
     bench = load_bench(Path(arguments.bench)) if arguments.bench else None
     model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
-    limits, excluded = (bench.limits, bench.excluded) if bench else (None, None)
     results, failures = run_all(
-        partial(estimate, limits=limits, excluded=excluded, write=arguments.write, model=model),
+        partial(estimate, limits=bench and (bench.limits, bench.excluded), write=arguments.write, model=model),
         [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
         label="calibrating",
         scheduler=arguments.scheduler,
@@ -89,27 +90,18 @@ def recordings_of(arguments: Sequence[str]) -> list[str]:
     return list(found.values())
 
 
-def estimate(
-    name: str,
-    *,
-    limits: Limits | None,
-    write: bool,
-    model: ErrorModel | None = None,
-    excluded: frozenset[str] | None = None,
-) -> Estimated:
-    """Estimate the gyros of one recording and judge them.
+def estimate(name: str, *, limits: _Rules | None, write: bool, model: ErrorModel | None = None) -> Estimated:
+    """Estimate the gyros of one recording and judge them, by the rules of its own bench file unless some are given.
 
-    Without ``limits`` those of its own bench file hold, and the effects that it rules out in place of ``excluded``.
     ``model``: effects to estimate beside the states.
 
     Raises EstimatorError or UsageError for a recording that cannot be used, or not be written into.
     """
     recording = read_recording(Path(name))
-    if limits is None:
-        text = str(recording.attributes.get("bench", ""))
-        limits, excluded = read_limits(text), read_excluded(text, recording.attributes.get("plugins", ()))
+    text, plugins = str(recording.attributes.get("bench", "")), recording.attributes.get("plugins", ())
+    least, excluded = limits or (read_limits(text), read_excluded(text, plugins))
     calibration = calibrate(recording, model=model, excluded=excluded)
-    verdict = judge(calibration, limits)
+    verdict = judge(calibration, least)
     if write:
         try:
             write_calibration(Path(name), calibration)

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from rich.markup import escape
 
+from drivers.plugins import load_files
 from estimator.strict_toml import not_one_of
 from station.atomic_write import write_whole
 from station.errors import UsageError
 from station.exports.exported import Exported, exported_of
-from station.exports.formats import Format, formats
+from station.exports.formats import FORMATS
 from station.exports.written import Written
 from station.render.rich_table import rich_table
 from station.render.terminal import stdout
@@ -55,24 +56,22 @@ def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
         raise UsageError("give a recording and --format; `station export --list` says what each format holds")
     if arguments.json and arguments.output == _STDOUT:
         raise UsageError("--json says what was written where: give a file with --output")
-    forms = formats()
+    forms = FORMATS.beside(load_files())
     if arguments.format not in forms:
         raise UsageError(f"--format {not_one_of(arguments.format, forms)}")
     form = forms[arguments.format]
-    exported = exported_of(Path(arguments.recording), arguments.device)
+    exported = exported_of(Path(arguments.recording), arguments.device, arguments.instance)
     if form.of_one_device and len(exported.devices) > 1 and not arguments.device:
         raise UsageError(
             f"{arguments.recording} holds the devices {', '.join(exported.devices)}: name one with --device, or "
             "several that are one array by giving it several times"
         )
-    return exported, form.write(exported, arguments.instance)
+    return exported, form.write(exported)
 
 
 def _print_list(as_json: bool) -> None:
-    tried = formats().tried()
-    listed = {
-        name: (f.holds, f.lacks) if isinstance(f, Format) else (f"not used: {f}", "") for name, f in tried.items()
-    }
+    tried = FORMATS.beside(load_files()).tried().items()
+    listed = {name: (getattr(f, "holds", f"not used: {f}"), getattr(f, "lacks", "")) for name, f in tried}
     if as_json:
         print(json.dumps({name: {"holds": holds, "lacks": lacks} for name, (holds, lacks) in listed.items()}))
         return

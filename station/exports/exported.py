@@ -25,7 +25,10 @@ from station.views.seen import Seen, seen_by
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exported:
-    """Gyros of a recording with their calibration. ``identity`` says what they are and where the figures come from."""
+    """Gyros of a recording with their calibration. ``identity`` says what they are and where the figures come from.
+
+    ``instance`` is the number of an autopilot's gyro that they are, from 0.
+    """
 
     path: Path
     identity: Mapping[str, str]
@@ -34,6 +37,7 @@ class Exported:
     compensation: Compensation
     seen: Seen
     devices: tuple[str, ...]
+    instance: int = 0
 
     @property
     def name(self) -> str:
@@ -61,7 +65,7 @@ class Exported:
         return lines + [f"{name}: {_states(gyro)}" for name, gyro in zip(names, self.gyros, strict=True)]
 
 
-def exported_of(path: Path, devices: Sequence[str] = ()) -> Exported:
+def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:
     """Return what is exported of a recording: of these devices under test, or all.
 
     Raises RecordingError if there is no calibration, ModelError and CompensationError for effects of another version,
@@ -83,6 +87,7 @@ def exported_of(path: Path, devices: Sequence[str] = ()) -> Exported:
         Compensation.of(gyros, arrays, calibration.model),
         seen_by(recording.sources[name] for name in {gyro.source: None for gyro in gyros}),
         tuple(device for device in there if device and (not devices or device in devices)),
+        instance,
     )
 
 

@@ -209,8 +209,8 @@ def test_a_command_without_the_effect_says_which_it_is_and_what_to_do(
 ) -> None:
     assert main(typed) == 2
     told = capsys.readouterr().err
-    assert "has the effect sticking_mass of the package mine 1.0, which is not here" in told
-    assert "install the package" in told
+    assert "has the effect sticking_mass, which this station's catalogue does not know" in told
+    assert "it is of the package mine 1.0; install the package" in told
     assert "--plugin" in told
     assert "Traceback" not in told
 
@@ -332,7 +332,7 @@ def test_what_cannot_be_imported_costs_a_line_with_its_name(
         ("tables", "acutrol", "drivers.tables.galil.spec:SPEC", ["plan", "--bench", "imu.toml"]),
         ("imus", "stim300", "drivers.imus.xsens.spec:SPEC", ["plan"]),
         ("exports", "csv", "math:pi", ["export", "run.h5", "--format", "csv"]),
-        ("effects", "mine", "estimator.effects.scale:RECORDS", ["effects"]),
+        ("effects", "sample_hold", "estimator.effects.disturbances:SAMPLE_HOLD", ["effects"]),
     ],
 )
 def test_a_name_that_is_taken_is_told_not_passed_over(
