@@ -21,7 +21,7 @@ GIVEN = "STATION_PLUGINS"
 """The environment variable that hands Python files to all processes of a command: whole paths, separated as in PATH."""
 
 
-class PluginError(Exception):
+class PluginError(ValueError):
     """Something from outside cannot be used; one line with its name, the place and the reason."""
 
 
@@ -62,26 +62,26 @@ def records_of(module: ModuleType, kind: type[T]) -> list[T]:
 class Registry(Mapping[str, T]):
     """Records of one kind by their ``name``. A module is imported when its record is asked for, not before."""
 
-    def __init__(self, kind: type[T], group: str, modules: Mapping[str, str], beside: Iterable[T] = ()) -> None:
-        """``modules`` hold the built-in ones, each as SPEC; ``group`` is that of entry points, ``beside`` are more."""
-        self._kind, self._group, self._modules = kind, group, modules
-        self._beside = {str(getattr(record, "name", "")): record for record in beside}
+    def __init__(self, kind: type[T], group: str, own: Mapping[str, str | T]) -> None:
+        """``own`` are the built-in ones, or modules that hold them as SPEC; ``group`` is that of entry points."""
+        self._kind, self._group, self._own = kind, group, own
 
     def beside(self, modules: Iterable[ModuleType]) -> Registry[T]:
         """Return the registry with the records in these modules, too; PluginError for a name that is taken."""
-        found = [record for module in modules for record in records_of(module, self._kind)]
-        names = [*self._modules, *self._beside, *(str(getattr(record, "name", "")) for record in found)]
-        if taken := {name for name in names if names.count(name) > 1}:
-            raise self._taken(", ".join(sorted(taken)))
-        return Registry(self._kind, self._group, self._modules, [*self._beside.values(), *found])
+        own = dict(self._own)
+        for record in (record for module in modules for record in records_of(module, self._kind)):
+            if own.setdefault(name := str(getattr(record, "name", "")), record) is not record:
+                raise self._taken(name)
+        return Registry(self._kind, self._group, own)
 
     def __getitem__(self, name: str) -> T:
         """Return a record; KeyError if there is none of this name, PluginError if it is damaged or there are two."""
         entries = list(self._installed.select(name=name))
-        if len(entries) + (name in self._modules) + (name in self._beside) > 1:
+        if len(entries) + (name in self._own) > 1:
             raise self._taken(name)
         if not entries:
-            return self._beside[name] if name in self._beside else import_module(self._modules[name]).SPEC
+            own = self._own[name]
+            return import_module(own).SPEC if isinstance(own, str) else own
         what = f"entry point {name} of {self._group} ({entries[0].value})"
         record = _guarded(what, "", entries[0].load)
         if not isinstance(record, self._kind):
@@ -107,7 +107,7 @@ class Registry(Mapping[str, T]):
 
     def __iter__(self) -> Iterator[str]:
         """Go over the names, the built-in ones first."""
-        return iter(dict.fromkeys((*self._modules, *self._beside, *(entry.name for entry in self._installed))))
+        return iter(dict.fromkeys((*self._own, *(entry.name for entry in self._installed))))
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -117,8 +117,8 @@ class Registry(Mapping[str, T]):
     def _installed(self) -> EntryPoints:
         return entry_points(group=self._group)
 
-    def _taken(self, names: str) -> PluginError:
-        return PluginError(f"two {self._group.rpartition('.')[2]} are called {names}: give yours a name of its own")
+    def _taken(self, name: str) -> PluginError:
+        return PluginError(f"two {self._group.rpartition('.')[2]} are called {name}: give yours a name of its own")
 
 
 def _guarded(what: str, file: str, run: Callable[[], T]) -> T:

@@ -31,14 +31,14 @@ COMMANDS: dict[str, dict[str, Any]] = _TYPED["commands"]
 """Of each command its ``line`` in --help, the ``text`` of its own help, and its ``options``."""
 
 
-class _Forms(dict[str, Any]):
+class _Forms:
     """Forms of export as choices: those of packages are named, and none is refused, for a file may bring it."""
 
     def __contains__(self, name: object) -> bool:
         return True
 
     def __iter__(self) -> Iterator[str]:
-        return iter((*self.keys(), *(entry.name for entry in entry_points(group=EXPORTS))))
+        return iter((*packaged_toml("station.exports", "held.toml"), *(e.name for e in entry_points(group=EXPORTS))))
 
 
 class _Parser(argparse.ArgumentParser):
@@ -70,11 +70,7 @@ def _take(parser: argparse._ActionsContainer, spelled: str, help: str, **more: A
     if more.get("action") == "append":
         more["default"] = []
     if "choices" in more:
-        more["choices"] = (
-            _Forms(packaged_toml("station.exports", "held.toml"))
-            if more["choices"] == "formats"
-            else tuple(more["choices"])
-        )
+        more["choices"] = _Forms() if more["choices"] == "formats" else tuple(more["choices"])
     if "type" in more:
         more["type"] = _TYPES[more["type"]]
     parser.add_argument(*names, help=help, **more)
@@ -161,28 +157,22 @@ def _add_command(commands: argparse._SubParsersAction[_Parser], name: str, said:
             _add_command(studies, study, its)
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e4:
-        raise argparse.ArgumentTypeError("must be above 0 and below 10000")
-    return value
+def _number(kind: type[float], fits: Callable[[float], bool], wrong: str) -> Callable[[str], float]:
+    def read(text: str) -> float:
+        if not fits(value := kind(text)):
+            raise argparse.ArgumentTypeError(wrong)
+        return value
+
+    read.__name__ = "whole number" if kind is int else "number"  # what argparse calls it
+    return read
 
 
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError("must be 1 or more")
-    return value
-
-
-def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError("must not be negative")
-    return value
-
-
-_TYPES: dict[str, Callable[[str], float]] = {"positive": _positive, "count": _count, "seed": _seed, "int": int}
+_TYPES: dict[str, Callable[[str], float]] = {
+    "positive": _number(float, lambda value: 0 < value < 1e4, "must be above 0 and below 10000"),
+    "count": _number(int, lambda value: value >= 1, "must be 1 or more"),
+    "seed": _number(int, lambda value: value >= 0, "must not be negative"),
+    "int": int,
+}
 
 
 if __name__ == "__main__":

@@ -17,11 +17,9 @@ def use_effects() -> list[str]:
     from estimator.effects.effect import EffectError, Record
 
     problems, packages = [], Registry(Record, GROUP, {})
-    for name, found in packages.tried().items():
+    for name in packages:
         try:
-            if isinstance(found, PluginError):
-                raise found
-            register(found, origin=packages.origin(name))
+            register(packages[name], origin=packages.origin(name))
         except (PluginError, EffectError) as error:
             problems.append(str(error))
     for module in load_files():

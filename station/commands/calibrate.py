@@ -62,7 +62,7 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     bench = load_bench(Path(arguments.bench)) if arguments.bench else None
     model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
     results, failures = run_all(
-        partial(estimate, limits=bench and (bench.limits, bench.excluded), write=arguments.write, model=model),
+        partial(estimate, limits=(bench.limits, bench.excluded) if bench else None, write=arguments.write, model=model),
         [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
         label="calibrating",
         scheduler=arguments.scheduler,

@@ -27,7 +27,7 @@ from station.views.seen import Seen, seen_by
 class Exported:
     """Gyros of a recording with their calibration. ``identity`` says what they are and where the figures come from.
 
-    ``instance`` is the number of an autopilot's gyro that they are, from 0.
+    ``instance`` counts the gyros of an autopilot.
     """
 
     path: Path

@@ -41,5 +41,5 @@ _WRITERS = {
     "px4": write_px4,
     "ardupilot": write_ardupilot,
 }
-FORMATS = Registry(Format, GROUP, {}, [Format(name, write, *_HELD[name]) for name, write in _WRITERS.items()])
+FORMATS = Registry(Format, GROUP, {name: Format(name, write, *_HELD[name]) for name, write in _WRITERS.items()})
 """Built in and installed ones, by name."""
