@@ -185,24 +185,79 @@ def units() -> str:
     return table(("measures", "units"), rows)
 
 
+def _built_in(kind: str) -> list[Any]:
+    """Records of the devices of the station itself."""
+    registry = importlib.import_module(f"drivers.{kind}.registry").__dict__[kind.upper()]
+    return [registry[name] for name in registry if not registry.origin(name)]
+
+
+def _devices(kind: str, heads: Sequence[str], more: Callable[[Any], Sequence[str]]) -> str:
+    return table(
+        ("`protocol`", "what it is", "link, for instance", *heads),
+        (
+            (f"`{spec.name}`", spec.what, ", ".join(f"`{link}`" for link in spec.link.split(" or ")), *more(spec))
+            for spec in _built_in(kind)
+        ),
+    )
+
+
 def tables() -> str:
     """Protocols of turntables."""
-    return _devices("tables")
+    return _devices(
+        "tables",
+        ("TCP port; baud rate, if the link states none", "an axis has"),
+        lambda spec: (
+            f"{spec.tcp_port or 'none'}; {spec.baud}",
+            f"`{spec.address.name}`, {spec.address.doc.removeprefix(f'{spec.address.name}, ')}" if spec.address else "",
+        ),
+    )
 
 
 def imus() -> str:
     """Protocols of IMUs."""
-    return _devices("imus")
-
-
-def _devices(kind: str) -> str:
-    return table(
-        ("`protocol`", "what it is", "link, for instance"),
-        (
-            (f"`{name}`", spec.what, ", ".join(f"`{link}`" for link in spec.link.split(" or ")))
-            for name, spec in importlib.import_module(f"drivers.{kind}.registry").__dict__[kind.upper()].items()
-        ),
+    return _devices(
+        "imus",
+        ("baud rate, if the link states none", "`rate`"),
+        lambda spec: ("" if spec.on_can else str(spec.baud), _rates(spec.rates_hz)),
     )
+
+
+def _rates(rates_hz: Any) -> str:
+    if isinstance(rates_hz, range):
+        return f"whole Hz up to {rates_hz[-1]} that the device has"
+    if isinstance(rates_hz, dict):
+        return "; ".join(f"{chosen}: {_rates(its)}" for chosen, its in rates_hz.items())
+    return ", ".join(f"{rate:g}" for rate in rates_hz) + " Hz" if rates_hz else "what it sends"
+
+
+def _device_keys(kind: str, which: str) -> str:
+    si = {"time": " s", "angle": " rad", "rate": " rad/s"}
+    rows = [
+        (
+            f"`{key.name}`",
+            spec.name,
+            key.doc,
+            "" if key.default is None else json.dumps(key.default) + si.get(key.kind, ""),
+        )
+        for spec in _built_in(kind)
+        for key in getattr(spec, which)
+    ]
+    return table(("key", "`protocol`", "meaning", "if left out"), rows)
+
+
+def table_keys() -> str:
+    """Keys that protocols of tables add to [table]."""
+    return _device_keys("tables", "keys")
+
+
+def table_axis_keys() -> str:
+    """Keys that protocols of tables add to an axis."""
+    return _device_keys("tables", "axis_keys")
+
+
+def imu_keys() -> str:
+    """Keys that protocols of IMUs add to [[imu]]."""
+    return _device_keys("imus", "keys")
 
 
 def exports() -> str:
@@ -251,6 +306,7 @@ MADE: dict[str, Callable[[], str]] = {
     made.__name__: made
     for made in (
         *(commands, effects, units, tables, imus, exports, vectornav_fields, xsens_packets, decisions),
+        *(table_keys, table_axis_keys, imu_keys),
         *(limit_keys, prior_keys, noise_keys, axis_keys, uncertainty_keys),
     )
 }

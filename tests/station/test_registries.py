@@ -120,8 +120,8 @@ def test_files_in_plugins_beside_the_bench_are_taken_without_being_listed(tmp_pa
 
 
 def test_the_key_tables_have_every_protocol_its_baud_rate_and_its_keys() -> None:
-    text = (Path(__file__).parents[2] / "drivers" / "README.md").read_text()
-    rows = text[text.index("## Tables: keys") :].splitlines()
+    text = (Path(__file__).parents[2] / "docs" / "pages" / "reference" / "bench.md").read_text()
+    rows = text[text.index("## \\[table\\]") :].splitlines()
     for spec in (*IMUS.values(), *TABLES.values()):
         (row,) = (row for row in rows if row.startswith(f"| `{spec.name}`"))
         assert spec.on_can or str(spec.baud) in row
