@@ -34,22 +34,16 @@ def register(*effects: Record, origin: str = "") -> None:
         _BY_NAME[record.name] = replace(record, origin=origin)
 
 
-def catalogue(gimbals: Sequence[str], duration_s: float) -> tuple[Effect, ...]:
-    """Return the effects whose smallest sizes a plan tells, for a table with these gimbals and a run of so long."""
-    return tuple(
-        record.effect(gimbals, **settings)
-        for record in records()
-        if record.kind is Kind.LAW and record.planned
-        for settings in record.listed(duration_s)
-    )
-
-
 def everything(gimbals: Sequence[str] = ("z", "y", "x"), duration_s: float = 360.0) -> tuple[Effect, ...]:
-    """Return those, and then what is looked for but not planned for: noise, faults of the data."""
-    found = catalogue(gimbals, duration_s)
-    known = {effect.record for effect in found}
-    others = (record for record in records() if record not in known)
-    return (
-        *found,
-        *(record.effect(gimbals, **settings) for record in others for settings in record.listed(duration_s)),
-    )
+    """Return what is looked for on a table with these gimbals in a run of so long: first what plans tell of."""
+    ordered = sorted(records(), key=lambda record: not _planned(record))
+    return tuple(record.effect(gimbals, **settings) for record in ordered for settings in record.listed(duration_s))
+
+
+def catalogue(gimbals: Sequence[str], duration_s: float) -> tuple[Effect, ...]:
+    """Return those whose smallest sizes a plan tells: neither noise nor faults of the data."""
+    return tuple(effect for effect in everything(gimbals, duration_s) if _planned(effect.record))
+
+
+def _planned(record: Record) -> bool:
+    return record.kind is Kind.LAW and record.planned

@@ -329,8 +329,8 @@ def test_what_cannot_be_imported_costs_a_line_with_its_name(
 @pytest.mark.parametrize(
     ("group", "name", "value", "typed"),
     [
-        ("tables", "acutrol", "drivers.tables.galil.spec:SPEC", ["plan", "--bench", "imu.toml"]),
-        ("imus", "stim300", "drivers.imus.xsens.spec:SPEC", ["plan"]),
+        ("tables", "acutrol", "math:pi", ["plan", "--bench", "imu.toml"]),
+        ("imus", "stim300", "math:pi", ["plan"]),
         ("exports", "csv", "math:pi", ["export", "run.h5", "--format", "csv"]),
         ("effects", "sample_hold", "estimator.effects.disturbances:SAMPLE_HOLD", ["effects"]),
     ],
@@ -362,7 +362,8 @@ def test_a_name_that_is_taken_is_told_not_passed_over(
 def test_a_record_under_another_name_than_its_own_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    announced(tmp_path, monkeypatch, "tables", mine="drivers.tables.galil.spec:SPEC")
+    (tmp_path / "mine_other.py").write_text("from drivers.tables.registry import TABLES\nSPEC = TABLES['galil']\n")
+    announced(tmp_path, monkeypatch, "tables", mine="mine_other:SPEC")
     assert main(ASKED["tables"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "mine" in line
