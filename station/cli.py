@@ -9,13 +9,12 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import entry_points
-from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn
 
 from drivers.errors import DeviceError
 from drivers.packaged import packaged_toml
-from drivers.plugins import GIVEN, PluginError
+from drivers.plugins import PluginError
 from estimator.errors import EstimatorError
 from station.bench.plugins import use_effects
 from station.campaigns import ONE_BLAS_THREAD
@@ -89,7 +88,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         # The libraries behind the commands cost a second: --help does without.
         module = importlib.import_module(_MODULES.get(command, f"station.commands.{command}"))
-        _use_effects(getattr(arguments, "plugin", []))
+        for problem in use_effects(getattr(arguments, "plugin", [])):
+            print(f"station: {problem}", file=sys.stderr)
         return int(getattr(module, f"command_{command}")(arguments))
     except (UsageError, EstimatorError, DeviceError, PluginError) as error:
         return _refuse(error, module, arguments)
@@ -99,14 +99,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return EXIT_USAGE
-
-
-def _use_effects(plugins: Sequence[str]) -> None:
-    """Hand files to all that the command does, make effects from outside known, say which of them cannot be used."""
-    files = [os.environ.get(GIVEN, ""), *(str(Path(name).absolute()) for name in plugins)]
-    os.environ[GIVEN] = os.pathsep.join(filter(None, dict.fromkeys(files)))
-    for problem in use_effects():
-        print(f"station: {problem}", file=sys.stderr)
 
 
 def _refuse(error: Exception, module: ModuleType | None, arguments: argparse.Namespace) -> int:

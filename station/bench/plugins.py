@@ -1,22 +1,28 @@
 """Effects of one's own: made known to this process, those of installed packages and of files that were given."""
 
 import os
+from collections.abc import Iterable
+from pathlib import Path
 
 from drivers.plugins import GIVEN, PluginError, Registry, load_files, origin_of, records_of
-from estimator.effects import GROUP
+
+_GROUP = "turntable_station.effects"
 
 
-def use_effects() -> list[str]:
-    """Make effects known, those of files in the place of others; return a line for each of a package that is damaged.
+def use_effects(files: Iterable[str] = ()) -> list[str]:
+    """Give files to this process and those that it starts; make effects known, those of files in the place of others.
 
-    Raises PluginError or EffectError for a file that cannot be used: somebody has asked for it.
+    Returns a line for each effect of a package that cannot be used. Raises PluginError or EffectError for a file that
+    cannot: somebody has asked for it.
     """
-    if not os.environ.get(GIVEN) and not Registry(object, GROUP, {}):
+    given = [os.environ.get(GIVEN, ""), *(str(Path(name).absolute()) for name in files)]
+    os.environ[GIVEN] = os.pathsep.join(filter(None, dict.fromkeys(given)))
+    if not os.environ[GIVEN] and not Registry(object, _GROUP, {}):
         return []
     from estimator.effects.catalogue import register  # only now, since it costs numpy
     from estimator.effects.effect import EffectError, Record
 
-    problems, packages = [], Registry(Record, GROUP, {})
+    problems, packages = [], Registry(Record, _GROUP, {})
     for name in packages:
         try:
             register(packages[name], origin=packages.origin(name))

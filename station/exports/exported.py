@@ -25,10 +25,7 @@ from station.views.seen import Seen, seen_by
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exported:
-    """Gyros of a recording with their calibration. ``identity`` says what they are and where the figures come from.
-
-    ``instance`` counts the gyros of an autopilot.
-    """
+    """Gyros of a recording with their calibration. ``identity`` says what they are and where the figures come from."""
 
     path: Path
     identity: Mapping[str, str]
@@ -37,7 +34,7 @@ class Exported:
     compensation: Compensation
     seen: Seen
     devices: tuple[str, ...]
-    instance: int = 0
+    instance: int = 0  # which of an autopilot's gyros they are
 
     @property
     def name(self) -> str:

@@ -17,10 +17,7 @@ from station.exports.written import Written
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A form by its ``name``; for people, what it ``holds`` of a calibration, and what it ``lacks``.
-
-    ``write`` makes it; UsageError if the form cannot hold these gyros. It may be ``of_one_device`` alone.
-    """
+    """A form: what writes it (or UsageError), what it holds and lacks, for people, whether it is of one device."""
 
     name: str
     write: Callable[[Exported], Written]

@@ -25,11 +25,8 @@ def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, lin
         read_section(table_text(made), lambda top: read_table(top.table("table"), folder))
 
     dialogue.say("\nThe table. Which controller turns it?")
-    protocol = dialogue.choose(
-        "controller",
-        {name: getattr(spec, "what", str(spec)) for name, spec in TABLES.tried().items()},
-        protocol or USUAL_TABLE,
-    )
+    choices = {name: getattr(spec, "what", str(spec)) for name, spec in TABLES.tried().items()}
+    protocol = dialogue.choose("controller", choices, protocol or USUAL_TABLE)
     spec = TABLES[protocol]
     link = links.ask(dialogue, spec, "table", link)
     options = {key.name: str(key.default) for key in spec.keys if key.asked}
