@@ -205,7 +205,7 @@ def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
     name = str(entry["effect"])
     record = record_of(name)
     if record is None or record.not_kept:
-        remedy = "use the version of the station that found it, or investigate again"
+        remedy = "use the version of the station that found it, --plugin for one of your own, or investigate again"
         if "from" in entry:
             remedy = f"it is of {entry['from']}; install the package, or give the file with --plugin"
         raise ModelError(f"{where} has the effect {name}, which this station's catalogue does not know: {remedy}")
