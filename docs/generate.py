@@ -145,7 +145,7 @@ def keys(*sections: str) -> str:
 def device_keys(which: str) -> str:
     """Keys that only some protocols have: of "tables", of their "axes", or of "imus"."""
     rows: list[tuple[Any, list[str]]] = []
-    for spec in _specs("imus" if which == "imus" else "tables"):
+    for spec in _built_in("imus" if which == "imus" else "tables"):
         own = (*([spec.address] if spec.address else []), *spec.axis_keys) if which == "axes" else spec.keys
         for key in own:
             names = next((names for known, names in rows if known == key), [])
@@ -153,14 +153,6 @@ def device_keys(which: str) -> str:
                 rows.append((key, names))
             names.append(spec.name)
     return _key_table((key, f" ({', '.join(names)})") for key, names in rows)
-
-
-def _specs(kind: str) -> list[Any]:
-    """Return the records of built-in devices."""
-    from drivers.imus.registry import IMUS
-    from drivers.tables.registry import TABLES
-
-    return list((IMUS if kind == "imus" else TABLES).values())
 
 
 def _key_table(rows: Iterable[tuple[Any, str]]) -> str:
@@ -313,7 +305,7 @@ def _object(*sections: str) -> dict[str, Any]:
 
 def _device_keys(section: str) -> list[Any]:
     """Return the keys that only some protocols have in a section; any of them may be absent."""
-    tables, imus = _specs("tables"), _specs("imus")
+    tables, imus = _built_in("tables"), _built_in("imus")
     found = {
         "table": [key for spec in tables for key in spec.keys],
         "axis": [key for spec in tables for key in (*([spec.address] if spec.address else []), *spec.axis_keys)],
@@ -344,7 +336,7 @@ def _property(key: Any) -> dict[str, Any]:
     if key.one_of:
         one["enum"] = list(key.one_of)
     if key.name == "protocol":  # a plug-in may bring another
-        names = [spec.name for spec in _specs("tables" if key.default else "imus")]
+        names = [spec.name for spec in _built_in("tables" if key.default else "imus")]
         one = {"anyOf": [{"enum": names}, one]}
     if key.kind == "texts" or key.each:
         one = {"anyOf": [one, {"type": "array", "items": one}]}
@@ -359,50 +351,49 @@ def units() -> str:
     return table(("measures", "units"), rows)
 
 
-def tables() -> str:
-    """Protocols of turntables."""
-    return _devices("tables")
+def _built_in(kind: str) -> list[Any]:
+    """Records of the devices of the station itself."""
+    registry = importlib.import_module(f"drivers.{kind}.registry").__dict__[kind.upper()]
+    return [registry[name] for name in registry if not registry.origin(name)]
 
 
-def imus() -> str:
-    """Protocols of IMUs."""
-    return _devices("imus")
-
-
-def _devices(kind: str) -> str:
-    of_imus = kind == "imus"
+def _devices(kind: str, heads: Sequence[str], more: Callable[[Any], Sequence[str]]) -> str:
     return table(
+        ("`protocol`", "what it is", "link, for instance", *heads),
         (
-            "`protocol`",
-            "what it is",
-            "link, for instance",
-            "baud rate, port if left out",
-            "`rate`" if of_imus else "axes",
-        ),
-        (
-            (
-                f"`{spec.name}`",
-                spec.what,
-                ", ".join(f"`{link}`" for link in spec.link.split(" or ")),
-                "" if spec.on_can else f"{spec.baud}" + (f"; {spec.tcp_port}" if spec.tcp_port else ""),
-                _rates(spec) if of_imus else f"up to {spec.most_axes}",
-            )
-            for spec in _specs(kind)
+            (f"`{spec.name}`", spec.what, ", ".join(f"`{link}`" for link in spec.link.split(" or ")), *more(spec))
+            for spec in _built_in(kind)
         ),
     )
 
 
-def _rates(spec: Any) -> str:
-    """Return the rates that a device can send at."""
+def tables() -> str:
+    """Protocols of turntables."""
+    return _devices(
+        "tables",
+        ("TCP port; baud rate, if the link states none", "an axis has"),
+        lambda spec: (
+            f"{spec.tcp_port or 'none'}; {spec.baud}",
+            f"`{spec.address.name}`, {spec.address.doc.removeprefix(f'{spec.address.name}, ')}" if spec.address else "",
+        ),
+    )
 
-    def listed(rates_hz: Sequence[float]) -> str:
-        if isinstance(rates_hz, range):
-            return f"whole Hz up to {rates_hz[-1]}"
-        return ", ".join(f"{rate:g}" for rate in rates_hz) + " Hz" if rates_hz else "what it sends"
 
-    if isinstance(spec.rates_hz, Mapping):
-        return "; ".join(f"{name}: {listed(rates)}" for name, rates in spec.rates_hz.items())
-    return listed(spec.rates_hz)
+def imus() -> str:
+    """Protocols of IMUs."""
+    return _devices(
+        "imus",
+        ("baud rate, if the link states none", "`rate`"),
+        lambda spec: ("" if spec.on_can else str(spec.baud), _rates(spec.rates_hz)),
+    )
+
+
+def _rates(rates_hz: Any) -> str:
+    if isinstance(rates_hz, range):
+        return f"whole Hz up to {rates_hz[-1]} that the device has"
+    if isinstance(rates_hz, Mapping):
+        return "; ".join(f"{chosen}: {_rates(its)}" for chosen, its in rates_hz.items())
+    return ", ".join(f"{rate:g}" for rate in rates_hz) + " Hz" if rates_hz else "what it sends"
 
 
 def exports() -> str:

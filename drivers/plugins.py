@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cached_property, partial
+from functools import cached_property
 from hashlib import sha256
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoints, entry_points
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import TypeVar
 
 T = TypeVar("T")
 
+GIVEN = "STATION_PLUGINS"
+"""The environment variable that hands Python files to all processes of a command: whole paths, separated as in PATH."""
 
-class PluginError(Exception):
+
+class PluginError(ValueError):
     """Something from outside cannot be used; one line with its name, the place and the reason."""
 
 
-def load(group: str) -> dict[str, Callable[[], Any]]:
-    """Return what installed packages announce in a group, by name; called, each imports it, or raises PluginError."""
-    what = "entry point {0.name} of {0.group} ({0.value})"
-    return {entry.name: partial(_guarded, what.format(entry), "", entry.load) for entry in entry_points(group=group)}
+def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
+    """Import the files that ``GIVEN`` names and these, each once; PluginError if that fails."""
+    given = [Path(file) for file in os.environ.get(GIVEN, "").split(os.pathsep) if file]
+    if here := [str(path) for path in given if not path.is_absolute()]:  # the working folder decides nothing
+        raise PluginError(f"{GIVEN} has {', '.join(here)}: give the whole path")
+    return [load_file(path) for path in dict.fromkeys(path.resolve() for path in (*given, *paths))]
 
 
 def load_file(path: Path) -> ModuleType:
@@ -42,6 +48,12 @@ def load_file(path: Path) -> ModuleType:
     return _guarded(f"plug-in {path}", str(path), run)
 
 
+def origin_of(module: ModuleType) -> str:
+    """Return what recordings and models keep of a file: its name and hash."""
+    path = Path(str(module.__file__))
+    return f"the plug-in {path.name} (sha256 {sha256(path.read_bytes()).hexdigest()[:12]})"
+
+
 def records_of(module: ModuleType, kind: type[T]) -> list[T]:
     """Return the records of a kind that stand in a module under names of their own."""
     return [value for value in vars(module).values() if isinstance(value, kind)]
@@ -50,40 +62,63 @@ def records_of(module: ModuleType, kind: type[T]) -> list[T]:
 class Registry(Mapping[str, T]):
     """Records of one kind by their ``name``. A module is imported when its record is asked for, not before."""
 
-    def __init__(self, kind: type[T], group: str, modules: Mapping[str, str], beside: Iterable[T] = ()) -> None:
-        """``modules`` hold the built-in ones, each as SPEC; ``group`` is that of entry points, ``beside`` are more."""
-        self._kind, self._group, self._modules = kind, group, modules
-        self._beside = {str(getattr(record, "name", "")): record for record in beside}
+    def __init__(self, kind: type[T], group: str, own: Mapping[str, str | T]) -> None:
+        """``own`` are the built-in ones, or modules that hold them as SPEC; ``group`` is that of entry points."""
+        self._kind, self._group, self._own = kind, group, own
 
     def beside(self, modules: Iterable[ModuleType]) -> Registry[T]:
         """Return the registry with the records in these modules, too; PluginError for a name that is taken."""
-        found = [record for module in modules for record in records_of(module, self._kind)]
-        names = [*self._modules, *self._beside, *(str(getattr(record, "name", "")) for record in found)]
-        if taken := {name for name in names if names.count(name) > 1}:
-            raise PluginError(f"two devices are called {', '.join(sorted(taken))}: give yours a name of its own")
-        return Registry(self._kind, self._group, self._modules, [*self._beside.values(), *found])
+        own = dict(self._own)
+        for record in (record for module in modules for record in records_of(module, self._kind)):
+            if own.setdefault(name := str(getattr(record, "name", "")), record) is not record:
+                raise self._taken(name)
+        return Registry(self._kind, self._group, own)
 
     def __getitem__(self, name: str) -> T:
-        """Return a record; KeyError if there is none of this name, PluginError if it cannot be imported."""
-        if name in self._modules:
-            record = import_module(self._modules[name]).SPEC
-        else:
-            record = self._beside[name] if name in self._beside else self._installed[name]()
+        """Return a record; KeyError if there is none of this name, PluginError if it is damaged or there are two."""
+        entries = list(self._installed.select(name=name))
+        if len(entries) + (name in self._own) > 1:
+            raise self._taken(name)
+        if not entries:
+            own = self._own[name]
+            return import_module(own).SPEC if isinstance(own, str) else own
+        what = f"entry point {name} of {self._group} ({entries[0].value})"
+        record = _guarded(what, "", entries[0].load)
         if not isinstance(record, self._kind):
-            raise PluginError(f"{name}: {type(record).__name__} is no {self._kind.__name__}")
+            raise PluginError(f"{what}: {type(record).__name__} is no {self._kind.__name__}")
+        if (called := getattr(record, "name", "")) != name:
+            raise PluginError(f"{what}: it calls itself {called}: announce it by that name")
         return record
+
+    def tried(self) -> dict[str, T | PluginError]:
+        """Return every record, or why it cannot be used."""
+        found: dict[str, T | PluginError] = {}
+        for name in self:
+            try:
+                found[name] = self[name]
+            except PluginError as error:
+                found[name] = error
+        return found
+
+    def origin(self, name: str) -> str:
+        """Return the package that brings a record, "" if none does."""
+        packages = (entry.dist for entry in self._installed.select(name=name) if entry.dist)
+        return next((f"the package {package.name} {package.version}" for package in packages), "")
 
     def __iter__(self) -> Iterator[str]:
         """Go over the names, the built-in ones first."""
-        return iter(dict.fromkeys((*self._modules, *self._beside, *self._installed)))
+        return iter(dict.fromkeys((*self._own, *(entry.name for entry in self._installed))))
 
     def __len__(self) -> int:
         """Return how many there are."""
         return len(list(iter(self)))
 
     @cached_property
-    def _installed(self) -> dict[str, Callable[[], Any]]:
-        return load(self._group)
+    def _installed(self) -> EntryPoints:
+        return entry_points(group=self._group)
+
+    def _taken(self, name: str) -> PluginError:
+        return PluginError(f"two {self._group.rpartition('.')[2]} are called {name}: give yours a name of its own")
 
 
 def _guarded(what: str, file: str, run: Callable[[], T]) -> T:

@@ -7,17 +7,19 @@ import importlib
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import entry_points
 from types import ModuleType
 from typing import Any, NoReturn
 
 from drivers.errors import DeviceError
 from drivers.packaged import packaged_toml
-from estimator.effects import GROUP as EFFECTS
+from drivers.plugins import PluginError
 from estimator.errors import EstimatorError
+from station.bench.plugins import use_effects
 from station.campaigns import ONE_BLAS_THREAD
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
-from station.exports import HELD
+from station.exports import GROUP as EXPORTS
 
 _MODULES = dict.fromkeys(("run", "twin", "import"), "station.commands.common") | {"study": "station.studies.command"}
 """Where the function of a command is, if not in a module of its name: ``command_NAME(arguments) -> exit code``."""
@@ -26,6 +28,16 @@ _TYPED: dict[str, Any] = packaged_toml("station.commands", "commands.toml")
 """What can be typed, and its help."""
 COMMANDS: dict[str, dict[str, Any]] = _TYPED["commands"]
 """Of each command its ``line`` in --help, the ``text`` of its own help, and its ``options``."""
+
+
+class _Forms:
+    """Forms of export as choices: those of packages are named, and none is refused, for a file may bring it."""
+
+    def __contains__(self, name: object) -> bool:
+        return True
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*packaged_toml("station.exports", "held.toml"), *(e.name for e in entry_points(group=EXPORTS))))
 
 
 class _Parser(argparse.ArgumentParser):
@@ -57,7 +69,7 @@ def _take(parser: argparse._ActionsContainer, spelled: str, help: str, **more: A
     if more.get("action") == "append":
         more["default"] = []
     if "choices" in more:
-        more["choices"] = tuple(HELD if more["choices"] == "formats" else more["choices"])
+        more["choices"] = _Forms() if more["choices"] == "formats" else tuple(more["choices"])
     if "type" in more:
         more["type"] = _TYPES[more["type"]]
     parser.add_argument(*names, help=help, **more)
@@ -76,9 +88,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         # The libraries behind the commands cost a second: --help does without.
         module = importlib.import_module(_MODULES.get(command, f"station.commands.{command}"))
-        _use_installed_effects()
+        for problem in use_effects(getattr(arguments, "plugin", [])):
+            print(f"station: {problem}", file=sys.stderr)
         return int(getattr(module, f"command_{command}")(arguments))
-    except (UsageError, EstimatorError, DeviceError) as error:
+    except (UsageError, EstimatorError, DeviceError, PluginError) as error:
         return _refuse(error, module, arguments)
     except KeyboardInterrupt:
         print("station: stopped by Ctrl-C", file=sys.stderr)
@@ -86,17 +99,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return EXIT_USAGE
-
-
-def _use_installed_effects() -> None:
-    """Make known the effects that installed packages bring; say which of them cannot be used."""
-    from importlib.metadata import entry_points
-
-    if entry_points(group=EFFECTS):
-        from estimator.effects.catalogue import load_entry_points
-
-        for problem in load_entry_points():
-            print(f"station: {problem}", file=sys.stderr)
 
 
 def _refuse(error: Exception, module: ModuleType | None, arguments: argparse.Namespace) -> int:
@@ -147,28 +149,22 @@ def _add_command(commands: argparse._SubParsersAction[_Parser], name: str, said:
             _add_command(studies, study, its)
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e4:
-        raise argparse.ArgumentTypeError("must be above 0 and below 10000")
-    return value
+def _number(kind: type[float], fits: Callable[[float], bool], wrong: str) -> Callable[[str], float]:
+    def read(text: str) -> float:
+        if not fits(value := kind(text)):
+            raise argparse.ArgumentTypeError(wrong)
+        return value
+
+    read.__name__ = "whole number" if kind is int else "number"  # what argparse calls it
+    return read
 
 
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError("must be 1 or more")
-    return value
-
-
-def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError("must not be negative")
-    return value
-
-
-_TYPES: dict[str, Callable[[str], float]] = {"positive": _positive, "count": _count, "seed": _seed, "int": int}
+_TYPES: dict[str, Callable[[str], float]] = {
+    "positive": _number(float, lambda value: 0 < value < 1e4, "must be above 0 and below 10000"),
+    "count": _number(int, lambda value: value >= 1, "must be 1 or more"),
+    "seed": _number(int, lambda value: value >= 0, "must not be negative"),
+    "int": int,
+}
 
 
 if __name__ == "__main__":

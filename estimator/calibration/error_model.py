@@ -142,6 +142,7 @@ class ErrorModel:
         effects = [
             {
                 "effect": known.name,
+                **({"from": known.record.origin} if known.record.origin else {}),
                 **known.settings,
                 "shared": known.shared,
                 "parameters": [{"name": s.name, "unit": s.unit, "mean": s.mean, "sd": s.sd} for s in known.sizes],
@@ -204,10 +205,10 @@ def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
     name = str(entry["effect"])
     record = record_of(name)
     if record is None or record.not_kept:
-        raise ModelError(
-            f"{where} has the effect {name}, which this station's catalogue does not know: use the version of the "
-            "station that found it, or investigate again"
-        )
+        remedy = "use the version of the station that found it, --plugin for one of your own, or investigate again"
+        if "from" in entry:
+            remedy = f"it is of {entry['from']}; install the package, or give the file with --plugin"
+        raise ModelError(f"{where} has the effect {name}, which this station's catalogue does not know: {remedy}")
     settings = {setting.key: setting.read(setting.key, entry[setting.key]) for setting in record.kept_settings}
     sizes = tuple(
         Size(str(p["name"]), str(p["unit"]), _finite("mean", p["mean"]), positive("sd", p["sd"]))

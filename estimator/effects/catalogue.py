@@ -1,9 +1,9 @@
 """The catalogue: every effect that is looked for, kept or undone, by its name."""
 
 from collections.abc import Sequence
-from importlib.metadata import entry_points
+from dataclasses import replace
 
-from estimator.effects import GROUP, disturbances, drift, dynamics, scale, site, table, thermal
+from estimator.effects import disturbances, drift, dynamics, scale, site, table, thermal
 from estimator.effects.constructed import CONSTRUCTED
 from estimator.effects.effect import Effect, EffectError, Kind, Record
 
@@ -22,46 +22,28 @@ def record_of(name: str) -> Record | None:
     return _BY_NAME.get(name)
 
 
-def register(*effects: Record) -> None:
+def register(*effects: Record, origin: str = "") -> None:
     """Make effects known to everything that the station does, in the place of others of their names from outside.
 
-    Raises EffectError for one that is damaged, or has the name of a built-in one.
+    ``origin`` says where they come from. Raises EffectError for one that is damaged, or has the name of a built-in one.
     """
     for record in effects:
         record.check()
         if record.name in _BUILT_IN:
             raise EffectError(f"there is an effect {record.name} already: give yours another name")
-        _BY_NAME[record.name] = record
-
-
-def load_entry_points() -> list[str]:
-    """Register the effects of installed packages; return a line for each that cannot be used."""
-    problems = []
-    for entry in entry_points(group=GROUP):
-        try:
-            loaded = entry.load()
-            register(*([loaded] if isinstance(loaded, Record) else loaded))
-        except Exception as error:  # whatever it is, it is theirs
-            problems.append(f"the effect {entry.name} ({entry.value}) is not used: {type(error).__name__}: {error}")
-    return problems
-
-
-def catalogue(gimbals: Sequence[str], duration_s: float) -> tuple[Effect, ...]:
-    """Return the effects whose smallest sizes a plan tells, for a table with these gimbals and a run of so long."""
-    return tuple(
-        record.effect(gimbals, **settings)
-        for record in records()
-        if record.kind is Kind.LAW and record.planned
-        for settings in record.listed(duration_s)
-    )
+        _BY_NAME[record.name] = replace(record, origin=origin)
 
 
 def everything(gimbals: Sequence[str] = ("z", "y", "x"), duration_s: float = 360.0) -> tuple[Effect, ...]:
-    """Return those, and then what is looked for but not planned for: noise, faults of the data."""
-    found = catalogue(gimbals, duration_s)
-    known = {effect.record for effect in found}
-    others = (record for record in records() if record not in known)
-    return (
-        *found,
-        *(record.effect(gimbals, **settings) for record in others for settings in record.listed(duration_s)),
-    )
+    """Return what is looked for on a table with these gimbals in a run of so long: first what plans tell of."""
+    ordered = sorted(records(), key=lambda record: not _planned(record))
+    return tuple(record.effect(gimbals, **settings) for record in ordered for settings in record.listed(duration_s))
+
+
+def catalogue(gimbals: Sequence[str], duration_s: float) -> tuple[Effect, ...]:
+    """Return those whose smallest sizes a plan tells: neither noise nor faults of the data."""
+    return tuple(effect for effect in everything(gimbals, duration_s) if _planned(effect.record))
+
+
+def _planned(record: Record) -> bool:
+    return record.kind is Kind.LAW and record.planned

@@ -142,6 +142,7 @@ class Record:
     columns; ``any_phase``: it is the ratio of its parameters that differs from gyro to gyro. ``label``, with settings
     in braces, is what an effect is called where the name would stand for several.
     ``display`` gives units that people read for SI units that the station has none for: by SI unit, unit and factor.
+    ``origin`` is the file or package that brought it, "" for a built-in one.
     """
 
     name: str
@@ -175,6 +176,7 @@ class Record:
     any_phase: bool = False
     label: str = ""
     display: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    origin: str = ""
 
     @property
     def kept_settings(self) -> tuple[Setting, ...]:

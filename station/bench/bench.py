@@ -11,7 +11,7 @@ from pathlib import Path
 
 from drivers.imus.registry import IMUS
 from drivers.packaged import packaged_text
-from drivers.plugins import PluginError, load_file, records_of
+from drivers.plugins import PluginError, load_files, origin_of, records_of
 from drivers.tables.registry import TABLES
 from estimator.effects.catalogue import records, register
 from estimator.effects.effect import EffectError, Kind, Record
@@ -75,7 +75,7 @@ class Bench:
 
     ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
     like there (regular expressions for the whole of it), empty for anything. ``excluded`` are effects of the catalogue
-    that devices and table do not have; None for all of them.
+    that devices and table do not have; None for all of them. ``plugins`` are files and packages from outside.
     """
 
     name: str
@@ -89,6 +89,7 @@ class Bench:
     operator_pattern: str
     serial_pattern: str
     excluded: frozenset[str] | None = None
+    plugins: tuple[str, ...] = ()
 
     def checked_operator(self, text: str) -> str:
         """Return an operator's name as it is to be kept; UsageError with the pattern if it does not match."""
@@ -127,9 +128,10 @@ def read_bench(
     own = top.read_all("bench.bench", folder)
     name, place = own["name"] or called, own["station"].read_all("bench.station")
     try:
-        modules = [load_file(plugin) for plugin in (*(folder / listed for listed in own["plugins"] or ()), *plugins)]
+        modules = load_files((*(folder / listed for listed in own["plugins"] or ()), *plugins))
         imus, tables = IMUS.beside(modules), TABLES.beside(modules)
-        register(*(effect for module in modules for effect in records_of(module, Record)))
+        for module in modules:
+            register(*records_of(module, Record), origin=origin_of(module))
     except (PluginError, EffectError) as error:
         raise top.fail("plugins" if own["plugins"] else None, str(error)) from None
     bench = Bench(
@@ -148,7 +150,9 @@ def read_bench(
     names = [imu.name for imu in bench.imus]
     if not names or len(set(names)) != len(names):
         raise BenchError(f"{file}: it needs one [[imu]] or more, each with a name of its own; it has {names}")
-    return bench
+    origins = {tables.origin(bench.table.protocol), *(imus.origin(imu.protocol) for imu in bench.imus)}
+    origins |= {*map(origin_of, modules), *(record.origin for record in records())}
+    return replace(bench, plugins=tuple(sorted(origins - {""})))
 
 
 def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:
@@ -172,21 +176,22 @@ def read_limits(text: str) -> Limits:
     return Limits(**_recorded(text, "limits").read_all("bench.limits"))
 
 
-def read_excluded(text: str) -> frozenset[str] | None:
-    """Return the effects that a bench file's text rules out, None if all."""
-    return _excluded(_recorded(text, "undeclared"))
+def read_excluded(text: str, plugins: Sequence[str] = ()) -> frozenset[str] | None:
+    """Return the effects that a bench file's text rules out, None if all; its run knew those of ``plugins``, too."""
+    had = f"; the run had {', '.join(plugins) or 'no plug-ins'}; --plugin gives a file"
+    return _excluded(_recorded(text, "undeclared"), had)
 
 
 def _recorded(text: str, section: str) -> Table:
     return Table.parse(text, "bench in the recording", BenchError).table(section, optional=True)
 
 
-def _excluded(table: Table) -> frozenset[str] | None:
+def _excluded(table: Table, more: str = "") -> frozenset[str] | None:
     own = table.read_all("bench.undeclared")
     laws = [record.name for record in records() if record.kind is Kind.LAW and record.listed(1.0)]
     excluded = frozenset(own["excluded"] or ())
     for unknown in sorted(excluded.difference(laws)):
-        raise table.fail("excluded", f"{unknown!r} is none of {', '.join(laws)}")
+        raise table.fail("excluded", f"{unknown!r} is none of {', '.join(laws)}{more}")
     return None if own["effects"] == "none" else excluded
 
 

@@ -8,7 +8,9 @@ from typing import TypeVar
 
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
+from drivers.plugins import GIVEN
 from station.campaigns.worker_pool import Ended, attempt, run_in_processes
+from station.errors import UsageError
 from station.render.progress import Bar
 
 T = TypeVar("T")
@@ -61,6 +63,8 @@ def _ends(
     if scheduler is not None:
         from station.campaigns.cluster import run_on_cluster
 
+        if os.environ.get(GIVEN):
+            raise UsageError("--plugin reaches no cluster: install what the file brings as a package on every worker")
         yield from run_on_cluster(work, items, scheduler)
         return
     count = min(workers or len(os.sched_getaffinity(0)), len(items))

@@ -15,6 +15,7 @@ from importlib.metadata import version
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
+from station.bench.plugins import use_effects
 from station.campaigns.worker_pool import Ended, attempt, one_line, with_second_try
 from station.errors import UsageError
 
@@ -139,6 +140,7 @@ def _on_worker(software: tuple[str, ...], work: Callable[[T], R], index: int, it
         return Ended(index, reason=f"the worker has {', '.join(_software())}; here it is {', '.join(software)}")
     if os.environ.get("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS")) != "1":
         return Ended(index, reason="the worker may use several BLAS threads: start it with OMP_NUM_THREADS=1")
+    use_effects()
     return attempt(work, index, item)
 
 

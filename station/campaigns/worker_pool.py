@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
+from station.bench.plugins import use_effects
 from station.campaigns import ONE_BLAS_THREAD
 
 T = TypeVar("T")
@@ -115,6 +116,7 @@ def _begin() -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, _leave)
     end_with_parent()
+    use_effects()
 
 
 def end_with_parent() -> None:

@@ -20,7 +20,7 @@ from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import Repeatability, repeatability, same_device
 from estimator.recordings.reading import read_recording
-from station.bench.bench import Bench, load_bench, read_excluded, read_limits
+from station.bench.bench import Limits, load_bench, read_excluded, read_limits
 from station.campaigns.campaigns import run_all
 from station.errors import UsageError
 from station.render.printing import (
@@ -36,6 +36,8 @@ from station.run.outcome import Verdict, judge
 
 _IN_FULL = 5  # more recordings than this are printed a line each: a person compares them
 _KEPT = ("device", "devices", "script", "seed", "clock_zero_utc_s", "outcome", "reason")
+
+_Rules = tuple[Limits, frozenset[str] | None]  # limits, and effects that are ruled out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +60,7 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     bench = load_bench(Path(arguments.bench)) if arguments.bench else None
     model = ErrorModel.read(Path(arguments.model)) if arguments.model else None
     results, failures = run_all(
-        partial(estimate, bench=bench, write=arguments.write, model=model),
+        partial(estimate, limits=(bench.limits, bench.excluded) if bench else None, write=arguments.write, model=model),
         [str(Path(name).absolute()) for name in names] if arguments.scheduler else names,
         label="calibrating",
         scheduler=arguments.scheduler,
@@ -86,19 +88,18 @@ def recordings_of(arguments: Sequence[str]) -> list[str]:
     return list(found.values())
 
 
-def estimate(name: str, *, bench: Bench | None, write: bool, model: ErrorModel | None = None) -> Estimated:
-    """Estimate the gyros of one recording and judge them, by its own bench file unless one is given.
+def estimate(name: str, *, limits: _Rules | None, write: bool, model: ErrorModel | None = None) -> Estimated:
+    """Estimate the gyros of one recording and judge them, by the rules of its own bench file unless some are given.
 
     ``model``: effects to estimate beside the states.
 
     Raises EstimatorError or UsageError for a recording that cannot be used, or not be written into.
     """
     recording = read_recording(Path(name))
-    text = str(recording.attributes.get("bench", ""))
-    limits = bench.limits if bench else read_limits(text)
-    excluded = bench.excluded if bench else read_excluded(text)
+    text, plugins = str(recording.attributes.get("bench", "")), recording.attributes.get("plugins", ())
+    least, excluded = limits or (read_limits(text), read_excluded(text, plugins))
     calibration = calibrate(recording, model=model, excluded=excluded)
-    verdict = judge(calibration, limits)
+    verdict = judge(calibration, least)
     if write:
         try:
             write_calibration(Path(name), calibration)

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from rich.markup import escape
 
+from drivers.plugins import load_files
+from estimator.strict_toml import not_one_of
 from station.atomic_write import write_whole
 from station.errors import UsageError
-from station.exports import HELD
 from station.exports.exported import Exported, exported_of
 from station.exports.formats import FORMATS
 from station.exports.written import Written
@@ -54,21 +55,26 @@ def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
         raise UsageError("give a recording and --format; `station export --list` says what each format holds")
     if arguments.json and arguments.output == _STDOUT:
         raise UsageError("--json says what was written where: give a file with --output")
-    form = FORMATS[arguments.format]
-    exported = exported_of(Path(arguments.recording), arguments.device)
+    forms = FORMATS.beside(load_files())
+    if arguments.format not in forms:
+        raise UsageError(f"--format {not_one_of(arguments.format, forms)}")
+    form = forms[arguments.format]
+    exported = exported_of(Path(arguments.recording), arguments.device, arguments.instance)
     if form.of_one_device and len(exported.devices) > 1 and not arguments.device:
         raise UsageError(
             f"{arguments.recording} holds the devices {', '.join(exported.devices)}: name one with --device, or "
             "several that are one array by giving it several times"
         )
-    return exported, form.write(exported, arguments.instance)
+    return exported, form.write(exported)
 
 
 def _print_list(as_json: bool) -> None:
+    tried = FORMATS.beside(load_files()).tried().items()
+    listed = {name: (getattr(f, "holds", f"not used: {f}"), getattr(f, "lacks", "")) for name, f in tried}
     if as_json:
-        print(json.dumps({name: {"holds": holds, "lacks": lacks} for name, (holds, lacks) in HELD.items()}))
+        print(json.dumps({name: {"holds": holds, "lacks": lacks} for name, (holds, lacks) in listed.items()}))
         return
     table = rich_table("Formats of station export", ("--format", "holds", "not in it"), fold=True)
-    for name, (holds, lacks) in HELD.items():
+    for name, (holds, lacks) in listed.items():
         table.add_row(name, escape(holds), escape(lacks))
     stdout().print(table)

@@ -43,6 +43,7 @@ class Exported:
     compensation: Compensation
     seen: Seen
     devices: tuple[str, ...]
+    instance: int = 0  # which of an autopilot's gyros they are
 
     @property
     def name(self) -> str:
@@ -70,7 +71,7 @@ class Exported:
         return lines + [f"{name}: {_states(gyro)}" for name, gyro in zip(names, self.gyros, strict=True)]
 
 
-def exported_of(path: Path, devices: Sequence[str] = ()) -> Exported:
+def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0) -> Exported:
     """Return what is exported of a recording: of these devices under test, or all.
 
     Raises RecordingError if there is no calibration, ModelError and CompensationError for effects of another version,
@@ -92,6 +93,7 @@ def exported_of(path: Path, devices: Sequence[str] = ()) -> Exported:
         Compensation.of(gyros, arrays, calibration.model),
         seen_by(recording.sources[name] for name in {gyro.source: None for gyro in gyros}),
         tuple(device for device in there if device and (not devices or device in devices)),
+        instance,
     )
 
 

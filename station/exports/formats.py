@@ -3,6 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from drivers.packaged import packaged_toml
+from drivers.plugins import Registry
+from station.exports import GROUP
 from station.exports.exported import Exported
 from station.exports.forms.autopilots import write_ardupilot, write_px4
 from station.exports.forms.plain_data import write_csv, write_json, write_yaml
@@ -13,21 +16,26 @@ from station.exports.written import Written
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A form: what writes it from the gyros and the number of the autopilot's gyro, and whether it is of one device."""
+    """A form: what writes it (or UsageError), what it holds and lacks, for people, whether it is of one device."""
 
-    write: Callable[[Exported, int], Written]
+    name: str
+    write: Callable[[Exported], Written]
+    holds: str = ""
+    lacks: str = ""
     of_one_device: bool = True
 
 
-FORMATS: dict[str, Format] = {
-    "json": Format(lambda exported, _: write_json(exported), of_one_device=False),
-    "yaml": Format(lambda exported, _: write_yaml(exported), of_one_device=False),
-    "csv": Format(lambda exported, _: write_csv(exported), of_one_device=False),
-    "c": Format(lambda exported, _: write_c(exported)),
-    "python": Format(lambda exported, _: write_python(exported)),
-    "ros": Format(lambda exported, _: write_ros(exported)),
-    "kalibr": Format(lambda exported, _: write_kalibr(exported)),
-    "px4": Format(write_px4),
-    "ardupilot": Format(write_ardupilot),
+_HELD = packaged_toml("station.exports", "held.toml")
+_WRITERS = {
+    "json": write_json,
+    "yaml": write_yaml,
+    "csv": write_csv,
+    "c": write_c,
+    "python": write_python,
+    "ros": write_ros,
+    "kalibr": write_kalibr,
+    "px4": write_px4,
+    "ardupilot": write_ardupilot,
 }
-"""By name; what each holds is in ``station.exports.HELD``."""
+FORMATS = Registry(Format, GROUP, {name: Format(name, write, *_HELD[name]) for name, write in _WRITERS.items()})
+"""Built in and installed ones, by name."""

@@ -25,7 +25,8 @@ def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link:
         read_data({"imu": [made]}, lambda top: read_imu(top.tables("imu")[0], folder))
 
     dialogue.say("\nA device under test. What is it?")
-    protocol = dialogue.choose("device", {name: spec.what for name, spec in IMUS.items()}, protocol or USUAL_IMU)
+    choices = {name: getattr(spec, "what", str(spec)) for name, spec in IMUS.tried().items()}
+    protocol = dialogue.choose("device", choices, protocol or USUAL_IMU)
     spec = IMUS[protocol]
     usual = spec.proposed
     imu: Data = {"name": _free(usual.name, names), "protocol": protocol, "link": TWIN, "array": usual.array}

@@ -22,9 +22,8 @@ def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, lin
         read_data({"table": made}, lambda top: read_table(top.table("table"), folder))
 
     dialogue.say("\nThe table. Which controller turns it?")
-    protocol = dialogue.choose(
-        "controller", {name: spec.what for name, spec in TABLES.items()}, protocol or USUAL_TABLE
-    )
+    choices = {name: getattr(spec, "what", str(spec)) for name, spec in TABLES.tried().items()}
+    protocol = dialogue.choose("controller", choices, protocol or USUAL_TABLE)
     spec = TABLES[protocol]
     table: Data = {"protocol": protocol, "link": links.ask(dialogue, spec, "table", link)}
     axes = _axes(spec, "zyx"[: spec.most_axes])

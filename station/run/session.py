@@ -399,6 +399,8 @@ def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[s
         "outcome": str(Outcome.ABORTED),
         "reason": _UNFINISHED,
     }
+    if config.plugins:
+        attributes["plugins"] = list(config.plugins)
     if config.site is not None:
         attributes["site_latitude_rad"] = config.site.latitude_rad
         attributes["site_heading_rad"] = config.site.heading_rad

@@ -11,7 +11,7 @@ from typing import Any, Self, TypeVar
 from urllib.parse import urlsplit
 
 from drivers.packaged import packaged_toml
-from drivers.plugins import PluginError, Registry
+from drivers.plugins import Registry
 from drivers.specs import Key
 from estimator.strict_toml import StrictTable, not_one_of, typed
 from station.errors import UsageError
@@ -107,8 +107,6 @@ def known_in(known: Registry[T]) -> Callable[[str, Path], T]:
             return known[name]
         except KeyError:
             raise ValueError(not_one_of(name, known)) from None
-        except PluginError as error:
-            raise ValueError(str(error)) from None
 
     return record
 

@@ -203,7 +203,7 @@ EACH += [("four", name) for name in (*EFFECTS, *LAWS, "laws")]
 
 def by_python(exported: Exported, *given: Any) -> tuple[Any, Any]:
     """Return the rates that the Python module makes of samples as ``samples`` gives them, and the module."""
-    text = FORMATS["python"].write(exported, 0).text
+    text = FORMATS["python"].write(exported).text
     assert "numpy" not in text
     module = exported.path.with_name("made.py")
     module.write_text(text, encoding="utf-8")
@@ -246,7 +246,7 @@ def by_c(exported: Exported, *given: Any) -> tuple[Any, Any]:
 
     It is compiled without a warning first.
     """
-    path, text = exported.path, FORMATS["c"].write(exported, 0).text
+    path, text = exported.path, FORMATS["c"].write(exported).text
     signature = text.rpartition("static inline int my_gyro_1_correct(")[2].partition(")")[0]
     arguments = [word.split("[")[0].split()[-1].lstrip("*") for word in signature.split(",")]
     state = "my_gyro_1_state kept; my_gyro_1_reset(&kept);" if "state" in arguments else ""
@@ -312,8 +312,8 @@ def test_a_bad_sample_is_told_and_soon_over(record: Record, form: str) -> None:
 @pytest.mark.parametrize("array", ["three", "four", "six"])
 def test_json_and_yaml_hold_all_that_our_rates_are_made_of(record: Record, array: str) -> None:
     exported = exported_of(record(ARRAYS[array], {**EFFECTS, **LAWS, **LEFT_OUT, **OF_AXES}))
-    held = json.loads(FORMATS["json"].write(exported, 0).text)
-    assert held == yaml.safe_load(FORMATS["yaml"].write(exported, 0).text)
+    held = json.loads(FORMATS["json"].write(exported).text)
+    assert held == yaml.safe_load(FORMATS["yaml"].write(exported).text)
     rate, t_s, _, _ = samples(exported)
     plain = Compensation(exported.compensation.array, exported.compensation.states)
     found = (rate + np.array(held["bias_b_rps"])) @ np.array(held["solution_h"]).T

@@ -1,116 +1,381 @@
-"""A table and an IMU of one's own, each one file with its twin, brought by a bench file or an installed package."""
+"""Devices, effects and export forms of one's own: the four examples as a package that pip installs, or as files."""
 
 from __future__ import annotations
 
 import json
-import math
 import os
+import re
 import subprocess
 import sys
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
+from compensating import compensate
+from estimator.calibration.stored_calibration import read_calibration
 from support import command
 
-from drivers.imus.registry import IMUS
-from drivers.plugins import PluginError
-from drivers.tables.registry import TABLES
+from estimator.calibration.compensation import Compensation
+from estimator.effects import catalogue
+from estimator.recordings.reading import read_recording
 from station.cli import main
+from station.scripts.script import paper_script
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
-BENCH = """
-{plugins}
-
-[table]
-protocol = "numbered"
-[table.z]
-max_rate = "100 deg/s"
-max_acceleration = "50 deg/s2"
-[table.y]
-max_rate = "100 deg/s"
-max_acceleration = "50 deg/s2"
-[table.x]
-max_rate = "100 deg/s"
-max_acceleration = "50 deg/s2"
-
+EFFECT, FORM = str(EXAMPLES / "sticking_mass.py"), str(EXAMPLES / "octave_form.py")
+SIZES = np.radians([0.02, -0.02, 0.015])
+ANNOUNCED = """
+[turntable_station.tables]
+numbered = numbered_table:SPEC
+[turntable_station.imus]
+counted = counted_imu:SPEC
+[turntable_station.effects]
+sticking_mass = sticking_mass:EFFECT
+[turntable_station.exports]
+octave = octave_form:FORMAT
+"""
+AXIS = '[table.{}]\nmax_rate = "100 deg/s"\nmax_acceleration = "50 deg/s2"\n'
+BENCH = (
+    '{first}\n[site]\nlatitude = "40 deg"\n[undeclared]\neffects = "none"\n'
+    '[table]\nprotocol = "numbered"\npoll_rate = "5 Hz"\n'
+    + "".join(map(AXIS.format, "zyx"))
+    + """
 [[imu]]
 name = "mine"
 protocol = "counted"
 array = "triad"
-rate = "100 Hz"
+rate = "50 Hz"
 resolution = "18 deg/h"
 [imu.datasheet]
 arw = "0.005 deg/s/rtHz"
 
-[undeclared]
-effects = "none"
+[limits]
+scale_factor_error = "1 %"
+bias = "1 deg/s"
+misalignment = "0.5 deg"
+lost = "2 %"
 
+[twin]
+hidden = "hidden.toml"
 [twin.mine]
 k = ["3000 ppm", "-2000 ppm", "1000 ppm"]
 b = "0.1 deg/s"
 [twin.mine.fault]
 dropped = "1 %"
 """
-SCRIPT = "".join(
-    f'[[step]]\nkind = "rest"\nduration = "3 s"\n[[step]]\nkind = "rotate"\naxis = "{axis}"\nrate = "60 deg/s"\n'
-    'acceleration = "50 deg/s2"\nduration = "12 s"\n'
-    for axis in "xyz"
 )
+HIDDEN = f"[hysteresis]\nsize = {json.dumps([f'{size:g} deg/s' for size in np.degrees(SIZES)])}\n"
 
 
-def test_a_table_and_an_imu_out_of_two_files_are_calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    files = [str(EXAMPLES / name) for name in ("numbered_table.py", "counted_imu.py")]
-    (tmp_path / "bench.toml").write_text(BENCH.format(plugins=f"plugins = {json.dumps(files)}"))
-    (tmp_path / "script.toml").write_text(SCRIPT)
-    told = [f"--{key}={tmp_path / name}" for key, name in (("bench", "bench.toml"), ("script", "script.toml"))]
-    assert main(["run", *told, "--json", "--seed", "3", "-o", str(tmp_path / "run.h5")]) in (0, 1)
-    result = json.loads(capsys.readouterr().out)
-    gyros = result["gyros"]
-    assert [gyro["k"] for gyro in gyros] == pytest.approx([3000e-6, -2000e-6, 1000e-6], abs=400e-6)
-    assert [gyro["b_rps"] for gyro in gyros] == pytest.approx([math.radians(0.1)] * 3, abs=math.radians(0.005))
-    assert result["lost"] / result["samples"] == pytest.approx(0.01, abs=0.005)
-
-
-def packed(path: Path) -> Path:
-    """Pack both examples as a wheel that announces them by entry points."""
-    files = {f"{name}.py": (EXAMPLES / f"{name}.py").read_text() for name in ("numbered_table", "counted_imu")}
-    files["mine-1.0.dist-info/METADATA"] = "Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n"
-    files["mine-1.0.dist-info/WHEEL"] = (
-        "Wheel-Version: 1.0\nGenerator: hand\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
-    )
-    files["mine-1.0.dist-info/entry_points.txt"] = (
-        "[turntable_station.tables]\nnumbered = numbered_table:SPEC\n"
-        "[turntable_station.imus]\ncounted = counted_imu:SPEC\nbroken = counted_imu:NO_SUCH\nempty = counted_imu:SYNC\n"
-    )
-    files["mine-1.0.dist-info/RECORD"] = "".join(f"{name},,\n" for name in files)
-    wheel = path / "mine-1.0-py3-none-any.whl"
+def packed(folder: Path) -> Path:
+    """Pack the four examples as a wheel that announces them by entry points."""
+    files = {path.name: path.read_text() for path in sorted(EXAMPLES.glob("*.py"))}
+    about = "mine-1.0.dist-info"
+    files[f"{about}/METADATA"] = "Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n"
+    files[f"{about}/WHEEL"] = "Wheel-Version: 1.0\nGenerator: hand\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+    files[f"{about}/entry_points.txt"] = ANNOUNCED
+    files[f"{about}/RECORD"] = "".join(f"{name},,\n" for name in files)
+    wheel = folder / "mine-1.0-py3-none-any.whl"
     with zipfile.ZipFile(wheel, "w") as archive:
         for name, text in files.items():
             archive.writestr(name, text)
     return wheel
 
 
-def test_an_installed_package_brings_devices_by_entry_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(packed(tmp_path)))  # a wheel can be imported as it is
-    imus, tables = IMUS.beside([]), TABLES.beside([])
-    assert list(imus)[-3:] == ["counted", "broken", "empty"]
-    assert (imus["counted"].name, tables["numbered"].name) == ("counted", "numbered")
-    for name, told in (
-        ("broken", r"entry point broken of turntable_station.imus \(counted_imu:NO_SUCH\): AttributeError: .*NO_SUCH"),
-        ("empty", "empty: bytes is no ImuSpec"),
-    ):
-        with pytest.raises(PluginError, match=told):
-            imus[name]
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with the package installed by pip, and a run of the 360 s script on its table and its IMU."""
+    folder = tmp_path_factory.mktemp("installed")
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--no-compile"]
+    subprocess.run([*pip, "--target", str(folder / "site"), str(packed(folder))], check=True, timeout=60)
+    (folder / "bench.toml").write_text(BENCH.format(first=""))
+    (folder / "hidden.toml").write_text(HIDDEN)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder / "site"))
+        patch.setattr(catalogue, "_BY_NAME", dict(catalogue._BY_NAME))
+        bench, run, model = (str(folder / name) for name in ("bench.toml", "run.h5", "model.h5"))
+        assert main(["run", "--bench", bench, "--json", "--seed", "3", "-o", run]) == 0
+        assert main(["investigate", run, "-o", model, "--most-effects", "1", "--json"]) == 0
+        assert main(["calibrate", run, "--model", model, "--write", "--json"]) == 0
+        yield folder
 
 
-@pytest.mark.full
-def test_both_run_the_360_s_script_out_of_a_wheel_that_pip_installed(tmp_path: Path) -> None:
-    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--target", str(tmp_path / "site")]
-    subprocess.run([*pip, str(packed(tmp_path))], check=True, timeout=120)
-    (tmp_path / "bench.toml").write_text(BENCH.format(plugins=""))
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
-    run = command("run", "--bench", "bench.toml", "--json", "-o", "run.h5")
-    ended = subprocess.run(run, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=110, check=False)
+@pytest.fixture
+def here(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder as the working one, with the package."""
+    monkeypatch.chdir(installed)
+    return installed
+
+
+@pytest.fixture
+def alone(here: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The same without the package, as on another computer."""
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry != str(here / "site")])
+    monkeypatch.setattr(catalogue, "_BY_NAME", dict(catalogue._BUILT_IN))
+    monkeypatch.setenv("STATION_PLUGINS", "")  # what main leaves there goes with the test
+    return here
+
+
+def test_no_example_is_longer_than_a_page_or_three() -> None:
+    lengths = {path.name: len(path.read_text().splitlines()) for path in EXAMPLES.glob("*.py")}
+    assert len(lengths) == 4
+    assert max(lengths.values()) <= 150
+
+
+def test_the_table_and_the_imu_pass_the_360_s_script(here: Path) -> None:
+    with h5py.File("run.h5") as file:
+        assert file.attrs["outcome"] == "PASS"
+        assert list(file.attrs["plugins"]) == ["the package mine 1.0"]
+        assert str(file.attrs["script"]) == paper_script().name
+    gyros = read_calibration(Path("run.h5")).gyros
+    for gyro, k in zip(gyros, (3e-3, -2e-3, 1e-3), strict=True):
+        k_found, b_rps, *_ = gyro.states
+        assert abs(k_found - k) < 4 * gyro.sd[0]
+        assert abs(b_rps - np.radians(0.1)) < 4 * gyro.sd[1]
+
+
+def test_the_effect_is_planned_for_found_and_estimated(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "--bench", "bench.toml", "--json"]) == 0
+    planned = {effect["name"]: effect for effect in json.loads(capsys.readouterr().out)["effects"]}
+    assert planned["sticking_mass"]["parameters"][0]["smallest"]["x"] < SIZES[0]
+    with h5py.File("model.h5") as file:
+        told = json.loads(file["investigation"].attrs["json"])
+    assert [added["effect"] for added in told["added"]] == ["sticking_mass"]
+    for gyro, size in zip(read_calibration(Path("run.h5")).gyros, SIZES, strict=True):
+        assert abs(gyro.effects[0].value - size) < 4 * gyro.effects[0].sd < 1e-4
+
+
+def test_the_effect_is_undone_by_the_exports_and_stands_in_the_report(here: Path) -> None:
+    calibration, recording = read_calibration(Path("run.h5")), read_recording(Path("run.h5"))
+    data = recording.sources["mine"]
+    own = Compensation.of(calibration.gyros, {"mine": data.array}, calibration.model)
+    rate, t_s = data.rate_rps[:300], (data.t_ns[:300] - data.t_ns[0]) * 1e-9
+    for form, name in (("python", "made.py"), ("c", "made.h")):
+        assert main(["export", "run.h5", "--format", form, "-o", name]) == 0
+    assert re.search(r"_sticking_mass\[3\] = \{", Path("made.h").read_text(encoding="utf-8"))
+    made: dict[str, object] = {}
+    exec(Path("made.py").read_text(encoding="utf-8"), made)
+    correction = made["Correction"]()  # type: ignore[operator]
+    exported = [correction.correct(row) for row in rate.tolist()]
+    np.testing.assert_allclose(exported, compensate(own, rate, t_s), rtol=0, atol=1e-12)
+
+    assert main(["report", "run.h5", "-o", "report.html"]) == 0
+    text = Path("report.html").read_text(encoding="utf-8")
+    assert "sticking mass" in text
+    assert "last(<var>u</var>" in text
+
+
+def test_the_form_is_listed_and_written(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", "--list", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert listed["octave"] == {
+        "holds": "function of GNU Octave or MATLAB with scale, misalignment and bias",
+        "lacks": "no effects",
+    }
+    with pytest.raises(SystemExit):
+        main(["export", "--help"])
+    assert re.search(r"json, yaml,.*ardupilot,\s+octave", capsys.readouterr().out, re.DOTALL)
+
+    assert main(["export", "run.h5", "--format", "octave"]) == 0
+    written = capsys.readouterr()
+    assert "not in octave: sticking mass: it is not corrected" in written.err
+    (solution,) = re.findall(r"solution = \[(.*)\];", written.out)
+    (bias,) = re.findall(r"bias = \[(.*)\];", written.out)
+    gyros = read_calibration(Path("run.h5")).gyros
+    assert np.array(bias.split(), dtype=float) == pytest.approx([gyro.states[1] for gyro in gyros])
+    found = np.array([row.split() for row in solution.split("; ")], dtype=float)
+    assert np.diag(found) == pytest.approx([1 / (1 - gyro.states[0]) for gyro in gyros], abs=1e-6)
+
+
+def test_a_form_that_is_none_is_told_with_the_nearest(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", "run.h5", "--format", "octaev"]) == 2
+    assert re.search(r"'octaev' is not one of json, .*, octave; did you mean octave\?", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        ["calibrate", "run.h5", "--model", "model.h5"],
+        ["export", "run.h5", "--format", "c"],
+        ["report", "run.h5", "-o", "other.html"],
+    ],
+    ids=lambda typed: typed[0],
+)
+def test_a_command_without_the_effect_says_which_it_is_and_what_to_do(
+    alone: Path, typed: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(typed) == 2
+    told = capsys.readouterr().err
+    assert "has the effect sticking_mass, which this station's catalogue does not know" in told
+    assert "it is of the package mine 1.0; install the package" in told
+    assert "--plugin" in told
+    assert "Traceback" not in told
+
+
+def test_a_file_given_by_option_is_used_by_commands_without_a_bench_file(
+    alone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    for given in ([], ["--plugin", EFFECT]):
+        assert main(["plan", "--json", *given]) == 0
+        effects = json.loads(capsys.readouterr().out)["effects"]
+        assert any(effect["name"] == "sticking_mass" for effect in effects) == bool(given)
+
+    assert main(["export", "run.h5", "--plugin", EFFECT, "--plugin", FORM, "--format", "octave"]) == 0
+    assert "function rate = calibrated(raw)" in capsys.readouterr().out
+
+    # What processes beside this one estimate knows the effect, too; what is written names its file.
+    for name in ("one.h5", "two.h5"):
+        (tmp_path / name).write_bytes(Path("run.h5").read_bytes())
+    runs = [str(tmp_path / name) for name in ("one.h5", "two.h5")]
+    assert main(["calibrate", *runs, "--plugin", EFFECT, "--model", "model.h5", "--jobs", "2", "--write"]) == 0
+    assert capsys.readouterr().out.count("after a turn") >= 2
+    held = json.loads(read_calibration(Path(runs[0])).model)
+    assert re.fullmatch(r"the plug-in sticking_mass.py \(sha256 [0-9a-f]{12}\)", held["effects"][0]["from"])
+
+
+def test_a_file_may_be_given_twice_and_a_run_says_what_it_used(
+    alone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [str(EXAMPLES / f"{name}.py") for name in ("numbered_table", "counted_imu", "sticking_mass")]
+    first = f"plugins = {json.dumps(files[1:])}"
+    (tmp_path / "bench.toml").write_text(BENCH.format(first=first).replace('hidden = "hidden.toml"\n', ""))
+    (tmp_path / "bench.toml").write_text(
+        (tmp_path / "bench.toml").read_text().replace('effects = "none"', 'excluded = ["sticking_mass"]')
+    )
+    (tmp_path / "short.toml").write_text('[[step]]\nkind = "rest"\nduration = "10 s"\n')
+    typed = ["run", "--bench", str(tmp_path / "bench.toml"), "--script", str(tmp_path / "short.toml")]
+    given = [word for file in files[:2] for word in ("--plugin", file)]
+    assert main([*typed, *given, "-o", str(tmp_path / "run.h5"), "--json"]) in (0, 1)
+    with h5py.File(tmp_path / "run.h5") as file:
+        told = [text.partition(" (")[0] for text in file.attrs["plugins"]]
+    assert sorted(told) == [f"the plug-in {name}.py" for name in ("counted_imu", "numbered_table", "sticking_mass")]
+
+    # The bench in the recording rules out an effect that nobody gives now.
+    capsys.readouterr()
+    catalogue._BY_NAME.pop("sticking_mass")
+    assert main(["calibrate", str(tmp_path / "run.h5")]) == 2
+    told_now = capsys.readouterr().err
+    assert "'sticking_mass' is none of" in told_now
+    assert "the plug-in sticking_mass.py" in told_now
+    assert "--plugin" in told_now
+
+
+def test_nothing_is_loaded_out_of_the_working_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plugins").mkdir()
+    for name in ("plugins/mine.py", "sticking_mass.py", "station_plugins.py"):
+        (tmp_path / name).write_text("raise RuntimeError('loaded')\n")
+    assert main(["plan", "--json"]) == 0
+    monkeypatch.setenv("STATION_PLUGINS", "sticking_mass.py")
+    assert main(["plan", "--json"]) == 2
+    assert "sticking_mass.py: give the whole path" in capsys.readouterr().err
+
+
+FAULTS = {
+    "missing": ("no_such_module:X", "ModuleNotFoundError: No module named 'no_such_module'"),
+    "leaving": ("mine_leaving:X", "SystemExit: 3"),
+    "several": ("mine_several:X", "ImportError: the first line"),
+    "wrong": ("math:pi", "float is no "),
+    "absent": ("math:no_such_name", "AttributeError: "),
+}
+ASKED = {
+    "tables": ["plan", "--bench", "table.toml"],
+    "imus": ["plan", "--bench", "imu.toml"],
+    "exports": ["export", "run.h5", "--format", "mine"],
+    "effects": ["effects"],
+}
+
+
+def announced(folder: Path, monkeypatch: pytest.MonkeyPatch, group: str, **entries: str) -> None:
+    """Have an installed package announce these in a group."""
+    about = folder / "bad-2.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: bad\nVersion: 2.0\n")
+    lines = [f"[turntable_station.{group}]", *(f"{name} = {value}" for name, value in entries.items())]
+    (about / "entry_points.txt").write_text("\n".join(lines))
+    (folder / "mine_leaving.py").write_text("raise SystemExit(3)\n")
+    (folder / "mine_several.py").write_text("raise ImportError('the first line\\nand another')\n")
+    bench = BENCH.format(first="").replace("hidden", "#")
+    (folder / "table.toml").write_text(bench.replace('"numbered"', '"mine"'))
+    for number, axis in enumerate("zyx"):
+        bench = bench.replace(f"[table.{axis}]", f"[table.{axis}]\nnumber = {number + 1}")
+    (folder / "imu.toml").write_text(bench.replace('"counted"', '"mine"').replace('"numbered"', '"acutrol"'))
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.setattr(catalogue, "_BY_NAME", dict(catalogue._BUILT_IN))
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("group", ASKED)
+def test_what_cannot_be_imported_costs_a_line_with_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], group: str, fault: str
+) -> None:
+    value, told = FAULTS[fault]
+    announced(tmp_path, monkeypatch, group, mine=value)
+    # An effect that is not asked for by name is left out; the command goes on without it.
+    assert main(ASKED[group]) == (0 if group == "effects" else 2)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "mine" in line
+    assert value in line
+    assert told in line
+
+
+@pytest.mark.parametrize(
+    ("group", "name", "value", "typed"),
+    [
+        ("tables", "acutrol", "math:pi", ["plan", "--bench", "imu.toml"]),
+        ("imus", "stim300", "math:pi", ["plan"]),
+        ("exports", "csv", "math:pi", ["export", "run.h5", "--format", "csv"]),
+        ("effects", "sample_hold", "estimator.effects.disturbances:SAMPLE_HOLD", ["effects"]),
+    ],
+)
+def test_a_name_that_is_taken_is_told_not_passed_over(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    group: str,
+    name: str,
+    value: str,
+    typed: list[str],
+) -> None:
+    announced(tmp_path, monkeypatch, group, **{name: value})
+    if group == "imus":
+        (tmp_path / "bench.toml").write_text(
+            (tmp_path / "imu.toml")
+            .read_text()
+            .replace('"mine"\narray', '"stim300"\narray')
+            .replace('"50 Hz"', '"125 Hz"')
+        )
+        typed = [*typed, "--bench", "bench.toml"]
+    assert main(typed) == (0 if group == "effects" else 2)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert name in line
+    assert re.search("name of its own|another name", line)
+
+
+def test_a_record_under_another_name_than_its_own_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine_other.py").write_text("from drivers.tables.registry import TABLES\nSPEC = TABLES['galil']\n")
+    announced(tmp_path, monkeypatch, "tables", mine="mine_other:SPEC")
+    assert main(ASKED["tables"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "mine" in line
+    assert "calls itself galil" in line
+
+
+def test_a_device_that_is_broken_does_not_keep_others_from_being_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    announced(tmp_path, monkeypatch, "imus", mine="no_such_module:X")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}  # what was announced is looked up once a process
+    typed = command("init", "made.toml", "--defaults")
+    ended = subprocess.run(typed, env=environment, capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 0, ended.stderr
-    assert [gyro["k"] for gyro in json.loads(ended.stdout)["gyros"]] == pytest.approx([3e-3, -2e-3, 1e-3], abs=2e-4)
+    assert "simulated" in ended.stdout

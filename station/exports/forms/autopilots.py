@@ -33,9 +33,9 @@ _ARDUPILOT_UNIT = 1e-6
 _INTEGER, _FLOAT = 6, 9
 
 
-def write_px4(exported: Exported, instance: int = 0) -> Written:
-    """Return parameters of PX4's gyro number ``instance``, 0 to 3, as QGroundControl loads them."""
-    _check_instance(instance, _PX4_MOST, "PX4")
+def write_px4(exported: Exported) -> Written:
+    """Return parameters of one of PX4's gyros, 0 to 3, as QGroundControl loads them."""
+    instance = _instance(exported, _PX4_MOST, "PX4")
     held, not_held = _bias_only(exported, "PX4")
     offsets = _along_axes(exported, -held.bias_rps)
     prefix = f"CAL_GYRO{instance}"
@@ -68,9 +68,9 @@ def write_px4(exported: Exported, instance: int = 0) -> Written:
     return Written("\n".join([*titles, *lines]) + "\n", tuple(not_held))
 
 
-def write_ardupilot(exported: Exported, instance: int = 0) -> Written:
-    """Return parameters of ArduPilot's gyro number ``instance``, 0 to 2, as its ground stations load them."""
-    _check_instance(instance, _ARDUPILOT_MOST, "ArduPilot")
+def write_ardupilot(exported: Exported) -> Written:
+    """Return parameters of one of ArduPilot's gyros, 0 to 2, as its ground stations load them."""
+    instance = _instance(exported, _ARDUPILOT_MOST, "ArduPilot")
     held, not_held = _bias_only(exported, "ArduPilot")
     number_of = instance + 1
     prefix = f"INS_GYR{'O' if instance == 0 else f'{number_of}O'}FFS"
@@ -100,9 +100,10 @@ def _by_axis(name: str, values: Floats, axes: str = "XYZ") -> list[tuple[str, fl
     return [(name.format(axis), value) for axis, value in zip(axes, values.tolist(), strict=True)]
 
 
-def _check_instance(instance: int, most: int, form: str) -> None:
-    if not 0 <= instance < most:
-        raise UsageError(f"{form} has gyros number 0 to {most - 1}, not {instance}")
+def _instance(exported: Exported, most: int, form: str) -> int:
+    if not 0 <= exported.instance < most:
+        raise UsageError(f"{form} has gyros number 0 to {most - 1}, not {exported.instance}")
+    return exported.instance
 
 
 def _bias_only(exported: Exported, form: str) -> tuple[Compensation, list[str]]:

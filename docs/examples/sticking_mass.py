@@ -1,8 +1,9 @@
-"""An effect of one's own, as a file: a bias that keeps the direction of the last turn, as a sticking proof mass does.
+"""An effect of one's own: a bias that keeps the direction of the last turn, as a sticking proof mass does.
 
 The law makes all the rest: what is looked for in recordings, what a plan tells, what is undone by the exports to C and
 Python, and the formula in the report. ``u`` is the rate about the sense axis; ``estimator/effects/law.toml`` lists all
-variables.
+variables and functions. A command takes the file by ``--plugin sticking_mass.py``, a bench file by
+``plugins = ["sticking_mass.py"]``.
 """
 
 import math
