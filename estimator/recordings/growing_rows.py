@@ -17,7 +17,7 @@ class GrowingRows:
             name: np.empty((256, *what)) if isinstance(what, tuple) else np.empty(256, what)
             for name, what in columns.items()
         }
-        self._length = 0
+        self._length, self._room = 0, 256
 
     def __len__(self) -> int:
         return self._length
@@ -28,10 +28,11 @@ class GrowingRows:
     def append(self, *rows: NDArray[Any]) -> None:
         """Append rows, those of every column in the order of the columns."""
         total = self._length + len(rows[0])
-        for (name, store), own in zip(self._stores.items(), rows, strict=True):
-            if total > len(store):
-                grown = np.empty((max(total, 2 * len(store)), *store.shape[1:]), dtype=store.dtype)
-                grown[: self._length] = store[: self._length]
-                self._stores[name] = grown
-            self._stores[name][self._length : total] = own
+        if total > self._room:
+            more = max(total - self._room, self._room)
+            for name, store in self._stores.items():
+                self._stores[name] = np.concatenate([store, np.empty((more, *store.shape[1:]), store.dtype)])
+            self._room += more
+        for store, own in zip(self._stores.values(), rows, strict=True):
+            store[self._length : total] = own
         self._length = total
