@@ -28,13 +28,11 @@ _SCALES = np.array([factor for _, _, factor in STATE_UNITS])
 
 def print_calibration(calibration: Calibration) -> None:
     """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from."""
-    nis = f"mean NIS {calibration.nis_mean:.3f} per degree of freedom (1 = the filter's sigmas are true), "
     values = {
         "calibration": calibration,
         "budget": _budget(calibration),
         "noise": _noise([gyro.noise for gyro in calibration.gyros if gyro.noise is not None]),
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
-        "nis": nis if np.isfinite(calibration.nis_mean) else "",
     }
     print_rendered(stdout(), "station.render", "calibration.rich", values)
 

@@ -31,16 +31,6 @@ _SETTLE_S = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
-    """What one method made of one recording: errors and stated sigmas (n, 4) in the paper's units, time, work."""
-
-    errors: Floats
-    sd: Floats
-    seconds: float
-    operations_a_sample: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class MethodSummary:
     """One method over all seeds: rms error, rms stated sigma and their ratio (4,), NaN where not seen."""
 
@@ -67,6 +57,8 @@ class BaselineStudy:
 
 
 Method = Callable[[Recording], baselines.BaselineEstimate]
+Outcome = tuple[baselines.BaselineEstimate, float]
+"""What one method made of one recording, and the seconds that it took."""
 
 
 def run_study(seeds: int, **where: Any) -> BaselineStudy:
@@ -170,19 +162,16 @@ METHODS: tuple[tuple[str, Script, Method], ...] = (
 def _outcome(method: Method, recording: Recording) -> Outcome:
     begun = time.perf_counter()
     estimate = method(recording)
-    seconds = time.perf_counter() - begun
-    return Outcome(
-        from_si(estimate.states) - TABLE_1, from_si(estimate.sd), seconds, estimate.operations / (_TOTAL_S * SAMPLE_HZ)
-    )
+    return estimate, time.perf_counter() - begun
 
 
 def _summary(name: str, outcomes: Sequence[Outcome]) -> MethodSummary:
     return MethodSummary(
         name,
-        _rms([o.errors for o in outcomes]),
-        _rms([o.sd for o in outcomes]),
-        float(np.median([o.seconds for o in outcomes])),
-        outcomes[0].operations_a_sample,
+        _rms([from_si(estimate.states) - TABLE_1 for estimate, _ in outcomes]),
+        _rms([from_si(estimate.sd) for estimate, _ in outcomes]),
+        float(np.median([seconds for _, seconds in outcomes])),
+        outcomes[0][0].operations / (_TOTAL_S * SAMPLE_HZ),
     )
 
 
