@@ -21,7 +21,7 @@ from estimator.recordings.recording import Recording
 from station.campaigns.campaigns import Failure, run_all
 from station.errors import UsageError
 from station.scripts.script import Move, Rest, Rotate, Script, paper_script
-from station.studies.paper import MEMS_NOISE, our_recording, rows_of, source_of
+from station.studies.paper import MEMS_NOISE, SOURCE, our_recording, rows_of
 from station.studies.paper_text import RATE_DPS, SAMPLE_HZ, TABLE_1, from_si
 
 _DEG = math.pi / 180
@@ -106,13 +106,13 @@ def static_six_position(recording: Recording) -> baselines.BaselineEstimate:
     """Six positions at rest, with Earth rate as the input: z up and down, x down and up, y up and down."""
     rests = _steady(recording, static_script())
     y90, y180, y270, y360, x90, x270 = rests
-    return baselines.six_position(((y360, y180), (y270, y90), (x90, x270)), source_of(recording).array)
+    return baselines.six_position(((y360, y180), (y270, y90), (x90, x270)), recording.sources[SOURCE].array)
 
 
 def rotating_six_position(recording: Recording) -> baselines.BaselineEstimate:
     """Steady rotation both ways about each axis."""
     steady = _steady(recording, rotation_script())
-    return baselines.six_position([(steady[i], steady[i + 1]) for i in (0, 2, 4)], source_of(recording).array)
+    return baselines.six_position([(steady[i], steady[i + 1]) for i in (0, 2, 4)], recording.sources[SOURCE].array)
 
 
 def direct_blind_spots(array: SensorArray) -> list[str]:
@@ -126,11 +126,11 @@ def direct_blind_spots(array: SensorArray) -> list[str]:
 
 
 def _on_rows(method: Callable[[Floats, Floats, SensorArray], baselines.BaselineEstimate]) -> Method:
-    return lambda recording: method(*rows_of(recording), source_of(recording).array)
+    return lambda recording: method(*rows_of(recording), recording.sources[SOURCE].array)
 
 
 def _filter(recording: Recording) -> baselines.BaselineEstimate:
-    data = source_of(recording)
+    data = recording.sources[SOURCE]
     noise_rps = MEMS_NOISE.arw * math.sqrt(SAMPLE_HZ)
     prior_sd = np.sqrt(Prior().variances())
     return baselines.covariance_filter(
@@ -140,7 +140,7 @@ def _filter(recording: Recording) -> baselines.BaselineEstimate:
 
 def _ours(recording: Recording) -> baselines.BaselineEstimate:
     gyros = calibrate(recording, innovations=False).gyros
-    n, samples = len(gyros), len(source_of(recording).t_ns)
+    n, samples = len(gyros), len(recording.sources[SOURCE].t_ns)
     # Output error 6n, sums of [w, z] over blocks and of their products; what follows works on blocks, not samples.
     operations = samples * (6 * n + (3 + n) + (3 + n) * (4 + n))
     return baselines.BaselineEstimate(np.array([g.states for g in gyros]), np.array([g.sd for g in gyros]), operations)
