@@ -54,12 +54,10 @@ def write_investigation(path: Path, found: Investigation, what: Mapping[str, Any
                     values = getattr(view, key)
                     if values is not None:
                         part[key] = values
-            fitted, verified = (
-                (found.residual_before, found.residual_after),
-                (found.verified_before, found.verified_after),
-            )
-            for kind, both in (("spectrum", fitted), ("spectrum_verification", verified)):
-                for gyro, spectra in spectra_of(*both).items():
+            fitted = spectra_of(found.residual_before, found.residual_after)
+            verified = spectra_of(found.verified_before, found.verified_after)
+            for kind, by_gyro in (("spectrum", fitted), ("spectrum_verification", verified)):
+                for gyro, spectra in by_gyro.items():
                     for key in ("frequency_hz", "before", "after", "noise"):
                         group[f"{kind}/{_name(gyro)}/{key}"] = getattr(spectra, key)
     except (OSError, ValueError) as error:

@@ -1,6 +1,6 @@
 """An investigation, and a closed loop of them, as a person reads it, in a terminal and on the screen."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
 _MOST_SHOWN = 8
 _DEPENDENCES_SHOWN = 3
 _LEAST_DEPENDENCE = 0.15
-_RESIDUAL_COLUMNS = (("NIS", "r"), ("white, p", "r"), ("beyond noise", "r"), ("depends on", "l"))
 
 
 def exit_code_of(finding: Finding) -> int:
@@ -128,14 +127,14 @@ def _is_noise(residual: ResidualView) -> bool:
 def _residual_table(runs: str, before: ResidualView, after: ResidualView) -> tuple[Table, str]:
     both = (before,) if after == before else (before, after)
     by_chance = max(gyro["nis_sd"] or 0 for gyro in before["gyros"].values())
-    heads, align = ["gyro"], "l"
-    for heading, side in _RESIDUAL_COLUMNS:
+    heads = ["gyro"]
+    for heading in _CELLS:
         heads += [heading] if len(both) == 1 else [f"{heading}\nbefore", "\nafter"]
-        align += side * len(both)
+    align = "l" + "".join(side * len(both) for side in "rrrl")
     rows = []
     for name in before["gyros"]:
         gyros = [residual["gyros"][name] for residual in both]
-        rows.append((escape(name), *(cell(gyro) for cell in (_nis, _white, _beyond, _depends_on) for gyro in gyros)))
+        rows.append((escape(name), *(cell(gyro) for cell in _CELLS.values() for gyro in gyros)))
     title = f"Residual, {runs} (NIS of noise: 1 ± {by_chance:.2f})"
     return rich_table(title, heads, align, rows), origin_line(before, after)
 
@@ -171,14 +170,18 @@ def _white(gyro: Mapping[str, Any]) -> str:
     return f"{gyro['white_p']:.2g}" if _is_white(gyro) else "< 0.0001"
 
 
-def _beyond(gyro: Mapping[str, Any]) -> str:
-    return f"{gyro['beyond']:.0%}"
-
-
 def _depends_on(gyro: Mapping[str, Any]) -> str:
     shares = {variable: d["share"] for variable, d in gyro["depends_on"].items() if d["share"] >= _LEAST_DEPENDENCE}
     ranked = sorted(shares, key=lambda variable: -shares[variable])[:_DEPENDENCES_SHOWN]
     return ", ".join(f"{variable} {shares[variable]:.0%}" for variable in ranked) or "nothing"
+
+
+_CELLS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
+    "NIS": _nis,
+    "white, p": _white,
+    "beyond noise": lambda gyro: f"{gyro['beyond']:.0%}",
+    "depends on": _depends_on,
+}
 
 
 def loop_object(loop: Loop) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from rich.table import Table
 from drivers.packaged import packaged_toml
 from estimator.calibration.values import Calibration, GyroCalibration
 from estimator.estimation.repeatability import Repeatability
-from estimator.geometry.noise import NoiseFound
 from estimator.observations.rests import RestNoise
 from station.errors import EXIT_USAGE
 from station.render.terminal import print_rendered, rich_table, stdout
@@ -28,13 +27,13 @@ _SCALES = np.array([factor for _, _, factor in STATE_UNITS])
 
 def print_calibration(calibration: Calibration) -> None:
     """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from."""
-    nis = f"mean NIS {calibration.nis_mean:.3f} per degree of freedom (1 = the filter's sigmas are true), "
+    found = [gyro.noise for gyro in calibration.gyros if gyro.noise is not None]
+    noises = [(noise.mean.arw, 3600 * noise.instability_below, 3600 * 60 * noise.walk_below) for noise in found]
     values = {
         "calibration": calibration,
         "budget": _budget(calibration),
-        "noise": _noise([gyro.noise for gyro in calibration.gyros if gyro.noise is not None]),
+        "noise": np.degrees(np.mean(noises, axis=0)).tolist() if noises else None,
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
-        "nis": nis if np.isfinite(calibration.nis_mean) else "",
     }
     print_rendered(stdout(), "station.render", "calibration.rich", values)
 
@@ -49,17 +48,6 @@ def _budget(calibration: Calibration) -> Table | None:
     lines["combined"] = np.array([gyro.sd for gyro in calibration.gyros])
     rows = [(name, *map(_size, np.sqrt(np.mean(u**2, axis=0)) * _SCALES)) for name, u in lines.items()]
     return rich_table("Uncertainty budget, rms over the gyros", ("source", *_SIGMA_HEADS), "lr", rows)
-
-
-def _noise(found: Sequence[NoiseFound]) -> Mapping[str, str] | None:
-    """Return the mean noise of the gyros that was found, None if it was of none."""
-    if not found:
-        return None
-    return {
-        "arw": f"{math.degrees(np.mean([n.mean.arw for n in found])):.3g}",
-        "instability": f"{math.degrees(np.mean([n.instability_below for n in found])) * 3600:.2g}",
-        "walk": f"{math.degrees(np.mean([n.walk_below for n in found])) * 3600 * 60:.2g}",
-    }
 
 
 def _rest(rests: Sequence[RestNoise]) -> Mapping[str, str] | None:

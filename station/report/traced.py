@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from h5py import Group
 
 
-_ALL = "all gyros"  # under this name an error model keeps what was found of a shared effect
+ALL = "all gyros"  # under this name an error model keeps what was found of a shared effect
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,18 +80,6 @@ def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
             "give the investigation of this device"
         )
     return traced
-
-
-def found_of(traced: Traced, gyro: str) -> dict[str, list[float]]:
-    """Return the values of each effect's parameters on one gyro, by the name that the model calls the effect."""
-    if traced.model is None:
-        return {}
-    found = {}
-    for known in traced.model.effects:
-        pairs = known.found.get(_ALL if known.shared else gyro)
-        if pairs is not None:
-            found[known.called] = [value for value, _ in pairs]
-    return found
 
 
 def _read(path: Path, group: Group) -> Traced:

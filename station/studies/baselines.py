@@ -22,23 +22,13 @@ from estimator.recordings.recording import Recording
 from station.campaigns.campaigns import Failure, run_all
 from station.errors import UsageError
 from station.scripts.script import Move, Rest, Rotate, Script, paper_script
-from station.studies.paper import MEMS_NOISE, our_recording, rows_of, source_of
+from station.studies.paper import MEMS_NOISE, SOURCE, our_recording, rows_of
 from station.studies.paper_text import RATE_DPS, SAMPLE_HZ, TABLE_1, from_si
 
 _DEG = math.pi / 180
 _TOTAL_S = 360.0
 _SETTLE_S = 0.5
 """Left out at each end of a position: table readings within a ramp are interpolated."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
-    """What one method made of one recording: errors and stated sigmas (n, 4) in the paper's units, time, work."""
-
-    errors: Floats
-    sd: Floats
-    seconds: float
-    operations_a_sample: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +58,8 @@ class BaselineStudy:
 
 
 Method = Callable[[Recording], baselines.BaselineEstimate]
+Outcome = tuple[baselines.BaselineEstimate, float]
+"""What one method made of one recording, and the seconds that it took."""
 
 
 def run_study(seeds: int, **where: Any) -> BaselineStudy:
@@ -115,13 +107,13 @@ def static_six_position(recording: Recording) -> baselines.BaselineEstimate:
     """Six positions at rest, with Earth rate as the input: z up and down, x down and up, y up and down."""
     rests = _steady(recording, static_script())
     y90, y180, y270, y360, x90, x270 = rests
-    return baselines.six_position(((y360, y180), (y270, y90), (x90, x270)), source_of(recording).array)
+    return baselines.six_position(((y360, y180), (y270, y90), (x90, x270)), recording.sources[SOURCE].array)
 
 
 def rotating_six_position(recording: Recording) -> baselines.BaselineEstimate:
     """Steady rotation both ways about each axis."""
     steady = _steady(recording, rotation_script())
-    return baselines.six_position([(steady[i], steady[i + 1]) for i in (0, 2, 4)], source_of(recording).array)
+    return baselines.six_position([(steady[i], steady[i + 1]) for i in (0, 2, 4)], recording.sources[SOURCE].array)
 
 
 def direct_blind_spots(array: SensorArray) -> list[str]:
@@ -135,11 +127,11 @@ def direct_blind_spots(array: SensorArray) -> list[str]:
 
 
 def _on_rows(method: Callable[[Floats, Floats, SensorArray], baselines.BaselineEstimate]) -> Method:
-    return lambda recording: method(*rows_of(recording), source_of(recording).array)
+    return lambda recording: method(*rows_of(recording), recording.sources[SOURCE].array)
 
 
 def _filter(recording: Recording) -> baselines.BaselineEstimate:
-    data = source_of(recording)
+    data = recording.sources[SOURCE]
     noise_rps = MEMS_NOISE.arw * math.sqrt(SAMPLE_HZ)
     prior_sd = np.sqrt(Prior().variances())
     return baselines.covariance_filter(
@@ -149,7 +141,7 @@ def _filter(recording: Recording) -> baselines.BaselineEstimate:
 
 def _ours(recording: Recording) -> baselines.BaselineEstimate:
     gyros = calibrate(recording, innovations=False).gyros
-    n, samples = len(gyros), len(source_of(recording).t_ns)
+    n, samples = len(gyros), len(recording.sources[SOURCE].t_ns)
     # Output error 6n, sums of [w, z] over blocks and of their products; what follows works on blocks, not samples.
     operations = samples * (6 * n + (3 + n) + (3 + n) * (4 + n))
     return baselines.BaselineEstimate(np.array([g.states for g in gyros]), np.array([g.sd for g in gyros]), operations)
@@ -171,19 +163,16 @@ METHODS: tuple[tuple[str, Script, Method], ...] = (
 def _outcome(method: Method, recording: Recording) -> Outcome:
     begun = time.perf_counter()
     estimate = method(recording)
-    seconds = time.perf_counter() - begun
-    return Outcome(
-        from_si(estimate.states) - TABLE_1, from_si(estimate.sd), seconds, estimate.operations / (_TOTAL_S * SAMPLE_HZ)
-    )
+    return estimate, time.perf_counter() - begun
 
 
 def _summary(name: str, outcomes: Sequence[Outcome]) -> MethodSummary:
     return MethodSummary(
         name,
-        _rms([o.errors for o in outcomes]),
-        _rms([o.sd for o in outcomes]),
-        float(np.median([o.seconds for o in outcomes])),
-        outcomes[0].operations_a_sample,
+        _rms([from_si(estimate.states) - TABLE_1 for estimate, _ in outcomes]),
+        _rms([from_si(estimate.sd) for estimate, _ in outcomes]),
+        float(np.median([seconds for _, seconds in outcomes])),
+        outcomes[0][0].operations / (_TOTAL_S * SAMPLE_HZ),
     )
 
 

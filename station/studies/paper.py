@@ -26,7 +26,7 @@ from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior, decode
 from estimator.geometry.noise import NoiseModel
 from estimator.observations.rows import BLOCK_S, block_rows, observations
-from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.recording import Recording
 from estimator.recordings.reference import RateReadings
 from estimator.recordings.writing import write_recording, write_results
 from station.campaigns.campaigns import Failure, run_all
@@ -190,17 +190,16 @@ def letter_states(letter: Letter) -> Floats:
     return solve(Gram.of(w_rps, y_rps), array, _LETTER_PRIOR, np.full(len(array), _LETTER_R_ROOT_RPS)).x
 
 
-def our_device(noise: NoiseModel) -> DeviceTruth:
-    """Return the tetrahedron with right-handed triads, the paper's set values and this noise."""
-    array = tetrahedron()
-    return DeviceTruth(
-        array, truth(array), noise.arw, bias_instability_rps=noise.instability, rate_hz=SAMPLE_HZ, kind="tetrahedron"
-    )
-
-
 def our_recording(noise: NoiseModel, seed: int, script: Script | None = None) -> Recording:
-    """Return a run of the 360 s script (or another) on a turning Earth, x of the table to the north."""
-    return simulate(script or paper_script(), {SOURCE: our_device(noise)}, seed, site=_site(0.0))
+    """Return a run of the 360 s script (or another) on a turning Earth, x of the table to the north.
+
+    The gyros are the tetrahedron with right-handed triads, the paper's set values and this noise.
+    """
+    array, wander = tetrahedron(), noise.instability
+    device = DeviceTruth(
+        array, truth(array), noise.arw, bias_instability_rps=wander, rate_hz=SAMPLE_HZ, kind="tetrahedron"
+    )
+    return simulate(script or paper_script(), {SOURCE: device}, seed, site=_site(0.0))
 
 
 def our_errors(noise: NoiseModel, seed: int) -> Floats:
@@ -266,11 +265,6 @@ def write_curves(path: Path, recording: Recording, ours: Curve, letter: Curve) -
             "sd": to_si(curve.sd),
         }
         write_results(path, group, values, {"set_values": to_si(TABLE_1), "about": about})
-
-
-def source_of(recording: Recording) -> ImuData:
-    """Return the one source of a recording of these studies."""
-    return recording.sources[SOURCE]
 
 
 def _site(heading_deg: float) -> Site:

@@ -25,7 +25,7 @@ from station.exports.terms import SPELLED, law_terms
 from station.render.template import rendered
 from station.report.figures import ONE, figure
 from station.report.recorded import Recorded
-from station.report.traced import Traced, found_of
+from station.report.traced import ALL, Traced
 
 _STEPS = "np.maximum(np.diff(t_s, prepend=t_s[:1]), 0)"
 _NUMBERS = {"GRAVITY": str(GRAVITY_MPS2), "REFERENCE": f"{REFERENCE_C:g}", "SLOPE": f"{SLOPE_S:g}"}
@@ -83,11 +83,12 @@ def _by_device(gyros: Sequence[GyroCalibration]) -> dict[str, list[GyroCalibrati
 
 def _augmented(gyro: GyroCalibration, label: str, traced: Traced) -> GyroCalibration:
     assert traced.model is not None
-    values = found_of(traced, label)
+    model, none = traced.model.effects, (0.0, 0.0)
+    found = {k.called: k.found.get(ALL if k.shared else label, [none] * len(k.sizes)) for k in model}
     effects = tuple(
         EffectValue(known.called, size.name, value, 0.0, size.unit, size.sd, known.shared)
-        for known in traced.model.effects
-        for size, value in zip(known.sizes, values.get(known.called, [0.0] * len(known.sizes)), strict=True)
+        for known in model
+        for size, (value, _) in zip(known.sizes, found[known.called], strict=True)
     )
     return replace(gyro, states=traced.states[traced.names.index(label)], effects=effects)
 

@@ -50,12 +50,7 @@ class Unseen:
         """Effects that could move a state by more than its sigma without being seen or budgeted, the worst first."""
         largest = {name: float(shift.max()) for name, shift in by_state(self.forecast).items()}
         found = [name for name, size in largest.items() if size >= MARKED and name not in self.budgeted]
-        return sorted(found, key=lambda name: -largest[name])
-
-    @property
-    def unnoticed_words(self) -> list[str]:
-        """What people call these."""
-        return [self.words(effect) for effect in self.unnoticed]
+        return [self.words(name) for name in sorted(found, key=lambda name: -largest[name])]
 
     def words(self, effect: str) -> str:
         """Return what people call an effect."""
