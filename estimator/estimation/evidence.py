@@ -100,22 +100,6 @@ class Profile:
 _EVEN = Profile(np.ones(1), np.ones(1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Left:
-    """What a model leaves of a gyro by band (n,): ``squares`` over the ``density`` of noise, and their freedom."""
-
-    hz: Floats
-    density: Floats
-    squares: Floats
-    freedom: Floats
-    run: Floats
-
-    def of(self, run: int) -> _Left:
-        """Return that in one run."""
-        own = self.run == run
-        return _Left(self.hz[own], self.density[own], self.squares[own], self.freedom[own], self.run[own])
-
-
 def log_mean(values: Floats, log_weights: Floats | None = None) -> float:
     """Return the logarithm of the mean of exponentials, or of the weighted sum."""
     return float(np.logaddexp.reduce(values + (log_weights if log_weights is not None else -np.log(len(values)))))
@@ -187,10 +171,10 @@ class Evidence:
         self.refresh()
         for gyro, left in zip(self.gyros, self._left(rich), strict=True):
             for run in dict.fromkeys(stretch.run for stretch in gyro.stretches):
-                own = left.of(run)
-                profile = Profile.of(own.hz, own.squares, own.freedom, less=False)
+                hz, density, squares, freedom = left[1:, left[0] == run]
+                profile = Profile.of(hz, squares, freedom, less=False)
                 self.excess[gyro.name, run] = profile
-                beyond = (profile.at(own.hz) > 1) * own.density * (own.squares - own.freedom)
+                beyond = (profile.at(hz) > 1) * density * (squares - freedom)
                 length_s = next(s.length_s for s in gyro.stretches if s.run == run)
                 self.misfit[gyro.name, run] = max(float(beyond.sum()), 0.0) * gyro.arw**2 / length_s
         self.refresh()
@@ -201,16 +185,16 @@ class Evidence:
         ``least`` (gyros,) is the noise that is stated, as of turns: a few rows tell no spectrum beyond it.
         """
         for level_only in (True, False)[: 1 if least.any() else 2]:
-            for n, (gyro, left) in enumerate(zip(self.gyros, self._left(terms), strict=True)):
+            for n, (gyro, (_, hz, _, squares, freedom)) in enumerate(zip(self.gyros, self._left(terms), strict=True)):
                 if level_only:
-                    level = left.squares.sum() / max(left.freedom.sum(), 1.0)
-                    self.level[n] = max(level, (float(least[n]) / gyro.arw) ** 2)
-                profile = _EVEN if level_only else Profile.of(left.hz, left.squares, left.freedom, less=True)
+                    self.level[n] = max(squares.sum() / max(freedom.sum(), 1.0), (float(least[n]) / gyro.arw) ** 2)
+                profile = _EVEN if level_only else Profile.of(hz, squares, freedom, less=True)
                 profile = replace(profile, factor=self.level[n] * profile.factor)
                 self.excess.update(dict.fromkeys(((gyro.name, s.run) for s in gyro.stretches), profile))
             self.refresh()
 
-    def _left(self, terms: Sequence[Term]) -> list[_Left]:
+    def _left(self, terms: Sequence[Term]) -> list[Floats]:
+        """Return by gyro what a model leaves by band (5, n): run, frequency, noise, squares over it, their freedom."""
         own = [replace(term, shared=False) for term in terms]
         best = np.argmax(self.noise_weights(own), axis=0)
         columns = np.array([*range(Z), *(c for t in own for c in t.columns)])
@@ -227,8 +211,8 @@ class Evidence:
                 squares = np.maximum(np.einsum("i,bij,j->b", left, chosen, left), 0.0) / density
                 fitted = np.einsum("ij,bji->b", inner, chosen[:, :-1, :-1]) / density
                 freedom = np.maximum(stretch.used * stretch.counts - fitted, 0.05 * stretch.counts)
-                parts.append(np.column_stack([stretch.band_hz, density, squares, freedom, 0 * density + stretch.run]))
-            found.append(_Left(*np.vstack(parts).T))
+                parts.append(np.array([0 * density + stretch.run, stretch.band_hz, density, squares, freedom]))
+            found.append(np.hstack(parts))
         return found
 
     def of(self, terms: Sequence[Term]) -> float:

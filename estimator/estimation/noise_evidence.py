@@ -175,7 +175,6 @@ def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableRe
         grid=nowhere,
         fold=lambda columns: columns,
         recording=Recording({source: data}, reference),
-        period_s=blocks.period_s,
         growth_s=growth_s,
     )
 

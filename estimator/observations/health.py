@@ -39,9 +39,9 @@ def usable(data: ImuData, *, fine: bool) -> Usable:
     With ``fine`` readings, as of a gyro on a moving table, an output that never changes is a defect, and a channel
     that stays at its extreme values is given by itself with those cut out. Coarse ones may rest on a count.
     """
-    data = _in_order(data)
+    data = _rows(data, np.argsort(data.t_ns, kind="stable"))
     kept, notes = without_odd("gyro", np.asarray(data.t_ns * 1e-9, dtype=np.float64), data.rate_rps, data.array.names)
-    data = data if len(kept) == len(data.t_ns) else _rows(data, kept)
+    data = _rows(data, kept)
     excluded: list[Excluded] = []
     whole: list[int] = []
     parts: list[ImuData] = []
@@ -78,13 +78,10 @@ def usable(data: ImuData, *, fine: bool) -> Usable:
     return Usable(tuple(parts), tuple(notes), tuple(excluded))
 
 
-def _in_order(data: ImuData) -> ImuData:
-    if np.all(data.t_ns[1:] > data.t_ns[:-1]):
-        return data
-    return _rows(data, np.argsort(data.t_ns, kind="stable"))
-
-
 def _rows(data: ImuData, rows: NDArray[np.intp]) -> ImuData:
+    """Return a source with these rows; itself where they are all in order."""
+    if np.array_equal(rows, np.arange(len(data.t_ns))):
+        return data
     return replace(data, **{key: values[rows] for key, values in columns_of(data).items()})
 
 

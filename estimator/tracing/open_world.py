@@ -55,11 +55,6 @@ class OpenWorld:
         """Probability that something acts that has no name."""
         return float(np.exp(log_mean(self.by_size) + np.log(_PRESENT) - self.total))
 
-    @property
-    def size_rps(self) -> float:
-        """Its most probable size."""
-        return float(SIZES_RPS[int(np.argmax(self.by_size))])
-
 
 def something_beside(search: Search, model: Sequence[Term]) -> OpenWorld:
     """Return how probable it is beside a model that something acts that has no name."""

@@ -43,13 +43,10 @@ class Scan:
         self._runs, self._spectra = runs, evidence.gyros
         self._roots, self._bases, self._rest = [], [], []
         for gyro in evidence.gyros:
-            density = [evidence.density(gyro, s)[best][s.band] for s in gyro.stretches]
-            root = (
-                np.concatenate([np.sqrt(s.length_s / d) for s, d in zip(gyro.stretches, density, strict=True)])
-                / gyro.arw
-            )
-            lengths = np.concatenate([np.full(len(s.band), s.length_s) for s in gyro.stretches])
-            whole = np.vstack(gyro.columns) * (root * gyro.arw / np.sqrt(lengths))[:, None]
+            density = np.concatenate([evidence.density(gyro, s)[best][s.band] for s in gyro.stretches])
+            lengths_s = np.concatenate([np.full(len(s.band), s.length_s) for s in gyro.stretches])
+            root = np.sqrt(lengths_s / density) / gyro.arw
+            whole = np.vstack(gyro.columns) / np.sqrt(density)[:, None]
             basis, _ = np.linalg.qr(whole[:, columns])
             z = whole[:, 4]
             self._roots.append(root)

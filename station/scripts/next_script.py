@@ -71,7 +71,8 @@ class Past:
         data, noise = run.data, run.data.noise
         if noise is None:
             steps = np.diff(data.rate_rps, axis=0)
-            noise = NoiseModel(float(np.sqrt(np.median(steps**2) / 0.455 / 2 * run.period_s)))
+            period_s = float(np.median(np.diff(run.data.t_ns))) * 1e-9
+            noise = NoiseModel(float(np.sqrt(np.median(steps**2) / 0.455 / 2 * period_s)))
         every = max(round(_PERIOD_S / run.grid.period_s), 1)
         return cls(run.source, data.device, run.grid.rows(slice(None, None, every)), run.array, noise, run.prior)
 

@@ -132,7 +132,6 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         return np.repeat(ago, steps, axis=0)
 
     grid = replace(conditions_of(recording, data, grid_s, w, steps), delayed_rps=delayed_rps)
-    stretch = np.cumsum(np.diff(index, prepend=index[:1]) > 1)
     run = Run(
         recording.name,
         source,
@@ -146,7 +145,6 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
         grid,
         lambda columns: columns.reshape(b, steps, -1).mean(axis=1),
         recording,
-        float(np.median(np.diff(data.t_ns))) * 1e-9,
         order,
         held,
         growth_s=growth_s,
@@ -218,7 +216,6 @@ def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData
         grid,
         lambda columns: columns.reshape(len(t_s), len(columns) // len(t_s), -1).mean(axis=1),
         recording,
-        float(np.median(np.diff(data.t_ns))) * 1e-9,
         order,
         1,
         float(sample_noise(data).max() / rows.weight.max()),

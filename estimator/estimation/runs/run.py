@@ -54,7 +54,6 @@ class Run:
     grid: Conditions
     fold: Callable[[Floats], Floats]
     recording: Recording
-    period_s: float
     order: int = 0
     held: int = 1
     stated_rps: float = 0.0
