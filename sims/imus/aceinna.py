@@ -10,8 +10,7 @@ from drivers.imus.can.imu import load_dbc
 from drivers.imus.signals import parameter_group
 from drivers.types import Floats
 from sims.physics.geometry import tilt_deg
-from sims.physics.gyro import GyroArray
-from sims.wires.frames import FrameSink, NodeFaults, SpecificForce
+from sims.wires.frames import FrameSink, Ride
 
 
 class AceinnaDevice:
@@ -22,34 +21,24 @@ class AceinnaDevice:
 
     def __init__(
         self,
-        gyros: GyroArray,
+        ride: Ride,
         bus: FrameSink,
-        rate_hz: float = aceinna.INTERNAL_RATE_HZ,
         *,
-        model: str = "openimu300ri",
         axis_order: aceinna.AxisOrder | None = None,
-        address: int = aceinna.DEFAULT_ADDRESS,
         version: bytes = bytes([19, 1, 51, 2, 1]),
         name: aceinna.Name | None = None,
-        faults: NodeFaults | None = None,
-        specific_force: SpecificForce | None = None,
     ) -> None:
-        """``gyros`` are three, at ``rate_hz``, which is how it sends until it is told otherwise.
-
-        Without ``specific_force`` the accelerometers say 0.
-        """
-        self._gyros, self._bus = gyros, bus
+        """It sends at the rate of its three gyros until it is told otherwise."""
+        model, address = ride.options["model"], ride.options["address"]
+        self._ride, self._bus, self._address, self.faults = ride, bus, address, ride.faults
         self._columns = list(aceinna.COLUMNS[axis_order or aceinna.AXIS_ORDERS[model]])
         self._messages = {one.name.lower(): one for one in load_dbc("j1939 twin", aceinna.DBC).messages}
-        self._address = address
-        self._specific_force = specific_force
-        self.faults = faults or NodeFaults()
         self.saved = 0
         """How often it was told to save its configuration."""
         self._held = {
             aceinna.SOFTWARE_VERSION: version,
             aceinna.ADDRESS_CLAIM: (name or aceinna.Name(identity=305_001, manufacturer=823, function=131)).encode(),
-            aceinna.RATE_DIVIDER: bytes([address, round(aceinna.INTERNAL_RATE_HZ / rate_hz)]),
+            aceinna.RATE_DIVIDER: bytes([address, round(aceinna.INTERNAL_RATE_HZ / ride.rate_hz)]),
             aceinna.PACKET_TYPES: bytes([address, sum(aceinna.PACKETS.values()), 0]),
             aceinna.FILTERS: bytes([address, 25, 5]),
             aceinna.ORIENTATION: bytes([address, 0, 0]),
@@ -79,8 +68,8 @@ class AceinnaDevice:
             await asyncio.sleep(max(at - loop.time(), 0.0))
             if not divider:
                 continue  # told to be quiet
-            rates = self.faults.rates(self._gyros.sample(np.array([at]))[0])
-            force = np.zeros(3) if self._specific_force is None else self._specific_force(np.array([at]))[0]
+            rates = self.faults.rates(self._ride.gyros.sample(np.array([at]))[0])
+            force = self._ride.force_mps2(np.array([at]))[0]
             for _ in range(self.faults.times_to_send()):
                 self._send_sample(np.degrees(rates), force)
 

@@ -2,18 +2,15 @@
 
 import asyncio
 import math
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import can
 import numpy as np
 
-from drivers.imus.can.imu import CanChannel, ChannelSignals, load_dbc
+from drivers.imus.can.imu import ChannelSignals, load_dbc
 from drivers.imus.signals import SignalReader
 from drivers.types import Floats
-from sims.physics.gyro import GyroArray
-from sims.wires.frames import FrameSink, NodeFaults, SpecificForce
+from sims.wires.frames import FrameSink, Ride
 
 _BUILT = "can twin"
 _RANGE_RPS = math.radians(2000)
@@ -22,26 +19,15 @@ _RANGE_RPS = math.radians(2000)
 class CanNodes:
     """Sends each channel's messages regularly; those that carry nothing but a temperature, once a second."""
 
-    def __init__(
-        self,
-        gyros: GyroArray,
-        bus: FrameSink,
-        dbc: Path,
-        channels: Sequence[CanChannel],
-        rate_hz: float,
-        *,
-        faults: NodeFaults | None = None,
-        specific_force: SpecificForce | None = None,
-        database: Any = None,
-    ) -> None:
-        """``channels`` are those of the driver, in the order of the gyros; ``database`` is used in place of the file.
+    def __init__(self, ride: Ride, bus: FrameSink, *, database: Any = None) -> None:
+        """The signals are those of the driver, in the order of the gyros; ``database`` is used in place of the DBC.
 
-        DeviceError for signals that the DBC does not have. Without ``specific_force`` accelerometers say 0.
+        DeviceError for signals that the DBC does not have.
         """
+        dbc, channels = ride.signals.dbc, ride.signals.channels
         database = database or load_dbc(_BUILT, dbc)
-        self._gyros, self._bus, self._rate_hz = gyros, bus, rate_hz
-        self._specific_force = specific_force if any(channel.acceleration for channel in channels) else None
-        self.faults = faults or NodeFaults()
+        self._ride, self._bus, self._rate_hz, self.faults = ride, bus, ride.rate_hz, ride.faults
+        self._feels = any(channel.acceleration for channel in channels)
         self._nodes: list[_Node] = []
         first = 0
         for channel in channels:
@@ -65,10 +51,10 @@ class CanNodes:
             device_s += step_s
             await asyncio.sleep(max(start - loop.time(), 0.0))
             at = np.array([start])
-            rates = self.faults.rates(self._gyros.sample(at)[0])
-            force = np.zeros(3) if self._specific_force is None else self._specific_force(at)[0]
+            rates = self.faults.rates(self._ride.gyros.sample(at)[0])
+            force = self._ride.force_mps2(at)[0] if self._feels else np.zeros(3)
             with_temperature = sample % every == 0 or not self._rarely
-            temperature_c = self._gyros.temperature_c(start) if with_temperature else math.nan
+            temperature_c = self._ride.gyros.temperature_c(start) if with_temperature else math.nan
             told = _Told(sample, device_s, temperature_c, force)
             times = self.faults.times_to_send()
             for node in self._nodes:

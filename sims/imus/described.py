@@ -1,24 +1,21 @@
 """Twin of an IMU on a byte link that a file describes: what it sends is written by the same description."""
 
 from collections.abc import Callable
-from typing import Any
 
 import can
 
 from drivers.imus.described.imu import Description
 from sims.imus.can_nodes import CanNodes
-from sims.physics.gyro import GyroArray
+from sims.wires.frames import Ride
 
 
 class DescribedDevice(CanNodes):
     """Measures all the time; sends when it has heard all that starts it, until it has heard all that stops it."""
 
-    def __init__(
-        self, gyros: GyroArray, write: Callable[[bytes], None], rate_hz: float, description: Description, **more: Any
-    ) -> None:
-        """The gyros are those of the description, and made for ``rate_hz``; ``more`` is as of any node."""
-        dbc, channels, database = description.dbc, description.channels, description.database
-        super().__init__(gyros, self, dbc, channels, rate_hz, database=database, **more)
+    def __init__(self, ride: Ride, write: Callable[[bytes], None]) -> None:
+        """The signals of the ride are a ``Description``."""
+        description: Description = ride.signals
+        super().__init__(ride, self, database=description.database)
         self._write, self._framing = write, description.framing
         self._start, self._stop = (
             b"".join(data for data, _ in phrases) for phrases in (description.start, description.stop)

@@ -13,9 +13,8 @@ from drivers.types import Flags, Floats, Ints
 from sims.imus.stim300_output import GyroOutput
 from sims.imus.stim300_settings import SERVICE_ERRORS, Settings, banner, service_lines, utility_reply
 from sims.physics.geometry import upright
-from sims.physics.gyro import GyroArray
 from sims.wires.burst import burst_of, copies_sent
-from sims.wires.frames import NodeFaults
+from sims.wires.frames import Ride
 from sims.wires.line_controller import LineDevice, Refused
 
 _START_UP_TICKS = stim300.INTERNAL_RATE_HZ // 2
@@ -33,28 +32,25 @@ class Stim300Device(LineDevice):
 
     def __init__(
         self,
-        gyros: GyroArray,
+        ride: Ride,
         write: Callable[[bytes], None],
-        rate_hz: int,
         *,
         identifier: int = 0x94,
         gyro_unit: str = "rate",
         accel_range_g: int = 10,
         line_termination: bool = False,
         serial: str = "N25582405002002",
-        specific_force_g: Callable[[Floats], Floats] | None = None,
-        faults: NodeFaults | None = None,
         cold: bool = False,
         seed: int = 0,
     ) -> None:
-        """``rate_hz`` is one of the device's own rates, at which the gyros were made too.
+        """The rate of the gyros is one of the device's own. Where nobody tells what is up, it is z.
 
-        ``specific_force_g`` gives what accelerometers and inclinometers sense (n, 3) at instants (n,), 1 g along z
-        if left out. A ``cold`` device is powered on when served: it
-        names itself and its first half second carries the start-up bit; else it has been on for long.
+        A ``cold`` device is powered on when served: it names itself and its first half second carries the start-up
+        bit; else it has been on for long.
         """
         if identifier not in stim300.DATAGRAM_CODES.values():
             raise ValueError(f"{identifier:02X} is no datagram of today's firmware")
+        rate_hz = round(ride.rate_hz)
         self.settings = Settings(
             rate_hz,
             identifier,
@@ -64,11 +60,11 @@ class Stim300Device(LineDevice):
             serial,
         )
         super().__init__(write)
-        self.faults = faults or NodeFaults()
+        self.faults = ride.faults
         self._base_hz = rate_hz
-        self._temperature_c = gyros.temperature_c
-        self._force_g = specific_force_g or upright
-        self._output = GyroOutput(gyros.sample, rate_hz)
+        self._temperature_c = ride.gyros.temperature_c
+        self._force_g = ride.up or upright
+        self._output = GyroOutput(ride.gyros.sample, rate_hz)
         self._period_s = 1 / (rate_hz * (1 + self.faults.clock_ppm * 1e-6))
         self._random = np.random.default_rng(seed)
         self._mode = "normal"

@@ -12,9 +12,8 @@ from drivers.imus.vectornav import codec as vectornav
 from drivers.packaged import packaged_codes, packaged_toml
 from drivers.types import Floats, Ints
 from sims.physics.geometry import tilt_deg, upright
-from sims.physics.gyro import GyroArray
 from sims.wires.burst import burst_of, copies_sent
-from sims.wires.frames import NodeFaults
+from sims.wires.frames import Ride
 from sims.wires.line_controller import Refused
 
 STANDARD_GRAVITY_MPS2 = 9.80665
@@ -52,28 +51,21 @@ class VectorNavDevice:
     """
 
     def __init__(
-        self,
-        gyros: GyroArray,
-        write: Callable[[bytes], None],
-        *,
-        rate_hz: float = vectornav.IMU_RATE_HZ,
-        serial: str = "0100012345",
-        faults: NodeFaults | None = None,
-        baud: int = 921600,
-        up: Callable[[Floats], Floats] | None = None,
+        self, ride: Ride, write: Callable[[bytes], None], *, serial: str = "0100012345", baud: int = 921600
     ) -> None:
-        """The three gyros were made for ``rate_hz``, 800 over a whole number; faster output repeats their last.
+        """The three gyros were made for 800 Hz over a whole number; faster output repeats their last.
 
-        ``baud`` is its rate as delivered, which limits what can be asked for.
-        ``up`` gives the unit vector up in body axes (n, 3) at instants (n,); left out, the device stands upright.
+        ``baud`` is its rate as delivered, which limits what can be asked for. Where nobody tells what is up, it stands
+        upright.
         """
+        rate_hz = ride.rate_hz
         if vectornav.IMU_RATE_HZ % rate_hz:
             raise ValueError(
                 f"a VectorNav samples at {vectornav.IMU_RATE_HZ} Hz over a whole number, not at {rate_hz:g} Hz"
             )
-        self.faults = faults or NodeFaults()
+        self.faults = ride.faults
         self.range_rps = float(_GYRO_RANGE_RPS)
-        self._gyros, self._write, self._up = gyros, write, up or upright
+        self._gyros, self._write, self._up = ride.gyros, write, ride.up or upright
         self._decoder = vectornav.VectorNavDecoder(binary=False)
         self._random = np.random.default_rng(list(serial.encode()))
         self._ticks_per_sample = vectornav.IMU_RATE_HZ // round(rate_hz)

@@ -12,9 +12,8 @@ from drivers.imus.xsens.xbus import Mid, XbusDecoder, encode
 from drivers.packaged import packaged_codes
 from drivers.types import Flags, Floats, Ints
 from sims.physics.geometry import tilt_deg
-from sims.physics.gyro import GyroArray
 from sims.wires.burst import burst_of, copies_sent
-from sims.wires.frames import NodeFaults
+from sims.wires.frames import Ride
 
 _TICKS_PER_S = round(1 / mtdata2.SAMPLE_TIME_TICK_S)
 _GYRO_RANGE_RPS = math.radians(2000)
@@ -44,29 +43,25 @@ class XsensDevice:
 
     def __init__(
         self,
-        gyros: GyroArray,
+        ride: Ride,
         write: Callable[[bytes], None],
-        rate_hz: int,
         *,
         serial: str = "03700715",
         product: str = "MTI-300-2A5G4",
-        faults: NodeFaults | None = None,
-        specific_force_g: Callable[[Floats], Floats] | None = None,
         uptime_ticks: int = 0,
         seed: int = 0,
     ) -> None:
-        """The three gyros were made for ``rate_hz``; each output has this rate or this over a whole number.
+        """Each output has the rate of the three gyros or this over a whole number.
 
-        ``serial`` are eight hex digits. ``specific_force_g`` gives what accelerometers sense (n, 3) at instants (n,);
-        left out, the device has none. ``uptime_ticks`` of 100 us is how long it has been on.
+        ``serial`` are eight hex digits. Where nobody tells what is up, it has no accelerometers. ``uptime_ticks`` of
+        100 us is how long it has been on.
         """
-        self._gyros, self._write, self._rate_hz = gyros, write, rate_hz
-        self._force_g = specific_force_g
-        self.faults = faults or NodeFaults()
+        self._gyros, self._write, self._force_g, self.faults = ride.gyros, write, ride.up, ride.faults
+        self._rate_hz = rate_hz = round(ride.rate_hz)
         self._period_s = 1 / (rate_hz * (1 + self.faults.clock_ppm * 1e-6))
         self._random = np.random.default_rng(seed)
         self._decoder = XbusDecoder()
-        felt = [] if specific_force_g is None else [mtdata2.ACCELERATION]
+        felt = [] if ride.up is None else [mtdata2.ACCELERATION]
         self.outputs = (
             mtdata2.Output(mtdata2.PACKET_COUNTER, mtdata2.EVERY),
             mtdata2.Output(mtdata2.SAMPLE_TIME_FINE, mtdata2.EVERY),

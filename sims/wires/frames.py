@@ -1,16 +1,16 @@
-"""What twins on CAN share: where their frames go, and what can be wrong with their gyros and clocks."""
+"""What twins of IMUs share: how they ride, what can be wrong with gyros and clocks; where frames go."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import can
 import numpy as np
 
 from drivers.types import Floats
+from sims.physics.gyro import GyroArray
 
-SpecificForce = Callable[[Floats], Floats]
-"""Specific force (n, 3) in m/s2 in the axes of the device at instants (n,)."""
+_STANDARD_GRAVITY_MPS2 = 9.80665
 
 
 class FrameSink(Protocol):
@@ -22,7 +22,7 @@ class FrameSink(Protocol):
 
 @dataclass(slots=True)
 class NodeFaults:
-    """Knobs of a twin on CAN; they may be turned while it runs.
+    """Knobs of a twin; they may be turned while it runs.
 
     ``dropped`` and ``doubled`` are the shares of samples that are left out and sent twice; ``stuck`` gyros keep
     their last rate, ``saturated`` ones show the end of their range; ``silent`` sends nothing. ``clock_ppm`` is how
@@ -62,3 +62,24 @@ class NodeFaults:
         for i in self.saturated:
             out[i] = np.copysign(np.inf, rates_rps[i])
         return out
+
+
+@dataclass(frozen=True, slots=True)
+class Ride:
+    """A device under test as it stands on the simulated table.
+
+    ``gyros`` were made for ``rate_hz``; ``up`` gives what its accelerometers sense (n, 3), in g, at instants (n,), if
+    the table tells. ``options`` are the protocol's keys in the bench file, ``signals`` those of a DBC or a description;
+    the knobs of ``faults`` may be turned at any time.
+    """
+
+    gyros: GyroArray
+    rate_hz: float
+    up: Callable[[Floats], Floats] | None = None
+    faults: NodeFaults = field(default_factory=NodeFaults)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    signals: Any = None
+
+    def force_mps2(self, t_s: Floats) -> Floats:
+        """Return what its accelerometers sense (n, 3), in m/s2, at instants (n,); 0 if nobody tells."""
+        return np.zeros((len(t_s), 3)) if self.up is None else self.up(t_s) * _STANDARD_GRAVITY_MPS2

@@ -8,6 +8,7 @@ import socket
 import tty
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
+from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -20,6 +21,7 @@ from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanImu
 from drivers.links.can_link import CanLink
 from drivers.types import Frame
 from sims.imus.can_nodes import CanNodes
+from sims.wires.frames import Ride
 from sims.wires.slcan_adapter import SlcanAdapter
 from sims.wires.socketcand_server import SocketcandServer
 
@@ -331,10 +333,11 @@ def test_python_cans_own_socketcand_reads_the_twin() -> None:
 
 def test_the_can_twin_is_measured_over_slcan_and_over_socketcand() -> None:
     channels = tuple(CanChannel(f"g{i}", f"GYRO{i}_RATE.Rate") for i in (1, 2, 3))
+    signals = SimpleNamespace(dbc=BUILT_IN_DBC, channels=channels)
 
     async def measure(link: CanLink, bus: Any) -> None:
         imu = CanImu("imu", link, BUILT_IN_DBC, channels, 200.0)
-        twin = asyncio.create_task(CanNodes(gyros(200.0), bus, BUILT_IN_DBC, channels, 200.0).serve())
+        twin = asyncio.create_task(CanNodes(Ride(gyros(200.0), 200.0, signals=signals), bus).serve())
         seen: dict[str, list[float]] = {name: [] for name in imu.names}
         async with asyncio.timeout(5):
             async for name, block in imu.blocks():

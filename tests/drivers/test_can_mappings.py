@@ -6,6 +6,7 @@ import asyncio
 import re
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -20,13 +21,17 @@ from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
 from drivers.types import ImuBlock, SourceCounts
 from sims.imus.can_nodes import CanNodes
-from sims.wires.frames import NodeFaults
+from sims.wires.frames import NodeFaults, Ride
 from station.bench.can_mappings import MAPPING_FOLDER, CanMapping, MappingError, channels_of, load_mapping
 
 SHIPPED = ("sbg_ecan", "bosch_mm5_10", "xsens_mti600", "aceinna_openimu300ri")
 RATES_DPS = (10.0, -20.0, 30.0)
 TRIAD = ("x", "y", "z")
 FORCE = np.array([1.0, -2.0, 9.8])
+
+
+def up(t_s: Any) -> Any:
+    return np.tile(FORCE / 9.80665, (len(t_s), 1))
 
 
 def dbc(name: str) -> Any:
@@ -101,15 +106,9 @@ def run(
         )
         await imu.open()
         array = gyros(rate_hz, RATES_DPS) if mapping.gyros == 3 else _Pair(gyros(rate_hz, RATES_DPS))
-        twin = CanNodes(
-            array,  # type: ignore[arg-type]
-            bus,
-            mapping.dbc,
-            channels(mapping),
-            rate_hz,
-            faults=faults,
-            specific_force=lambda t_s: np.tile(FORCE, (len(t_s), 1)),
-        )
+        signals = SimpleNamespace(dbc=mapping.dbc, channels=channels(mapping))
+        ride = Ride(array, rate_hz, up, faults or NodeFaults(), signals=signals)  # type: ignore[arg-type]
+        twin = CanNodes(ride, bus)
         task = asyncio.create_task(twin.serve())
         found = await collect(imu, duration_s)
         task.cancel()

@@ -22,7 +22,7 @@ from sims.imus.described import DescribedDevice
 from sims.physics.body import Body
 from sims.physics.geometry import along
 from sims.physics.gyro import GyroArray, GyroTruth
-from sims.wires.frames import NodeFaults
+from sims.wires.frames import NodeFaults, Ride
 from station.bench.descriptions import DESCRIPTIONS, load_description
 from station.run.event_loop.loops import VirtualLoop
 
@@ -272,14 +272,9 @@ class Bench:
         gyros = GyroArray(along(axes.tolist()), GyroTruth(none, none, none, none, 0.0, 0.0), body, rate_hz, (1,))
         self.heard = b""
         self.faults = NodeFaults(**faults)
-        self.device = DescribedDevice(
-            gyros,
-            lambda data: self.far.write(wire(data)),
-            rate_hz,
-            description,
-            faults=self.faults,
-            specific_force=lambda t_s: np.tile([0.0, 0.0, 9.80665], (len(t_s), 1)),
-        )
+        up = np.array([0.0, 0.0, 1.0])
+        ride = Ride(gyros, rate_hz, lambda t_s: np.tile(up, (len(t_s), 1)), self.faults, signals=description)
+        self.device = DescribedDevice(ride, lambda data: self.far.write(wire(data)))
         self.imu = DescribedImu("imu", self.near, description, rate_hz)
 
     async def _hear(self) -> None:

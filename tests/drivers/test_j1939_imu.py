@@ -44,7 +44,7 @@ from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
 from drivers.types import Frame, Identity, SourceCounts
 from sims.imus.aceinna import AceinnaDevice
-from sims.wires.frames import NodeFaults
+from sims.wires.frames import NodeFaults, Ride
 
 T = TypeVar("T")
 RATES_DPS = (10.0, -20.0, 30.0)
@@ -197,14 +197,14 @@ def with_twin(
     async def run() -> T:
         name = wire()
         bus = MemoryBus(name)
-        device = AceinnaDevice(
+        ride = Ride(
             gyros(rate_hz, RATES_DPS),
-            bus,
-            model=twin_model or model,
-            faults=faults,
-            specific_force=lambda t_s: np.tile(FORCE, (len(t_s), 1)),
-            **twin,
+            100.0,
+            lambda t_s: np.tile(FORCE / 9.80665, (len(t_s), 1)),
+            faults or NodeFaults(),
+            {"model": twin_model or model, "address": DEVICE},
         )
+        device = AceinnaDevice(ride, bus, **twin)
 
         def hear(msg: can.Message) -> None:
             if obstinate and msg.arbitration_id >> 8 & 0xFFFF == RATE_DIVIDER:
@@ -379,7 +379,7 @@ def test_the_twin_answers_only_what_is_asked_of_it() -> None:
         def send(self, msg: can.Message) -> None:
             heard.append(Frame(0, msg.arbitration_id, msg.is_extended_id, bytes(msg.data)))
 
-    device = AceinnaDevice(gyros(100.0), Ear())
+    device = AceinnaDevice(Ride(gyros(100.0), 100.0, options={"model": "openimu300ri", "address": DEVICE}), Ear())
 
     def ask(frame: Frame) -> list[str]:
         heard.clear()

@@ -14,6 +14,7 @@ from sims.imus.vectornav import VectorNavDevice
 from sims.physics.body import Body
 from sims.physics.geometry import along
 from sims.physics.gyro import GyroArray, GyroTruth
+from sims.wires.frames import Ride
 from station.run.event_loop.loops import VirtualLoop
 
 REQUESTS = json.loads((Path(__file__).parents[1] / "vectors" / "vectornav_requests.json").read_text())["vectors"]
@@ -31,7 +32,7 @@ class Talk:
         gyros = GyroArray(along([[1, 0, 0], [0, 1, 0], [0, 0, 1]]), truth, body, rate_hz, (1,))
         self.sent = bytearray()
         up = np.tile(UP, (100, 1))
-        self.device = VectorNavDevice(gyros, self.sent.extend, rate_hz=rate_hz, baud=115200, up=lambda t: up[: len(t)])
+        self.device = VectorNavDevice(Ride(gyros, rate_hz, lambda t: up[: len(t)]), self.sent.extend, baud=115200)
 
     def heard(self) -> list[Sentence | Frames]:
         """Return what it has sent since the last time."""

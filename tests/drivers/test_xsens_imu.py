@@ -38,7 +38,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.motion import AxisMotion
-from sims.wires.frames import NodeFaults
+from sims.wires.frames import NodeFaults, Ride
 from station.run.event_loop.loops import VirtualLoop
 
 CAPTURE = Path(__file__).parents[1] / "data" / "xsens" / "capture1.bin"
@@ -149,7 +149,9 @@ def with_twin(
             loop.call_at(due[0], far.write, data)
 
         force = table.body.up if accelerometer else None
-        device = XsensDevice(table.gyros(twin_hz or rate_hz), write, twin_hz or rate_hz, specific_force_g=force, **twin)
+        own_hz = twin_hz or rate_hz
+        ride = Ride(table.gyros(own_hz), own_hz, force, twin.pop("faults", NodeFaults()))
+        device = XsensDevice(ride, write, **twin)
         prepare(device, table)
         imu = XsensImu(imu_setup("xsens", "mti", rate_hz, **(options or {})), near)
         tasks = [loop.create_task(device.serve()), loop.create_task(listen(far, device.received))]
@@ -318,7 +320,7 @@ def test_a_source_may_be_started_again() -> None:
     async def main() -> None:
         loop = asyncio.get_running_loop()
         near, far = pair("mti")
-        device = XsensDevice(Table().gyros(100), far.write, 100)
+        device = XsensDevice(Ride(Table().gyros(100), 100), far.write)
         tasks = [loop.create_task(device.serve()), loop.create_task(listen(far, device.received))]
         imu = XsensImu(imu_setup("xsens", "mti", 100), near)
         await imu.open()

@@ -13,6 +13,7 @@ from sims.imus.aceinna import AceinnaDevice
 from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
+from sims.wires.frames import Ride
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "j1939_requests.json").read_text())["vectors"]
 
@@ -34,7 +35,7 @@ def test_a_request_is_answered_or_refused(vector: dict[str, str]) -> None:
     gyros = GyroArray(mounted(MOUNTS_DEG["triad"]), GyroTruth(none, none, none, none, 0.0, 0.0), body, 100.0, (1,))
     bus = Bus()
     data = bytes.fromhex(vector["data"])
-    AceinnaDevice(gyros, bus).received(
+    AceinnaDevice(Ride(gyros, 100.0, options={"model": "openimu300ri", "address": 0x80}), bus).received(
         can.Message(arbitration_id=int(vector["id"], 16), is_extended_id=True, data=data)
     )
     assert bus.sent == vector["answers"]

@@ -20,7 +20,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.motion import AxisMotion
-from sims.wires.frames import NodeFaults
+from sims.wires.frames import NodeFaults, Ride
 from station.run.event_loop.loops import VirtualLoop
 
 DPS = np.array([20.0, -7.0, 3.0])
@@ -73,7 +73,10 @@ def run(
         sent.raw += data
 
     async def scene() -> None:
-        device = Stim300Device(array_of(rate_hz, options.pop("dps", DPS)), take, rate_hz, **options)
+        faults = options.pop("faults", NodeFaults())
+        device = Stim300Device(
+            Ride(array_of(rate_hz, options.pop("dps", DPS)), rate_hz, faults=faults), take, **options
+        )
         task = asyncio.ensure_future(device.serve())
         await asyncio.sleep(seconds / 2)
         act(device)
@@ -197,7 +200,7 @@ def test_samples_that_a_busy_computer_sends_late_say_how_late() -> None:
     sent = Sent()
 
     async def scene() -> None:
-        device = Stim300Device(array_of(500), lambda data: setattr(sent, "raw", sent.raw + data), 500)
+        device = Stim300Device(Ride(array_of(500), 500), lambda data: setattr(sent, "raw", sent.raw + data))
         task = asyncio.ensure_future(device.serve())
         await asyncio.sleep(0.03)
         time.sleep(0.04)  # the computer does something else

@@ -6,6 +6,7 @@ import asyncio
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +37,7 @@ from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.hidden.converter import Saturation, Stuck
 from sims.physics.hidden.effects import Hidden
 from sims.physics.motion import AxisMotion
-from sims.wires.frames import NodeFaults
+from sims.wires.frames import NodeFaults, Ride
 from station.run.event_loop.loops import VirtualLoop
 
 OPENING = json.loads((Path(__file__).parents[1] / "vectors" / "xsens_opening.json").read_text())["vectors"]
@@ -48,7 +49,15 @@ RANGE_RPS = np.radians(2000)
 class Line:
     """A device on a table that turns at a steady rate, and what it has sent."""
 
-    def __init__(self, *, turning_rps: float = 0.5, hidden: Hidden | None = None, **options: object) -> None:
+    def __init__(
+        self,
+        *,
+        turning_rps: float = 0.5,
+        hidden: Hidden | None = None,
+        up: Any = None,
+        faults: NodeFaults | None = None,
+        **options: Any,
+    ) -> None:
         motion = AxisMotion(0.0, 100.0, 1e9)
         motion.jog(0.0, turning_rps, 1e9)
         body = Body("z", lambda _axis, t: motion.angles(t), lambda: motion.revision, 0.8, 0.0)
@@ -56,7 +65,7 @@ class Line:
         truth = GyroTruth(zeros, zeros, zeros, zeros, NOISE, 0.0)
         gyros = GyroArray(mounted(MOUNTS_DEG["triad"]), truth, body, RATE_HZ, (1,), hidden)
         self.sent = b""
-        self.device = XsensDevice(gyros, self._write, RATE_HZ, **options)  # type: ignore[arg-type]
+        self.device = XsensDevice(Ride(gyros, RATE_HZ, up, faults or NodeFaults()), self._write, **options)
 
     def _write(self, data: bytes) -> None:
         self.sent += data
@@ -150,7 +159,7 @@ def test_a_configuration_that_it_cannot_make_out_is_an_error_and_changes_nothing
 
 
 def test_it_grants_the_nearest_rate_that_it_has_and_says_so() -> None:
-    line = Line(specific_force_g=lambda t: np.tile([0.0, 0.0, 1.0], (len(t), 1)))
+    line = Line(up=lambda t: np.tile([0.0, 0.0, 1.0], (len(t), 1)))
     line.asked(Mid.GO_TO_CONFIG)
     wanted = [
         Output(SAMPLE_TIME_FINE, 100),
@@ -270,7 +279,7 @@ def test_a_fast_clock_gives_more_samples_by_its_error(clock_ppm: float) -> None:
 
 
 def test_it_answers_what_the_makers_sdk_asks_when_it_opens_a_port() -> None:
-    line = Line(specific_force_g=lambda t: np.tile([0.0, 0.0, 1.0], (len(t), 1)))
+    line = Line(up=lambda t: np.tile([0.0, 0.0, 1.0], (len(t), 1)))
     for vector in OPENING:
         ((mid, data),) = line.asked(int(vector["mid"], 16), bytes.fromhex(vector["data"]))
         assert mid == int(vector["reply"], 16), vector
@@ -290,7 +299,7 @@ def test_its_configuration_tells_what_it_is_and_sends() -> None:
 @pytest.mark.parametrize("number_format", range(4))
 def test_euler_angles_are_those_by_which_it_is_tilted(number_format: int) -> None:
     up = np.array([-0.5, 0.6, np.sqrt(0.39)])
-    line = Line(specific_force_g=lambda t: np.tile(up, (len(t), 1)))
+    line = Line(up=lambda t: np.tile(up, (len(t), 1)))
     line.asked(Mid.GO_TO_CONFIG)
     wanted = encode_outputs((Output(EULER_ANGLES | number_format, 100),))
     assert line.asked(Mid.OUTPUT_CONFIGURATION, wanted) == [(Mid.OUTPUT_CONFIGURATION + 1, wanted)]
