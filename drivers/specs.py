@@ -167,7 +167,7 @@ class TableSpec:
     tcp_port: int | None = None
     most_axes: int = 3
     address: Key | None = None
-    addresses: Sequence[str] = ("",)
+    addresses: Sequence[str | int] = ("",)
     proposed_counts: int = 0
     keys: tuple[Key, ...] = ()
     axis_keys: tuple[Key, ...] = ()

@@ -26,13 +26,13 @@ class CanMapping:
 
     name: str
     dbc: Path
-    sources: tuple[CanChannel, ...]
+    channels: tuple[CanChannel, ...]
     source_address: int | None = None
 
     @property
     def gyros(self) -> int:
         """Number of gyros in all sources."""
-        return sum(len(source.rates) for source in self.sources)
+        return sum(len(source.rates) for source in self.channels)
 
 
 def load_mapping(name_or_path: str, folder: Path | None = None) -> CanMapping:
@@ -74,9 +74,9 @@ def channels_of(mapping: CanMapping, device: str, gyros: Sequence[str]) -> tuple
             "give the array the axes of the mapping's rate signals, in their order"
         )
     named, first = [], 0
-    for source in mapping.sources:
+    for source in mapping.channels:
         name = f"{device}.{source.name}"
-        if len(mapping.sources) == 1:
+        if len(mapping.channels) == 1:
             name = device
         elif len(source.rates) == 1:
             name = gyros[first]

@@ -1,7 +1,7 @@
 """An [[imu]] section of a bench file: a device under test, how it is reached, what its data sheet says."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +16,13 @@ from estimator.errors import GeometryError
 from estimator.geometry.array import SensorArray, cone, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
-from station.bench.can_mappings import channels_of, load_mapping
+from station.bench.can_mappings import CanMapping, channels_of, load_mapping
 from station.bench.descriptions import load_description
 from station.schema.tables import Table, keys_of, known_in
 
 _ARRAYS = {"triad": triad, "tetrahedron": tetrahedron, "dodecahedron": dodecahedron}
 _VARIANTS = ("bench.array", "bench.cone", "bench.axes", "bench.mapped", "bench.listed", "bench.described")
 _NOT_NAMES = ("table", "seed", "watchdog", "start", "fault", "faults", "hidden", "started", "wires")
-
-
-@dataclass(frozen=True, slots=True)
-class CanSource:
-    """What on a CAN bus is a device: its DBC, the signals of its sources, the J1939 address if only one is meant."""
-
-    dbc: Path
-    channels: tuple[CanChannel, ...]
-    source_address: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +38,7 @@ class ImuConfig:
     array_name: str
     array: SensorArray
     rate_hz: float
-    can: CanSource | Description | None
+    can: CanMapping | Description | None
     noise: NoiseModel
     prior: Prior
     used: bool
@@ -81,7 +72,7 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     array_name, array = _array(table, name)
     if spec.gyros not in (None, len(array)):
         raise table.fail("array", f"protocol {spec.name} has {spec.gyros} gyros, this array {len(array)}")
-    can: CanSource | Description | None = None
+    can: CanMapping | Description | None = None
     if spec.signals_of_dbc:
         can = _can(table, folder, name, array)
     elif spec.described:
@@ -117,12 +108,12 @@ def _array(table: Table, device: str) -> tuple[str, SensorArray]:
         raise table.fail("p" if explicit else "array", f"{device}: {error}") from None
 
 
-def _can(table: Table, folder: Path, device: str, array: SensorArray) -> CanSource:
+def _can(table: Table, folder: Path, device: str, array: SensorArray) -> CanMapping:
     """Return the signals: those of a mapping file, or one channel a gyro as the bench file lists them."""
 
-    def mapped(name: str, folder: Path) -> CanSource:
+    def mapped(name: str, folder: Path) -> CanMapping:
         mapping = load_mapping(name, folder)
-        return CanSource(mapping.dbc, channels_of(mapping, device, array.names), mapping.source_address)
+        return replace(mapping, channels=channels_of(mapping, device, array.names))
 
     if table.has("mapping"):
         return table.read("bench.mapped", folder, mapping=mapped)["mapping"]  # type: ignore[no-any-return]
@@ -130,4 +121,4 @@ def _can(table: Table, folder: Path, device: str, array: SensorArray) -> CanSour
     if len(own["channels"]) != len(array):
         raise table.fail("channels", f"{len(own['channels'])} channels for an array of {len(array)} gyros")
     channels = (CanChannel(n, **c.read_all("bench.channel")) for n, c in zip(array.names, own["channels"], strict=True))
-    return CanSource(own["dbc"] or BUILT_IN_DBC, tuple(channels))
+    return CanMapping(device, own["dbc"] or BUILT_IN_DBC, tuple(channels))

@@ -50,17 +50,12 @@ def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, lin
 
 def _axes(spec: TableSpec, names: Sequence[str]) -> dict[str, Data]:
     """Return axes as they are proposed; their addresses go by their names, that of x first."""
-    order = sorted(names)
-    counts = {"counts_per_turn": spec.proposed_counts} if spec.proposed_counts else {}
-    usual = {**counts, "max_rate": "100 deg/s", "max_acceleration": "50 deg/s2"}
-    return {name: {**_address(spec, min(order.index(name), len(spec.addresses) - 1)), **usual} for name in names}
-
-
-def _address(spec: TableSpec, index: int) -> Data:
+    order, last = sorted(names), len(spec.addresses) - 1
+    usual: Data = {"counts_per_turn": spec.proposed_counts} if spec.proposed_counts else {}
+    usual |= {"max_rate": "100 deg/s", "max_acceleration": "50 deg/s2"}
     if spec.address is None:
-        return {}
-    text = spec.addresses[index]
-    return {spec.address.name: int(text) if spec.address.kind == "integer" else text}
+        return dict.fromkeys(names, usual)
+    return {name: {spec.address.name: spec.addresses[min(order.index(name), last)], **usual} for name in names}
 
 
 def _proposed(spec: TableSpec, asked: Data, usual: Data, before: Data) -> Data:
@@ -70,7 +65,7 @@ def _proposed(spec: TableSpec, asked: Data, usual: Data, before: Data) -> Data:
         return kept
     name = spec.address.name
     taken = [axis[name] for axis in asked.values() if isinstance(axis, dict)]
-    free = [address for index in range(len(spec.addresses)) if (address := _address(spec, index)[name]) not in taken]
+    free = [address for address in spec.addresses if address not in taken]
     return {**kept, name: free[0] if usual[name] in taken and free else usual[name]}
 
 

@@ -8,7 +8,6 @@ from sims.physics.hidden import HiddenError
 from sims.wires.faults import DeviceFaults, TableFault, WireFaults, device_faults, table_faults
 from sims.wires.frames import NodeFaults
 from station.bench.bench import Bench
-from station.errors import BenchError
 from station.schema.tables import Table
 
 
@@ -30,7 +29,7 @@ def read_faults(of_table: Any, truths: Table, bench: Bench) -> BenchFaults:
             said = truths.again().table(imu.name, optional=True).value("fault", {})
             devices[imu.name], wires[imu.name] = device_faults(said, len(imu.array), f"twin.{imu.name}.fault")
     except HiddenError as error:
-        raise BenchError(str(error)) from None
+        raise truths.fail_at(str(error)) from None
     return BenchFaults(fault, devices, wires)
 
 

@@ -211,10 +211,11 @@ def hidden_of(bench: Bench) -> Hidden | None:
     """Return what is wrong with the twins of a bench; BenchError for a file that cannot be right."""
     if bench.twin.hidden is None:
         return None
+    top = Table.load(bench.twin.hidden, BenchError)
     try:
-        return Hidden.load(bench.twin.hidden)
+        return Hidden.of({name: top.value(name) for name in top.remaining()})
     except HiddenError as error:
-        raise BenchError(str(error)) from None
+        raise top.fail_at(str(error)) from None
 
 
 def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:

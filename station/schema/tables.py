@@ -48,6 +48,13 @@ class Table(StrictTable):
         except tomllib.TOMLDecodeError as reason:
             raise error(f"{file}: not valid TOML: {reason}") from None
 
+    def fail_at(self, message: str) -> Exception:
+        """Return an error of a message that begins with where it is in the file: "tone.1.size: ..."."""
+        where, _, what = message.partition(": ")
+        *way, key = (int(part) if part.isdigit() else part for part in where.split("."))
+        place = type(self)({}, tuple(way), self._text, self._file, self._error)
+        return place.fail(str(key), what)
+
     def read(
         self, section: str, folder: Path = Path(), *, each: int = 1, **made: Callable[[str, Path], Any]
     ) -> dict[str, Any]:

@@ -482,13 +482,36 @@ def test_a_bench_names_its_hidden_effects_by_a_file_beside_it(tmp_path: Path) ->
     np.testing.assert_allclose(off - plain, column(np.where(np.arange(1, 1701) >= 500, DEG, 0.0)), atol=1e-12)
 
 
-@pytest.mark.parametrize("hidden", ['[latency]\ndelay = "1 deg"\n', "[latency", None])
-def test_a_wrong_file_is_a_wrong_bench(tmp_path: Path, hidden: str | None) -> None:
+TONE = '[[tone]]\nfrequency = "7 Hz"\nsize = "1 deg/s"\n'
+
+
+@pytest.mark.parametrize(
+    ("hidden", "told"),
+    [
+        ('[latency]\ndelay = "1 deg"\n', ", line 2: latency.delay: '1 deg': unit 'deg' does not measure"),
+        ('[latency]\n\n[bandwidth]\ncutoff = "1 Hz"', ", line 1: latency: delay is missing"),
+        ('# nothing\n[latency]\ndealy = "1 ms"\n', ", line 2: latency: unknown key 'dealy'; did you mean delay"),
+        (TONE + TONE.replace("1 deg/s", "1 K"), ", line 6: tone.1.size: '1 K': there is no unit 'K'"),
+        ("[latency", "not valid TOML"),
+        (None, "cannot read"),
+    ],
+)
+def test_a_wrong_file_is_a_wrong_bench(tmp_path: Path, hidden: str | None, told: str) -> None:
     bench = load_bench(bench_file(tmp_path, hidden or ""))
     if hidden is None:
         (tmp_path / "wrong.toml").unlink()
-    with pytest.raises(BenchError, match="wrong.toml"):
+    with pytest.raises(BenchError) as caught:
         simulate_bench(bench, SCRIPT, 1)
+    assert "wrong.toml" in str(caught.value)
+    assert told in str(caught.value)
+
+
+def test_a_fault_that_cannot_be_is_told_with_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bench.toml"
+    path.write_text(default_bench_text() + '\n[twin.array.fault]\nstuck = 1\nloss = "120 deg"\n')
+    assert main(["run", "--bench", str(path), "-o", str(tmp_path / "r.h5")]) == 2
+    line = path.read_text().splitlines().index('loss = "120 deg"') + 1
+    assert f"bench.toml, line {line}: twin.array.fault.loss: " in capsys.readouterr().err
 
 
 def test_lists_that_do_not_fit_a_device_are_told_when_the_bench_is_opened(

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from sims.physics.hidden.biases import KINDS as BIASES
 from sims.physics.hidden.converter import KINDS as CONVERTER
@@ -43,31 +41,19 @@ class Hidden:
 
     @classmethod
     def of(cls, tables: Mapping[str, object]) -> Hidden:
-        """Return what tables of texts with units say; HiddenError with table and key for what is wrong.
+        """Return what tables of texts with units say; HiddenError for what is wrong, which begins with table and key.
 
-        An effect that is there more than once is a list of tables.
+        An effect that is there more than once is a list of tables, named in errors by its place: "tone.1".
         """
         refuse_unknown(tables, dict.fromkeys(("devices", Temperature.name, *KINDS)), "hidden effects")
         effects: list[object] = []
         for name, kind in KINDS.items():
             if name in tables:
                 said = tables[name]
-                several = said if isinstance(said, list | tuple) else [said]
-                effects.extend(read(kind, one, name) for one in several)
+                several = enumerate(said) if isinstance(said, list | tuple) else [("", said)]
+                effects.extend(read(kind, one, f"{name}.{place}".rstrip(".")) for place, one in several)
         temperature = read(Temperature, tables["temperature"], "temperature") if "temperature" in tables else None
         return cls(tuple(effects), temperature, _devices(tables.get("devices")))
-
-    @classmethod
-    def load(cls, path: Path) -> Hidden:
-        """Read a hidden-effects file; HiddenError with its name for what is wrong."""
-        try:
-            return cls.of(tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError) as error:
-            raise HiddenError(f"cannot read hidden effects {path}: {error}") from None
-        except tomllib.TOMLDecodeError as error:
-            raise HiddenError(f"{path}: not valid TOML: {error}") from None
-        except HiddenError as error:
-            raise HiddenError(f"{path}: {error}") from None
 
     def of_device(self, name: str) -> Hidden:
         """Return what is hidden from this device: effects of its gyros only if it is among the devices."""
