@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers.errors import DeviceError, LinkLost
 from drivers.imus.registry import IMUS, USUAL_IMU
-from drivers.plugins import PluginError, load_file, records_of
+from drivers.plugins import load_file, records_of
 from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.registry import TABLES, USUAL_TABLE
 from drivers.types import AxisState, Floats, ImuBlock, SourceCounts
@@ -260,14 +260,11 @@ def complaint(spec: ImuSpec | TableSpec, suite: str, plugins: Sequence[Path] = (
 def command_conformance(arguments: argparse.Namespace) -> int:
     """Try the devices of a Python file, or one by its protocol; 0 if all pass, 1 if not."""
     name, plugins = arguments.module, [Path(arguments.module)] if arguments.module.endswith(".py") else []
-    try:
-        modules = [load_file(path) for path in plugins]
-        found: list[ImuSpec | TableSpec] = []
-        for module in modules:
-            found += [*records_of(module, ImuSpec), *records_of(module, TableSpec)]
-        found += [registry[name] for registry in (IMUS, TABLES) if name in registry]
-    except PluginError as error:
-        raise UsageError(str(error)) from None
+    modules = [load_file(path) for path in plugins]
+    found: list[ImuSpec | TableSpec] = []
+    for module in modules:
+        found += [*records_of(module, ImuSpec), *records_of(module, TableSpec)]
+    found += [registry[name] for registry in (IMUS, TABLES) if name in registry]
     if not found:
         raise UsageError(f"{not_one_of(name, [*IMUS, *TABLES])}; or give a .py with an ImuSpec or a TableSpec")
     told = []

@@ -65,7 +65,12 @@ def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
             f"{arguments.recording} holds the devices {', '.join(exported.devices)}: name one with --device, or "
             "several that are one array by giving it several times"
         )
-    return exported, form.write(exported)
+    try:
+        return exported, form.write(exported)
+    except Exception as error:
+        if arguments.format in FORMATS and not FORMATS.origin(arguments.format):
+            raise  # a defect of our own
+        raise UsageError(f"the form {arguments.format} failed: {type(error).__name__}: {error}") from None
 
 
 def _print_list(as_json: bool) -> None:

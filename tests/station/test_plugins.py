@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import pytest
 from compensating import compensate
-from estimator.calibration.stored_calibration import read_calibration
+from estimator.calibration.calibration_file import read_calibration
 from support import command
 
 from estimator.calibration.compensation import Compensation
@@ -226,6 +226,11 @@ def test_a_file_given_by_option_is_used_by_commands_without_a_bench_file(
 
     assert main(["export", "run.h5", "--plugin", EFFECT, "--plugin", FORM, "--format", "octave"]) == 0
     assert "function rate = calibrated(raw)" in capsys.readouterr().out
+
+    (tmp_path / "broken.py").write_text(Path(FORM).read_text().replace("constants, dropped =", "constants ="))
+    given = ["--plugin", EFFECT, "--plugin", str(tmp_path / "broken.py")]
+    assert main(["export", "run.h5", *given, "--format", "octave"]) == 2
+    assert re.search(r"^station: the form octave failed: NameError: .*dropped", capsys.readouterr().err)
 
     # What processes beside this one estimate knows the effect, too; what is written names its file.
     for name in ("one.h5", "two.h5"):
