@@ -273,7 +273,19 @@ def _hidden() -> dict[str, Any]:
     return {"type": "object", "properties": properties, "additionalProperties": False}
 
 
+def _faults() -> dict[str, Any]:
+    """Return the schema of [twin.fault] and [twin.NAME.fault]: of table, device and wire."""
+    from sims.physics.hidden.fields import key_of
+    from sims.wires.faults import DeviceFaults, TableFault, WireFaults
+
+    stated = [one for kind in (TableFault, DeviceFaults, WireFaults) for one in fields(kind) if one.metadata]
+    properties = {key_of(one): _field(one) for one in stated}
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
 def _field(one: Any) -> dict[str, Any]:
+    if one.metadata.get("flag"):
+        return {"type": "boolean"}
     if one.metadata.get("whole"):
         return {"type": "integer", "minimum": 1}
     if "choices" in one.metadata:
@@ -330,6 +342,8 @@ def _property(key: Any) -> dict[str, Any]:
         low, _, high = key.bound.partition(" to ")
         one |= {"above_zero": {"exclusiveMinimum": 0}, "not_negative": {"minimum": 0}}.get(low, {})
         one |= {"minimum": float(low), "maximum": float(high)} if high else {}
+    elif key.name == "fault":
+        one = _faults()
     elif key.kind in ("table", "tables", "any"):
         within = _object(*key.of) if key.of else {"type": "object"}
         one = {"table": within, "tables": {"type": "array", "items": within}}.get(key.kind, {})

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import re
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -18,7 +17,7 @@ import can
 import numpy as np
 
 from sims.physics.hidden.errors import HiddenError
-from sims.physics.hidden.fields import choice, given, read, refuse_unknown
+from sims.physics.hidden.fields import check, choice, flag, given, key_of, read, refuse_unknown, share, whole
 from sims.physics.table import FOLLOWING_ERROR, TableModel
 from sims.wires.frames import FrameSink
 from sims.wires.wires import ByteDevice, Plug, Write
@@ -28,7 +27,6 @@ T = TypeVar("T")
 _MOST_UNDER_WAY = 100_000
 _KINDS = {"fault": "fault input", "limit": "limit switch", "servo": FOLLOWING_ERROR, "runaway": ""}
 _RUNAWAY_RPS = math.radians(20.0)
-_KEY = re.compile(r"_s$")  # a key is a field's name without its unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +42,13 @@ class WireFaults:
 
     latency_s: float = field(default=0.0, metadata=given("s", least=0))
     jitter_s: float = field(default=0.0, metadata=given("s", least=0))
-    late: float = field(default=0.0, metadata=given("%", least=0))
+    late: float = field(default=0.0, metadata=share())
     late_by_s: float = field(default=0.0, metadata=given("s", least=0))
-    loss: float = field(default=0.0, metadata=given("%", least=0))
-    doubled: float = field(default=0.0, metadata=given("%", least=0))
-    byte_loss: float = field(default=0.0, metadata=given("%", least=0))
-    bit_flips: float = field(default=0.0, metadata=given("%", least=0))
-    one_byte: bool = False
+    loss: float = field(default=0.0, metadata=share())
+    doubled: float = field(default=0.0, metadata=share())
+    byte_loss: float = field(default=0.0, metadata=share())
+    bit_flips: float = field(default=0.0, metadata=share())
+    one_byte: bool = field(default=False, metadata=flag())
     silent_from_s: float = field(default=math.inf, metadata=given("s", least=0))
     silent_until_s: float = field(default=math.inf, metadata=given("s", least=0))
     unplug_s: float = field(default=math.inf, metadata=given("s", least=0))
@@ -58,7 +56,7 @@ class WireFaults:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
-        _check(self, ("late", "loss", "doubled", "byte_loss", "bit_flips"))
+        check(self)
 
     @property
     def any(self) -> bool:
@@ -80,17 +78,17 @@ class DeviceFaults:
     clock runs.
     """
 
-    stuck: int = 0
-    saturated: int = 0
+    stuck: int = field(default=0, metadata=whole())
+    saturated: int = field(default=0, metadata=whole())
     from_s: float = field(default=0.0, metadata=given("s", least=0))
     until_s: float = field(default=math.inf, metadata=given("s", least=0))
-    dropped: float = field(default=0.0, metadata=given("%", least=0))
-    doubled: float = field(default=0.0, metadata=given("%", least=0))
+    dropped: float = field(default=0.0, metadata=share())
+    doubled: float = field(default=0.0, metadata=share())
     clock: float = field(default=0.0, metadata=given("ppm"))
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
-        _check(self, ("dropped", "doubled"))
+        check(self)
         if min(self.stuck, self.saturated) < 0:
             raise HiddenError("stuck, saturated: gyros are counted from 1")
 
@@ -121,11 +119,11 @@ class TableFault:
 def device_faults(table: Mapping[str, object], gyros: int, where: str) -> tuple[DeviceFaults, WireFaults]:
     """Return what [twin.NAME.fault] says of a device of so many gyros and of its wire; HiddenError if it cannot be."""
     device, wire = _split(table, (DeviceFaults, WireFaults), where)
-    numbers = {
-        key: _number(device.pop(key), gyros, f"{where}.{key}") for key in ("stuck", "saturated") if key in device
-    }
-    found = read(DeviceFaults, device, where)
-    return replace(found, **numbers), _wire(wire, where)
+    found = _read(DeviceFaults, device, where)
+    for key in ("stuck", "saturated"):
+        if (number := getattr(found, key)) > gyros:
+            raise HiddenError(f"{where}.{key}: {number} is not the number of a gyro, 1 to {gyros}")
+    return found, _read(WireFaults, wire, where)
 
 
 def table_faults(
@@ -133,10 +131,10 @@ def table_faults(
 ) -> tuple[TableFault | None, WireFaults]:
     """Return what [twin.fault] says of a table with these axes and of its wire; HiddenError if it cannot be."""
     fault, wire = _split(table, (TableFault, WireFaults), where)
-    found = read(TableFault, fault, where) if fault else None
+    found = _read(TableFault, fault, where) if fault else None
     if found is not None and found.axis not in axes:
         raise HiddenError(f"{where}.axis: the table has no axis {found.axis}; it has {', '.join(axes)}")
-    return found, _wire(wire, where)
+    return found, _read(WireFaults, wire, where)
 
 
 def damaged(data: bytes, faults: WireFaults, random: np.random.Generator) -> bytes:
@@ -265,31 +263,17 @@ def _share(random: np.random.Generator, share: float) -> bool:
     return share > 0 and float(random.random()) < share
 
 
-def _check(faults: Any, shares: tuple[str, ...]) -> None:
-    for what in fields(faults):
-        value, least = getattr(faults, what.name), what.metadata.get("least")
-        if what.name in shares and not 0 <= value <= 1:
-            raise HiddenError(f"{what.name}: give 0 % to 100 %")
-        if least is not None and not value >= least:
-            raise HiddenError(f"{what.name.removesuffix('_s')}: must be {least:g} or more")
-
-
 def _split(table: Mapping[str, object], kinds: tuple[type, type], where: str) -> tuple[dict[str, object], ...]:
     """Return what of a table belongs to each kind, the first of which comes first."""
-    known = [{_KEY.sub("", what.name): what for what in fields(kind)} for kind in kinds]
+    known = [{key_of(what): what for what in fields(kind)} for kind in kinds]
     refuse_unknown(table, known[0] | known[1], where)
     first = {key: value for key, value in table.items() if key in known[0]}
     return first, {key: value for key, value in table.items() if key not in first}
 
 
-def _number(value: object, gyros: int, where: str) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= gyros:
-        raise HiddenError(f"{where}: {value!r} is not the number of a gyro, 1 to {gyros}")
-    return value
-
-
-def _wire(table: dict[str, object], where: str) -> WireFaults:
-    one_byte = table.pop("one_byte", False)
-    if not isinstance(one_byte, bool):
-        raise HiddenError(f"{where}.one_byte: {one_byte!r} is not true or false")
-    return replace(read(WireFaults, table, where), one_byte=one_byte)
+def _read(kind: type[T], table: Mapping[str, object], where: str) -> T:
+    """Return what a table says of a kind; errors begin with where it is."""
+    try:
+        return read(kind, table, where)
+    except HiddenError as error:
+        raise error if str(error).startswith(where) else HiddenError(f"{where}.{error}") from None

@@ -48,9 +48,8 @@ def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link:
     if spec.signals_of_dbc and dialogue.asks:
         imu = ask_gyros(dialogue, imu, folder, checked)
     imu = ask_key(dialogue, imu, _KEYS["rate"], checked=checked)
-    for name in ("arw", "bias_instability"):
-        question = f"{name.replace('arw', 'angle random walk').replace('_', ' ')}, by its data sheet"
-        imu["datasheet"] = ask_key(dialogue, imu["datasheet"], _KEYS[name], question)
+    for name, what in (("arw", "angle random walk"), ("bias_instability", "bias instability")):
+        imu["datasheet"] = ask_key(dialogue, imu["datasheet"], _KEYS[name], f"{what}, by its data sheet")
     return imu
 
 

@@ -50,19 +50,18 @@ def ask_rest(dialogue: Dialogue, bench: Data) -> Data:
 def _twin(bench: Data) -> Data:
     """Return what twins are, of all devices, since any of them may be served by `station twin`."""
     wires = {imu["name"]: "udp_multicast" if IMUS[imu["protocol"]].on_can else "serial" for imu in bench["imu"]}
-    return {
-        "start": ["2 deg"] * len(bench["table"]["gimbals"]),
-        "wires": {"table": "tcp", **wires},
-        **{
-            imu["name"]: {**_KNOWN["truth"], "bias_instability": imu["datasheet"]["bias_instability"]}
-            for imu in bench["imu"]
-        },
-    }
+    truths = {imu["name"]: _KNOWN["truth"] | _stated(imu, "bias_instability") for imu in bench["imu"]}
+    return {"start": ["2 deg"] * len(bench["table"]["gimbals"]), "wires": {"table": "tcp", **wires}, **truths}
+
+
+def _stated(imu: Data, *names: str) -> Data:
+    """Return what the data sheet states of these keys."""
+    return {name: imu["datasheet"][name] for name in names if name in imu["datasheet"]}
 
 
 def _noise_factor(imus: Sequence[Data]) -> int:
     """Return by how much the noisiest gyros are noisier than those that the limits are for; 1 at the least."""
-    sheets = [imu["datasheet"] for imu in imus]
     kinds = {key.name: key.kind for key in keys_of("bench.noise")}
     usual = {name: parse(text, kinds[name]) for name, text in _KNOWN["noise"].items()}
-    return max(1, math.ceil(max(parse(sheet[n], kinds[n]) / usual[n] for sheet in sheets for n in usual)))
+    stated = [item for imu in imus for item in _stated(imu, *usual).items()]
+    return max(1, math.ceil(max(parse(text, kinds[name]) / usual[name] for name, text in stated)))

@@ -140,6 +140,16 @@ def test_gyros_on_can_may_lie_anyhow_and_be_any_signals(tmp_path: Path) -> None:
     assert imu.array.p[0] == pytest.approx([0.5**0.5, 0.5**0.5, 0])
 
 
+def test_what_a_data_sheet_does_not_state_is_left_out(tmp_path: Path) -> None:
+    answers = ["", "modbus", *[""] * 18, "stim300", "", "", "", "-", "", "-", "no", *[""] * 12]
+    done = answered(tmp_path, *answers)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "arw is missing" in done.stdout
+    (imu,) = load_bench(tmp_path / "bench.toml").imus
+    assert imu.noise.instability == 0.0
+    assert main(["check", str(tmp_path / "bench.toml"), "--json"]) == 0
+
+
 def test_a_file_that_is_there_is_not_written_over_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "bench.toml"
     path.write_text("mine")

@@ -94,6 +94,7 @@ def test_what_init_writes_the_schema_takes(table: str, tmp_path: Path) -> None:
         ("bench", 'latitude = "45 deg"', "latitude = 45", ["site", "latitude"]),
         ("bench", "counts_per_turn = 65536", "counts_per_turn = 0", ["table", "x", "counts_per_turn"]),
         ("bench", '"tetrahedron"', '"tetraeder"', ["imu", 0, "array"]),
+        ("bench", "[limits]", '[twin.array.fault]\nlos = "1 %"\n[limits]', ["twin", "array", "fault"]),
         ("bench", "nis_low = 0.8", 'nis_low = "0.8"', ["limits", "nis_low"]),
         ("script", '"rotate"', '"turn"', ["step", 2, "kind"]),
         ("script", "angle =", "angel =", ["step", 1]),

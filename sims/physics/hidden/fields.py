@@ -42,6 +42,16 @@ def given(like: str, *, least: float | None = None) -> dict[str, object]:
     return {"like": like, "least": least}
 
 
+def share() -> dict[str, object]:
+    """Describe a share, 0 to 1."""
+    return {"like": "%", "least": 0.0, "most": 1.0}
+
+
+def flag() -> dict[str, object]:
+    """Describe true or false."""
+    return {"flag": True}
+
+
 def each(like: str, *, least: float | None = None) -> dict[str, object]:
     """Describe a number for all gyros, or a list of one each."""
     return {"like": like, "least": least, "each": True}
@@ -111,11 +121,12 @@ def check(effect: object) -> None:
         if "like" not in what.metadata:
             continue
         value = np.asarray(getattr(effect, what.name), dtype=np.float64)
-        least = what.metadata["least"]
-        if not np.isfinite(value).all() or (least is not None and np.any(value < least)):
+        least, most = what.metadata["least"], what.metadata.get("most")
+        finite = np.isfinite(value).all() or np.all(value == what.default)
+        if not finite or (least is not None and np.any(value < least)) or (most is not None and np.any(value > most)):
             wanted = "a number" if least is None else f"{least:g} or more"
-            name = f"{getattr(effect, 'name', '')}.{key_of(what)}"
-            raise HiddenError(f"{name}: must be {wanted}")
+            name = f"{getattr(effect, 'name', '')}.{key_of(what)}".lstrip(".")
+            raise HiddenError(f"{name}: give 0 % to 100 %" if most is not None else f"{name}: must be {wanted}")
 
 
 def _value(raw: object, what: Field[Any]) -> Any:
@@ -123,6 +134,10 @@ def _value(raw: object, what: Field[Any]) -> Any:
         if what.metadata.get("each") and isinstance(raw, list | tuple):
             return np.array([quantity(r, what.metadata["like"]) for r in raw])
         return quantity(raw, what.metadata["like"])
+    if what.metadata.get("flag"):
+        if not isinstance(raw, bool):
+            raise HiddenError(f"{raw!r} is not true or false")
+        return raw
     if what.metadata.get("whole"):
         if not isinstance(raw, int) or isinstance(raw, bool) or raw < 1:
             raise HiddenError(f"{raw!r} is not a whole number from 1 on")
