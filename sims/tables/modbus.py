@@ -20,10 +20,9 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.order import READ, WRITE_MORE, WRITE_ONE
 from drivers.tables.modbus.registers import DriveProfile, Register
-from sims.physics.table import TableModel
 from sims.tables.drive import Drive
 from sims.wires.faults import FaultyWay, WireFaults, damaged
-from sims.wires.line_controller import Refused
+from sims.wires.line_controller import Refused, Seat
 from sims.wires.wires import ByteDevice, Write
 
 _BROADCAST = 0
@@ -210,26 +209,20 @@ class _Connection(ServerRequestHandler):
             self.send(frame)
 
 
-def drives_by_unit(
-    table: TableModel, profile: DriveProfile, unit_ids: Mapping[str, int], watchdog_s: float
-) -> dict[int, DriveRegisters]:
+def drives_by_unit(seat: Seat) -> dict[int, DriveRegisters]:
     """Return a drive for each axis, by its unit id."""
+    table, profile = seat.table, seat.options["profile"]
     return {
-        unit_id: DriveRegisters(Drive(table, axis, profile, watchdog_s), profile, table.data[axis].counts_per_turn)
-        for axis, unit_id in unit_ids.items()
+        unit_id: DriveRegisters(Drive(table, axis, profile, seat.watchdog_s), profile, table.data[axis].counts_per_turn)
+        for axis, unit_id in seat.addresses.items()
     }
 
 
 def modbus_server(
-    table: TableModel,
-    profile: DriveProfile,
-    unit_ids: Mapping[str, int],
-    address: Address,
-    watchdog_s: float,
-    faults: FaultyModbus | None = None,
+    seat: Seat, address: Address, faults: FaultyModbus | None = None
 ) -> ModbusTcpServer | ModbusSerialServer:
     """Return a server, not yet listening, with one unit id an axis; at a host and port, or on a serial line."""
-    drives = drives_by_unit(table, profile, unit_ids, watchdog_s)
+    drives = drives_by_unit(seat)
     trace = None if faults is None else faults.trace
     nobody = [SimDevice(1, simdata=[SimData(0, datatype=DataType.REGISTERS)])]  # the stock server wants to be given one
     server: ModbusTcpServer | ModbusSerialServer
