@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 
 import pytest
+from modbus_twin import modbus_server
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.transport import NULLMODEM_HOST
 from setups import setup_of
@@ -19,7 +20,6 @@ from drivers.tables.modbus.registers import DriveProfile, load_profile
 from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits, Identity
 from sims.physics.table import AxisData, TableModel
-from sims.tables.modbus import modbus_server
 from sims.wires.line_controller import Seat
 from station.run.event_loop.loops import VirtualLoop
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from modbus_twin import modbus_server
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from serial_wire import wire
 from setups import setup_of
@@ -22,7 +23,6 @@ from drivers.tables.modbus.registers import load_profile
 from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
-from sims.tables.modbus import modbus_server
 from sims.wires.line_controller import Seat
 from station.run.event_loop.loops import ScaledLoop
 

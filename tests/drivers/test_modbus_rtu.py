@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from modbus_twin import modbus_server
 from pymodbus.client import AsyncModbusSerialClient
 from pymodbus.constants import ExcCodes
 from pymodbus.framer import FramerRTU
@@ -32,7 +33,6 @@ from drivers.tables.modbus.registers import load_profile
 from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
-from sims.tables.modbus import modbus_server
 from sims.wires.line_controller import Seat
 from station.run.event_loop.loops import ScaledLoop, VirtualLoop
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from modbus_twin import modbus_server
 from pymodbus.transport import NULLMODEM_HOST
 from setups import setup_of
 
@@ -21,7 +22,6 @@ from drivers.tables.modbus.registers import DriveProfile, load_profile
 from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits, Identity
 from sims.physics.table import AxisData, TableModel
-from sims.tables.modbus import modbus_server
 from sims.wires.line_controller import Seat
 from station.run.event_loop.loops import ScaledLoop, VirtualLoop
 

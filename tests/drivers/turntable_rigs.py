@@ -10,6 +10,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from modbus_twin import modbus_server
 from pymodbus.transport import NULLMODEM_HOST
 from setups import setup_of, twin_on
 from wire_pair import pair
@@ -24,7 +25,6 @@ from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
 from sims.tables.aerosmith_controller import STA_FAULT
-from sims.tables.modbus import modbus_server
 from sims.wires.line_controller import Seat
 from station.run.event_loop.loops import VirtualLoop
 

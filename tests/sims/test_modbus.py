@@ -11,13 +11,13 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
+from modbus_twin import modbus_server
 from pymodbus.framer import FramerRTU
 from pymodbus.transport import NULLMODEM_HOST, CommParams, CommType, ModbusProtocol
 
 from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import load_profile
 from sims.physics.table import AxisData, TableModel
-from sims.tables.modbus import modbus_server
 from sims.wires.line_controller import Seat
 from station.run.event_loop.loops import VirtualLoop
 
