@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel
+from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanSource
 from drivers.imus.described.imu import Description
 from drivers.imus.registry import IMUS
 from drivers.plugins import Registry
@@ -22,15 +22,6 @@ from station.bench.table import TWIN
 from station.schema.tables import Table
 
 _NOT_NAMES = ("table", "seed", "watchdog", "start", "fault", "faults", "hidden", "started", "wires")
-
-
-@dataclass(frozen=True, slots=True)
-class CanSource:
-    """What on a CAN bus is a device: its DBC, the signals of its sources, the J1939 address if only one is meant."""
-
-    dbc: Path
-    channels: tuple[CanChannel, ...]
-    source_address: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
