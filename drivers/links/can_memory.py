@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +9,7 @@ import can
 
 
 class MemoryBus(can.BusABC):
-    """One node of a bus in memory. ``on_message`` is called for each frame of the others; else ``recv`` gives it."""
+    """One node of a bus in memory; ``on_message`` is called for each frame of the others."""
 
     _buses: dict[str, list[MemoryBus]] = {}  # noqa: RUF012  # nodes find each other by channel, within a process
 
@@ -19,21 +18,13 @@ class MemoryBus(can.BusABC):
         super().__init__(channel)
         self.channel_info = f"memory bus {channel}"
         self._channel, self._on_message = channel, on_message
-        self._waiting: deque[can.Message] = deque()
         self._buses.setdefault(channel, []).append(self)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Hand a frame to all other nodes; it must not be changed afterwards."""
         for bus in self._buses[self._channel]:
-            if bus is self:
-                continue
-            if bus._on_message is not None:
+            if bus is not self and bus._on_message is not None:
                 bus._on_message(msg)
-            else:
-                bus._waiting.append(msg)
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        return (self._waiting.popleft() if self._waiting else None), False
 
     def shutdown(self) -> None:
         """Leave the bus."""

@@ -19,13 +19,10 @@ _RANGE_RPS = math.radians(2000)
 class CanNodes:
     """Sends each channel's messages regularly; those that carry nothing but a temperature, once a second."""
 
-    def __init__(self, ride: Ride, bus: FrameSink, *, database: Any = None) -> None:
-        """The signals are those of the driver, in the order of the gyros; ``database`` is used in place of the DBC.
-
-        DeviceError for signals that the DBC does not have.
-        """
+    def __init__(self, ride: Ride, bus: FrameSink) -> None:
+        """The signals are the driver's, in the order of the gyros; DeviceError for what the DBC does not have."""
         dbc, channels = ride.signals.dbc, ride.signals.channels
-        database = database or load_dbc(_BUILT, dbc)
+        database = ride.signals.database or load_dbc(_BUILT, dbc)
         self._ride, self._bus, self._rate_hz, self.faults = ride, bus, ride.rate_hz, ride.faults
         self._feels = any(channel.acceleration for channel in channels)
         self._nodes: list[_Node] = []

@@ -15,7 +15,7 @@ class DescribedDevice(CanNodes):
     def __init__(self, ride: Ride, write: Callable[[bytes], None]) -> None:
         """The signals of the ride are a ``Description``."""
         description: Description = ride.signals
-        super().__init__(ride, self, database=description.database)
+        super().__init__(ride, self)
         self._write, self._framing = write, description.framing
         self._start, self._stop = (
             b"".join(data for data, _ in phrases) for phrases in (description.start, description.stop)

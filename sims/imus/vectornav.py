@@ -13,10 +13,9 @@ from drivers.packaged import packaged_codes, packaged_toml
 from drivers.types import Floats, Ints
 from sims.physics.geometry import tilt_deg, upright
 from sims.wires.burst import burst_of, copies_sent
-from sims.wires.frames import Ride
+from sims.wires.frames import STANDARD_GRAVITY_MPS2, Ride
 from sims.wires.line_controller import Refused
 
-STANDARD_GRAVITY_MPS2 = 9.80665
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 128000, 230400, 460800, 921600)
 
 _TICK_NS = 1_000_000_000 // vectornav.IMU_RATE_HZ

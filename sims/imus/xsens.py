@@ -13,11 +13,10 @@ from drivers.packaged import packaged_codes
 from drivers.types import Flags, Floats, Ints
 from sims.physics.geometry import tilt_deg
 from sims.wires.burst import burst_of, copies_sent
-from sims.wires.frames import Ride
+from sims.wires.frames import STANDARD_GRAVITY_MPS2, Ride
 
 _TICKS_PER_S = round(1 / mtdata2.SAMPLE_TIME_TICK_S)
 _GYRO_RANGE_RPS = math.radians(2000)
-_STANDARD_GRAVITY_MPS2 = 9.80665
 _INVALID_MESSAGE, _INVALID_PARAMETER = 4, 33
 _SELF_TEST_PASSED = 1
 _COUNTS_AND_STATUS = (
@@ -208,7 +207,7 @@ class XsensDevice:
         force_g = self._force_g(at) if self._force_g is not None else np.full((len(at), 3), np.nan)
         made: dict[int, Callable[[], Floats | Ints]] = {
             mtdata2.RATE_OF_TURN: lambda: rate,
-            mtdata2.ACCELERATION: lambda: force_g * _STANDARD_GRAVITY_MPS2,
+            mtdata2.ACCELERATION: lambda: force_g * STANDARD_GRAVITY_MPS2,
             mtdata2.EULER_ANGLES: lambda: tilt_deg(force_g),
             mtdata2.TEMPERATURE: lambda: np.full((len(at), 1), self._gyros.temperature_c(float(at[-1]))),
             mtdata2.PACKET_COUNTER: lambda: (numbers % mtdata2.PACKET_COUNTER_MODULUS)[:, None],

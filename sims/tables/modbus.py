@@ -13,17 +13,15 @@ from typing import Any
 
 from pymodbus.constants import ExcCodes
 from pymodbus.framer import FramerRTU
-from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.server import ModbusTcpServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.order import READ, WRITE_MORE, WRITE_ONE
 from drivers.tables.modbus.registers import DriveProfile, Register
-from sims.physics.table import TableModel
 from sims.tables.drive import Drive
 from sims.wires.faults import FaultyWay, WireFaults, damaged
-from sims.wires.line_controller import Refused
+from sims.wires.line_controller import Refused, Seat
 from sims.wires.wires import ByteDevice, Write
 
 _BROADCAST = 0
@@ -31,6 +29,8 @@ _MOST_READ, _MOST_WRITTEN = 125, 123  # registers a request
 _HEADER = struct.Struct(">HHH")  # on TCP: transaction, protocol, length
 _LENGTHS = range(2, 255)  # of unit id and PDU
 _LONGEST_FRAME = 256  # on RTU
+NOBODY = [SimDevice(1, simdata=[SimData(0, datatype=DataType.REGISTERS)])]
+"""Whom a stock server wants to be given to serve."""
 
 
 class FaultyModbus(FaultyWay[bytes]):
@@ -41,7 +41,7 @@ class FaultyModbus(FaultyWay[bytes]):
         # A reply is late by what request and reply take: the stock server has no place for two requests at once.
         both = replace(faults, latency_s=2 * faults.latency_s, jitter_s=2 * faults.jitter_s)
         super().__init__(self._write, both, seed)
-        self.server: ModbusTcpServer | ModbusSerialServer | None = None
+        self.server: ModbusTcpServer | None = None
 
     def trace(self, sending: bool, data: bytes) -> bytes:
         """Return what comes through of a frame at once."""
@@ -59,7 +59,7 @@ class FaultyModbus(FaultyWay[bytes]):
                 connection.transport.write(data)  # type: ignore[attr-defined]
 
 
-def pull_plug(server: ModbusTcpServer | ModbusSerialServer) -> None:
+def pull_plug(server: ModbusTcpServer) -> None:
     """Close all connections of a server and have it listen no more, until ``listen`` is called at the same address."""
     for bound in getattr(server.transport, "sockets", ()):
         server.init_setup_connect_listen(*bound.getsockname()[:2])  # also where any port was asked for
@@ -192,14 +192,16 @@ class ModbusRtu:
             self._write(reply + FramerRTU.compute_CRC(reply).to_bytes(2))
 
 
-class _Connection(ServerRequestHandler):
+class Connection(ServerRequestHandler):
     """One master's connection to a stock server, whose transport it keeps."""
 
     def __init__(self, server: Any, make: Callable[[Write], ByteDevice]) -> None:
+        """Serve it by what ``make`` makes, given how to write."""
         super().__init__(server, server.trace_packet, None, server.trace_connect)  # type: ignore[no-untyped-call]
         self._device = make(self._say)
 
     def data_received(self, data: bytes) -> None:
+        """Take bytes from the master; a device that cannot tell where the next request begins closes."""
         try:
             self._device.received(self.trace_packet(False, data))
         except ConnectionError:
@@ -210,43 +212,20 @@ class _Connection(ServerRequestHandler):
             self.send(frame)
 
 
-def drives_by_unit(
-    table: TableModel, profile: DriveProfile, unit_ids: Mapping[str, int], watchdog_s: float
-) -> dict[int, DriveRegisters]:
+def drives_by_unit(seat: Seat) -> dict[int, DriveRegisters]:
     """Return a drive for each axis, by its unit id."""
+    table, profile = seat.table, seat.options["profile"]
     return {
-        unit_id: DriveRegisters(Drive(table, axis, profile, watchdog_s), profile, table.data[axis].counts_per_turn)
-        for axis, unit_id in unit_ids.items()
+        unit_id: DriveRegisters(Drive(table, axis, profile, seat.watchdog_s), profile, table.data[axis].counts_per_turn)
+        for axis, unit_id in seat.addresses.items()
     }
 
 
-def modbus_server(
-    table: TableModel,
-    profile: DriveProfile,
-    unit_ids: Mapping[str, int],
-    address: Address,
-    watchdog_s: float,
-    faults: FaultyModbus | None = None,
-) -> ModbusTcpServer | ModbusSerialServer:
-    """Return a server, not yet listening, with one unit id an axis; at a host and port, or on a serial line."""
-    drives = drives_by_unit(table, profile, unit_ids, watchdog_s)
-    trace = None if faults is None else faults.trace
-    nobody = [SimDevice(1, simdata=[SimData(0, datatype=DataType.REGISTERS)])]  # the stock server wants to be given one
-    server: ModbusTcpServer | ModbusSerialServer
-    if not isinstance(address, SerialPort):
-        server = ModbusTcpServer(nobody, address=address, trace_packet=trace)
-        make: Callable[[Write], ByteDevice] = partial(ModbusTcp, drives)
-    else:
-        server = ModbusSerialServer(
-            nobody,
-            trace_packet=trace,
-            port=address.port,
-            baudrate=address.baud,
-            parity=address.parity,
-            stopbits=address.stop_bits,
-        )
-        make = partial(ModbusRtu, drives, address.silence_s)
-    server.callback_new_connection = partial(_Connection, server, make)  # type: ignore[method-assign]
+def modbus_server(seat: Seat, address: tuple[str, int], faults: FaultyModbus | None = None) -> ModbusTcpServer:
+    """Return a server, not yet listening, with one unit id an axis, at a host and port."""
+    server = ModbusTcpServer(NOBODY, address=address, trace_packet=None if faults is None else faults.trace)
+    make = partial(ModbusTcp, drives_by_unit(seat))
+    server.callback_new_connection = partial(Connection, server, make)  # type: ignore[method-assign]
     if faults is not None:
         faults.server = server
     return server

@@ -15,8 +15,7 @@ __all__ = ["TWINS", "Seat", "twin_of"]
 
 
 def _modbus(seat: Seat, write: Write) -> ByteDevice:
-    drives = drives_by_unit(seat.table, seat.options["profile"], seat.addresses, seat.watchdog_s)
-    return ModbusRtu(drives, SerialPort("").silence_s, write)
+    return ModbusRtu(drives_by_unit(seat), SerialPort("").silence_s, write)
 
 
 TWINS: dict[str, Callable[[Seat, Write], ByteDevice]] = {

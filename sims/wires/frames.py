@@ -10,7 +10,7 @@ import numpy as np
 from drivers.types import Floats
 from sims.physics.gyro import GyroArray
 
-_STANDARD_GRAVITY_MPS2 = 9.80665
+STANDARD_GRAVITY_MPS2 = 9.80665
 
 
 class FrameSink(Protocol):
@@ -82,4 +82,4 @@ class Ride:
 
     def force_mps2(self, t_s: Floats) -> Floats:
         """Return what its accelerometers sense (n, 3), in m/s2, at instants (n,); 0 if nobody tells."""
-        return np.zeros((len(t_s), 3)) if self.up is None else self.up(t_s) * _STANDARD_GRAVITY_MPS2
+        return np.zeros((len(t_s), 3)) if self.up is None else self.up(t_s) * STANDARD_GRAVITY_MPS2

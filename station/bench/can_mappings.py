@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import drivers.imus.can.dbc
-from drivers.imus.can.imu import CanChannel
+from drivers.imus.can.imu import CanChannel, CanSource
 from drivers.imus.signals import UNITS, plain_unit
 from station.errors import UsageError
 from station.schema.tables import Table
@@ -18,16 +18,10 @@ class MappingError(UsageError):
 
 
 @dataclass(frozen=True, slots=True)
-class CanMapping:
-    """An IMU on CAN: its DBC, and its sources in the order of the array's gyros.
+class CanMapping(CanSource):
+    """An IMU on CAN, with its sources in the order of the array's gyros."""
 
-    ``source_address`` is the J1939 address to listen to, if only one.
-    """
-
-    name: str
-    dbc: Path
-    channels: tuple[CanChannel, ...]
-    source_address: int | None = None
+    name: str = ""
 
     @property
     def gyros(self) -> int:
@@ -49,7 +43,7 @@ def load_mapping(name_or_path: str, folder: Path | None = None) -> CanMapping:
         table.done()
     if not sources:
         raise top.fail(None, "needs one [[sources]] or more")
-    return CanMapping(own["name"], own["dbc"], sources, own["source_address"])
+    return CanMapping(own["dbc"], sources, own["source_address"], name=own["name"])
 
 
 def shipped_or_own(name_or_path: str, folder: Path | None, shipped: Path, what: str, error: type[UsageError]) -> Path:

@@ -52,7 +52,8 @@ def load_description(name_or_path: str, folder: Path | None = None, device: str 
         raise top.fail("frame", str(error)) from None
     channel = _checked(top, source, {signal.name: signal for signal in signals})
     start, stop = (tuple(map(_phrase, own[key])) for key in ("start", "stop"))
-    return Description(path, (replace(channel, name=device),), framing, database, start, stop)
+    channels = (replace(channel, name=device),)
+    return Description(path, channels, database=database, framing=framing, start=start, stop=stop)
 
 
 def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChannel:

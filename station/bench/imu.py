@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel
+from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanSource
 from drivers.imus.described.imu import Description
 from drivers.imus.registry import IMUS
 from drivers.plugins import Registry
@@ -16,7 +16,7 @@ from estimator.errors import GeometryError
 from estimator.geometry.array import SensorArray, cone, dodecahedron, sensor_array, tetrahedron, triad
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
-from station.bench.can_mappings import CanMapping, channels_of, load_mapping
+from station.bench.can_mappings import channels_of, load_mapping
 from station.bench.descriptions import load_description
 from station.schema.tables import Table, keys_of, known_in
 
@@ -38,7 +38,7 @@ class ImuConfig:
     array_name: str
     array: SensorArray
     rate_hz: float
-    can: CanMapping | Description | None
+    can: CanSource | None
     noise: NoiseModel
     prior: Prior
     used: bool
@@ -72,7 +72,7 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     array_name, array = _array(table, name)
     if spec.gyros not in (None, len(array)):
         raise table.fail("array", f"protocol {spec.name} has {spec.gyros} gyros, this array {len(array)}")
-    can: CanMapping | Description | None = None
+    can: CanSource | None = None
     if spec.signals_of_dbc:
         can = _can(table, folder, name, array)
     elif spec.described:
@@ -108,10 +108,10 @@ def _array(table: Table, device: str) -> tuple[str, SensorArray]:
         raise table.fail("p" if explicit else "array", f"{device}: {error}") from None
 
 
-def _can(table: Table, folder: Path, device: str, array: SensorArray) -> CanMapping:
+def _can(table: Table, folder: Path, device: str, array: SensorArray) -> CanSource:
     """Return the signals: those of a mapping file, or one channel a gyro as the bench file lists them."""
 
-    def mapped(name: str, folder: Path) -> CanMapping:
+    def mapped(name: str, folder: Path) -> CanSource:
         mapping = load_mapping(name, folder)
         return replace(mapping, channels=channels_of(mapping, device, array.names))
 
@@ -121,4 +121,4 @@ def _can(table: Table, folder: Path, device: str, array: SensorArray) -> CanMapp
     if len(own["channels"]) != len(array):
         raise table.fail("channels", f"{len(own['channels'])} channels for an array of {len(array)} gyros")
     channels = (CanChannel(n, **c.read_all("bench.channel")) for n, c in zip(array.names, own["channels"], strict=True))
-    return CanMapping(device, own["dbc"] or BUILT_IN_DBC, tuple(channels))
+    return CanSource(own["dbc"] or BUILT_IN_DBC, tuple(channels))

@@ -80,8 +80,7 @@ class Twins:
         """Serve the controller of a driver that opens links itself at a host and port; return pymodbus's server."""
         faults = self._faults.wires["table"]
         wire = FaultyModbus(faults, self._seed("table")) if faults.any else None
-        seat = self._seat()
-        server = modbus_server(seat.table, seat.options["profile"], seat.addresses, address, seat.watchdog_s, wire)
+        server = modbus_server(self._seat(), address, wire)
         try:
             await server.serve_forever(background=True)
         except RuntimeError:

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from drivers.errors import DeviceError, LinkLost
-from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanImu
+from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanImu, CanSource
 from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
+from drivers.specs import ImuSetup
 from drivers.types import ImuBlock, SourceCounts
 from station.run.event_loop.loops import VirtualLoop
 
@@ -36,7 +37,7 @@ def received(
     async def main() -> tuple[dict[str, list[ImuBlock]], dict[str, SourceCounts]]:
         name = f"can test {next(_buses)}"
         link = CanLink("array", "memory", name, {})
-        imu = CanImu("array", link, BUILT_IN_DBC, channels, 100.0)
+        imu = CanImu(ImuSetup("array", 100.0, 0.5, signals=CanSource(BUILT_IN_DBC, channels)), link)
         await imu.open()
         found: dict[str, list[ImuBlock]] = {channel: [] for channel in imu.names}
 
@@ -148,13 +149,19 @@ def test_a_lost_frame_is_counted() -> None:
 )
 def test_an_unknown_signal_is_refused_by_name(signal: str) -> None:
     with pytest.raises(DeviceError, match=r"array: gyro_nodes\.dbc has no signal .*MESSAGE\.Signal"):
-        CanImu("array", CanLink("array", "memory", "nowhere", {}), BUILT_IN_DBC, (CanChannel("g1", signal),), 100.0)
+        CanImu(
+            ImuSetup("array", 100.0, 0.5, signals=CanSource(BUILT_IN_DBC, (CanChannel("g1", signal),))),
+            CanLink("array", "memory", "nowhere", {}),
+        )
 
 
 def test_a_rate_signal_that_is_no_rate_is_refused() -> None:
     channel = CanChannel("g1", "GYRO1_TEMPERATURE.Temperature")
     with pytest.raises(DeviceError, match="unit 'degC', not deg/s or rad/s"):
-        CanImu("array", CanLink("array", "memory", "nowhere", {}), BUILT_IN_DBC, (channel,), 100.0)
+        CanImu(
+            ImuSetup("array", 100.0, 0.5, signals=CanSource(BUILT_IN_DBC, (channel,))),
+            CanLink("array", "memory", "nowhere", {}),
+        )
 
 
 @pytest.mark.parametrize("text", [None, "this is no DBC"])
@@ -163,7 +170,9 @@ def test_a_dbc_that_cannot_be_read_is_refused(tmp_path: Path, text: str | None) 
     if text is not None:
         dbc.write_text(text)
     with pytest.raises(DeviceError, match=r"array: DBC file odd\.dbc cannot be read"):
-        CanImu("array", CanLink("array", "memory", "nowhere", {}), dbc, CHANNELS, 100.0)
+        CanImu(
+            ImuSetup("array", 100.0, 0.5, signals=CanSource(dbc, CHANNELS)), CanLink("array", "memory", "nowhere", {})
+        )
 
 
 def test_an_extended_frame_of_the_same_number_is_another_message() -> None:

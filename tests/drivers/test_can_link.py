@@ -8,7 +8,6 @@ import socket
 import tty
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
-from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -17,8 +16,9 @@ import pytest
 from can_support import gyros
 
 from drivers.errors import LinkLost
-from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanImu
+from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanImu, CanSource
 from drivers.links.can_link import CanLink
+from drivers.specs import ImuSetup
 from drivers.types import Frame
 from sims.imus.can_nodes import CanNodes
 from sims.wires.frames import Ride
@@ -333,10 +333,10 @@ def test_python_cans_own_socketcand_reads_the_twin() -> None:
 
 def test_the_can_twin_is_measured_over_slcan_and_over_socketcand() -> None:
     channels = tuple(CanChannel(f"g{i}", f"GYRO{i}_RATE.Rate") for i in (1, 2, 3))
-    signals = SimpleNamespace(dbc=BUILT_IN_DBC, channels=channels)
+    signals = CanSource(BUILT_IN_DBC, channels)
 
     async def measure(link: CanLink, bus: Any) -> None:
-        imu = CanImu("imu", link, BUILT_IN_DBC, channels, 200.0)
+        imu = CanImu(ImuSetup("imu", 200.0, 0.5, signals=CanSource(BUILT_IN_DBC, channels)), link)
         twin = asyncio.create_task(CanNodes(Ride(gyros(200.0), 200.0, signals=signals), bus).serve())
         seen: dict[str, list[float]] = {name: [] for name in imu.names}
         async with asyncio.timeout(5):

@@ -6,7 +6,6 @@ import asyncio
 import re
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -16,9 +15,10 @@ import pytest
 from can_support import Flood, collect, gyros, in_virtual_time, vectors, wire
 
 from drivers.errors import DeviceError, LinkLost
-from drivers.imus.can.imu import CanChannel, CanImu
+from drivers.imus.can.imu import CanChannel, CanImu, CanSource
 from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
+from drivers.specs import ImuSetup
 from drivers.types import ImuBlock, SourceCounts
 from sims.imus.can_nodes import CanNodes
 from sims.wires.frames import NodeFaults, Ride
@@ -97,16 +97,12 @@ def run(
             send = bus.send
             bus.send = lambda msg, timeout=None: [send(m) for m in tamper(msg)] and None  # type: ignore[method-assign]
         imu = CanImu(
-            "imu",
+            ImuSetup("imu", rate_hz, 0.5, signals=CanSource(mapping.dbc, channels(mapping), mapping.source_address)),
             CanLink("imu", "memory", name, {}),
-            mapping.dbc,
-            channels(mapping),
-            rate_hz,
-            source_address=mapping.source_address,
         )
         await imu.open()
         array = gyros(rate_hz, RATES_DPS) if mapping.gyros == 3 else _Pair(gyros(rate_hz, RATES_DPS))
-        signals = SimpleNamespace(dbc=mapping.dbc, channels=channels(mapping))
+        signals = CanSource(mapping.dbc, channels(mapping))
         ride = Ride(array, rate_hz, up, faults or NodeFaults(), signals=signals)  # type: ignore[arg-type]
         twin = CanNodes(ride, bus)
         task = asyncio.create_task(twin.serve())
@@ -366,13 +362,19 @@ def test_signals_that_cannot_be_what_the_mapping_says_are_refused(
 ) -> None:
     mapping = own_mapping(tmp_path, **more)
     with pytest.raises(DeviceError, match=re.escape(message)):
-        CanImu("imu", CanLink("imu", "memory", "nowhere", {}), mapping.dbc, channels(mapping), 100.0)
+        CanImu(
+            ImuSetup("imu", 100.0, 0.5, signals=CanSource(mapping.dbc, channels(mapping))),
+            CanLink("imu", "memory", "nowhere", {}),
+        )
 
 
 def test_rates_of_one_source_must_be_of_one_message(tmp_path: Path) -> None:
     mapping = own_mapping(tmp_path, OWN_TOML.replace('"M.Z"', '"F.Q"'))
     with pytest.raises(DeviceError, match="X, Y, Q are rates of one source in several messages"):
-        CanImu("imu", CanLink("imu", "memory", "nowhere", {}), mapping.dbc, channels(mapping), 100.0)
+        CanImu(
+            ImuSetup("imu", 100.0, 0.5, signals=CanSource(mapping.dbc, channels(mapping))),
+            CanLink("imu", "memory", "nowhere", {}),
+        )
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -411,7 +413,7 @@ def test_random_frames_never_raise_and_are_not_kept(name: str, frames: int) -> N
     own = [(message.frame_id, message.is_extended_frame) for message in database.messages]
 
     async def main() -> int:
-        imu = CanImu("imu", Flood(own, frames), mapping.dbc, channels(mapping), 100.0)
+        imu = CanImu(ImuSetup("imu", 100.0, 0.5, signals=CanSource(mapping.dbc, channels(mapping))), Flood(own, frames))
         most = 0
         with suppress(LinkLost):
             async for _ in imu.blocks():

@@ -17,6 +17,7 @@ from wire_pair import pair
 from drivers.imus.can.imu import ChannelSignals
 from drivers.imus.described.framing import Decoder, Frames
 from drivers.imus.described.imu import DescribedImu, Description
+from drivers.specs import ImuSetup
 from drivers.types import ImuBlock
 from sims.imus.described import DescribedDevice
 from sims.physics.body import Body
@@ -275,7 +276,7 @@ class Bench:
         up = np.array([0.0, 0.0, 1.0])
         ride = Ride(gyros, rate_hz, lambda t_s: np.tile(up, (len(t_s), 1)), self.faults, signals=description)
         self.device = DescribedDevice(ride, lambda data: self.far.write(wire(data)))
-        self.imu = DescribedImu("imu", self.near, description, rate_hz)
+        self.imu = DescribedImu(ImuSetup("imu", rate_hz, 0.5, signals=description), self.near)
 
     async def _hear(self) -> None:
         while True:
@@ -371,7 +372,7 @@ def test_start_and_stop_are_sent_and_the_twin_waits_for_them(hi91: Description) 
     assert bench.heard == b"AT+EOUT=1\r\nLOG ENABLE\r\nAT+EOUT=0\r\nLOG DISABLE\r\n"
     assert not bench.device.running
     unasked = Bench(replace(hi91, stop=()), 100.0)
-    unasked.imu = DescribedImu("imu", unasked.near, replace(hi91, start=()), 100.0)
+    unasked.imu = DescribedImu(ImuSetup("imu", 100.0, 0.5, signals=replace(hi91, start=())), unasked.near)
     assert not len(unasked.run(1.0).t_ns)
 
 

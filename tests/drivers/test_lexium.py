@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 
 import pytest
+from modbus_twin import modbus_server
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.transport import NULLMODEM_HOST
 from setups import setup_of
@@ -19,7 +20,7 @@ from drivers.tables.modbus.registers import DriveProfile, load_profile
 from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits, Identity
 from sims.physics.table import AxisData, TableModel
-from sims.tables.modbus import modbus_server
+from sims.wires.line_controller import Seat
 from station.run.event_loop.loops import VirtualLoop
 
 DEG = math.pi / 180
@@ -46,7 +47,7 @@ async def drives(profile: DriveProfile = PROFILE) -> AsyncIterator[tuple[ModbusT
         axes = {}
         for axis in "xyz":
             address = (NULLMODEM_HOST, next(_wires))
-            server = modbus_server(model, PROFILE, {axis: 1}, address, 0.0)
+            server = modbus_server(Seat(model, {axis: 1}, {"profile": PROFILE}, 0.0), address)
             await server.serve_forever(background=True)
             stack.push_async_callback(server.shutdown)
             axes[axis] = AxisSetup(1, COUNTS, LIMITS, address)

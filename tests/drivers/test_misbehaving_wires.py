@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from misbehaving_wire import KINDS, Kind, Proxy
+from modbus_twin import modbus_server
 from setups import setup_of
 from turntable_rigs import COUNTS, DEG, LIMITS, byte_pair, model_of
 
@@ -24,7 +25,7 @@ from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import load_profile
 from drivers.tables.modbus.table import ModbusTable
 from sims.physics.table import TableModel
-from sims.tables.modbus import modbus_server
+from sims.wires.line_controller import Seat
 from sims.wires.wires import on_pty, on_tcp
 from station.run.event_loop.loops import ScaledLoop
 
@@ -83,7 +84,7 @@ async def joined(protocol: str, proxy: Proxy) -> AsyncIterator[tuple[Any, TableM
                 address, far = await serial_pair(stack, proxy)
             else:
                 far = ("127.0.0.1", 0)
-            server: Any = modbus_server(model, PROFILE, UNIT_IDS, far, 0.0)
+            server: Any = modbus_server(Seat(model, UNIT_IDS, {"profile": PROFILE}, 0.0), far)
             await server.serve_forever(background=True)
             stack.push_async_callback(server.shutdown)
             if protocol != "rtu":

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from modbus_twin import modbus_server
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from serial_wire import wire
 from setups import setup_of
@@ -22,7 +23,7 @@ from drivers.tables.modbus.registers import load_profile
 from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
-from sims.tables.modbus import modbus_server
+from sims.wires.line_controller import Seat
 from station.run.event_loop.loops import ScaledLoop
 
 DEG = math.pi / 180
@@ -54,7 +55,7 @@ async def served(transport: str) -> AsyncIterator[Address]:
     model.motion["y"].jog(-10.0, RATE_RPS, 50 * DEG)
     with wire() as (near, far):
         bound: Address = ("127.0.0.1", 0) if transport == "tcp" else SerialPort(far, 115200)
-        server: Any = modbus_server(model, PROFILE, UNIT_IDS, bound, 0.0)
+        server: Any = modbus_server(Seat(model, UNIT_IDS, {"profile": PROFILE}, 0.0), bound)
         await server.serve_forever(background=True)
         try:
             yield server.transport.sockets[0].getsockname() if transport == "tcp" else SerialPort(near, 115200)

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from modbus_twin import modbus_server
 from pymodbus.client import AsyncModbusSerialClient
 from pymodbus.constants import ExcCodes
 from pymodbus.framer import FramerRTU
@@ -32,7 +33,7 @@ from drivers.tables.modbus.registers import load_profile
 from drivers.tables.modbus.table import ModbusTable
 from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
-from sims.tables.modbus import modbus_server
+from sims.wires.line_controller import Seat
 from station.run.event_loop.loops import ScaledLoop, VirtualLoop
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "modbus_cia402.json").read_text())["vectors"]
@@ -423,7 +424,9 @@ def table_on(port: SerialPort, timeout_s: float) -> ModbusTable:
 async def table_twin(port: SerialPort) -> AsyncIterator[TableModel]:
     data = {axis: AxisData(100 * DEG, 50 * DEG, COUNTS, 0.5 * DEG) for axis in "xyz"}
     model = TableModel(data, asyncio.get_running_loop().time)
-    server = modbus_server(model, load_profile("kinco"), dict(zip("xyz", UNITS, strict=True)), port, 0.0)
+    server = modbus_server(
+        Seat(model, dict(zip("xyz", UNITS, strict=True)), {"profile": load_profile("kinco")}, 0.0), port
+    )
     await server.serve_forever(background=True)
     try:
         yield model

@@ -1,11 +1,12 @@
 """An Aceinna OpenIMU300RI or MTLT305D on CAN: set up and asked over SAE J1939; its data messages are those of a DBC."""
 
 import asyncio
+from dataclasses import replace
 
 from drivers.clocks.loop_scale import loop_scale
 from drivers.errors import DeviceRefused, LinkLost
 from drivers.imus.aceinna import codec as aceinna
-from drivers.imus.can.imu import CanChannel, CanImu
+from drivers.imus.can.imu import CanChannel, CanImu, CanSource
 from drivers.protocols import FrameLink
 from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import Identity
@@ -25,16 +26,16 @@ class AceinnaImu(CanImu):
         ``model`` is one of ``AXIS_ORDERS`` and decides the order of axes unless ``axis_order`` says it; with
         ``configure`` it is set to this rate when the link is opened.
         """
-        own, device, rate_hz = setup.options, setup.name, setup.rate_hz
+        own = setup.options
         x, y, z = (place + 1 for place in aceinna.COLUMNS[own["axis_order"] or aceinna.AXIS_ORDERS[own["model"]]])
-        self._peer, self._settings = own["address"], aceinna.settings(rate_hz) if own["configure"] else []
+        self._peer, self._settings = own["address"], aceinna.settings(setup.rate_hz) if own["configure"] else []
         channel = CanChannel(
-            device,
+            setup.name,
             (f"ARI.Rate{x}", f"ARI.Rate{y}", f"ARI.Rate{z}"),
             acceleration=(f"ACCS.Acceleration{x}", f"ACCS.Acceleration{y}", f"ACCS.Acceleration{z}"),
             saturates=True,
         )
-        super().__init__(device, link, aceinna.DBC, (channel,), rate_hz, source_address=self._peer)
+        super().__init__(replace(setup, signals=CanSource(aceinna.DBC, (channel,), self._peer)), link)
         self._gather_s = _GATHER_S
         self._styles: tuple[bool, ...] = (False, True)  # ways of writing a request: Aceinna's, the standard's
 

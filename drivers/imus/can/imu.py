@@ -17,7 +17,7 @@ from drivers.errors import DeviceError
 from drivers.imus.samples import Companion, Piece, block_of, regular_block
 from drivers.imus.signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.protocols import FrameLink
-from drivers.specs import ImuSpec, described
+from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import Flags, Floats, Frame, Identity, ImuBlock, Octets, SourceCounts, Stamps
 
 BUILT_IN_DBC = Path(__file__).with_name("gyro_nodes.dbc")
@@ -52,6 +52,19 @@ class CanChannel:
     def rates(self) -> tuple[str, ...]:
         """Names of the rate signals, one a gyro."""
         return (self.rate,) if isinstance(self.rate, str) else self.rate
+
+
+@dataclass(frozen=True, slots=True)
+class CanSource:
+    """What on a CAN bus is a device: its DBC, the signals of its sources, the J1939 address if only one is meant.
+
+    ``database`` is cantools' where the DBC is no file to be read.
+    """
+
+    dbc: Path
+    channels: tuple[CanChannel, ...]
+    source_address: int | None = None
+    database: Any = None
 
 
 def load_dbc(device: str, dbc: Path) -> Any:
@@ -105,23 +118,15 @@ class ChannelSignals:
 class CanImu:
     """Each channel is a source of its own: nodes on a bus share no clock."""
 
-    def __init__(
-        self,
-        device: str,
-        link: FrameLink,
-        dbc: Path,
-        channels: tuple[CanChannel, ...],
-        rate_hz: float,
-        *,
-        source_address: int | None = None,
-        database: Any = None,
-    ) -> None:
-        """Read the DBC, unless there is a ``database`` of it; DeviceError if it cannot be read or lacks a signal.
+    def __init__(self, setup: ImuSetup, link: FrameLink) -> None:
+        """Find the signals, which are a ``CanSource``; DeviceError if the DBC cannot be read or lacks one.
 
-        J1939 messages are told by their parameter group, whoever sends them, unless ``source_address`` names one.
+        J1939 messages are told by their parameter group, whoever sends them, unless a source address is meant.
         """
-        self._device, self._link, self._address = device, link, source_address
-        database = database or load_dbc(device, dbc)
+        device, source, rate_hz = setup.name, setup.signals, setup.rate_hz
+        self._device, self._link, self._address = device, link, source.source_address
+        dbc, channels = source.dbc, source.channels
+        database = source.database or load_dbc(device, dbc)
         self._order = 0
         self._arrived: list[Frame] = []
         self._timed: deque[tuple[str, ImuBlock]] = deque()
@@ -345,11 +350,4 @@ class _Source:
         return np.asarray(held[1:])
 
 
-SPEC = described(
-    ImuSpec,
-    __package__,
-    make=lambda own, link: CanImu(
-        own.name, link, own.signals.dbc, own.signals.channels, own.rate_hz, source_address=own.signals.source_address
-    ),
-    gyros=None,
-)
+SPEC = described(ImuSpec, __package__, make=CanImu, gyros=None)

@@ -3,29 +3,24 @@
 import asyncio
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 from drivers.errors import LinkLost
-from drivers.imus.can.imu import CanChannel, CanImu
+from drivers.imus.can.imu import CanImu, CanSource
 from drivers.imus.described.framing import Decoder, Frames, Lines
 from drivers.protocols import ByteLink
-from drivers.specs import ImuSpec, described
+from drivers.specs import ImuSetup, ImuSpec, described
 from drivers.types import ByteChunk, Frame, SourceCounts
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Description:
-    """How an IMU speaks on a byte link: the framing, and the one message of a cantools ``database`` in each frame.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Description(CanSource):
+    """How an IMU speaks on a byte link: the framing, and the one message of the ``database`` in each frame.
 
     ``dbc`` is the file that says so; the one of ``channels`` names the signals. ``start`` and ``stop`` are what is
     sent to it, each with a pause in s behind it.
     """
 
-    dbc: Path
-    channels: tuple[CanChannel, ...]
     framing: Frames | Lines
-    database: Any
     start: tuple[tuple[bytes, float], ...] = ()
     stop: tuple[tuple[bytes, float], ...] = ()
 
@@ -76,11 +71,10 @@ class FramedLink:
 class DescribedImu(CanImu):
     """One source with as many gyros as the description has."""
 
-    def __init__(self, device: str, link: ByteLink, description: Description, rate_hz: float) -> None:
-        """Expect samples at ``rate_hz``: a description does not say how to ask for them."""
-        self._framed = FramedLink(link, description)
-        channels, database = description.channels, description.database
-        super().__init__(device, self._framed, description.dbc, channels, rate_hz, database=database)
+    def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
+        """Expect samples at the rate of the bench: its ``Description`` does not say how to ask for them."""
+        self._framed = FramedLink(link, setup.signals)
+        super().__init__(setup, self._framed)
 
     def counts(self, name: str) -> SourceCounts:
         """Get the counts; ``corrupt`` are places that began like a frame, or lines, and were none."""
@@ -89,9 +83,4 @@ class DescribedImu(CanImu):
         return counts
 
 
-SPEC = described(
-    ImuSpec,
-    __package__,
-    make=lambda own, link: DescribedImu(own.name, link, own.signals, own.rate_hz),
-    gyros=None,
-)
+SPEC = described(ImuSpec, __package__, make=DescribedImu, gyros=None)
