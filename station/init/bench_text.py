@@ -1,8 +1,7 @@
 """A bench file made of answers: TOML with comments."""
 
-from collections.abc import Mapping
-
 from drivers.imus.registry import IMUS
+from drivers.plugins import Registry
 from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.registry import TABLES
 from station.bench.table import TWIN
@@ -19,10 +18,11 @@ _HEAD = """\
 def bench_text(bench: Data) -> str:
     """Return the whole file."""
     docs: dict[str, str] = {}
-    specs: Mapping[str, ImuSpec | TableSpec] = {**IMUS, **TABLES}
-    for path, device in (("table.", bench["table"]), *((f"imu.{imu['name']}.", imu) for imu in bench["imu"])):
-        spec = specs[device["protocol"]]
+    imus = ((f"imu.{imu['name']}.", imu, IMUS) for imu in bench["imu"])
+    known: Registry[ImuSpec] | Registry[TableSpec]
+    for path, device, known in (("table.", bench["table"], TABLES), *imus):
+        spec = known[device["protocol"]]
         docs |= {f"{path}{key.name}": key.doc for key in spec.keys}
-        docs[f"{path}protocol"] = ", ".join(TABLES if isinstance(spec, TableSpec) else IMUS)
+        docs[f"{path}protocol"] = ", ".join(known)
         docs[f"{path}link"] = f"the twin; hardware: {spec.link}" if device["link"] == TWIN else ""
     return _HEAD + "\n".join(lines_of(bench, ["bench.bench"], docs)) + "\n"

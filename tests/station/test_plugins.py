@@ -227,11 +227,6 @@ def test_a_file_given_by_option_is_used_by_commands_without_a_bench_file(
     assert main(["export", "run.h5", "--plugin", EFFECT, "--plugin", FORM, "--format", "octave"]) == 0
     assert "function rate = calibrated(raw)" in capsys.readouterr().out
 
-    (tmp_path / "broken.py").write_text(Path(FORM).read_text().replace("constants, dropped =", "constants ="))
-    given = ["--plugin", EFFECT, "--plugin", str(tmp_path / "broken.py")]
-    assert main(["export", "run.h5", *given, "--format", "octave"]) == 2
-    assert re.search(r"^station: the form octave failed: NameError: .*dropped", capsys.readouterr().err)
-
     # What processes beside this one estimate knows the effect, too; what is written names its file.
     for name in ("one.h5", "two.h5"):
         (tmp_path / name).write_bytes(Path("run.h5").read_bytes())
@@ -240,6 +235,15 @@ def test_a_file_given_by_option_is_used_by_commands_without_a_bench_file(
     assert capsys.readouterr().out.count("after a turn") >= 2
     held = json.loads(read_calibration(Path(runs[0])).model)
     assert re.fullmatch(r"the plug-in sticking_mass.py \(sha256 [0-9a-f]{12}\)", held["effects"][0]["from"])
+
+
+def test_a_form_of_export_that_fails_is_one_line(
+    alone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "broken.py").write_text(Path(FORM).read_text().replace("constants, dropped =", "constants ="))
+    given = ["--plugin", EFFECT, "--plugin", str(tmp_path / "broken.py")]
+    assert main(["export", "run.h5", *given, "--format", "octave"]) == 2
+    assert re.search(r"^station: the form octave failed: NameError: .*dropped", capsys.readouterr().err)
 
 
 def test_a_file_may_be_given_twice_and_a_run_says_what_it_used(
