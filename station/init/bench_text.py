@@ -18,9 +18,8 @@ _HEAD = """\
 def bench_text(bench: Data) -> str:
     """Return the whole file."""
     docs: dict[str, str] = {}
-    imus = ((f"imu.{imu['name']}.", imu, IMUS) for imu in bench["imu"])
-    known: Registry[ImuSpec] | Registry[TableSpec]
-    for path, device, known in (("table.", bench["table"], TABLES), *imus):
+    for path, device in (("table.", bench["table"]), *((f"imu.{imu['name']}.", imu) for imu in bench["imu"])):
+        known: Registry[ImuSpec] | Registry[TableSpec] = TABLES if path == "table." else IMUS
         spec = known[device["protocol"]]
         docs |= {f"{path}{key.name}": key.doc for key in spec.keys}
         docs[f"{path}protocol"] = ", ".join(known)
