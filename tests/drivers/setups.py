@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from drivers.imus.registry import IMUS
-from drivers.specs import AxisSetup, ImuSetup, TableSetup
+from drivers.specs import AxisSetup, ImuSetup, Key, TableSetup
 from drivers.tables.registry import TABLES
 from sims.physics.table import TableModel
 from sims.tables.registry import TWINS, Seat
+from station.errors import BenchError
+from station.schema.tables import Table
 
 
 def setup_of(protocol: str, axes: Mapping[str, AxisSetup], timeout_s: float, **options: Any) -> TableSetup:
     """Return it; options that are not given are as in a bench file that does not give them."""
-    defaults = {key.name: key.default for key in TABLES[protocol].keys}
-    return TableSetup(axes, timeout_s, defaults | options)
+    return TableSetup(axes, timeout_s, _left_out(TABLES[protocol].keys) | options)
 
 
 def twin_on(
@@ -35,5 +37,9 @@ def twin_on(
 
 def imu_setup(protocol: str, name: str, rate_hz: float, timeout_s: float = 0.5, **options: Any) -> ImuSetup:
     """Return what it would say of an IMU."""
-    defaults = {key.name: key.default for key in IMUS[protocol].keys}
-    return ImuSetup(name, rate_hz, timeout_s, defaults | options)
+    return ImuSetup(name, rate_hz, timeout_s, _left_out(IMUS[protocol].keys) | options)
+
+
+def _left_out(keys: tuple[Key, ...]) -> dict[str, Any]:
+    """Return what a bench file says that gives none of these keys: quantities in SI."""
+    return Table.parse("", "no bench file", BenchError).options(keys, Path())
