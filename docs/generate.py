@@ -250,7 +250,185 @@ def json_schemas() -> dict[str, dict[str, Any]]:
         "profile": _object("profile.profile"),
         "hidden": _hidden(),
         "description": _object("can_mapping.source", "description.description"),
+        "mapping": _mapping(),
     }
+
+
+_NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
+_ABOVE_0, _NOT_NEGATIVE = {"type": "number", "exclusiveMinimum": 0}, {"type": "number", "minimum": 0}
+_TEXTS = {"anyOf": [_TEXT, {"type": "array", "minItems": 1, "items": _TEXT}]}
+_AXIS = {"type": "string", "pattern": r"^\s*[+-]*[xyzXYZ]\s*$"}
+_DIRECTION = {"anyOf": [_AXIS, {"type": "array", "minItems": 3, "maxItems": 3, "items": _NUMBER}]}
+
+
+def _mapping() -> dict[str, Any]:
+    """Return the schema of a mapping file: plain keys as they are declared, the others as they are read."""
+    axes = {"anyOf": [_AXIS, {"type": "array", "minItems": 1, "items": _DIRECTION}]}
+    file, time = _file(), _time({})
+    own = _file({"name": _said("file beside the data; {stem} is that one's name without ending", _TEXT)}, ["name"])
+    offset = {"anyOf": [_NUMBER, {"const": "from data"}]}
+    beside = {
+        "file": _said(
+            "file that the reference is in; {stem} is the data file's name without ending", anyOf=[_TEXT, own]
+        ),
+        "time": _time({"offset_s": _said("seconds added to the stamps of the reference", offset)}),
+    }
+    cuts = {
+        "section_list": _said("JSON beside the data: first and last row of each section", _TEXT),
+        "section_column": _said("column of labels", _TEXT),
+    }
+    pose = {"up": _said("body axis that points up", _DIRECTION), "north": _said("... to the north", _DIRECTION)}
+    turn = {
+        "axis": _said("body axis of the turn", _TEXT),
+        "angle_deg": _said("by which the body turns about it", _NUMBER),
+    }
+    limits = {"start_s": _said("seconds of the file", _NOT_NEGATIVE), "end_s": _said("likewise", _ABOVE_0)}
+    rest = {
+        "where": _said("where the samples are quiet, or all of them", enum=["found", "everywhere"]),
+        "files": _said("poses by the names of files", type="object", additionalProperties=_table(pose)),
+        "sections": _each(_table(pose | limits)),
+    }
+    by_gravity = {
+        "accelerometer": _said("whether rests give its factors and offsets", enum=["from rests", "stated"]),
+        "sd_deg": _said("doubt of a direction up, one sigma", _NOT_NEGATIVE),
+    }
+    file_name = _said("regular expression with the groups axis and angle_deg", _TEXT, format="regex")
+    turns = _table(
+        turn | cuts | {"sections": _each(_table(turn | limits, ["angle_deg"])), "file_name": file_name}, (), "turns"
+    )
+    kinds = {
+        "attitude": _table({"columns": _TEXTS} | beside, ["columns"], "attitude"),
+        "rate": _columns("rate", beside | {"axis": _said("body axis of one column", _DIRECTION)}),
+        "angle": _columns("angle", beside | {"axis": _AXIS, "earth_rate": {"type": "boolean"}}, ["axis"], "column"),
+        "turns": turns | {"anyOf": [{"required": [key]} for key in ("angle_deg", "file_name", "sections")]},
+        "rest": _table(rest | pose | cuts, (), "rest"),
+        "gravity": _table(rest | pose | cuts | by_gravity, (), "rest"),
+    }
+    for kind in kinds.values():
+        kind["properties"] = {"kind": {}, **kind["properties"]}
+    by_kind = [_if("kind", kind, schema) for kind, schema in kinds.items()]
+    reference = {
+        "type": "object",
+        "required": ["kind"],
+        "properties": {"kind": {"enum": list(kinds)}},
+        "allOf": by_kind,
+    }
+    names = {"axes": _said("sense axis of each gyro", axes), "names": _said("of the gyros", _TEXTS)}
+    square = _said("body axes of the columns", type="array", minItems=3, maxItems=3, items=_DIRECTION)
+    return _table(
+        {
+            "device": _table({}, (), "device"),
+            "file": file,
+            "time": time,
+            "gyro": _columns("rate", names, where="gyro"),
+            "accelerometer": _columns("acceleration", {"axes": square}),
+            "temperature": _columns("temperature", {}, key="column"),
+            "site": _table({}, (), "site"),
+            "reference": reference,
+        },
+        ["device", "file", "time", "gyro", "reference"],
+    )
+
+
+def _said(line: str, schema: Mapping[str, Any] | None = None, **more: Any) -> dict[str, Any]:
+    return {"description": line, **(schema or {}), **more}
+
+
+def _each(within: dict[str, Any]) -> dict[str, Any]:
+    return _said("sections by their names", type="object", minProperties=1, additionalProperties=within)
+
+
+def _if(key: str, value: str, then: dict[str, Any]) -> dict[str, Any]:
+    return {"if": {"properties": {key: {"const": value}}, "required": [key]}, "then": then}
+
+
+def _table(properties: Mapping[str, Any], required: Sequence[str] = (), where: str = "") -> dict[str, Any]:
+    """Return the schema of a table of a mapping file with these keys, and the plain ones that are declared of it."""
+    from estimator.importing.mapping.columns import KEYS
+
+    kinds = {"text": _TEXT, "flag": {"type": "boolean"}, "choice": {}}
+    bounds = {"positive": "exclusiveMinimum", "least": "minimum", "most": "maximum"}
+    plain = {}
+    for key, says in KEYS.get(where, {}).items():
+        left_out = "" if says.get("default", "") in ("", math.inf) else f"; left out: {json.dumps(says['default'])}"
+        bound = {name: float(says[word] if word != "positive" else 0) for word, name in bounds.items() if word in says}
+        one_of = {"enum": list(says["one_of"])} if "one_of" in says else {}
+        plain[key] = _said(says["line"] + left_out, {**kinds.get(says["kind"], _NUMBER), **bound, **one_of})
+    needed = [*required, *(key for key in plain if "default" not in KEYS[where][key])]
+    return {"type": "object", "properties": {**properties, **plain}, "required": needed, "additionalProperties": False}
+
+
+def _columns(
+    quantity: str, more: Mapping[str, Any], required: Sequence[str] = (), key: str = "columns", where: str = ""
+) -> dict[str, Any]:
+    """Return the schema of a table with columns of a quantity; counts have a size, but where the data may tell it."""
+    from estimator.importing.mapping.columns import UNITS
+
+    units = list(UNITS[quantity])
+    stated = {
+        key: _said("columns of the file, by name", _TEXTS),
+        "unit": _said("of the columns; raw: counts", enum=[*units, "raw"]),
+        "count": _said("size of one count", _ABOVE_0),
+        "count_unit": _said("unit of that size", enum=units),
+        "offset": _said("value that stands for zero, in the unit of the column; left out: 0", _NUMBER),
+    }
+    sized = _if("unit", "raw", {"required": ["count", "count_unit"]})
+    if where == "gyro":
+        sized = {"if": {"properties": {"scale": {"const": "from data"}}, "required": ["scale"]}, "else": sized}
+    return _table({**stated, **more}, [key, "unit", *required], where) | {"allOf": [sized]}
+
+
+def _file(more: Mapping[str, Any] | None = None, required: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the schema of a format, with the keys that only some formats have."""
+    from estimator.importing.mapping.columns import KEYS
+    from station.opening.captures import PROTOCOLS
+
+    text = {
+        "delimiter": _said("one character, tab or space", _TEXT),
+        "decimal": _said("mark of decimals", enum=[".", ","]),
+        "columns": _said("names, if the file has no heading", _TEXTS),
+    }
+    binary = {
+        "record": _said('name and type of each column, "t f8", "gyro 3i2" or "pad 4V"', _TEXTS),
+        "byte_order": _said("left out: little", enum=["little", "big"]),
+        "header_bytes": _said("left out: 0", _NOT_NEGATIVE),
+    }
+    stim300 = {
+        "gyro_output": _said("if the device did not send its configuration", _TEXT),
+        "accel_range_g": _said("likewise; left out: 10", type="integer"),
+    }
+    candump = {"dbc": _said("name of one that ships with the station, or a path from the mapping", _TEXT)}
+    galil = {"sample_us": _said("time from one record to the next", _ABOVE_0)}
+    own = {"csv": text, "tsv": text, "mat": {}, "binary": binary, **{name: {} for name in PROTOCOLS}}
+    own |= {"stim300": stim300, "candump": candump, "galil": galil}
+    formats = {"format": _said("of the file", enum=list(own))}
+    whole = _table(
+        {**(more or {}), **formats, **{k: v for keys in own.values() for k, v in keys.items()}},
+        ["format", *required],
+        "file",
+    )
+    shared = [*(more or {}), "format", *KEYS["file"]]
+    needed = {"binary": ["record"], "candump": ["dbc"]}
+    limits = [
+        _if("format", name, {"propertyNames": {"enum": [*shared, *keys]}, "required": needed.get(name, [])})
+        for name, keys in own.items()
+    ]
+    return whole | {"allOf": limits}
+
+
+def _time(more: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the schema of what gives the samples their times: a rate, or stamps."""
+    stamps = _columns("time", {"wraps_at": _said("at which a counter wraps, in its own unit", _ABOVE_0)}, key="column")
+    rates = {
+        "rate_hz": _said("samples a second", _ABOVE_0),
+        "rate_variable": _said("variable of a .mat file that holds the rate", _TEXT),
+    }
+    ways: list[dict[str, Any]] = [
+        {"required": ["column", "unit"], "not": {"anyOf": [{"required": [k]} for k in rates]}}
+    ]
+    ways += [{"required": [key], "propertyNames": {"enum": [key, *more]}} for key in rates]
+    ways += [{"propertyNames": {"enum": list(more)}}] if more else []  # in another file as in the first
+    return _table({**stamps["properties"], **rates, **more}) | {"allOf": stamps["allOf"], "oneOf": ways}
 
 
 def _hidden() -> dict[str, Any]:

@@ -1,15 +1,22 @@
 """Tables of a TOML file, read strictly: every key known, every value of its type, every complaint with its line."""
 
 import difflib
+import re
 import tomllib
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import reduce
 from math import inf, isfinite, radians
 from operator import getitem
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeVar, cast
 
 T = TypeVar("T")
+
+_DEEPEST = 100
+_STRINGS = r"""\"{3}(?:[^\\]|\\.)*?\"{3,5}|'{3}.*?'{3,5}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'"""
+_TOKEN = re.compile(_STRINGS + r"|#[^\n]*|[][{}\n]", re.DOTALL)
+_DEPTH = {"[": 1, "{": 1, "]": -1, "}": -1}
 
 
 class StrictTable:
@@ -25,6 +32,17 @@ class StrictTable:
         """``path`` leads to this table from the top of the file: keys, and indices in arrays of tables."""
         self._data, self._path, self._text, self._file, self._error = dict(data), path, text, file, error
         self._known: list[str] = []
+
+    @classmethod
+    def parse(cls, text: str, file: str, error: type[Exception]) -> Self:
+        """Read a text; ``file`` names it in complaints. The given error if it is no TOML, or nested beyond reason."""
+        try:
+            _check_depth(data := tomllib.loads(text))
+        except tomllib.TOMLDecodeError as reason:
+            raise error(f"{file}: not valid TOML: {reason}") from None
+        except RecursionError:
+            raise error(f"{file}: tables and lists are nested more than {_DEEPEST} deep: write them flat") from None
+        return cls(data, (), text, file, error)
 
     def again(self) -> Self:
         """Return this table as it is now, for somebody else to take from."""
@@ -159,24 +177,39 @@ class StrictTable:
 
     def _line(self, key: str | None) -> int | None:
         """Return the line that brings the key, or else this table, into the file."""
-        path, lines = (*self._path, *([key] if key else [])), self._text.splitlines()
+        path = (*self._path, *([key] if key else []))
         name = next((part for part in reversed(path) if isinstance(part, str)), None)
-        for number, line in enumerate(lines, 1):
-            if name and name in line and _leads(path, lines, number):
-                return number
-        return self._line(None) if key else None
+        if name is None or not _leads(path, self._text):
+            return self._line(None) if key else None
+        ends = _statement_ends(self._text)
+        at = bisect_left(ends, True, key=lambda end: _leads(path, self._text[:end]))
+        start = ends[at - 1] if at else 0
+        return self._text.count("\n", 0, max(start, self._text.find(name, start, ends[at]))) + 1
 
 
-def _leads(path: tuple[str | int, ...], lines: list[str], number: int) -> bool:
-    """Return whether a path leads to something once what stands on a line is read to its end."""
-    found: Any = None
-    for end in range(number, len(lines) + 1):
-        with suppress(tomllib.TOMLDecodeError):
-            found = tomllib.loads("\n".join(lines[:end]))
-            break
-    with suppress(LookupError, TypeError):
-        return reduce(getitem, path, found) is not None
+def _check_depth(value: object, left: int = _DEEPEST) -> None:
+    """Raise RecursionError if tables and lists are nested deeper than anybody would."""
+    if not left:
+        raise RecursionError
+    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _check_depth(inner, left - 1)
+
+
+def _leads(path: tuple[str | int, ...], text: str) -> bool:
+    """Return whether a path leads to something in a text."""
+    with suppress(LookupError, TypeError, tomllib.TOMLDecodeError):
+        return reduce(getitem, path, cast(Any, tomllib.loads(text))) is not None
     return False
+
+
+def _statement_ends(text: str) -> list[int]:
+    """Return where the statements of a text end: at ends of lines outside brackets and long strings."""
+    depth, ends = 0, list[int]()
+    for token in _TOKEN.finditer(text):
+        depth += _DEPTH.get(token[0], 0)
+        if token[0] == "\n" and not depth:
+            ends.append(token.end())
+    return [*ends, len(text)]
 
 
 def not_one_of(text: str, choices: Iterable[str]) -> str:

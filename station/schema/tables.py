@@ -2,7 +2,6 @@
 
 import math
 import re
-import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache
@@ -39,14 +38,6 @@ class Table(StrictTable):
             return cls.parse(path.read_text(encoding="utf-8"), str(path), error)
         except (OSError, UnicodeDecodeError) as reason:
             raise error(f"cannot read {path}: {reason}") from None
-
-    @classmethod
-    def parse(cls, text: str, file: str, error: type[UsageError]) -> Self:
-        """Read a text; ``file`` names it in complaints."""
-        try:
-            return cls(tomllib.loads(text), (), text, file, error)
-        except tomllib.TOMLDecodeError as reason:
-            raise error(f"{file}: not valid TOML: {reason}") from None
 
     def fail_at(self, message: str) -> Exception:
         """Return an error of a message that begins with where it is in the file: "tone.1.size: ..."."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -398,7 +400,7 @@ def test_files_without_usable_data_are_refused_with_the_reason(tmp_path: Path, r
             "delimiter: ',': write one character",
         ),
         ('name = "unit 7"', "", r"mapping.toml, line 1: device: name is missing"),
-        ("[device]", "[device", "is not TOML"),
+        ("[device]", "[device", "not valid TOML"),
         ("[time]\nrate_hz = 100", "", r"has no table \[time\]"),
     ],
 )
@@ -406,6 +408,41 @@ def test_a_mapping_that_is_wrong_says_where_and_what_to_write(tmp_path: Path, ol
     assert old in RATE_MAPPING
     mapping, _ = written(tmp_path, RATE_MAPPING.replace(old, new, 1), "")
     with pytest.raises(RecordingError, match=message):
+        read_mapping(mapping)
+
+
+@pytest.mark.parametrize(
+    ("reference", "line", "message"),
+    [
+        (
+            [f'[reference.files."{n}.csv"]\nup = "z"' for n in range(2500)] + ['[reference.files.last]\nup = "w"'],
+            5018,
+            "reference.files.last.up: 'w' is no axis",
+        ),
+        (["where = [", *['"]where", # ['] * 5000, "]"], 17, "reference.where: "),
+        (["# where", *['#"""up'] * 5000, 'where = "nowhere"'], 5018, "reference.where: 'nowhere' is not one of"),
+        (['"up" = """', *["where ["] * 5000, '"""', "where = 3"], 5019, "reference.where: 3 is not a text"),
+    ],
+)
+def test_what_is_wrong_in_a_long_mapping_is_told_at_once(
+    tmp_path: Path, reference: list[str], line: int, message: str
+) -> None:
+    head = RATE_MAPPING.partition("kind =")[0]
+    text = "\n".join([head + 'kind = "rest"', *reference])
+    mapping, _ = written(tmp_path, text, "")
+    began = time.process_time()
+    with pytest.raises(RecordingError, match=re.escape(f"mapping.toml, line {line}: {message}")):
+        read_mapping(mapping)
+    assert time.process_time() - began < 5, "seconds: a share of a second, or minutes"
+
+
+@pytest.mark.parametrize(
+    "nested",
+    ["[" * 5000 + "]" * 5000, "{a=" * 400 + "1" + "}" * 400, "1\nup" + ".a" * 2000 + " = 1"],
+)
+def test_a_mapping_nested_beyond_reason_is_refused_in_words(tmp_path: Path, nested: str) -> None:
+    mapping, _ = written(tmp_path, f"{RATE_MAPPING}axis = {nested}\n", "")
+    with pytest.raises(RecordingError, match=r"mapping\.toml: .*nested"):
         read_mapping(mapping)
 
 

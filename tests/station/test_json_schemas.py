@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -54,6 +55,28 @@ samples = 3
 """
 
 
+MAPPING = """
+[device]
+name = "unit 7"
+[file]
+format = "csv"
+[time]
+column = "t"
+unit = "ms"
+[gyro]
+columns = ["gx", "gy", "gz"]
+unit = "raw"
+count = 0.061
+count_unit = "deg/s"
+axes = ["x", "-y", [0, 0, 1]]
+[reference]
+kind = "turns"
+sd_deg = 0.5
+[reference.sections]
+up = { axis = "z", angle_deg = 90, start_s = 1, end_s = 2 }
+"""
+
+
 def valid(kind: str) -> Draft7Validator:
     schema = json.loads((SCHEMAS / f"{kind}.json").read_text(encoding="utf-8"))
     Draft7Validator.check_schema(schema)
@@ -71,6 +94,13 @@ def files() -> Iterator[tuple[str, str]]:
         ("profile", PROFILE_FOLDER),
     ):
         yield from ((kind, path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.toml")))
+    yield "mapping", MAPPING
+    for path in sorted((ROOT / "tests/data").rglob("*.toml")):
+        if path.parent.name != "benches" and "[gyro]" in (text := path.read_text(encoding="utf-8")):
+            yield "mapping", text
+    for path in sorted((ROOT / "docs/pages").rglob("*.md")):
+        blocks = re.findall(r"^```toml\n(.*?)^```", path.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+        yield from (("mapping", text) for text in blocks if "[gyro]" in text)
 
 
 @pytest.mark.parametrize(("kind", "text"), files())
@@ -100,10 +130,20 @@ def test_what_init_writes_the_schema_takes(table: str, tmp_path: Path) -> None:
         ("script", "angle =", "angel =", ["step", 1]),
         ("hidden", "[sample_hold]", "[sample_holt]", []),
         ("hidden", "samples = 3", 'samples = "3"', ["sample_hold"]),
+        ("mapping", 'unit = "ms"', 'unit = "min"', ["time", "unit"]),
+        ("mapping", 'column = "t"', 'column = "t"\nrate_hz = 100', ["time"]),
+        ("mapping", 'format = "csv"', 'format = "csv"\nheader_bytes = 3', ["file"]),
+        ("mapping", "count = 0.061", "count = -1", ["gyro", "count"]),
+        ("mapping", "count = 0.061", "", ["gyro"]),
+        ("mapping", '"-y"', '"w"', ["gyro", "axes"]),
+        ("mapping", "sd_deg = 0.5", "sd_deg = 0", ["reference", "sd_deg"]),
+        ("mapping", "sd_deg", "sd_degrees", ["reference"]),
+        ("mapping", 'kind = "turns"', 'kind = "magic"', ["reference", "kind"]),
+        ("mapping", "angle_deg", "angle", ["reference", "sections", "up"]),
     ],
 )
 def test_what_the_station_refuses_the_schema_underlines(kind: str, old: str, new: str, at: list[str | int]) -> None:
-    texts = {"bench": default_bench_text(), "script": SCRIPT, "hidden": HIDDEN}
+    texts = {"bench": default_bench_text(), "script": SCRIPT, "hidden": HIDDEN, "mapping": MAPPING}
     assert old in texts[kind]
     errors = valid(kind).iter_errors(tomllib.loads(texts[kind].replace(old, new, 1)))
     assert at in [list(error.absolute_path) for error in errors]

@@ -5,7 +5,6 @@ Units are those of the foreign file here and only here; what leaves this module 
 
 import math
 import re
-import tomllib
 from collections.abc import Callable, Sequence
 from collections.abc import Mapping as Dict
 from dataclasses import dataclass, replace
@@ -132,12 +131,11 @@ def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        values = tomllib.loads(text)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror}; give the path of a mapping (.toml)") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path} is not TOML: {error}") from None
-    top = StrictTable(values, (), text, path.name, RecordingError)
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path} is no text: {error}") from None
+    top = StrictTable.parse(text, path.name, RecordingError)
     for name in ("device", "file", "time", "gyro", "reference"):
         if not top.has(name):
             how = ", with column and unit of the stamps, or rate_hz if there are none" if name == "time" else ""
