@@ -19,10 +19,10 @@ _HEAD = """\
 def bench_text(bench: Data) -> str:
     """Return the whole file."""
     docs: dict[str, str] = {}
-    specs: Mapping[str, ImuSpec | TableSpec] = {**IMUS, **TABLES}
     for path, device in (("table.", bench["table"]), *((f"imu.{imu['name']}.", imu) for imu in bench["imu"])):
-        spec = specs[device["protocol"]]
+        known: Mapping[str, ImuSpec | TableSpec] = TABLES if path == "table." else IMUS
+        spec = known[device["protocol"]]  # no other: one that is damaged is asked for nowhere
         docs |= {f"{path}{key.name}": key.doc for key in spec.keys}
-        docs[f"{path}protocol"] = ", ".join(TABLES if isinstance(spec, TableSpec) else IMUS)
+        docs[f"{path}protocol"] = ", ".join(known)
         docs[f"{path}link"] = f"the twin; hardware: {spec.link}" if device["link"] == TWIN else ""
     return _HEAD + "\n".join(lines_of(bench, ["bench.bench"], docs)) + "\n"

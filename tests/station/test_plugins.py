@@ -15,9 +15,9 @@ import h5py
 import numpy as np
 import pytest
 from compensating import compensate
-from estimator.calibration.stored_calibration import read_calibration
 from support import command
 
+from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.compensation import Compensation
 from estimator.effects import catalogue
 from estimator.recordings.reading import read_recording
