@@ -6,7 +6,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cached_property
+from functools import lru_cache
 from hashlib import sha256
 from importlib import import_module
 from importlib.metadata import EntryPoints, entry_points
@@ -113,12 +113,17 @@ class Registry(Mapping[str, T]):
         """Return how many there are."""
         return len(list(iter(self)))
 
-    @cached_property
+    @property
     def _installed(self) -> EntryPoints:
-        return entry_points(group=self._group)
+        return _announced(self._group, tuple(sys.path))
 
     def _taken(self, name: str) -> PluginError:
         return PluginError(f"two {self._group.rpartition('.')[2]} are called {name}: give yours a name of its own")
+
+
+@lru_cache(16)  # it opens a file of every package that is installed
+def _announced(group: str, _path: tuple[str, ...]) -> EntryPoints:
+    return entry_points(group=group)
 
 
 def _guarded(what: str, file: str, run: Callable[[], T]) -> T:

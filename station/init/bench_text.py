@@ -1,7 +1,6 @@
 """A bench file made of answers: TOML with comments."""
 
 from drivers.imus.registry import IMUS
-from drivers.plugins import Registry
 from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.registry import TABLES
 from station.bench.table import TWIN
@@ -19,7 +18,7 @@ def bench_text(bench: Data) -> str:
     """Return the whole file."""
     docs: dict[str, str] = {}
     for path, device in (("table.", bench["table"]), *((f"imu.{imu['name']}.", imu) for imu in bench["imu"])):
-        known: Registry[ImuSpec] | Registry[TableSpec] = TABLES if path == "table." else IMUS
+        known: Mapping[str, ImuSpec | TableSpec] = TABLES if path == "table." else IMUS
         spec = known[device["protocol"]]
         docs |= {f"{path}{key.name}": key.doc for key in spec.keys}
         docs[f"{path}protocol"] = ", ".join(known)

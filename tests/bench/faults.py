@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import concurrent.futures
+import functools
 import itertools
 import random
 import tempfile
@@ -88,18 +89,16 @@ class Ended:
     wall_s: float
 
 
+@functools.cache
 def faults_of(bench: str) -> list[Fault]:
     """Return every fault that a bench can have, during the turn where it begins at an instant."""
-    device = load_bench(BENCHES / f"{bench}.toml").imus[0].name
-    table = {**{k: v for k, v in WIRE.items() if bench_is_on_bytes(bench) or k != "one byte at a time"}, **TABLE}
+    read = load_bench(BENCHES / f"{bench}.toml")
+    # Of lines of text a wire can pass single bytes.
+    device, on_bytes = read.imus[0].name, read.table.protocol != "modbus"
+    table = {**{k: v for k, v in WIRE.items() if on_bytes or k != "one byte at a time"}, **TABLE}
     both = [("table", kind, text) for kind, text in table.items()]
     both += [(device, kind, text) for kind, text in {**WIRE, **DEVICE}.items()]
     return [Fault(name, kind, text.format(at=12.0)) for name, kind, text in both]
-
-
-def bench_is_on_bytes(bench: str) -> bool:
-    """Return whether its table speaks lines of text, of which a wire can pass single bytes."""
-    return load_bench(BENCHES / f"{bench}.toml").table.protocol != "modbus"
 
 
 def ended(case: tuple[str, tuple[Fault, ...], int]) -> Ended:

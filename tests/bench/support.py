@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,16 @@ def three_recordings(seed: int, hidden: Mapping[str, Any]) -> list[Recording]:
         made.append(tetrahedron_recording(script, 10 * seed + number, hidden, clock_s))
         clock_s += script.duration_s + 20
     return made
+
+
+def first_gyros(count: int, *recordings: Recording) -> list[Recording]:
+    """Return recordings of the first gyros of an array alone: what holds of each gyro is seen sooner with fewer."""
+    found = []
+    for recording in recordings:
+        data = recording.sources["array"]
+        few = replace(data, array=data.array.select(list(range(count))), rate_rps=data.rate_rps[:, :count])
+        found.append(replace(recording, sources={"array": few}))
+    return found
 
 
 def station(*arguments: str | Path, cwd: Path | None = None, timeout: float = 100) -> subprocess.CompletedProcess[str]:

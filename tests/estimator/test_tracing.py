@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import first_gyros
 
 from estimator.errors import InvestigationError
 from estimator.geometry.array import sensor_array
@@ -91,8 +92,8 @@ def test_the_error_that_is_left_is_that_of_an_estimate_that_was_told(effects: tu
 
 
 def test_what_the_catalogue_does_not_hold_is_composed_of_what_was_measured() -> None:
-    calibration, exploration, verification = recordings_of(Case(("hysteresis",), 1.0, 1))
-    found = investigate([calibration, exploration], [verification])
+    calibration, exploration, verification = first_gyros(2, *recordings_of(Case(("hysteresis",), 1.0, 1)))
+    found = investigate([calibration, exploration], [verification], most_effects=1)
     assert found.finding == Finding.ADDED
     assert [(a.constructed, a.expression) for a in found.added] == [(True, "last(u)")]
     assert "last direction of the rate" in found.added[0].effect
@@ -112,7 +113,7 @@ def test_a_bias_that_lags_the_temperature_has_the_lag_and_the_sizes_that_it_has(
 def test_what_does_not_lower_the_error_on_the_verification_run_is_taken_back() -> None:
     calibration, exploration, _ = recordings_of(Case(("scale_asymmetry",), 1.0, 4))
     without = recordings_of(Case((), 1.0, 4))[2]
-    found = investigate([calibration, exploration], [without])
+    found = investigate(first_gyros(1, calibration, exploration), first_gyros(1, without))
     assert not found.added
     assert found.taken_back == ("scale_asymmetry",)
     assert any("taken back" in note for note in found.notes)
@@ -150,7 +151,7 @@ def test_recordings_that_do_not_belong_together_are_refused() -> None:
 
 
 def test_effects_that_the_recordings_cannot_show_are_left_out_by_name() -> None:
-    recordings = recordings_of(Case((), 1.0, 1))
+    recordings = first_gyros(2, *recordings_of(Case((), 1.0, 1)))
     cold = [changed(recording, temperature_c=None) for recording in recordings]
     found = investigate(cold[:2], cold[2:])
     assert found.finding == Finding.NOTHING
@@ -170,7 +171,7 @@ def test_faults_of_the_data_are_named_and_cost_only_what_they_spoil() -> None:
     assert len(found.gyros) == 4
 
     held = np.repeat(exploration.sources["array"].rate_rps[::4], 4, axis=0)
-    found = investigate([changed(exploration, rate_rps=held)])
+    found = investigate(first_gyros(1, changed(exploration, rate_rps=held)))
     assert [a.effect for a in found.added] == ["sample_hold"]
     assert found.added[0].parameters["delay"].value == pytest.approx(0.015, abs=0.003)
 

@@ -10,7 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from support import ASYMMETRY, SITE, tetrahedron_recording, three_recordings
+from support import ASYMMETRY, SITE, first_gyros, tetrahedron_recording, three_recordings
 
 import station.commands.investigate
 from estimator.effects.law import in_words
@@ -55,9 +55,9 @@ def on_bench(recording: Recording, bench: bool = True) -> Recording:
     return replace(recording, attributes={"bench": load_bench(None).text}) if bench else recording
 
 
-def files(folder: Path, hidden: dict[str, Any] | None = None, *, seed: int = 1) -> list[Path]:
+def files(folder: Path, hidden: dict[str, Any] | None = None, *, seed: int = 1, gyros: int = 4) -> list[Path]:
     """Write a calibration, an exploration and a verification recording."""
-    recordings = three_recordings(seed, hidden or {})
+    recordings = first_gyros(gyros, *three_recordings(seed, hidden or {}))
     paths = [folder / f"{number}.h5" for number in range(len(recordings))]
     for path, recording in zip(paths, recordings, strict=True):
         write_recording(path, on_bench(recording))
@@ -112,10 +112,11 @@ def test_what_the_model_lacks_is_named_and_its_size_is_right(
 
 
 def test_the_360_s_script_alone_does_not_show_an_asymmetry_and_the_script_that_it_asks_for_does(
-    asymmetric: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    first, _, third = files(tmp_path, ASYMMETRY, gyros=2)
     script = tmp_path / "next.toml"
-    code, text, _ = investigated(capsys, asymmetric[0], "--verify", asymmetric[2], "--next-script", script, "--json")
+    code, text, _ = investigated(capsys, first, "--verify", third, "--next-script", script, "--json")
     found = json.loads(text)
     assert code == 1
     assert found["verdict"] in ("cannot tell", "unexplained")
@@ -124,8 +125,8 @@ def test_the_360_s_script_alone_does_not_show_an_asymmetry_and_the_script_that_i
     driven = load_script(script)
     check(driven, load_bench(None).table.limits)
     settling = tmp_path / "next.h5"
-    write_recording(settling, simulated(driven, 77, ASYMMETRY, 1100.0))
-    code, text, _ = investigated(capsys, asymmetric[0], settling, "--verify", asymmetric[2])
+    write_recording(settling, *first_gyros(2, simulated(driven, 77, ASYMMETRY, 1100.0)))
+    code, text, _ = investigated(capsys, first, settling, "--verify", third)
     assert code == 0
     # A person reads the verdict first, then sizes in everyday units.
     assert text.startswith("ADDED")
@@ -156,7 +157,7 @@ def test_without_a_bench_it_says_what_the_next_script_needs(
 
 
 def test_clean_recordings_need_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    first, second, third = files(tmp_path, seed=3)
+    first, second, third = files(tmp_path, seed=3, gyros=2)
     code, text, _ = investigated(capsys, first, second, "--verify", third)
     assert code == 0
     assert text.startswith("NOTHING TO ADD")
