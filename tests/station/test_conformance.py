@@ -75,6 +75,17 @@ def test_the_examples_pass_and_each_suite_is_told(path: Path, capsys: pytest.Cap
             "at 18.00 by its rate",
         ),
         ("numbered_table", " if int(found[1]) == number)", ")", "loss", "ended with"),
+        (
+            "counted_imu",
+            "block = self._block(await self._link.receive())",
+            "block = [][await self._link.receive()]",
+            "units",
+            "^no samples came; it ended with TypeError: list indices .*mine.py, line 7",
+        ),
+        ("counted_imu", "yield self._device, block", "pass", "units", "^no samples came$"),
+        ("counted_imu", "    twin=CountedTwin,\n", "", "units", "counted has no twin: its SPEC needs one"),
+        ("counted_imu", "    def flush(self)", "    def flash(self)", "units", "the driver has no flush"),
+        ("numbered_table", "async def disable", "async def disabel", "units", "the driver has no disable"),
         ("numbered_table", 'await self._rest(lambda axis: (f"stop {axis}",), self.read)', '""', "stop", "still turned"),
         (
             "numbered_table",
@@ -100,3 +111,31 @@ def test_what_is_wrong_with_one_is_told(
 def test_no_device_at_all_is_told_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["conformance", "vectornaw"]) == 2
     assert "did you mean vectornav?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("forever", ["while True: pass", "while True: await asyncio.sleep(0)"])
+def test_a_driver_that_never_comes_back_is_told_with_its_line(tmp_path: Path, forever: str) -> None:
+    path = tmp_path / "mine.py"
+    text = (EXAMPLES / "counted_imu.py").read_text()
+    path.write_text(
+        text.replace("            block = self._block(", f"            {forever}\n            block = self._block(")
+    )
+    (spec,) = records_of(load_file(path), ImuSpec)
+    assert re.search("does not come back within 1 s", complaint(spec, "units", [path], within_s=1))
+
+
+def test_what_follows_from_a_wrong_unit_is_not_told_as_more_faults(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text((EXAMPLES / "counted_imu.py").read_text().replace("[new] * self._lsb", "[new] * -self._lsb"))
+    assert main(["conformance", str(path)]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert [line for line in said if line.startswith("FAIL")] == [said[0]]
+    assert "skip  counted, clock: it judges by rates, and units fails" in said
+
+
+def test_a_file_without_a_device_is_told_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mine.py").write_text("x = 1")
+    assert main(["conformance", str(tmp_path / "mine.py")]) == 2
+    assert "mine.py has no ImuSpec and no TableSpec" in capsys.readouterr().err

@@ -190,6 +190,40 @@ def test_the_form_is_listed_and_written(here: Path, capsys: pytest.CaptureFixtur
     assert np.diag(found) == pytest.approx([1 / (1 - gyro.states[0]) for gyro in gyros], abs=1e-6)
 
 
+def test_a_form_that_returns_no_written_is_told_so(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("bare.py").write_text(
+        'from station.exports.formats import Format\nFORM = Format(name="bare", write=lambda exported: "text")\n'
+    )
+    assert main(["export", "run.h5", "--plugin", "bare.py", "--format", "bare"]) == 2
+    assert "the form bare failed: TypeError: it returned str, not Written" in capsys.readouterr().err
+
+
+def test_a_file_in_the_working_folder_is_told_with_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text("\nimport no_such_module\n")
+    assert main(["conformance", "mine.py"]) == 2
+    assert "plug-in mine.py, line 2: ModuleNotFoundError" in capsys.readouterr().err
+
+
+def test_a_device_without_a_twin_is_told_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text((EXAMPLES / "counted_imu.py").read_text().replace("    twin=CountedTwin,\n", ""))
+    Path("b.toml").write_text(
+        BENCH.format(first='plugins = ["mine.py"]')
+        .replace("hidden", "#")
+        .replace('"numbered"', '"galil"')
+        .replace("[table.x]", '[table.x]\nletter = "A"\ncounts_per_turn = 36000')
+        .replace("[table.y]", '[table.y]\nletter = "B"\ncounts_per_turn = 36000')
+        .replace("[table.z]", '[table.z]\nletter = "C"\ncounts_per_turn = 36000')
+    )
+    assert main(["check", "b.toml"]) == 2
+    assert "counted has no twin: its SPEC needs one, or the bench file a link" in capsys.readouterr().err
+
+
 def test_a_form_that_is_none_is_told_with_the_nearest(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", "run.h5", "--format", "octaev"]) == 2
     assert re.search(r"'octaev' is not one of json, .*, octave; did you mean octave\?", capsys.readouterr().err)

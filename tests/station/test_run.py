@@ -234,7 +234,7 @@ def test_a_wrong_bench_file_is_told_with_its_line_and_nothing_is_made(
         ('kind = "rotate"\naxis = "x"\nrate = "2 deg/s"\nacceleration = "80 deg/s2"\nduration = "9 s"', "50 deg/s2"),
         ('kind = "rest"\nduration = "-3 s"', "give a time above zero"),
         ('kind = "dance"', "'dance' is not one of rest, move, rotate"),
-        ('kind = "rest"\nduraton = "3 s"', "duration is missing"),
+        ('kind = "rest"\nduraton = "3 s"', "duration is missing; is it misspelt as duraton?"),
     ],
 )
 def test_a_script_that_cannot_be_done_is_refused_before_motion(
