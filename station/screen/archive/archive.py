@@ -26,6 +26,7 @@ class Archive:
 
     def __init__(self) -> None:
         self._pool: ProcessPool | None = None
+        self._turn = asyncio.Lock()
         self._known: dict[tuple[Path, float, int], Entry] = {}
 
     async def entries(self, folder: Path) -> AsyncIterator[Entry]:
@@ -47,11 +48,11 @@ class Archive:
 
     async def accept(self, path: Path, attributes: Mapping[str, str]) -> str:
         """Write who accepted a recording into it; return what went wrong, empty if nothing did."""
-        writer = Archive()  # a process of its own, since HDF5 does not get over a write that fails
-        try:
-            return str(await writer._do("accept", path, dict(attributes), limit_s=_WRITE_LIMIT_S))
-        finally:
-            await writer.close()
+        async with self._turn:
+            wrong = str(await self._do("accept", path, dict(attributes), limit_s=_WRITE_LIMIT_S))
+            if wrong:  # HDF5 does not get over a write that failed
+                await self.close()
+        return wrong
 
     async def close(self) -> None:
         """End the process that reads."""
@@ -61,7 +62,8 @@ class Archive:
             await asyncio.to_thread(pool.join)
 
     async def _read(self, path: Path, when_utc_s: float, *, everything: bool) -> Whole:
-        found = await self._do("read", path, when_utc_s, everything)
+        async with self._turn:
+            found = await self._do("read", path, when_utc_s, everything)
         return Whole(Entry(path, when_utc_s, wrong=found)) if isinstance(found, str) else found
 
     async def _do(self, work: str, *about: Any, limit_s: float = _LIMIT_S) -> Any:

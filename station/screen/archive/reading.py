@@ -13,7 +13,6 @@ import h5py
 from estimator.errors import RecordingError, first_line
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION
 from estimator.recordings.writing import plain, write_attributes
-from station.bench.bench import read_limits
 from station.errors import BenchError
 from station.run.snapshot import GyroSnapshot
 from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, Entry, Whole
@@ -125,6 +124,8 @@ def _investigation(recording: Path) -> dict[str, Any]:
 
 
 def _sizes(bench: str) -> tuple[float, ...]:
+    from station.bench.bench import read_limits  # with all drivers, which a list of recordings does without
+
     try:
         return read_limits(bench).sizes
     except BenchError:
