@@ -81,6 +81,8 @@ class LiveSource:
         self._y: Floats = np.empty((0, len(array)))
         self._temperature_c: Floats = np.empty(0)
         self._new: list[ImuBlock] = []
+        self._recent: tuple[Floats, ...] = ()
+        self._recent_at = -1
 
     def add(self, block: ImuBlock) -> None:
         self._new.append(block)
@@ -105,9 +107,15 @@ class LiveSource:
         pairs = [decode(xi, pi) for xi, pi in zip(x, p, strict=True)]
         return np.array([s for s, _ in pairs]), np.array([np.sqrt(np.diag(c)) for _, c in pairs])
 
-    def recent(self) -> Floats:
-        """Return the normalised innovations (n, m) of the blocks of the last half minute."""
-        return np.array(self.history.normalised[-_RECENT_BLOCKS:]).reshape(-1, len(self.array))
+    def recent(self) -> tuple[Floats, ...]:
+        """Return the normalised innovations (n, m) of the blocks of the last half minute, and what ``decoded`` does.
+
+        They are worked out once for each handful of blocks.
+        """
+        if self._recent_at != len(self.history.t_ns):
+            x = np.array(self.history.normalised[-_RECENT_BLOCKS:]).reshape(-1, len(self.array))
+            self._recent, self._recent_at = (x, *self.decoded()), len(self.history.t_ns)
+        return self._recent
 
     def keep_blocks(self) -> None:
         """Sum the rows by block from now on, for estimates under coloured noise."""
@@ -251,7 +259,7 @@ class LiveEstimate:
 
         0 for a filter that is right, within 1 / sqrt(pairs of blocks); NaN before there are enough.
         """
-        recent = [source.recent() for source in self.sources.values()]
+        recent = [source.recent()[0] for source in self.sources.values()]
         squares = sum(float((x[1:] ** 2).sum() + (x[:-1] ** 2).sum()) / 2 for x in recent)
         if sum(x[1:].size for x in recent) < _FEWEST_PAIRS or not squares:
             return float("nan")

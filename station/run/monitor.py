@@ -148,7 +148,7 @@ class Monitor:
 
     def _gyro_snapshots(self) -> Iterator[GyroSnapshot]:
         for name, source in self._live.sources.items():
-            x, (states, sd) = source.recent(), source.decoded()
+            x, states, sd = source.recent()
             by_gyro = (x**2).mean(axis=0) if len(x) else np.full(len(source.array), np.nan)
             rows = zip(source.array.names, states.tolist(), sd.tolist(), by_gyro.tolist(), strict=True)
             for gyro, values, sds, nis in rows:
