@@ -322,3 +322,16 @@ def test_late_answers_over_tcp_are_not_taken_for_the_next_ones() -> None:
 
     with asyncio.Runner(loop_factory=ScaledLoop) as runner:
         runner.run(main())
+
+
+def test_a_stop_after_a_request_of_unknown_fate_goes_by_the_connection_that_is_there() -> None:
+    async def main() -> None:
+        async with exchange() as (made, peer):
+            peer.answer = lambda line: None
+            with pytest.raises(Unanswered):
+                await made.ask("DO", NOTHING, repeat=False)
+            await made.tell_all(["ST"])
+            await asyncio.sleep(0.01)
+            assert peer.heard[-1] == b"ST"
+
+    virtually(main)
