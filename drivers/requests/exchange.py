@@ -164,6 +164,8 @@ class Exchange:
                 except TimeoutError:
                     self.counts.timeouts += 1
                     attempt += 1
+                except Unanswered:  # the controller is there, and in step
+                    raise
                 except LinkLost:
                     self._failed = True
                     raise
