@@ -79,6 +79,10 @@ def _places(tree: ast.AST) -> Iterator[ast.expr | ast.stmt]:
     documented = {
         id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
     }
+    # Annotations, and how a class is made by its decorator, are no behaviour.
+    for node in ast.walk(tree):
+        said = [getattr(node, name, None) for name in ("annotation", "returns")] + getattr(node, "decorator_list", [])
+        documented |= {id(inner) for part in said if part is not None for inner in ast.walk(part)}
     for node in ast.walk(tree):
         if id(node) in documented:
             continue

@@ -229,6 +229,37 @@ def test_an_error_is_said_with_its_code_and_in_words() -> None:
     assert error_text(b"").startswith("error 0")
 
 
+@pytest.mark.parametrize(
+    ("wire", "name"),
+    [
+        (0x00, "ReqDID"),
+        (0x02, "Init"),
+        (0x0C, "ReqConfiguration"),
+        (0x10, "GoToMeasurement"),
+        (0x12, "ReqFirmwareRev"),
+        (0x1C, "ReqProductCode"),
+        (0x1E, "ReqHardwareVersion"),
+        (0x30, "GoToConfig"),
+        (0x36, "Mtdata2"),
+        (0x3E, "WakeUp"),
+        (0x40, "Reset"),
+        (0x42, "Error"),
+        (0xC0, "OutputConfiguration"),
+    ],
+)
+def test_messages_have_the_identifiers_of_the_low_level_protocol(wire: int, name: str) -> None:
+    assert Mid(wire).label == name
+    assert encode(Mid(wire), b"")[2] == wire
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [("010203", "1.2.3"), ("01080300000017", "1.8.3 build 23"), ("0108030000001700000001", "1.8.3 build 23")],
+)
+def test_firmware_has_a_build_where_the_device_tells_one(data: str, said: str) -> None:
+    assert firmware_of(bytes.fromhex(data)) == said
+
+
 def test_an_output_is_said_with_its_name_format_and_rate() -> None:
     assert str(Output(0x8023, 400)) == "RateOfTurn(Float64) at 400 Hz"
     assert str(Output(0x1020, EVERY)) == "PacketCounter with every message"
@@ -267,6 +298,10 @@ def test_a_long_message_has_its_length_in_two_bytes_more() -> None:
         stream = encode(Mid.MTDATA2, data)
         assert len(stream) == length + (5 if length < 255 else 7)
         assert each(XbusDecoder().feed(stream)) == [(Mid.MTDATA2, data)]
+        decoder = XbusDecoder()  # in two reads, the second with the check sum alone
+        assert decoder.feed(stream[:-1]) == []
+        assert each(decoder.feed(stream[-1:])) == [(Mid.MTDATA2, data)]
+        assert decoder.dropped_bytes == 0
     with pytest.raises(ValueError, match="at most 2048 bytes"):
         encode(Mid.MTDATA2, bytes(LONGEST_DATA + 1))
 
