@@ -269,6 +269,13 @@ def test_a_broken_limit_is_named_and_makes_it_a_report(copy: Path, tmp_path: Pat
     assert sum(not line.within for line in standing.lines) == 4
 
 
+def test_the_combined_uncertainty_of_a_fine_gyro_is_a_number_however_small(copy: Path, tmp_path: Path) -> None:
+    with h5py.File(copy, "r+") as file:
+        file["calibration/covariance"][0, 1, 1] = np.radians(0.0042 / 3600) ** 2
+    rows = [words_of(row) for row in parsed(reported(copy, tmp_path)).iter("tr")]
+    assert re.search(r" 0\.0042 ", next(row for row in rows if row.startswith("combined")))
+
+
 @pytest.mark.parametrize(
     ("outcome", "title"),
     [

@@ -61,11 +61,11 @@ def limits_by_gyro(standing: Standing) -> Mapping[str, list[tuple[LimitLine | No
     return gyros
 
 
-def shares(u: Iterable[float], source: str) -> list[Markup]:
+def shares(u: Iterable[float], source: str, next_to_nothing: float = _NEXT_TO_NOTHING) -> list[Markup]:
     """Return standard uncertainties state by state; what is next to nothing is said to be so. ``source``: %d, state."""
     return [
         figure(value, unit, "< 0.01", source % s)
-        if value * unit.factor < _NEXT_TO_NOTHING
+        if value * unit.factor < next_to_nothing
         else plain(float(value), unit, 2, source % s)
         for s, (value, (_, unit)) in enumerate(zip(u, STATES, strict=True))
     ]
