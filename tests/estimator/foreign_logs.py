@@ -60,9 +60,9 @@ def gyro_encoder_rate(path: Path, *, factor: float = -14.2, bias_dps: float = 1.
 def gyro_encoder_angle(path: Path, *, k: float = 0.004, bias_dps: float = -0.4, turn: float = 1.0) -> Path:
     """A gyro in deg/s beside the counts of an encoder, 4096 to a turn."""
     rng = np.random.default_rng(12)
-    t = np.arange(8000) / 200
+    t = np.arange(4000) / 100
     w = spindle(t)
-    angle = 17.3 + np.concatenate([[0], np.cumsum((w[1:] + w[:-1]) / 2 / 200)])
+    angle = 17.3 + np.concatenate([[0], np.cumsum((w[1:] + w[:-1]) / 2 / 100)])
     counts = np.floor(angle / 360 * 4096) % 4096
     gyro = turn * (1 - k) * w - bias_dps + rng.normal(scale=0.1, size=len(t))
     lines = [f"{a:.3f},{g:.3f},{c:.0f}" for a, g, c in zip(t, gyro, counts, strict=True)]
