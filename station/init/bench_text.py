@@ -1,7 +1,5 @@
 """A bench file made of answers: TOML with comments."""
 
-from collections.abc import Mapping
-
 from drivers.imus.registry import IMUS
 from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.registry import TABLES
@@ -19,9 +17,11 @@ _HEAD = """\
 def bench_text(bench: Data) -> str:
     """Return the whole file."""
     docs: dict[str, str] = {}
-    specs: Mapping[str, ImuSpec | TableSpec] = {**IMUS, **TABLES}
-    for path, device in (("table.", bench["table"]), *((f"imu.{imu['name']}.", imu) for imu in bench["imu"])):
-        spec = specs[device["protocol"]]
+    devices: list[tuple[str, Data, ImuSpec | TableSpec]] = [
+        ("table.", bench["table"], TABLES[bench["table"]["protocol"]])
+    ]
+    devices += [(f"imu.{imu['name']}.", imu, IMUS[imu["protocol"]]) for imu in bench["imu"]]
+    for path, device, spec in devices:  # no others are asked for: one may be damaged
         docs |= {f"{path}{key.name}": key.doc for key in spec.keys}
         docs[f"{path}protocol"] = ", ".join(TABLES if isinstance(spec, TableSpec) else IMUS)
         docs[f"{path}link"] = f"the twin; hardware: {spec.link}" if device["link"] == TWIN else ""
