@@ -215,7 +215,9 @@ class Record:
             if re.search("deg|ppm|%", own.unit):
                 raise EffectError(f"the effect {self.name}: {own.unit!r} of {own.name} is no SI unit: write rad, K, 1")
             if not (isinstance(own.largest, (int, float)) and 0 < own.largest < math.inf):
-                raise EffectError(f"the effect {self.name}: the largest size of {own.name} is {own.largest}")
+                raise EffectError(
+                    f"the effect {self.name}: size of {own.name} is {own.largest!r}: give a number above 0"
+                )
         for settings in self.listed(1.0) if self.law else ():
             try:
                 terms, count = self.effect(("z",), **settings).parameters, len(parsed(self.law.format(**settings)))

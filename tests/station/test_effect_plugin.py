@@ -22,7 +22,10 @@ from estimator.effects.effect import EffectError, Parameter, Record
         ),  # type: ignore[arg-type]
         (Record(name="mine", parameters=(Parameter("a", "deg/s", 1.0),), law="u"), "'deg/s' of a is no SI unit"),
         (Record(name="mine", parameters=(Parameter("a", "rad/s", -1.0),), law="u"), "size of a is -1.0"),
-        (Record(name="mine", parameters=(Parameter("a", "rad/s", "1"),), law="u"), "size of a is 1"),  # type: ignore[arg-type]
+        (
+            Record(name="mine", parameters=(Parameter("a", "rad/s", "1"),), law="u"),
+            "size of a is '1': give a number above 0",
+        ),  # type: ignore[arg-type]
         (
             Record(name="mine", parameters=(Parameter("a", "rad/s", 1.0),), law="u", suspected_of="rate"),  # type: ignore[arg-type]
             "suspected_of: write a tuple",
