@@ -45,7 +45,7 @@ def load_file(path: Path) -> ModuleType:
         spec.loader.exec_module(module)
         return module
 
-    return _guarded(f"plug-in {path}", str(path), run)
+    return _guarded(f"plug-in {path}", str(path.absolute()), run)
 
 
 def origin_of(module: ModuleType) -> str:

@@ -168,7 +168,9 @@ class StrictTable:
         self._known.append(key)
         if key not in self._data:
             if default is None:
-                raise self.fail(None, f"{key} is missing")
+                close = difflib.get_close_matches(key, self._data, 1, 0.7)
+                hint = f"; is it misspelt as {close[0]}?" if close else ""
+                raise self.fail(None, f"{key} is missing{hint}")
             return default
         try:
             return convert(self._data.pop(key))

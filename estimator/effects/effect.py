@@ -208,13 +208,23 @@ class Record:
         """Raise EffectError, with what is wrong, for a record that the station cannot work with."""
         if not re.fullmatch("[a-z][a-z0-9_]*", self.name):
             raise EffectError(f"the effect {self.name!r} has no name of small letters, digits and underscores")
+        for key in ("parameters", "confused_with", "suspected_of"):
+            if not (isinstance(value := getattr(self, key), tuple) or callable(value)):
+                raise EffectError(f"the effect {self.name}: {key}: write a tuple, (..., )")
+        for own in self.parameters if isinstance(self.parameters, tuple) else ():
+            if re.search("deg|ppm|%", own.unit):
+                raise EffectError(f"the effect {self.name}: {own.unit!r} of {own.name} is no SI unit: write rad, K, 1")
+            if not (isinstance(own.largest, (int, float)) and 0 < own.largest < math.inf):
+                raise EffectError(
+                    f"the effect {self.name}: size of {own.name} is {own.largest!r}: give a number above 0"
+                )
         for settings in self.listed(1.0) if self.law else ():
             try:
-                own, count = self.effect(("z",), **settings).parameters, len(parsed(self.law.format(**settings)))
+                terms, count = self.effect(("z",), **settings).parameters, len(parsed(self.law.format(**settings)))
             except (LawError, KeyError) as error:
                 raise EffectError(f"the effect {self.name} has no law: {error}") from None
-            if count != len(own):
-                raise EffectError(f"the law of the effect {self.name} has {count} terms for {len(own)} parameters")
+            if count != len(terms):
+                raise EffectError(f"the law of the effect {self.name} has {count} terms for {len(terms)} parameters")
         if self.kind is Kind.LAW and not self.law:
             if self.regressors is None:
                 raise EffectError(f"the effect {self.name} has neither a law nor regressors")

@@ -108,8 +108,8 @@ def in_words(law: str) -> str:
 @lru_cache(4096)
 def parsed(law: str) -> tuple[ast.expr, ...]:
     """Return the terms of a law as trees; LawError for anything that the grammar does not hold."""
-    if not law.strip() or len(law) > _MOST_CHARACTERS:
-        raise LawError(f"a law has 1 to {_MOST_CHARACTERS} characters")
+    if not isinstance(law, str) or not law.strip() or len(law) > _MOST_CHARACTERS:
+        raise LawError(f"{law!r}: a law is a text of 1 to {_MOST_CHARACTERS} characters")
     if not _CHARACTERS.fullmatch(law):
         raise LawError(f"{law!r} has a character that no law has")
     trees = []

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+from drivers.plugins import PluginError
 from drivers.specs import ImuSpec
 from sims.imus.aceinna import AceinnaDevice
 from sims.imus.can_nodes import CanNodes
@@ -29,5 +30,7 @@ A twin has ``serve``, which sends until it is cancelled, and ``received`` for by
 
 
 def twin_of(spec: ImuSpec) -> Callable[[Ride, Any], Any]:
-    """Return what makes the twin of a device."""
-    return spec.twin or TWINS[spec.family or spec.name]
+    """Return what makes the twin of a device; PluginError if it brings none."""
+    if (twin := spec.twin or TWINS.get(spec.family or spec.name)) is None:
+        raise PluginError(f"{spec.name} has no twin: its SPEC needs one, or the bench file a link")
+    return twin

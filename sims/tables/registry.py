@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from drivers.plugins import PluginError
 from drivers.specs import TableSpec
 from drivers.tables.modbus.line import SerialPort
 from sims.tables.acutrol_controller import AcutrolController
@@ -28,5 +29,7 @@ TWINS: dict[str, Callable[[Seat, Write], ByteDevice]] = {
 
 
 def twin_of(spec: TableSpec) -> Callable[[Seat, Write], ByteDevice]:
-    """Return what makes the twin of a controller."""
-    return spec.twin or TWINS[spec.name]
+    """Return what makes the twin of a controller; PluginError if it brings none."""
+    if (twin := spec.twin or TWINS.get(spec.name)) is None:
+        raise PluginError(f"{spec.name} has no twin: its SPEC needs one, or the bench file a link")
+    return twin

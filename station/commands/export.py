@@ -66,7 +66,10 @@ def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
             "several that are one array by giving it several times"
         )
     try:
-        return exported, form.write(exported)
+        written = form.write(exported)
+        if not isinstance(written, Written):
+            raise TypeError(f"it returned {type(written).__name__}, not Written")
+        return exported, written
     except Exception as error:
         if arguments.format in FORMATS and not FORMATS.origin(arguments.format):
             raise  # a defect of our own

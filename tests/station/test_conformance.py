@@ -82,7 +82,7 @@ def test_the_examples_pass_and_each_suite_is_told(path: Path, capsys: pytest.Cap
             "units",
             "^no samples came; it ended with TypeError: list indices .*mine.py, line 7",
         ),
-        ("counted_imu", "yield self._device, block", "pass", "units", "^no samples came$"),
+        ("counted_imu", "yield self._device, block", "if not block: yield", "units", "^no samples came$"),
         ("counted_imu", "    twin=CountedTwin,\n", "", "units", "counted has no twin: its SPEC needs one"),
         ("counted_imu", "    def flush(self)", "    def flash(self)", "units", "the driver has no flush"),
         ("numbered_table", "async def disable", "async def disabel", "units", "the driver has no disable"),

@@ -15,14 +15,17 @@ from estimator.effects.effect import EffectError, Parameter, Record
         (Record(name="mine", parameters=(Parameter("a", "rad/s", 1.0),), law="u; T"), "2 terms for 1 parameters"),
         (Record(name="mine", parameters=(Parameter("a", "rad/s", 1.0),), law="phlogiston"), "no law.*phlogiston"),
         (Record(name="mine", parameters=(Parameter("a", "rad/s", 1.0),)), "neither a law nor regressors"),
-        (Record(name="mine", parameters=(Parameter("a", "rad/s", 1.0),), law=3), "no law: 3 is no text"),  # type: ignore[arg-type]
+        (Record(name="mine", parameters=(Parameter("a", "rad/s", 1.0),), law=3), "no law: 3: a law is a text"),  # type: ignore[arg-type]
         (
             Record(name="mine", parameters=Parameter("a", "rad/s", 1.0), law="u"),
-            "parameters: write a tuple of Parameter",
+            "parameters: write a tuple",
         ),  # type: ignore[arg-type]
         (Record(name="mine", parameters=(Parameter("a", "deg/s", 1.0),), law="u"), "'deg/s' of a is no SI unit"),
         (Record(name="mine", parameters=(Parameter("a", "rad/s", -1.0),), law="u"), "size of a is -1.0"),
-        (Record(name="mine", parameters=(Parameter("a", "rad/s", "1"),), law="u"), "size of a is 1"),  # type: ignore[arg-type]
+        (
+            Record(name="mine", parameters=(Parameter("a", "rad/s", "1"),), law="u"),
+            "size of a is '1': give a number above 0",
+        ),  # type: ignore[arg-type]
         (
             Record(name="mine", parameters=(Parameter("a", "rad/s", 1.0),), law="u", suspected_of="rate"),  # type: ignore[arg-type]
             "suspected_of: write a tuple",
