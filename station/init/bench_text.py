@@ -1,5 +1,7 @@
 """A bench file made of answers: TOML with comments."""
 
+from collections.abc import Mapping
+
 from drivers.imus.registry import IMUS
 from drivers.specs import ImuSpec, TableSpec
 from drivers.tables.registry import TABLES
