@@ -70,6 +70,8 @@ def _written(arguments: argparse.Namespace) -> tuple[Exported, Written]:
         if not isinstance(written, Written):
             raise TypeError(f"it returned {type(written).__name__}, not Written")
         return exported, written
+    except UsageError:
+        raise
     except Exception as error:
         if arguments.format in FORMATS and not FORMATS.origin(arguments.format):
             raise  # a defect of our own
