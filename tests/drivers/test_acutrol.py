@@ -20,7 +20,7 @@ from wire_pair import pair
 
 from drivers.errors import DeviceFault, DeviceRefused, LinkLost
 from drivers.specs import AxisSetup
-from drivers.tables.acutrol.language import NUMBER, OK, AcutrolFraming, refusal
+from drivers.tables.acutrol.language import NUMBER, OK, AcutrolFraming, absolute_limits, refusal
 from drivers.tables.acutrol.table import AcutrolTable
 from drivers.tables.unwrap import Unwrapper
 from drivers.types import AxisLimits
@@ -70,6 +70,29 @@ def test_the_transcripts_are_those_that_are_known() -> None:
         "*stb?",
         ":dem:rate 1,10",
     }
+
+
+@pytest.mark.parametrize(
+    ("text", "limits"), [("300.0,500.0", (300.0, 500.0)), ("300, 500, 20", (300.0, 500.0)), ("300", None)]
+)
+def test_limits_of_the_maker_are_the_first_two_values(text: str, limits: tuple[float, float] | None) -> None:
+    assert absolute_limits(text) == limits
+
+
+@pytest.mark.parametrize("prefix", [0, 8])
+def test_a_number_beside_the_one_that_was_written_is_not_taken_for_it(prefix: int) -> None:
+    token = AcutrolFraming(1, 50.0, prefix).token()
+    written = float(token.request.split(b"synt,1,")[1].split()[0])
+    start = b"." * prefix
+
+    def told(rate_dps: float) -> bytes:
+        return start + b"OK\r\n" + start + f"{rate_dps:.2f}\r\n".encode()
+
+    answer = told(written)
+    assert token.find(answer) == (0, len(answer))
+    for before in (b"?", told(written + 0.01), told(written - 0.01)):
+        assert token.find(before) is None
+        assert token.find(before + answer) == (len(before), len(before + answer))
 
 
 @pytest.mark.parametrize("prefix", [0, 8, 12])
