@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import drivers.imus.can.dbc
 from drivers.imus.signals import parameter_group
 from drivers.packaged import packaged_toml
 from drivers.types import Frame
 
-DBC = Path(__file__).parents[1] / "can" / "dbc" / "aceinna.dbc"
+DBC = Path(drivers.imus.can.dbc.__path__[0]) / "aceinna.dbc"
 """Data messages: SSI2, ARI, ACCS."""
 
 SSI2, ARI, ACCS = 0xF029, 0xF02A, 0xF02D
