@@ -84,6 +84,14 @@ def first_gyros(count: int, *recordings: Recording) -> list[Recording]:
     return found
 
 
+def changed(text: str, *changes: tuple[str, str], most: int = -1) -> str:
+    """Return a text with other words in the place of some, at ``most`` so many of each; all of them must be there."""
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new, most)
+    return text
+
+
 def station(*arguments: str | Path, cwd: Path | None = None, timeout: float = 100) -> subprocess.CompletedProcess[str]:
     """Run the command line in a process of its own."""
     return subprocess.run(command(*arguments), capture_output=True, text=True, cwd=cwd, timeout=timeout, check=False)

@@ -23,6 +23,7 @@ from foreign_logs import (
     temperature_plateaus,
     up_and_down,
 )
+from support import changed
 
 from estimator.calibration.values import Calibration, GyroCalibration
 from estimator.errors import RecordingError
@@ -59,11 +60,7 @@ count_unit = "deg/s"
 
 
 def shape(name: str, *changes: tuple[str, str]) -> str:
-    text = (SHAPES / f"{name}.toml").read_text()
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new, 1)
-    return text
+    return changed((SHAPES / f"{name}.toml").read_text(), *changes, most=1)
 
 
 def imported(tmp_path: Path, mapping: str, *files: Path) -> Imported:

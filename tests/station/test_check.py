@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support import TwinProcess, station
+from support import TwinProcess, changed, station
 
 from station.bench.bench import default_bench_text, load_bench
 from station.cli import main
@@ -29,11 +29,8 @@ on_wires = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are P
 def made(folder: Path, name: str, *changes: tuple[str, str], more: str = "") -> Path:
     """Return a bench like one of the shipped ones, with changes."""
     text = (BENCHES / f"{name}.toml").read_text() if name else default_bench_text()
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
     path = folder / f"{name or 'built_in'}.toml"
-    path.write_text(text + more)
+    path.write_text(changed(text, *changes) + more)
     return path
 
 

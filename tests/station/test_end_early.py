@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from support import changed
 
 from station.bench.bench import default_bench_text
 from station.cli import main
@@ -42,10 +43,8 @@ def script_file(folder: Path, steps: str) -> str:
 
 def bench_file(folder: Path, old: str, new: str) -> str:
     """Write the built-in bench with another text in it."""
-    text = default_bench_text()
-    assert old in text
     path = folder / "bench.toml"
-    path.write_text(text.replace(old, new), encoding="utf-8")
+    path.write_text(changed(default_bench_text(), (old, new)), encoding="utf-8")
     return str(path)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import changed
 
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.kinematics import body_rate
@@ -39,11 +40,8 @@ def bench_file(folder: Path, *changes: tuple[str, str], axes: str = "zyx") -> st
     for axis in set("xyz") - set(axes):
         text = re.sub(rf"\[table\.{axis}\]\n(?:.+\n)+\n?", "", text)
     text = text.replace('gimbals = ["z", "y", "x"]', f"gimbals = {json.dumps(list(axes))}")
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
     path = folder / "bench.toml"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(changed(text, *changes), encoding="utf-8")
     return str(path)
 
 

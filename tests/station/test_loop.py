@@ -14,7 +14,7 @@ from typing import Any
 
 import h5py
 import pytest
-from support import command
+from support import changed, command
 from test_investigate import made
 
 import station.commands.loop
@@ -32,16 +32,12 @@ SHORT = between_rests("short", [turn for axis in "xz" for turn in there_and_back
 
 def bench_file(folder: Path, *changes: tuple[str, str], hidden: str = "", rate_hz: int = 50) -> Path:
     """Write the built-in bench with slower gyros, which are simulated sooner."""
-    text = default_bench_text()
     slower = (('rate = "100 Hz"', f'rate = "{rate_hz} Hz"'),)
     if hidden:
         (folder / "hidden.toml").write_text(hidden)
         changes = (*changes, ("[twin]\n", '[twin]\nhidden = "hidden.toml"\n'))
-    for old, new in (*slower, *changes):
-        assert old in text, old
-        text = text.replace(old, new, 1)
     path = folder / "bench.toml"
-    path.write_text(text)
+    path.write_text(changed(default_bench_text(), *slower, *changes, most=1))
     return path
 
 

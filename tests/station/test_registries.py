@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from support import changed
 
 from drivers.imus.registry import IMUS
 from drivers.specs import ImuSpec
@@ -21,12 +22,8 @@ BENCH = (Path(__file__).parents[1] / "data" / "benches" / "galil_xsens.toml").re
 
 def bench(folder: Path, *changes: tuple[str, str], first: str = "") -> Path:
     """Write a bench with a Galil and an Xsens, changed."""
-    text = BENCH
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
     path = folder / "bench.toml"
-    path.write_text(first + text)
+    path.write_text(first + changed(BENCH, *changes))
     return path
 
 

@@ -9,7 +9,7 @@ import socket
 from pathlib import Path
 
 import pytest
-from support import TwinProcess
+from support import TwinProcess, changed
 
 from drivers.errors import LinkLost
 from drivers.links.memory_link import MemoryLink
@@ -40,12 +40,8 @@ max_acceleration = "50 deg/s2"
 
 def made(folder: Path, name: str, *changes: tuple[str, str], more: str = "") -> Path:
     """Return a bench like one of the shipped ones, with changes."""
-    text = (BENCHES / f"{name}.toml").read_text()
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
     path = folder / "bench.toml"
-    path.write_text(text + more)
+    path.write_text(changed((BENCHES / f"{name}.toml").read_text(), *changes) + more)
     return path
 
 
