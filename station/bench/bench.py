@@ -74,7 +74,8 @@ class Bench:
     """A whole bench, and the text of its file.
 
     ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
-    like there (regular expressions for the whole of it), empty for anything. ``excluded`` are effects of the catalogue
+    like there (regular expressions for the whole of it), empty for anything; the screen asks anew who operates it after
+    ``shift_s``. ``excluded`` are effects of the catalogue
     that devices and table do not have; None for all of them. ``plugins`` are files and packages from outside.
     """
 
@@ -88,6 +89,7 @@ class Bench:
     station: str
     operator_pattern: str
     serial_pattern: str
+    shift_s: float
     excluded: frozenset[str] | None = None
     plugins: tuple[str, ...] = ()
 
@@ -145,6 +147,7 @@ def read_bench(
         station=place["name"] or name,
         operator_pattern=place["operator_pattern"],
         serial_pattern=place["serial_pattern"],
+        shift_s=place["shift_s"],
         excluded=_excluded(own["undeclared"]),
     )
     names = [imu.name for imu in bench.imus]

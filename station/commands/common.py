@@ -54,7 +54,14 @@ def _run(arguments: argparse.Namespace) -> int:
         scale = arguments.scale or (1.0 if arguments.host else None)  # virtual time has no sockets
         host = Host(scale or 1.0) if arguments.host else None
         options = RunOptions(
-            arguments.reset_fault, arguments.end_early, model, operator, serial, host is not None, scale or 1.0
+            arguments.reset_fault,
+            arguments.end_early,
+            model,
+            operator,
+            serial,
+            arguments.serial_reason or "",
+            host is not None,
+            scale or 1.0,
         )
         with clock(bench, scale) as runner:
             result = run_to_end(runner, drive(bench, script, path, options, arguments.json, host, arguments.bench))

@@ -95,6 +95,7 @@ def choices_of(arguments: argparse.Namespace) -> Choices:
         folder=Path(given.get("folder") or "recordings"),
         operator=given.get("operator") or "",
         serial=given.get("serial_number") or "",
+        serial_reason=given.get("serial_reason") or "",
         scale=given.get("scale"),
         link_options=_repeated("--link", given.get("link")),
         device_options=_repeated("--device", given.get("device")),

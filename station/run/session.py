@@ -65,8 +65,9 @@ class RunOptions:
     """How a run is made.
 
     ``model``: effects to estimate beside the states; it must fit the table. ``operator`` and ``device_serial`` are
-    recorded; without the latter, what the device under test says if there is one. ``outlives_terminal``: SIGHUP does
-    not end the run. ``time_scale`` is how fast the loop's clock runs.
+    recorded; without the latter, what the device under test says if there is one. A device that says another number
+    ends the run, unless ``serial_reason`` says why both are right. ``outlives_terminal``: SIGHUP does not end the run.
+    ``time_scale`` is how fast the loop's clock runs.
     """
 
     reset_fault: bool = False
@@ -74,6 +75,7 @@ class RunOptions:
     model: ErrorModel | None = None
     operator: str = ""
     device_serial: str = ""
+    serial_reason: str = ""
     outlives_terminal: bool = False
     time_scale: float = 1.0
 
@@ -207,9 +209,7 @@ class Session:
         async with asyncio.TaskGroup() as group:
             services = [_serve(group, acquisition.keep_flushing())]
             for imu in self._open.imus:
-                serial = (await acquisition.open(imu)).serial
-                if serial and not self._options.device_serial and len(self._open.imus) == 1:
-                    self._writer.set_attributes({"device_serial": serial})
+                self._check_serial(imu.config.name, (await acquisition.open(imu)).serial)
                 services.append(_serve(group, acquisition.acquire(imu)))
             await table.open()  # the last: what is not there is known before the table is touched
             await first_look(table, take_over=self._options.reset_fault)
@@ -246,6 +246,23 @@ class Session:
             monitor.phase = Phase.STOPPING
             for service in services:
                 service.cancel()
+
+    def _check_serial(self, device: str, told: str) -> None:
+        """Record the number that the one device under test tells; DeviceError if another is meant, without a reason."""
+        options, attributes = self._options, {}
+        if not told or len(self._open.imus) != 1:
+            return
+        if not options.device_serial:
+            attributes = {"device_serial": told}
+        elif told != options.device_serial:
+            if not options.serial_reason:
+                raise DeviceError(
+                    device,
+                    f"it says that its serial number is {told!r}, the run is of {options.device_serial!r}: connect "
+                    "that one, or give the number that it says, or say why both are right (--serial-reason)",
+                )
+            attributes = {"device_serial_told": told, "serial_reason": options.serial_reason}
+        self._writer.set_attributes(attributes)
 
     def _take_row(self, row: TableRow) -> None:
         self._acquisition.take_row(row)

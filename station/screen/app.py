@@ -5,6 +5,7 @@ import gc
 import os
 import select
 import sys
+import time
 from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -74,6 +75,8 @@ class StationApp(App[None]):
         self.remembered: Remembered = load_remembered()
         entered = {key: getattr(choices, key) or getattr(self.remembered, key) for key in REMEMBERED}
         self.choices = replace(choices, **entered)
+        self.operator_utc_s = time.time() if choices.operator else self.remembered.operator_utc_s
+        self.bench_recalled = bool(self.remembered.bench) and not choices.bench
         self.archive = Archive()
         self.shown: LiveRun | None = None
         self.others = 0
@@ -152,7 +155,7 @@ class StationApp(App[None]):
 
     def start_run(self, prospect: Prospect) -> None:
         """Start a session with what was chosen on a bench, keep what was entered, and show the session."""
-        self._remember(prospect.bench)
+        self._remember()
         self.work(partial(self._start, prospect), "start")
 
     async def _start(self, prospect: Prospect) -> None:
@@ -183,11 +186,10 @@ class StationApp(App[None]):
         else:
             self.notify(f"no session takes it: {text}", title="Note NOT kept", severity="error", markup=False)
 
-    def _remember(self, bench: str) -> None:
-        serials = {**self.remembered.serials, bench: self.choices.serial}
+    def _remember(self) -> None:
         chosen = self.choices.bench, self.choices.script
         bench, script = (str(Path(path).absolute()) if path else "" for path in chosen)
-        self.remembered = Remembered(self.choices.operator, bench, script, serials)
+        self.remembered = Remembered(self.choices.operator, bench, script, self.operator_utc_s)
         save_remembered(self.remembered)
 
     def prepare(self, script: str | None) -> None:

@@ -25,6 +25,7 @@ class Choices:
     link_options: tuple[str, ...] = ()
     device_options: tuple[str, ...] = ()
     run_options: tuple[str, ...] = ()
+    serial_reason: str = ""
 
     def check_arguments(self, all_twins: bool) -> list[str]:
         """Return the arguments of `station check`; twins in memory are asked in virtual time, whatever the scale."""
@@ -42,6 +43,7 @@ class Choices:
             "--script": self.script,
             "--operator": self.operator,
             "--serial-number": self.serial,
+            "--serial-reason": self.serial_reason,
             "--scale": "" if scale is None else f"{scale:g}",
             "--output": str(recording),
         }

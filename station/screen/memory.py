@@ -1,10 +1,9 @@
-"""What the screen remembers from one day to the next: the operator, the devices on each bench, bench and script."""
+"""What the screen remembers from one day to the next: the operator and when that was confirmed, bench and script."""
 
 import json
 import os
-from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +12,18 @@ from station.errors import UsageError
 
 _FOLDER = "turntable-station"
 _FILE = "screen.json"
-_MOST_BENCHES = 50
 REMEMBERED = ("operator", "bench", "script")
-"""What is remembered beside serial numbers."""
+"""What is remembered of the fields: the number of a device is not, the next device has another."""
 
 
 @dataclass(frozen=True, slots=True)
 class Remembered:
-    """What was entered last; ``serials`` by bench."""
+    """What was entered last; ``operator_utc_s`` is when the operator was, in seconds since 1970."""
 
     operator: str = ""
     bench: str = ""
     script: str = ""
-    serials: Mapping[str, str] = field(default_factory=dict)
+    operator_utc_s: float = 0.0
 
 
 def state_folder() -> Path:
@@ -38,14 +36,13 @@ def load_remembered() -> Remembered:
     """Return what is remembered; nothing if the file is missing or no such file."""
     try:
         found: Any = json.loads((state_folder() / _FILE).read_text(encoding="utf-8"))
-        serials = {str(bench): str(serial) for bench, serial in dict(found.get("serials", {})).items()}
-        return Remembered(**{key: str(found.get(key, "")) for key in REMEMBERED}, serials=serials)
+        texts = {key: str(found.get(key, "")) for key in REMEMBERED}
+        return Remembered(**texts, operator_utc_s=float(found.get("operator_utc_s", 0.0)))
     except (OSError, ValueError, TypeError, AttributeError):
         return Remembered()
 
 
 def save_remembered(remembered: Remembered) -> None:
-    """Keep it, the latest 50 benches; a folder that cannot be written is no reason to stop a calibration."""
-    kept = asdict(remembered) | {"serials": dict(list(remembered.serials.items())[-_MOST_BENCHES:])}
+    """Keep it; a folder that cannot be written is no reason to stop a calibration."""
     with suppress(UsageError):
-        write_whole(state_folder() / _FILE, json.dumps(kept, indent=1), replace=True)
+        write_whole(state_folder() / _FILE, json.dumps(asdict(remembered), indent=1), replace=True)

@@ -6,7 +6,6 @@ from typing import Any, Protocol
 
 from station.screen.archive.archive import Archive
 from station.screen.choices import Choices
-from station.screen.memory import Remembered
 from station.screen.sessions.live_run import LiveRun
 from station.screen.tabs.prospects import Prospect
 
@@ -18,7 +17,8 @@ class SeenApp(Protocol):
     others: int
     choices: Choices
     archive: Archive
-    remembered: Remembered
+    operator_utc_s: float
+    bench_recalled: bool
 
     @property
     def busy(self) -> bool: ...

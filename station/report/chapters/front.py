@@ -35,6 +35,12 @@ def links_of(recorded: Recorded) -> dict[str, str]:
     return links | ({"table": recorded.text("table_link")} if recorded.has("table_link") else {})
 
 
+def serial_words(recorded: Recorded) -> str:
+    """Return the serial number of the device under test, with what the device says if that is another."""
+    serial, told = recorded.text("device_serial") or "not stated", recorded.text("device_serial_told")
+    return f"{serial} (the device says {told}; confirmed: {recorded.text('serial_reason')})" if told else serial
+
+
 def local_links(links: Mapping[str, str]) -> list[str]:
     """Return the names whose links end on this computer."""
     return [name for name, link in links.items() if _LOCAL.search(link)]

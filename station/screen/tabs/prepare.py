@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -15,6 +16,7 @@ from textual.widgets import Button, Input, Label, Static
 
 from station.screen.base import Field, StationScreen
 from station.screen.choices import Choices
+from station.screen.dialogs import AskTextDialog
 from station.screen.figures import columns, templated, titled
 from station.screen.sessions.link import sessions_on
 from station.screen.sessions.live_run import LiveRun
@@ -38,8 +40,11 @@ class PrepareScreen(StationScreen):
     BINDINGS: ClassVar = [
         Binding("f6", "look_again", "Check again", key_display="F6"),
         Binding("f7", "start", "START", key_display="F7"),
-        # Before the field sees it: what is typed, or scanned, right after it then goes to the next field.
+        Binding("f8", "confirm_serial", show=False),
+        # Before the field sees them: what is typed, or scanned, right after them then goes to the next field.
         Binding("enter", "enter", priority=True, show=False),
+        Binding("tab", "app.focus_next", priority=True, show=False),
+        Binding("shift+tab", "app.focus_previous", priority=True, show=False),
     ]
 
     def __init__(self) -> None:
@@ -48,6 +53,8 @@ class PrepareScreen(StationScreen):
         self._check: Answer | None = None
         self._plan: Answer | None = None
         self._checking = ""
+        self._looked_for: tuple[str, str] | None = None
+        self._confirmed = ("", "", "")  # number as entered, number that the device says, why both are right
         self._run_before: LiveRun | None = None
 
     def body(self) -> ComposeResult:
@@ -79,13 +86,14 @@ class PrepareScreen(StationScreen):
     def prepare(self, script: str) -> None:
         """Set another script, and look again."""
         self.query_one("#script", Input).value = script
-        self.action_look_again()
+        self._look_at_both()
 
     def on_input_changed(self, event: Input.Changed) -> None:
         """Take over what was typed; bench and script are looked at when they are complete."""
-        if event.input.id in ("operator", "serial"):
-            self._take_over()
-        else:
+        if event.input.id == "operator":
+            self.station.operator_utc_s = time.time()
+        self._take_over()
+        if self._looked_for != self._files():  # else this tells of what a look has taken over before
             self._prospect = None
         self.redraw()
 
@@ -95,7 +103,10 @@ class PrepareScreen(StationScreen):
         if isinstance(at, Button):
             at.press()
         elif isinstance(at, Input):
+            if at.id == "operator" and at.value:
+                self.station.operator_utc_s = time.time()
             self.focus_next()
+            self.redraw()
 
     def on_input_blurred(self, event: Input.Blurred) -> None:
         """Look at bench and script when they are left."""
@@ -110,12 +121,18 @@ class PrepareScreen(StationScreen):
         """Ask bench and script once the first picture is out, and again when a session has ended since."""
         ended = self.station.shown is not self._run_before and not self.station.busy
         if self._prospect is None or ended:
-            self.call_after_refresh(self.action_look_again)
+            self.call_after_refresh(self._look_at_both)
         self.redraw()
 
     def action_look_again(self) -> None:
+        """Open the bench that is named, whichever that is."""
+        self.station.bench_recalled = False
+        self._look_at_both()
+
+    def _look_at_both(self) -> None:
         """Read bench and script, ask the devices, plan; what was asked before is given up."""
         self._take_over()
+        self._looked_for = self._files()
         self._prospect = self._check = self._plan = None
         self._checking = ""
         self._run_before = self.station.shown
@@ -137,13 +154,16 @@ class PrepareScreen(StationScreen):
     async def _look(self, choices: Choices) -> None:
         found = await asyncio.to_thread(look_ahead, choices)
         self._prospect = found
-        self._recall(found)
         self.redraw()
         if found.bench_wrong:
             return
         await asyncio.gather(self._look_at_devices(choices, found), self._look_at_plan(choices, found))
 
     async def _look_at_devices(self, choices: Choices, found: Prospect) -> None:
+        if self.station.bench_recalled and not found.all_twins:
+            self._checking = f"bench {found.bench} is that of the last run, and real: F6 opens it"
+            self.redraw()
+            return
         others = await sessions_on(found.bench, choices.bench)
         if others or self.station.busy:  # a port that two programs read loses samples of both
             self._checking = "a session runs on this bench: its devices are not asked (F6 asks again)"
@@ -151,7 +171,7 @@ class PrepareScreen(StationScreen):
             return
         self._checking = ""
         self._check = await ask(choices.check_arguments(found.all_twins), self._tell)
-        self._suggest(self._check)
+        self._suggest()
         self.redraw()
 
     async def _look_at_plan(self, choices: Choices, found: Prospect) -> None:
@@ -163,24 +183,39 @@ class PrepareScreen(StationScreen):
         self._checking = line
         self.redraw()
 
-    def _recall(self, found: Prospect) -> None:
-        """Fill in the serial number that this bench had last, if none was entered."""
-        field = self.query_one("#serial", Input)
-        if not field.value and found.bench:
-            field.value = self.station.remembered.serials.get(found.bench, "")
+    def _told_serial(self) -> str:
+        """Return the serial number that the one device under test tells of itself, empty if it or several tell none."""
+        devices = self._check.found.get("devices", [])[1:] if self._check is not None else []
+        return str(devices[0]["identity"].get("serial") or "") if len(devices) == 1 else ""
 
-    def _suggest(self, check: Answer) -> None:
+    def _suggest(self) -> None:
         """Fill in the serial number that the one device under test tells of itself, if none was entered."""
-        field = self.query_one("#serial", Input)
-        told = [str(device["identity"].get("serial") or "") for device in check.found.get("devices", [])[1:]]
-        if field.value or len(told) != 1 or not told[0] or self._prospect is None:
-            return
-        if matches(self._prospect.serial_pattern, told[0]):
-            field.value = told[0]
+        field, told = self.query_one("#serial", Input), self._told_serial()
+        if told and not field.value and self._prospect and matches(self._prospect.serial_pattern, told):
+            field.value = told
+
+    def action_confirm_serial(self) -> None:
+        """Ask why a device that says another number is the right one all the same; it goes onto the record."""
+        entered, told = self.station.choices.serial, self._told_serial()
+        if told and entered and entered != told:
+            question = f"The device says {told}, entered is {entered}: why are both right? (For the certificate, too.)"
+
+            def keep(reason: str | None) -> None:
+                self._confirmed = entered, told, reason or ""
+                self._take_over()
+                self.redraw()
+
+            self.app.push_screen(AskTextDialog(question), keep)
+
+    def _files(self) -> tuple[str, str]:
+        return self.station.choices.bench, self.station.choices.script
 
     def _take_over(self) -> None:
         """Take over what stands in the fields."""
         entered: dict[str, Any] = {name: self.query_one(f"#{name}", Input).value.strip() for name, *_ in _FIELDS}
+        if self._told_serial():
+            both = entered["serial"], self._told_serial()
+            entered["serial_reason"] = self._confirmed[2] if self._confirmed[:2] == both else ""
         self.station.choices = replace(self.station.choices, **entered)
 
     def _obstacles(self) -> list[tuple[str, str]]:
@@ -197,6 +232,12 @@ class PrepareScreen(StationScreen):
                 found.append(("WRONG", f"{name}: enter it"))
             elif pattern and not matches(pattern, text):
                 found.append(("WRONG", f"{name} {text!r} is not as the bench file wants it: {pattern}"))
+        age_s = time.time() - self.station.operator_utc_s
+        if prospect is not None and choices.operator and age_s > prospect.shift_s:
+            found.append(("WRONG", f"operator: is it still {choices.operator}? Enter in the field confirms it"))
+        told = self._told_serial()
+        if told and choices.serial and choices.serial != told and not choices.serial_reason:
+            found.append(("WRONG", f"the device says serial no. {told}: correct it, or confirm with a reason (F8)"))
         if prospect is None:
             found.append(("WAIT", "bench and script are being read (Enter)"))
             return found

@@ -32,6 +32,7 @@ class Prospect:
     bench_wrong: str = ""
     operator_pattern: str = ANYTHING
     serial_pattern: str = ANYTHING
+    shift_s: float = math.inf
     all_twins: bool = False
     limits: tuple[str, ...] = ()
     script: str = ""
@@ -64,6 +65,7 @@ def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) ->
         bench=bench.name,
         operator_pattern=bench.operator_pattern or ANYTHING,
         serial_pattern=bench.serial_pattern or ANYTHING,
+        shift_s=bench.shift_s,
         all_twins=needs_only_memory(bench),
         limits=limit_lines(bench.limits),
     )

@@ -88,9 +88,9 @@ def test_a_run_with_a_screen_keeps_the_options_of_the_run() -> None:
     assert "--link" not in choices.plan_arguments()
 
 
-def test_what_was_entered_is_remembered_by_bench(place: Path) -> None:
+def test_what_was_entered_is_remembered(place: Path) -> None:
     assert load_remembered() == Remembered()
-    kept = Remembered("A. Operator", "/lab/bench.toml", "", {"one": "SN-0001", "two": "SN-0002"})
+    kept = Remembered("A. Operator", "/lab/bench.toml", "", 1_795_262_400.0)
     save_remembered(kept)
     assert load_remembered() == kept
     (place / "state/turntable-station/screen.json").write_text("[]")
