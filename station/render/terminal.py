@@ -1,16 +1,20 @@
 """What a person sees in the terminal, from templates: lines with the markup of rich, and tables."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from markupsafe import Markup
-from rich.console import Console, OverflowMethod, RenderableType
+from rich.console import Console, ConsoleOptions, OverflowMethod, RenderableType, RenderResult
 from rich.markup import escape
-from rich.table import Table
+from rich.measure import Measurement
+from rich.table import Column, Table
+from rich.text import TextType
 
 from station.render.template import rendered
 
 _PIPE_WIDTH = 120
+_ANY_WIDTH = 10_000
+_DIM = "dim"
 Shown: TypeAlias = tuple[RenderableType, dict[str, Any]]
 """A line or a table, and how Console.print is to print it."""
 
@@ -48,6 +52,45 @@ def shown_of(package: str, name: str, values: Mapping[str, Any]) -> list[Shown]:
     return [shown[int(line[1:])] if line.startswith("\0") else (line, {"highlight": False}) for line in lines]
 
 
+class FittingTable(Table):
+    """A table that a narrow console shows in parts below each other, each with the names on the left.
+
+    No figure is cut, and what is dim stays beside what it belongs to. Columns that fold are left to fold.
+    """
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the table, or its parts."""
+        if self._fits(self, console, options) or any(column.overflow == "fold" for column in self.columns):
+            yield from super().__rich_console__(console, options)
+        else:
+            for part in self._parts(console, options):
+                yield from part.__rich_console__(console, options)
+
+    def _parts(self, console: Console, options: ConsoleOptions) -> Iterator[Table]:
+        names = next((n for n, column in enumerate(self.columns) if column.justify != "left"), 1)
+        shown, title = list(self.columns[:names]), self.title
+        for column in self.columns[names:]:
+            together = [*shown, column]
+            if column.style == _DIM or len(shown) == names or self._fits(self._part(together, title), console, options):
+                shown = together
+            else:
+                yield self._part(shown, title)
+                shown, title = [*self.columns[:names], column], None
+        yield self._part(shown, title)
+
+    def _part(self, columns: Sequence[Column], title: TextType | None) -> Table:
+        part = Table(title=title, title_style="bold", title_justify=self.title_justify)
+        for column in columns:
+            part.add_column(column.header, justify=column.justify, style=column.style, overflow=column.overflow)
+        for row in zip(*(column.cells for column in columns), strict=True):
+            part.add_row(*row)
+        return part
+
+    @staticmethod
+    def _fits(table: Table, console: Console, options: ConsoleOptions) -> bool:
+        return Measurement.get(console, options.update(width=_ANY_WIDTH), table).maximum <= options.max_width
+
+
 def rich_table(
     title: str | None,
     heads: Sequence[str],
@@ -61,10 +104,10 @@ def rich_table(
 
     With ``fold`` cells are broken into lines where there is no room, not cut. ``centred`` is the title.
     """
-    table = Table(title=title, title_style="bold", title_justify="center" if centred else "left")
+    table = FittingTable(title=title, title_style="bold", title_justify="center" if centred else "left")
     overflow: OverflowMethod = "fold" if fold else "ellipsis"
     for head, side in zip(heads, align.ljust(len(heads), align[-1:] or "l"), strict=True):
-        style = "dim" if side == "d" else None
+        style = _DIM if side == "d" else None
         table.add_column(head, justify="left" if side == "l" else "right", style=style, overflow=overflow)
     for row in rows:
         table.add_row(*row)

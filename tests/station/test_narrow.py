@@ -1,0 +1,58 @@
+"""A terminal of 80 columns shows every figure whole, in any command that prints a table of states."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import struct
+import subprocess
+import termios
+from pathlib import Path
+
+import pytest
+from support import command
+
+from station.cli import main
+
+COLUMNS = 80
+
+
+def shown(words: list[str]) -> list[str]:
+    """Return the lines that a command shows in a terminal of 80 columns."""
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, COLUMNS, 0, 0))
+    environment = {**os.environ, "TERM": "xterm-256color", "NO_COLOR": "1"}
+    environment.pop("COLUMNS", None)
+    with subprocess.Popen(words, stdin=slave, stdout=slave, stderr=slave, env=environment) as process:
+        os.close(slave)
+        said = b""
+        while True:
+            try:
+                said += os.read(master, 65536)
+            except OSError:
+                break
+            if not said:
+                break
+    os.close(master)
+    assert process.returncode in (0, 3), said.decode()
+    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", said.decode()).replace("\r", "").split("\n")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording of the 360 s script."""
+    path = tmp_path_factory.mktemp("narrow") / "r.h5"
+    assert main(["run", "--json", "-o", str(path)]) == 0
+    return path
+
+
+@pytest.mark.parametrize("words", [("calibrate",), ("plan",)])
+def test_no_figure_is_cut_at_80_columns(words: tuple[str, ...], recording: Path) -> None:
+    files = [str(recording)] if words == ("calibrate",) else []
+    lines = shown(command(*words, *files))
+    tables = [line for line in lines if "│" in line]
+    assert len(tables) > 8
+    assert not [line for line in lines if "…" in line]
+    assert max(map(len, tables)) <= COLUMNS
