@@ -1,6 +1,7 @@
 """Files that are there whole or not at all, and are not written over unasked."""
 
 import os
+import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import datetime
@@ -15,16 +16,23 @@ def check_new_file(path: Path, option: str) -> None:
     """See, before any long work, that a file can be created there; UsageError if not."""
     if path.exists():
         raise UsageError(f"{option} {path} is there already: give another name")
-    if not path.resolve().parent.is_dir():
-        raise UsageError(f"{option} {path}: there is no directory {path.parent}")
+    _check_folder(path, option)
 
 
 def check_picture(path: Path) -> None:
     """See that a picture can be drawn and saved there, before any long work; UsageError if not."""
     if path.suffix.lower() not in _PICTURES:
         raise UsageError(f"--plot {path}: the name must end in one of {', '.join(_PICTURES)}")
+    _check_folder(path, "--plot")
+
+
+def _check_folder(path: Path, option: str) -> None:
     if not path.resolve().parent.is_dir():
-        raise UsageError(f"--plot {path}: there is no directory {path.parent}")
+        raise UsageError(f"{option} {path}: there is no directory {path.parent}")
+    try:
+        tempfile.TemporaryFile(dir=path.resolve().parent).close()
+    except OSError as error:
+        raise UsageError(f"{option} {path} cannot be written: {error.strerror or error}") from None
 
 
 def free_path(path: Path, *, beside: Sequence[str] = ()) -> Path:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import codecs
 import importlib
+import io
 import json
 import os
 import sys
@@ -77,6 +79,7 @@ def _take(parser: argparse._ActionsContainer, spelled: str, help: str, **more: A
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code: 0 pass, 1 fail, 2 wrong usage, 3 aborted, 4 device fault."""
+    _spell_out()
     parser, typed = make_parser(), sys.argv[1:] if argv is None else list(argv)
     arguments = parser.parse_args(typed)
     arguments.parser, arguments.typed = parser, typed  # what a shell completes; what a browser's screen is begun with
@@ -99,6 +102,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return EXIT_USAGE
+
+
+def _spell_out() -> None:
+    """Have what an output cannot encode, in ASCII or any other, stand there in other letters."""
+    words = {"±": "+-", "…": "...", "°": "deg", "µ": "u", "→": "->", "–": "-"}
+
+    def in_other_letters(error: UnicodeError) -> tuple[str, int]:
+        assert isinstance(error, UnicodeEncodeError)
+        return "".join(words.get(letter, "?") for letter in error.object[error.start : error.end]), error.end
+
+    codecs.register_error("station", in_other_letters)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="station")
 
 
 def _refuse(error: Exception, module: ModuleType | None, arguments: argparse.Namespace) -> int:

@@ -56,3 +56,21 @@ def test_no_figure_is_cut_at_80_columns(words: tuple[str, ...], recording: Path)
     assert len(tables) > 8
     assert not [line for line in lines if "…" in line]
     assert max(map(len, tables)) <= COLUMNS
+
+
+def test_a_terminal_of_ascii_alone_gets_other_letters(recording: Path) -> None:
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command("calibrate", str(recording)), capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "+-" in done.stdout
+    assert "Traceback" not in done.stderr
+
+
+def test_an_output_that_cannot_be_written_is_told_before_the_work(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words in (["investigate", str(recording), "-o"], ["report", str(recording), "-o"]):
+        assert main([*words, "/proc/x.html"]) == 2
+        told = capsys.readouterr()
+        assert "/proc/x.html cannot be written" in told.err
+        assert "%" not in told.err  # no progress of work that is for nothing

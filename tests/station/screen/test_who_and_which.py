@@ -103,7 +103,7 @@ async def test_a_real_bench_of_the_last_run_is_named_and_not_opened_by_itself(pl
     text = (place / "bench.toml").read_text()
     line = next(line for line in text.splitlines() if line.startswith("link = "))
     text = text.replace(line, 'link = "tcp://127.0.0.1:1"', 1)
-    real.write_text(re.sub(r'^name = .*$', 'name = "lab 3"', text, count=1, flags=re.MULTILINE))
+    real.write_text(re.sub(r"^name = .*$", 'name = "lab 3"', text, count=1, flags=re.MULTILINE))
     save_remembered(Remembered("A. Operator", str(real), "", time.time()))
     app = app_on(place)
     async with app.run_test(size=(120, 40)) as pilot:
