@@ -13,6 +13,10 @@ from station.views.figures import clock, number
 _REFRESH_S = 0.1  # of the wall's clock: a person watches, however fast the loop's clock runs
 
 
+def _green_bar() -> BarColumn:
+    return BarColumn(complete_style="green", finished_style="green")  # red, as rich has it, is what goes wrong
+
+
 class Bar(Progress):
     """A bar of one task; without a terminal lines, when quiet nothing."""
 
@@ -49,7 +53,7 @@ class RunProgress(Bar):
 
     def __init__(self, quiet: bool) -> None:
         """Show nothing if quiet."""
-        columns = (TextColumn("{task.description:<18}"), BarColumn(), TextColumn("{task.fields[detail]}"))
+        columns = (TextColumn("{task.description:<18}"), _green_bar(), TextColumn("{task.fields[detail]}"))
         super().__init__(quiet, *columns, begins="connecting", auto_refresh=False, detail="")
         self._shown_at = 0.0
         self._shown_share = -1.0
@@ -76,7 +80,7 @@ class TracingProgress(Bar):
 
     def __init__(self, quiet: bool) -> None:
         """Show nothing if quiet."""
-        columns = (TextColumn("{task.percentage:>3.0f} %"), BarColumn(), TextColumn("{task.description}"))
+        columns = (TextColumn("{task.percentage:>3.0f} %"), _green_bar(), TextColumn("{task.description}"))
         super().__init__(quiet, *columns, begins="tracing")
 
     def show(self, share: float, text: str) -> None:

@@ -247,11 +247,15 @@ class LiveEstimate:
         return total / dof if dof else float("nan")
 
     @property
+    def recent(self) -> int:
+        """How many innovations the last half minute of all sources has."""
+        return sum(sum(source.history.dof[-_RECENT_BLOCKS:]) for source in self.sources.values())
+
+    @property
     def nis_recent(self) -> float:
         """Mean normalised innovation squared per degree of freedom over the last half minute of all sources."""
-        histories = [source.history for source in self.sources.values()]
-        dof = sum(sum(history.dof[-_RECENT_BLOCKS:]) for history in histories)
-        return sum(sum(history.nis[-_RECENT_BLOCKS:]) for history in histories) / dof if dof else float("nan")
+        dof, sources = self.recent, self.sources.values()
+        return sum(sum(source.history.nis[-_RECENT_BLOCKS:]) for source in sources) / dof if dof else float("nan")
 
     @property
     def whiteness(self) -> float:

@@ -99,6 +99,7 @@ class Monitor:
             self.brief(),
             nis_recent=self._live.nis_recent,
             whiteness=self._live.whiteness,
+            recent=self._live.recent,
             axes=tuple(self._axis_snapshots(now_s)),
             sources=tuple(self._source_snapshots(now_s)),
             gyros=tuple(self._gyro_snapshots()),

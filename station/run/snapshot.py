@@ -95,8 +95,8 @@ class Snapshot:
     """State of a run at one instant; times in seconds of the loop's clock. ``label``: of the step under way, or "".
 
     ``nis_mean`` per degree of freedom over the whole run, ``nis_recent`` over the last half minute; ``whiteness``:
-    correlation of the innovations with those of the block before, 0 for a good filter. ``paused``: "",
-    ``AFTER_THIS_STEP`` or ``PAUSED``.
+    correlation of the innovations with those of the block before, 0 for a good filter; ``recent``: how many innovations
+    both are of. ``paused``: "", ``AFTER_THIS_STEP`` or ``PAUSED``.
     """
 
     phase: Phase
@@ -112,6 +112,7 @@ class Snapshot:
     axes: tuple[AxisSnapshot, ...] = ()
     sources: tuple[SourceSnapshot, ...] = ()
     gyros: tuple[GyroSnapshot, ...] = ()
+    recent: int = 0
 
     @property
     def doing(self) -> str:
@@ -138,7 +139,7 @@ def of_type(kind: Any, value: Any) -> Any:
     if get_origin(kind) is tuple:
         return tuple(of_type(get_args(kind)[0], item) for item in value)
     if types := _types_of(kind):
-        return kind(**{name: of_type(types[name], value[name]) for name in types})
+        return kind(**{name: of_type(types[name], value[name]) for name in types if name in value})
     return math.nan if kind is float and value is None else kind(value)
 
 

@@ -290,7 +290,10 @@ def _change(entry: Entry, last: Entry | None) -> Text:
             line.stylize("yellow")
     if any(marked):
         lines.append(Text(f"yellow: a state moved by more than {_MANY_SIGMAS:g} of its sigmas", "dim"))
-    return titled(f"{title}, {last.when} ({last.path.name})", lines)
+    outcomes = {run.texts.get("outcome") or "no outcome" for run in (entry, last)} - {"PASS"}
+    if outcomes:
+        lines.append(Text(f"not both runs are a PASS ({', '.join(sorted(outcomes))}): this may be no change", "yellow"))
+    return titled(f"{title}, {last.when} ({last.path.name}, {last.texts.get('outcome', '')})", lines)
 
 
 def _verdict(path: Path | None, whole: Whole | None, busy: str, said: str) -> Text:

@@ -11,7 +11,7 @@ from rich.text import Text
 from textual.app import ComposeResult
 from textual.containers import Container, Vertical
 
-from station.run.snapshot import PAUSED, Snapshot
+from station.run.snapshot import PAUSED, Snapshot, SourceSnapshot
 from station.screen.bars import SILENCE_S, Lines
 from station.screen.base import StationScreen
 from station.screen.dialogs import AskTextDialog
@@ -26,6 +26,7 @@ _EVENTS = 8
 _REASON_ROWS = 4
 _NIS_OFF = 0.25
 _WHITE_OFF = 0.2
+_MANY_SIGMAS = 4.0  # by which both are off before anybody is to look
 _DEG = math.degrees(1)
 _STAGE_WORDS = {Stage.STARTING: "the session is starting", Stage.RUNNING: "connected, waiting for the first figures"}
 
@@ -77,7 +78,7 @@ class RunScreen(StationScreen):
                 self._show(name, [])
             return
         for name, rows in (
-            ("axes", axis_lines(snapshot, run.stage is not Stage.RUNNING or run.silent_s > SILENCE_S)),
+            ("axes", axis_lines(snapshot, run)),
             ("sources", source_lines(snapshot)),
             ("innovations", innovation_lines(snapshot)),
             ("estimates", state_lines(snapshot.gyros, nis=True)),
@@ -156,16 +157,18 @@ def _wrapped(text: str, width: int) -> list[Text]:
     return [Text(line) for line in textwrap.wrap(text, max(width, 1), max_lines=_REASON_ROWS, placeholder=" ...")]
 
 
-def axis_lines(snapshot: Snapshot, old: bool) -> list[Text]:
-    """Return the axes, a line each below a heading; ``old``: nothing is known of them since."""
+def axis_lines(snapshot: Snapshot, run: LiveRun) -> list[Text]:
+    """Return the axes, a line each below a heading; of a run that has gone the last that is known of them."""
+    old = run.stage is not Stage.RUNNING or run.silent_s > SILENCE_S
+    moves = 0.0 if run.at_rest else _DEG  # the last figures may be from before it came to rest
     rows = [["axis", "angle deg", "rate deg/s", "setpoint deg/s", "last state" if old else "state"]]
     rows += [
         [
             axis.name,
             number(axis.angle_rad * _DEG, 3),
-            number(axis.rate_rps * _DEG, 3),
-            number(axis.setpoint_rps * _DEG, 3),
-            axis.state,
+            number(axis.rate_rps * moves, 3),
+            number(axis.setpoint_rps * moves, 3),
+            "at rest" if run.at_rest and axis.state == "turning" else axis.state,
         ]
         for axis in sorted(snapshot.axes, key=lambda axis: axis.name)
     ]
@@ -187,15 +190,19 @@ def source_lines(snapshot: Snapshot) -> list[Text]:
             number(source.latency_s * 1e3, 2),
             number(source.jitter_s * 1e3, 2),
             number(source.temperature_c, 1),
-            source.link.rjust(9),
+            _link_words(source).rjust(9),
         ]
         for source in snapshot.sources
     ]
     lines = headed(columns(rows, gap=" "))
     for line, source in zip(lines[1:], snapshot.sources, strict=True):
-        if source.link != "ok" or source.lost or source.corrupt:
+        if _link_words(source) != "ok":
             line.stylize("bold red")
     return lines
+
+
+def _link_words(source: SourceSnapshot) -> str:
+    return "losses" if source.link == "ok" and (source.lost or source.corrupt) else source.link
 
 
 def innovation_lines(snapshot: Snapshot) -> list[Text]:
@@ -210,9 +217,10 @@ def innovation_lines(snapshot: Snapshot) -> list[Text]:
 def _judgement(snapshot: Snapshot) -> Text:
     if not (math.isfinite(snapshot.nis_recent) and math.isfinite(snapshot.whiteness)):  # too few blocks for either
         return Text("not known yet", "dim")
-    if abs(snapshot.nis_recent - 1) > _NIS_OFF:
+    by_chance = _MANY_SIGMAS / math.sqrt(max(snapshot.recent, 1))
+    if abs(snapshot.nis_recent - 1) > max(_NIS_OFF, math.sqrt(2) * by_chance):
         return Text("NIS OFF 1: the noise or the model is not what was assumed", "bold red")
-    if abs(snapshot.whiteness) > _WHITE_OFF:
+    if abs(snapshot.whiteness) > max(_WHITE_OFF, by_chance):
         return Text("NOT WHITE: something is not in the model", "bold red")
     return Text("good: near 1, and white", "green")
 
