@@ -158,6 +158,47 @@ async def walk(address: str) -> None:
         assert all(asked.startswith(("http://127.0.0.1:", "data:")) for asked in page.asked), page.asked
 
 
+SIZES = ((1280, 800), (1920, 1080), (1000, 700), (2560, 1440), (1280, 720), (1366, 768), (1024, 768), (3840, 2160))
+
+
+@pytest.mark.full
+@pytest.mark.skipif(not (shutil.which("chromium") or shutil.which("chromium-browser")), reason="Chromium is not there")
+def test_stop_is_whole_in_view_in_a_browser_of_any_size(bench: Path) -> None:
+    pytest.importorskip("textual_serve")
+    words = command("ui", "--web", "0", "--folder", str(bench / "recordings"), *OPTIONS)
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout is not None
+            address = re.search(r"http://\S+", server.stdout.readline())
+            assert address is not None
+            asyncio.run(resize(address[0]))
+        finally:
+            server.send_signal(signal.SIGINT)
+
+
+async def resize(address: str) -> None:
+    """Change the size of the window, at first right after loading; the rows must fill it and not leave it."""
+    from browser import Browser
+
+    edges = "(b => `${Math.round(b.right)} ${Math.round(b.bottom)}`)"
+    async with Browser((1280, 800)) as page:
+        await page.open(address)
+        await page.see("operator: enter it")
+        for width, height in (*SIZES, *SIZES[:2]):
+            await page.do(
+                "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
+            )
+            async with asyncio.timeout(10):
+                while True:
+                    found = await page.evaluate(
+                        edges + "(document.querySelector('.xterm-screen').getBoundingClientRect())"
+                    )
+                    right, bottom = map(int, found.split())
+                    if width - 32 < right <= width and height - 32 < bottom <= height:
+                        break
+                    await asyncio.sleep(0.05)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are found in /proc")
 def test_a_screen_whose_server_was_killed_ends_by_itself(place: Path) -> None:
     folder = str(place / "recordings")
