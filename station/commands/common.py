@@ -75,7 +75,7 @@ def _run(arguments: argparse.Namespace) -> int:
         if result.ended_early:
             print(f"ended early {result.ended_early}")
         if result.calibration is not None:
-            print_calibration(result.calibration)
+            print_calibration(result.calibration, result.verdict)
         for report in result.sources:
             print(report.text())
         print_verdict(result.verdict, result.recording)

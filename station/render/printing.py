@@ -25,12 +25,16 @@ _SIGMA_HEADS = tuple(f"{name} ({unit})" for name, unit, _ in STATE_UNITS)
 _SCALES = np.array([factor for _, _, factor in STATE_UNITS])
 
 
-def print_calibration(calibration: Calibration) -> None:
-    """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from."""
+def print_calibration(calibration: Calibration, verdict: Verdict) -> None:
+    """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from.
+
+    What breaks a limit is red.
+    """
     found = [gyro.noise for gyro in calibration.gyros if gyro.noise is not None]
     noises = [(noise.mean.arw, 3600 * noise.instability_below, 3600 * 60 * noise.walk_below) for noise in found]
     values = {
         "calibration": calibration,
+        "broken": {(line.row, line.state, line.of_u) for line in verdict.broken},
         "budget": _budget(calibration),
         "noise": np.degrees(np.mean(noises, axis=0)).tolist() if noises else None,
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
@@ -96,10 +100,9 @@ def _size(value: float) -> str:
 
 
 def print_verdict(verdict: Verdict, recording: Path) -> None:
-    """Print how it ended, why, and where the recording is."""
-    console = stdout()
-    console.print(f"[{OUTCOME_STYLES[verdict.outcome]}]{verdict.outcome}[/]  {verdict.reason}", highlight=False)
-    console.print(f"recording: {recording}", highlight=False, soft_wrap=True)
+    """Print how it ended, why, and where the recording is; causes before what is broken, which is a table."""
+    values = {"verdict": verdict, "style": OUTCOME_STYLES[verdict.outcome], "recording": recording}
+    print_rendered(stdout(), "station.render", "verdict.rich", values)
 
 
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:

@@ -31,10 +31,12 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Outcome and reason of a run or of a calibration."""
+    """Outcome and reason of a run or of a calibration; the limits that are broken, and what may be behind that."""
 
     outcome: Outcome
     reason: str
+    broken: tuple[LimitLine, ...] = ()
+    because: tuple[str, ...] = ()
 
 
 def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str] = ()) -> Verdict:
@@ -54,7 +56,8 @@ def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str]
             "says which are ruled out"
         )
     if broken:
-        return Verdict(Outcome.FAIL, "; ".join([*broken, *causes, *calibration.doubts]))
+        because = (*causes, *calibration.doubts)
+        return Verdict(Outcome.FAIL, "; ".join([*because, *broken]), tuple(lines), because)
     good = "every state, its sigma, the innovations and the losses are within limits"
     return Verdict(Outcome.PASS, "; but ".join([good, *calibration.doubts]))
 
