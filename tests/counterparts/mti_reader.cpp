@@ -1,5 +1,5 @@
 // Reads an Xsens MTi by the maker's own library, as Debian's MRPT has it built in (CIMUXSens_MT4).
-// Usage: mti_reader PORT BAUD RATE_HZ SECONDS; prints a line a sample: its rate of turn about x, y, z in rad/s.
+// Usage: mti_reader PORT BAUD RATE_HZ SECONDS; prints a line a sample: "sample" and its rate of turn about x, y, z in rad/s.
 #include <mrpt/config/CConfigFileMemory.h>
 #include <mrpt/hwdrivers/CIMUXSens_MT4.h>
 #include <mrpt/obs/CObservationIMU.h>
@@ -37,7 +37,7 @@ int main(int, char **argv)
     imu.getObservations(seen);
     for (auto &one : seen)
         if (auto sample = std::dynamic_pointer_cast<mrpt::obs::CObservationIMU>(one.second))
-            printf("%.9g %.9g %.9g\n", sample->get(mrpt::obs::IMU_WX), sample->get(mrpt::obs::IMU_WY),
+            printf("sample %.9g %.9g %.9g\n", sample->get(mrpt::obs::IMU_WX), sample->get(mrpt::obs::IMU_WY),
                    sample->get(mrpt::obs::IMU_WZ));
     fflush(stdout);
     _Exit(0);
