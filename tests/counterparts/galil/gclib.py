@@ -12,24 +12,24 @@ class GclibError(Exception):
     """The controller refuses, or is gone."""
 
 
-class py:  # noqa: N801
+class py:
     """A connection by TCP."""
 
-    def GOpen(self, address: str) -> None:  # noqa: N802
+    def GOpen(self, address: str) -> None:
         """Connect to HOST:PORT; what follows a blank is for gclib."""
         host, port = address.split(" ")[0].rsplit(":", 1)
         self._wire = socket.create_connection((host, int(port)), timeout=5)
 
-    def GInfo(self) -> str:  # noqa: N802
+    def GInfo(self) -> str:
         """Return address, revision and serial number as gclib has them."""
         revision, serial = self.GCommand("\x12\x16\r"), self.GCommand("MG _BN\r")
         return f"127.0.0.1, {revision}, {float(serial):.0f}"
 
-    def GClose(self) -> None:  # noqa: N802
+    def GClose(self) -> None:
         """Disconnect."""
         self._wire.close()
 
-    def GCommand(self, command: str) -> str:  # noqa: N802
+    def GCommand(self, command: str) -> str:
         """Return what the controller answers."""
         self._wire.sendall(command.encode())
         said = b""
