@@ -89,8 +89,7 @@ class ImuSpec:
     each sample has one. ``make`` gives the driver on a link, for CAN on a FrameLink, else on a ByteLink.
 
     ``twin`` makes the twin of a device from outside the station; those of its own are in ``sims.imus.registry``, by
-    ``family`` if that is not the name. ``checked_against`` names devices and programs of others that driver and twin
-    have met.
+    ``family`` if that is not the name. ``checked_against`` names what others made that driver and twin have met.
     """
 
     name: str

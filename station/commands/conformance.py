@@ -316,7 +316,5 @@ def command_conformance(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps({"ok": well, "findings": told, "experimental": unmet}))
     elif unmet:
-        print(
-            f"{', '.join(unmet)}: EXPERIMENTAL until checked_against of its record names what others made that it met"
-        )
+        print(f"EXPERIMENTAL: {', '.join(unmet)}; checked_against of a record names what others made that it met")
     return (Outcome.PASS if well else Outcome.FAIL).exit_code
