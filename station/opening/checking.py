@@ -57,7 +57,8 @@ class SourceCheck:
 
 @dataclass(slots=True)
 class DeviceCheck:
-    """What one device answered. ``wrong`` says what is wrong and what to do, empty if nothing is."""
+    """What one device answered. ``wrong`` says what is wrong and what to do, empty if nothing is.
+    Its protocol is ``experimental`` where driver and twin have met nothing that others made."""
 
     device: str
     kind: str
@@ -66,6 +67,7 @@ class DeviceCheck:
     axes: list[AxisCheck] = field(default_factory=list)
     sources: list[SourceCheck] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
+    experimental: bool = False
 
     @property
     def answered_nothing(self) -> bool:
@@ -112,6 +114,7 @@ def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
 async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
     bench, table = opened.bench, opened.table
     check = DeviceCheck("table", bench.table.protocol, ", ".join(bench.table.links))
+    check.experimental = not bench.table.spec.checked_against
     loop = asyncio.get_running_loop()
     with _heard(check, _LOOK_AT_TABLE):
         async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
@@ -155,7 +158,7 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
 
 async def _check_imu(imu: OpenImu, time_scale: float) -> DeviceCheck:
     config, source = imu.config, imu.source
-    check = DeviceCheck(config.name, config.protocol, config.link)
+    check = DeviceCheck(config.name, config.protocol, config.link, experimental=not config.spec.checked_against)
     blocks: dict[str, list[ImuBlock]] = {}
     with _heard(check, _LOOK_AT_IMU):
         async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):

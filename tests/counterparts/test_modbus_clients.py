@@ -1,27 +1,23 @@
-"""Modbus programs that are not ours: the stock client and mbpoll read the table twin, a libmodbus server is driven."""
+"""Modbus clients that are not ours read the twin of a table of drives, walk them to operation and turn them."""
 
 from __future__ import annotations
 
 import asyncio
 import math
-import shutil
-import subprocess
+import socket
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
 from modbus_twin import modbus_server
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from serial_wire import wire
-from setups import setup_of
+from strangers import needs_program, needs_python
 
-from drivers.specs import AxisSetup
 from drivers.tables.modbus.line import Address, SerialPort
 from drivers.tables.modbus.registers import load_profile
-from drivers.tables.modbus.table import ModbusTable
-from drivers.types import AxisLimits
 from sims.physics.table import AxisData, TableModel
 from sims.wires.line_controller import Seat
 from station.run.event_loop.loops import ScaledLoop
@@ -31,11 +27,13 @@ COUNTS = 65536
 RATE_RPS = 36 * DEG
 UNIT_IDS = {"x": 1, "y": 2, "z": 3}
 PROFILE = load_profile("kinco")
-STATUSWORD, RATE = 0x3200, 0x3B00
+CONTROLWORD, STATUSWORD, RATE, ACCELERATION, TARGET_RATE = 0x3100, 0x3200, 0x3B00, 0x4B00, 0x6F00
+WALK = (0x06, 0x07, 0x0F)
+"""Controlwords from switch on disabled to operation enabled."""
 RAW_RATE = round(0.1 * 60 * 512 / 1875 * COUNTS)
 """What the rate register holds at 36 deg/s."""
 
-mbpoll = pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed (apt install mbpoll)")
+mbpoll = needs_program("mbpoll", "mbpoll")
 transports = pytest.mark.parametrize("transport", ["tcp", "rtu"])
 
 
@@ -137,47 +135,84 @@ def test_mbpoll_walks_a_drive_to_operation(transport: str) -> None:
     run(main)
 
 
-@pytest.fixture(scope="module")
-def libmodbus_server(tmp_path_factory: pytest.TempPathFactory) -> str:
-    if (compiler := shutil.which("cc")) is None:
-        pytest.skip("no C compiler (cc)")
-    program = str(tmp_path_factory.mktemp("libmodbus") / "server")
-    source = str(Path(__file__).with_name("libmodbus_server.c"))
-    command = [compiler, "-I/usr/include/modbus", "-o", program, source, "-lmodbus"]
-    built = subprocess.run(command, capture_output=True, text=True, check=False)
-    if "modbus.h" in built.stderr:
-        pytest.skip("libmodbus is not installed (apt install libmodbus-dev)")
-    assert built.returncode == 0, built.stderr
-    return program
+@needs_python("minimalmodbus", "minimalmodbus")
+def test_minimalmodbus_over_rtu() -> None:
+    def ask(address: Address) -> None:
+        import minimalmodbus
+
+        assert isinstance(address, SerialPort)
+        drive, turning = (minimalmodbus.Instrument(address.port, unit) for unit in (3, 2))
+        drive.serial.baudrate = address.baud
+        order = {"signed": True, "byteorder": minimalmodbus.BYTEORDER_LITTLE_SWAP}
+        assert turning.read_long(RATE, **order) == RAW_RATE
+        for word in WALK:
+            drive.write_register(CONTROLWORD, word, functioncode=6)
+        assert drive.read_register(STATUSWORD) & 0x6F == 0x27
+        drive.write_long(TARGET_RATE, RAW_RATE // 10, **order)
+        drive.write_long(ACCELERATION, 2**20, byteorder=minimalmodbus.BYTEORDER_LITTLE_SWAP)
+        drive.write_register(CONTROLWORD, 15, functioncode=6)
+        time.sleep(0.3)
+        assert drive.read_long(RATE, **order) == pytest.approx(RAW_RATE // 10, rel=1e-3)
+        drive.write_register(CONTROLWORD, 11, functioncode=6)  # quick stop
+        time.sleep(0.3)
+        assert drive.read_long(RATE, **order) == 0
+        with pytest.raises(minimalmodbus.IllegalRequestError):
+            drive.read_register(STATUSWORD + 1)
+        drive.serial.close()
+
+    beside("rtu", ask)
 
 
-@transports
-def test_a_drive_served_by_libmodbus_is_enabled_jogged_read_and_stopped(libmodbus_server: str, transport: str) -> None:
+@needs_python("pyModbusTCP", "pyModbusTCP")
+def test_pymodbustcp_over_tcp() -> None:
+    def ask(address: Address) -> None:
+        from pyModbusTCP.client import ModbusClient
+        from pyModbusTCP.utils import word_list_to_long
+
+        assert not isinstance(address, SerialPort)
+        client = ModbusClient(address[0], address[1], unit_id=2, timeout=2.0)
+        assert word_list_to_long(client.read_holding_registers(RATE, 2), big_endian=False) == [RAW_RATE]
+        client.unit_id = 1
+        assert all(client.write_single_register(CONTROLWORD, word) for word in WALK)
+        assert client.read_holding_registers(STATUSWORD)[0] & 0x6F == 0x27
+        assert client.write_multiple_registers(TARGET_RATE, [RAW_RATE & 0xFFFF, RAW_RATE >> 16])
+        assert client.read_holding_registers(STATUSWORD + 1) is None
+        assert client.last_except == 2
+        assert client.read_input_registers(STATUSWORD) is None
+        assert client.last_except == 1
+        client.close()
+
+    beside("tcp", ask)
+
+
+@needs_python("umodbus", "uModbus")
+def test_umodbus_over_tcp() -> None:
+    def ask(address: Address) -> None:
+        from umodbus import conf
+        from umodbus.client import tcp
+        from umodbus.exceptions import IllegalDataAddressError, IllegalDataValueError
+
+        assert not isinstance(address, SerialPort)
+        conf.SIGNED_VALUES = False
+        with socket.create_connection(address[:2], timeout=2.0) as wire:
+            low, high = tcp.send_message(tcp.read_holding_registers(2, RATE, 2), wire)
+            assert low | high << 16 == RAW_RATE
+            for word in WALK:
+                assert tcp.send_message(tcp.write_single_register(3, CONTROLWORD, word), wire) == word
+            assert tcp.send_message(tcp.read_holding_registers(3, STATUSWORD, 1), wire)[0] & 0x6F == 0x27
+            with pytest.raises(IllegalDataValueError):  # ten times as fast as it may
+                tcp.send_message(tcp.write_multiple_registers(3, TARGET_RATE, [0, 0x7000]), wire)
+            with pytest.raises(IllegalDataAddressError):
+                tcp.send_message(tcp.read_holding_registers(3, STATUSWORD + 1, 1), wire)
+
+    beside("tcp", ask)
+
+
+def beside(transport: str, ask: Callable[[Address], None]) -> None:
+    """Let a client that blocks ask in a thread of its own, while the twin is served."""
+
     async def main() -> None:
-        with wire() as (near, far):
-            arguments = ["tcp"] if transport == "tcp" else ["rtu", far]
-            server = await asyncio.create_subprocess_exec(
-                libmodbus_server, *arguments, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL
-            )
-            assert server.stdout is not None
-            port = int(await server.stdout.readline())
-            address: Address = ("127.0.0.1", port) if transport == "tcp" else SerialPort(near, 115200)
-            drives = {"x": AxisSetup(1, COUNTS, AxisLimits(100 * DEG, 50 * DEG))}
-            table = ModbusTable(setup_of("modbus", drives, 0.5, profile=PROFILE), address)
-            await table.open()
-            assert (await table.status("x")).text == "switch on disabled"
-            await table.enable()
-            assert (await table.status("x")).enabled
-            await table.jog("x", -12.5 * DEG, 20 * DEG)
-            state = await table.read("x")
-            assert state.rate_rps == pytest.approx(-12.5 * DEG, rel=1e-4)
-            assert state.angle_rad == 0.0
-            await table.stop()
-            assert (await table.status("x")).text == "quick stop active"
-            table.close()
-            if transport == "rtu":
-                server.terminate()
-            await server.wait()
-            await asyncio.sleep(0)
+        async with served(transport) as address:
+            await asyncio.to_thread(ask, address)
 
     run(main)
