@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.clocks.sampling import Alignment
 from drivers.errors import LinkLost
+from drivers.protocols import EarlySource
 from drivers.types import Floats, Identity, ImuBlock, SourceCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.estimation.live.sample_columns import SampleColumns
@@ -242,6 +243,8 @@ class Acquisition:
                 look_due_s = loop.time() + _LOOK_S * self._host_scale
                 self.monitor.mark()
                 self._note_counts()
+            if not virtual:
+                self._note_arrived()
             await loop.run_in_executor(None, self.writer.write_journal)
             if self._sync is not None and not self._sync.done():
                 continue  # a write into the recording now could wait for the disk, and everything for that write
@@ -250,6 +253,12 @@ class Acquisition:
                 self.writer.flush()
             if not virtual and journal is not None and journal.unsynced:
                 self._sync = loop.run_in_executor(None, journal.sync)
+
+    def _note_arrived(self) -> None:
+        """Keep in the journal the samples that a source holds back until it can time them."""
+        for imu in self._imus:
+            for name, arrival_ns, rate_rps in imu.source.arrived() if isinstance(imu.source, EarlySource) else ():
+                self.writer.arrived(f"imu/{name}", arrival_ns, rate_rps)
 
     def _note_counts(self) -> None:
         """Keep in the journal what has been lost so far: of a run that dies nothing else says it."""
