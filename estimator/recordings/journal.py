@@ -55,7 +55,7 @@ class Journal:
         )
         lock(self._file, alone=True)
         self._one_at_a_time = threading.Lock()
-        self.unsynced = False
+        self.unsynced, self._named = False, False
 
     def write(self, entries: Sequence[Entry]) -> None:
         """Hand one record to the operating system, from whatever thread; OSError if that fails."""
@@ -70,6 +70,9 @@ class Journal:
         """Have the disk keep what has been written; it may take seconds."""
         self.unsynced = False
         getattr(os, "fdatasync", os.fsync)(self._file)
+        if not self._named:
+            sync(self._path.parent)
+            self._named = True
 
     def close(self, *, remove: bool) -> None:
         """Give up its lock, and remove it where the recording is whole; twice is once."""

@@ -126,13 +126,13 @@ class _Found:
         timed: dict[str, Mapping[str, Any]] = {}
         waiting: dict[str, list[Mapping[str, Any]]] = {}
         for number, (kind, group, values) in enumerate(filter(None, read_journal(file))):
-            if kind == ROWS:
-                writer.append_rows(group, values)
             if kind == ARRIVED:
                 waiting.setdefault(group, []).append(values)
-            elif group in waiting:
-                timed[group], last_ns = values, values["arrival_ns"][-1]
-                waiting[group] = [block for block in waiting[group] if block["arrival_ns"][-1] >= last_ns]
+            elif kind == ROWS:
+                writer.append_rows(group, values)
+                if group in waiting:
+                    timed[group], last_ns = values, values["arrival_ns"][-1]
+                    waiting[group] = [block for block in waiting[group] if block["arrival_ns"][-1] >= last_ns]
             if number % _AT_ONCE == 0:
                 writer.flush()
         for group, blocks in waiting.items():
