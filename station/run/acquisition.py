@@ -27,7 +27,7 @@ from station.run.snapshot import EventKind
 from station.run.table_watch import TableRow
 from station.views.json_values import named
 
-_JOURNAL_S = 0.005  # what a killed station loses, at most, beyond what was on its way
+_JOURNAL_S = 0.006  # what a killed station loses, at most, beyond what was on its way
 _LOOK_S = 0.2  # between looks at counts, which go into the journal
 _FLUSH_S = 2.0
 _SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
@@ -227,7 +227,7 @@ class Acquisition:
             self._late_s, self._late_at_s = max(self._late_s, late_s), loop.time()
 
     async def keep_flushing(self) -> None:
-        """Write what has come into the journal, 200 times a second, and now and then into the recording, too.
+        """Write what has come into the journal, some 150 times a second, and now and then into the recording, too.
 
         By the host's time, however fast the loop's clock runs: it is the host that may die. The disk keeps the journal
         as soon as it can; nothing waits for that. A simulated run, whose seconds last milliseconds, needs no protection

@@ -25,7 +25,7 @@ BUILT_IN_DBC = Path(__file__).with_name("gyro_nodes.dbc")
 
 
 _GATHERED, _LEAST_GATHER_S, _MOST_GATHER_S = 32, 0.05, 0.33  # samples taken in together, and how long that may take
-_LOOK_S = 0.005  # of the host, between looks at what has come, where somebody wants to know of it at once
+_LOOK_S = 0.008  # of the host, between looks at what has come, where somebody wants to know of it at once
 _COUNT_BITS = 32  # of longer counters the lower bits will do: they wrap, as all do
 
 
