@@ -14,6 +14,7 @@ from estimator.errors import RecordingError
 from estimator.geometry.model import STATES
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.health import Excluded
+from estimator.recordings.recovery import recover
 from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain, write_results
 from estimator.types import Floats
@@ -86,6 +87,7 @@ def read_calibration(path: Path, *, trusted: bool = False) -> Calibration:
     model in it is of another version.
     """
     if not trusted:
+        recover(path)
         probe(path)
     try:
         with h5py.File(path, "r") as file:

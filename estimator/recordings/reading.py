@@ -16,6 +16,7 @@ from estimator.geometry.kinematics import Site, check_gimbals
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording
+from estimator.recordings.recovery import recover
 from estimator.recordings.reference import (
     AttitudeReadings,
     Poses,
@@ -34,11 +35,12 @@ _REFERENCES: dict[str, Any] = {"turn_rad": Turns, "up": Poses, "rate_rps": RateR
 
 
 def read_recording(path: Path, *, trusted: bool = False) -> Recording:
-    """Read a recording. ``trusted`` skips the probe, for a file that this process has just closed.
+    """Read a recording, made whole from its journal if its run died; ``trusted``: this process has just closed it.
 
     Raises RecordingError, with what is missing or wrong, for a file that is not of the format.
     """
     if not trusted:
+        recover(path)
         probe(path)
     try:
         with h5py.File(path, "r") as file:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -13,6 +12,7 @@ import numpy as np
 
 from drivers.clocks.sampling import Alignment
 from drivers.errors import LinkLost
+from drivers.protocols import EarlySource
 from drivers.types import Floats, Identity, ImuBlock, SourceCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.estimation.live.sample_columns import SampleColumns
@@ -27,9 +27,9 @@ from station.run.snapshot import EventKind
 from station.run.table_watch import TableRow
 from station.views.json_values import named
 
-_FLUSH_S = 0.2  # what a killed station loses, at most, beyond what was on its way
-_FLUSH_SIMULATED_S = 2.0  # a simulated second lasts milliseconds
-_SYNC_S = 0.5
+_JOURNAL_S = 0.006  # what a killed station loses, at most, beyond what was on its way
+_LOOK_S = 0.2  # between looks at counts, which go into the journal
+_FLUSH_S = 2.0
 _SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
 _LATE_S = 0.03  # of the host, after which a computer may be why a run fails
 _FIRST_SAMPLE_S = 3.0
@@ -112,6 +112,7 @@ class Acquisition:
         """What was had of each source, once all is closed."""
         self.closed = False
         self._last_seen_s: dict[str, float] = {}
+        self._noted: dict[str, dict[str, float | int]] = {}
         self._half_width_ns, self._rate_window_ns, self._late_s, self._late_at_s = 0, 0, 0.0, -np.inf
         self._sync: asyncio.Future[Any] | None = None
         writer.add_table(self._bench.table.gimbals, self._bench.table.uncertainty)
@@ -226,23 +227,50 @@ class Acquisition:
             self._late_s, self._late_at_s = max(self._late_s, late_s), loop.time()
 
     async def keep_flushing(self) -> None:
-        """Hand rows to the operating system five times a second, and have it write them out twice a second.
+        """Write what has come into the journal, some 150 times a second, and now and then into the recording, too.
 
-        By the host's time, however fast the loop's clock runs: it is the host that may die. A simulated run needs no
-        protection from a power cut and is flushed less often.
+        By the host's time, however fast the loop's clock runs: it is the host that may die. The disk keeps the journal
+        as soon as it can; nothing waits for that. A simulated run, whose seconds last milliseconds, needs no protection
+        from a power cut, and both are written together.
         """
         loop = asyncio.get_running_loop()
-        sync_due_s = loop.time()
-        every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S * self._host_scale
+        virtual, journal = is_virtual(loop), self.writer.journal
+        every_s = _FLUSH_S if virtual else _JOURNAL_S * self._host_scale
+        look_due_s, flush_due_s = loop.time(), loop.time()
         while True:
-            await self._sleep(every_s)
-            self.monitor.mark()
+            await asyncio.sleep(every_s)
+            if loop.time() >= look_due_s:
+                look_due_s = loop.time() + _LOOK_S * self._host_scale
+                self.monitor.mark()
+                self._note_counts()
+            if not virtual:
+                self._note_arrived()
+            await loop.run_in_executor(None, self.writer.write_journal)
             if self._sync is not None and not self._sync.done():
-                continue  # a write now would wait for the disk, and everything for that write
-            self.writer.flush()
-            if not is_virtual(loop) and loop.time() >= sync_due_s:
-                sync_due_s = loop.time() + _SYNC_S * self._host_scale
-                self._sync = loop.run_in_executor(None, os.fsync, self.writer.descriptor)
+                continue  # a write into the recording now could wait for the disk, and everything for that write
+            if loop.time() >= flush_due_s:
+                flush_due_s = loop.time() + _FLUSH_S * self._host_scale
+                self.writer.flush()
+            if not virtual and journal is not None and journal.unsynced:
+                self._sync = loop.run_in_executor(None, journal.sync)
+
+    def _note_arrived(self) -> None:
+        """Keep in the journal the samples that a source holds back until it can time them."""
+        for imu in self._imus:
+            for name, arrival_ns, rate_rps in imu.source.arrived() if isinstance(imu.source, EarlySource) else ():
+                self.writer.arrived(f"imu/{name}", arrival_ns, rate_rps)
+
+    def _note_counts(self) -> None:
+        """Keep in the journal what has been lost so far: of a run that dies nothing else says it."""
+        for name, report in self._reports_now().items():
+            attributes = report.attributes()
+            if self._noted.get(name) != attributes:
+                self._noted[name] = attributes
+                self.writer.note_source(name, attributes)
+
+    def _reports_now(self) -> dict[str, SourceReport]:
+        about = [(imu.source, name) for imu in self._imus for name in imu.source.names]
+        return {name: SourceReport(name, source.counts(name), source.alignment(name)) for source, name in about}
 
     async def close(self, attributes: Mapping[str, str]) -> None:
         """Close the links of all devices under test and, with these attributes, the recording."""
@@ -251,9 +279,9 @@ class Acquisition:
             imu.source.close()
             for name, block in imu.source.flush():
                 self._take_block(name, block)
-            for name in imu.source.names:
-                self.reports[name] = SourceReport(name, imu.source.counts(name), imu.source.alignment(name))
-                self.writer.set_source(name, self.reports[name].attributes())
+        self.reports = self._reports_now()
+        for name, report in self.reports.items():
+            self.writer.set_source(name, report.attributes())
         self.writer.set_attributes({"table_read_half_width_ns": self._half_width_ns, **attributes})
         if self._sync is not None:
             with suppress(OSError):

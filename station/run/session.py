@@ -109,7 +109,7 @@ class Session:
         self._reopening = Reopening(self._moving, lambda text: self._event(EventKind.LINK, text), self._time_scale)
         self._acquisition = Acquisition(
             bench,
-            RecordingWriter(path, _attributes(bench, script, options)),
+            RecordingWriter(path, _attributes(bench, script, options), journal=True),
             self._model,
             time_scale,
             self._reopening,
@@ -341,6 +341,8 @@ class Session:
                 verdict = Verdict(Outcome.FAIL, str(error))
         try:
             write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
+            loop = asyncio.get_running_loop()
+            await loop.run_in_executor(None, partial(self._writer.finish, synced=not is_virtual(loop)))
         except RecordingError as error:
             verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
         reports = tuple(acquisition.reports.values())

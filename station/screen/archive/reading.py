@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import h5py
 
 from estimator.errors import RecordingError, first_line
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION
+from estimator.recordings.recovery import recover
 from estimator.recordings.writing import plain, write_attributes
 from station.errors import BenchError
 from station.run.snapshot import GyroSnapshot
@@ -47,6 +49,8 @@ def accept(path: Path, attributes: Mapping[str, str]) -> str:
 def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
     """Return a recording that was changed last at ``when_utc_s``, or only its entry; the entry says what is wrong."""
     unread = Entry(path, when_utc_s)
+    with suppress(RecordingError):  # of a run that goes on, or where nothing can be written: it is shown as it is
+        recover(path)
     try:
         # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
         with h5py.File(path, "r", locking=False) as file:
