@@ -15,6 +15,7 @@ from drivers.clocks.sampling import Alignment
 from drivers.errors import LinkLost
 from drivers.types import Floats, Identity, ImuBlock, SourceCounts
 from estimator.calibration.error_model import ErrorModel
+from estimator.errors import EstimatorError
 from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.observations.timing import TimeOffset
 from estimator.recordings.writing import RecordingWriter
@@ -30,6 +31,7 @@ from station.views.json_values import named
 _FLUSH_S = 0.2  # what a killed station loses, at most, beyond what was on its way
 _FLUSH_SIMULATED_S = 2.0  # a simulated second lasts milliseconds
 _SYNC_S = 0.5
+_HISTORY_BLOCKS = 50  # of the live filter, which are written together
 _SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
 _LATE_S = 0.03  # of the host, after which a computer may be why a run fails
 _FIRST_SAMPLE_S = 3.0
@@ -237,6 +239,7 @@ class Acquisition:
         while True:
             await self._sleep(every_s)
             self.monitor.mark()
+            self._take_histories(_HISTORY_BLOCKS)
             if self._sync is not None and not self._sync.done():
                 continue  # a write now would wait for the disk, and everything for that write
             self.writer.flush()
@@ -244,8 +247,11 @@ class Acquisition:
                 sync_due_s = loop.time() + _SYNC_S * self._host_scale
                 self._sync = loop.run_in_executor(None, os.fsync, self.writer.descriptor)
 
-    async def close(self, attributes: Mapping[str, str]) -> None:
-        """Close the links of all devices under test and, with these attributes, the recording."""
+    async def close(self, attributes: Mapping[str, str], *, whole: bool) -> None:
+        """Close the links of all devices under test and, with these attributes, the recording.
+
+        Of a run that is ``whole`` the live estimate is finished before.
+        """
         self.monitor.end()
         for imu in self._imus:
             imu.source.close()
@@ -254,12 +260,21 @@ class Acquisition:
             for name in imu.source.names:
                 self.reports[name] = SourceReport(name, imu.source.counts(name), imu.source.alignment(name))
                 self.writer.set_source(name, self.reports[name].attributes())
+        if whole:
+            with suppress(EstimatorError):  # which the batch estimate tells
+                self.live.finish()
+        self._take_histories(1)
         self.writer.set_attributes({"table_read_half_width_ns": self._half_width_ns, **attributes})
         if self._sync is not None:
             with suppress(OSError):
                 await self._sync
         self.writer.close()
         self.closed = True
+
+    def _take_histories(self, fewest: int) -> None:
+        for name, source in self.live.sources.items():
+            for group, columns in source.history.take(fewest).items():
+                self.writer.append_rows(f"{group}/{name}", columns)
 
     @property
     def _late(self) -> str:

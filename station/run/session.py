@@ -307,13 +307,13 @@ class Session:
         acquisition = self._acquisition
         if not acquisition.closed:
             self._open.table.close()
-            await acquisition.close({"ended_early": self._ended_early} if self._ended_early else {})
+            attributes = {"ended_early": self._ended_early} if self._ended_early else {}
+            await acquisition.close(attributes, whole=self._verdict is None)
         calibration, agreement = None, float("nan")
         verdict = self._verdict
         if verdict is None:
             self._monitor.phase = Phase.ESTIMATING
             try:
-                self._live.finish()
                 # In a thread: who looks on is not to think that the session hangs.
                 about = (self._writer.path, self._live, self._model, self._bench.excluded, dict(acquisition.reports))
                 work = partial(final_estimate, *about)
