@@ -172,7 +172,13 @@ class BodyRates:
         half_ns = np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns
         for first in range(0, len(t_ns), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
-            self._add(t_ns[part], angle_rad[part], rate_rps[part], half_ns[part] * 1e-9, rate_window_ns)
+            self._add(
+                t_ns[part],
+                angle_rad[part],
+                rate_rps[part],
+                np.asarray(half_ns[part] * 1e-9, dtype=np.float64),
+                rate_window_ns,
+            )
 
     def _add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats, half_s: Floats, rate_window_ns: int) -> None:
         step_ns, rates, summed = integrated(self._read, t_ns, rate_rps)

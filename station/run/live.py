@@ -257,10 +257,11 @@ class LiveEstimate:
 
     def _take_rows(self) -> None:
         if self._rows:
-            *columns, self._window_ns = _columns(self._rows)
-            self.rates.add(*columns, self._window_ns)
+            columns = _columns(self._rows)
+            self.rates.add(*columns)
             if self._kept_rows is not None:
-                self._kept_rows.append(*columns)
+                self._kept_rows.append(*columns[:-1])
+            self._window_ns = columns[-1]
             self._rows.clear()
 
     @property

@@ -22,7 +22,7 @@ from station.bench.bench import default_bench_text, load_bench
 from station.opening import open_bench
 from station.run.event_loop.loops import VirtualLoop
 from station.run.session import Result, RunOptions, Session
-from station.scripts.script import Rest, Rotate, Script, paper_script
+from station.scripts.script import Rotate, Script, paper_script
 
 
 def rss_mb() -> float:
