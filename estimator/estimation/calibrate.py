@@ -18,6 +18,7 @@ from estimator.observations.defects.reading_doubts import reading_doubts
 from estimator.observations.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
 from estimator.observations.health import Excluded, usable
 from estimator.observations.rests import RestNoise, motion_notes, rest_noise
+from estimator.recordings.memory import check_estimating
 from estimator.recordings.recording import Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
 
@@ -41,9 +42,10 @@ def calibrate(
     Without one ``excluded`` names the effects of the catalogue that device and table do not have: what the others could
     do to the states unseen is in the sigmas then; None leaves that out.
 
-    Raises RecordingError if a source has no samples that the reference covers, or no gyro can be estimated; ModelError
-    if the recording lacks what the model needs.
+    Raises RecordingError if a source has no samples that the reference covers, no gyro can be estimated, or there is no
+    memory for so many samples; ModelError if the recording lacks what the model needs.
     """
+    check_estimating(recording)
     if model is not None:
         check_model(model, recording)
         model = model if model.effects else None

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import gc
+import time
 import tracemalloc
+from pathlib import Path
 
+import h5py
 import numpy as np
+import pytest
+from support import direct_recording
 
 from drivers.types import ImuBlock
+from estimator.errors import RecordingError
 from estimator.geometry.array import triad
 from estimator.geometry.model import Prior
+from estimator.recordings.reading import read_recording
 from estimator.recordings.reference import BodyRates
+from estimator.recordings.writing import write_recording
 from station.run.live import LiveEstimate, LiveSource
 from station.run.table_watch import TableRow
+from station.scripts.script import Rest, Script
 
 TABLE_NS, SAMPLE_NS = 100_000_000, 500_000_000
 
@@ -54,7 +63,7 @@ def test_rates_of_the_last_minute_do_not_depend_on_the_hours_before() -> None:
 
     def found(part: slice) -> BodyRates:
         rates = BodyRates("z", None)
-        rates.add(t_ns[part], angle[part], rate[part])
+        rates.add(t_ns[part], angle[part], np.asarray(rate[part], dtype=np.float64))
         rates.finish()
         return rates
 
@@ -63,3 +72,16 @@ def test_rates_of_the_last_minute_do_not_depend_on_the_hours_before() -> None:
     whole, alone = found(slice(None)).at(at_ns), found(last).at(at_ns)
     assert np.isfinite(alone).all()
     np.testing.assert_allclose(whole, alone, atol=1e-11, rtol=0)
+
+
+def test_a_recording_for_which_there_is_no_memory_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "huge.h5"
+    write_recording(path, direct_recording(1, script=Script("rest", (Rest(4.0),))))
+    with h5py.File(path, "r+") as file:
+        for name in ("t_ns", "rate_rps"):
+            dataset = file[f"imu/array/{name}"]
+            dataset.resize((10_000_000_000, *dataset.shape[1:]))  # HDF5 keeps no room for what was never written
+    began = time.monotonic()
+    with pytest.raises(RecordingError, match=r"huge.h5 holds 4e\+02 GB of .* needs about 1.2e\+03 GB .* are free; use"):
+        read_recording(path, trusted=True)
+    assert time.monotonic() - began < 5
