@@ -105,7 +105,7 @@ class Acquisition:
         on_event: Callable[[float, EventKind, str], None] | None,
     ) -> None:
         """Describe table and sources in the recording; ``time_scale`` is how fast the loop's clock runs."""
-        self._imus, self._bench = opened.imus, opened.bench
+        self._opened, self._imus, self._bench = opened, opened.imus, opened.bench
         self.writer, self._model, self._reopening, self._on_event = writer, model, reopening, on_event
         self._host_scale, self._scale = time_scale, max(time_scale, 1.0)  # below 1 devices are slow, too
         self.live = LiveEstimate(self._bench.table.gimbals, self._bench.site)
@@ -264,12 +264,21 @@ class Acquisition:
             with suppress(EstimatorError):  # which the batch estimate tells
                 self.live.finish()
         self._take_histories(1)
+        self._set_counts()
         self.writer.set_attributes({"table_read_half_width_ns": self._half_width_ns, **attributes})
         if self._sync is not None:
             with suppress(OSError):
                 await self._sync
         self.writer.close()
         self.closed = True
+
+    def _set_counts(self) -> None:
+        """Write what went over the links: of the table into the file's attributes, else into those of the sources."""
+        of_link = {device: counts.attributes() for device, counts in self._opened.link_counts().items()}
+        self.writer.set_attributes({f"table_{key}": n for key, n in of_link.pop("table", {}).items()})
+        for imu in self._imus:
+            for name in imu.source.names:
+                self.writer.set_source(name, of_link[imu.config.name])
 
     def _take_histories(self, fewest: int) -> None:
         for name, source in self.live.sources.items():

@@ -8,14 +8,15 @@ import importlib.metadata
 import logging
 import time
 import traceback
-from collections.abc import Callable, Coroutine, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Coroutine, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import DeviceError
 from drivers.tables.halting import first_look
+from drivers.types import LinkCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
@@ -58,6 +59,8 @@ class Result:
     """When and why the script was not run to its end."""
     sources: tuple[SourceReport, ...] = ()
     """What was had of each source."""
+    links: Mapping[str, LinkCounts] = field(default_factory=dict)
+    """What went over the link of each device."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,7 +330,8 @@ class Session:
         except RecordingError as error:
             verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
         reports = tuple(acquisition.reports.values())
-        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports)
+        links = self._open.link_counts()
+        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links)
 
     def _verdict_of(self, error: BaseException) -> Verdict:
         """Return the verdict for what ended the run: a device's error first, a stop, else a defect of the station."""

@@ -91,6 +91,14 @@ class SourceSnapshot:
 
 
 @dataclass(frozen=True, slots=True)
+class LinkSnapshot:
+    """What went over the link of a device and what went wrong, in words."""
+
+    device: str
+    counts: str
+
+
+@dataclass(frozen=True, slots=True)
 class Snapshot:
     """State of a run at one instant; times in seconds of the loop's clock. ``label``: of the step under way, or "".
 
@@ -112,6 +120,7 @@ class Snapshot:
     axes: tuple[AxisSnapshot, ...] = ()
     sources: tuple[SourceSnapshot, ...] = ()
     gyros: tuple[GyroSnapshot, ...] = ()
+    links: tuple[LinkSnapshot, ...] = ()
 
     @property
     def doing(self) -> str:

@@ -174,7 +174,7 @@ def axis_lines(snapshot: Snapshot, old: bool) -> list[Text]:
 
 
 def source_lines(snapshot: Snapshot) -> list[Text]:
-    """Return the sources, a line each below a heading; what is wrong in red."""
+    """Return the sources, a line each below a heading, what is wrong in red; then the counts of the links."""
     rows = [["source", "Hz", "samples", "lost", "late", "corrupt", "latency ms", "jitter ms", "degC", "link"]]
     rows += [
         [
@@ -195,7 +195,7 @@ def source_lines(snapshot: Snapshot) -> list[Text]:
     for line, source in zip(lines[1:], snapshot.sources, strict=True):
         if source.link != "ok" or source.lost or source.corrupt:
             line.stylize("bold red")
-    return lines
+    return [*lines, *(Text(f"link of {link.device}: {link.counts}", "dim") for link in snapshot.links)]
 
 
 def innovation_lines(snapshot: Snapshot) -> list[Text]:
