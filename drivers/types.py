@@ -150,10 +150,6 @@ class LinkCounts:
     error_frames: int = 0
     bus_off: int = 0
 
-    def attributes(self) -> dict[str, int]:
-        """Return what a recording keeps: link_opened, link_received and so on."""
-        return {f"link_{what}": count for what, count in asdict(self).items()}
-
     @property
     def text(self) -> str:
         """All that is not zero, in words."""

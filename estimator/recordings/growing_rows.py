@@ -42,7 +42,13 @@ class GrowingRows:
 
     def forget(self, count: int) -> None:
         """Drop so many rows at the beginning."""
-        self._first += min(max(count, 0), len(self))
+        self._first += count
+
+    def take(self) -> dict[str, NDArray[Any]]:
+        """Return all columns by name, and drop their rows."""
+        taken = {name: self[name].copy() for name in self._stores}
+        self.forget(len(self))
+        return taken
 
 
 def integrated(before: GrowingRows, t_ns: Stamps, rate_rps: Floats) -> tuple[Stamps, Floats, Floats]:

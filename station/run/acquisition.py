@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.clocks.sampling import Alignment
 from drivers.errors import LinkLost
-from drivers.types import Floats, Identity, ImuBlock, SourceCounts
+from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import EstimatorError
 from estimator.estimation.live.sample_columns import SampleColumns
@@ -259,26 +259,19 @@ class Acquisition:
                 self._take_block(name, block)
             for name in imu.source.names:
                 self.reports[name] = SourceReport(name, imu.source.counts(name), imu.source.alignment(name))
-                self.writer.set_source(name, self.reports[name].attributes())
+                self.writer.set_source(name, self.reports[name].attributes() | _link_attributes("", imu.counts))
         if whole:
             with suppress(EstimatorError):  # which the batch estimate tells
                 self.live.finish()
         self._take_histories(1)
-        self._set_counts()
+        if counts := self._opened.link_counts().get("table"):
+            self.writer.set_attributes(_link_attributes("table_", counts))
         self.writer.set_attributes({"table_read_half_width_ns": self._half_width_ns, **attributes})
         if self._sync is not None:
             with suppress(OSError):
                 await self._sync
         self.writer.close()
         self.closed = True
-
-    def _set_counts(self) -> None:
-        """Write what went over the links: of the table into the file's attributes, else into those of the sources."""
-        of_link = {device: counts.attributes() for device, counts in self._opened.link_counts().items()}
-        self.writer.set_attributes({f"table_{key}": n for key, n in of_link.pop("table", {}).items()})
-        for imu in self._imus:
-            for name in imu.source.names:
-                self.writer.set_source(name, of_link[imu.config.name])
 
     def _take_histories(self, fewest: int) -> None:
         for name, source in self.live.sources.items():
@@ -296,6 +289,10 @@ class Acquisition:
         found = [report.mistimed for report in self.reports.values()]
         found += [slow] * (took_s > _SLOW_S) + [self._late] * (self._late_s > 0.0)
         return [cause for cause in found if cause]
+
+
+def _link_attributes(prefix: str, counts: LinkCounts) -> dict[str, Any]:
+    return {f"{prefix}link_{what}": count for what, count in asdict(counts).items()}
 
 
 def identity_attributes(prefix: str, identity: Identity) -> dict[str, Any]:

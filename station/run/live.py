@@ -40,12 +40,15 @@ class History:
     that were taken off the stamps, s, and up to which instant each, ns.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, gyros: int) -> None:
         """Begin with nothing."""
         self.recent: deque[Innovation] = deque(maxlen=_RECENT_BLOCKS)
         self.blocks = 0
         self.taken_off: tuple[list[int], list[float]] = ([], [])
-        self._kept: dict[str, list[tuple[Any, ...]]] = {}
+        self._kept = {
+            "innovation": GrowingRows(t_ns=np.int64, nis=(), dof=np.int64, normalised=(gyros,)),
+            "estimate": GrowingRows(t_ns=np.int64, states=(gyros, 4), sd=(gyros, 4)),
+        }
 
     def add(self, t_ns: int, offset_s: float, innovation: Innovation) -> None:
         """Keep what a block said whose last sample is of this instant."""
@@ -64,18 +67,13 @@ class History:
         self._keep("estimate", t_ns, states, sd)
 
     def _keep(self, group: str, *row: Any) -> None:
-        self._kept.setdefault(group, []).append(row)
+        self._kept[group].append(*(np.array([value]) for value in row))
 
     def take(self, fewest: int = 1) -> dict[str, dict[str, Any]]:
         """Return as columns by group what was kept since it was taken last, if it is of so many blocks."""
-        if len(self._kept.get("innovation", ())) < fewest:
+        if len(self._kept["innovation"]) < fewest:
             return {}
-        names = {"innovation": ("t_ns", "nis", "dof", "normalised"), "estimate": ("t_ns", "states", "sd")}
-        kept, self._kept = self._kept, {}
-        return {
-            group: {name: np.array(column) for name, column in zip(names[group], zip(*rows, strict=True), strict=True)}
-            for group, rows in kept.items()
-        }
+        return {group: rows.take() for group, rows in self._kept.items() if len(rows)}
 
 
 class LiveSource:
@@ -103,7 +101,7 @@ class LiveSource:
         further = self.effects.count if self.effects else 0
         self.filter = LiveFilter(array, self.noise_rps, prior, further, self.offset_sd_s)
         self._offset_s = 0.0  # what is taken off the stamps
-        self.history = History()
+        self.history = History(len(array))
         self._rows = max(round(BLOCK_S * rate_hz), 1)
         self._period_s = 1 / rate_hz
         self._keeps_blocks = False

@@ -18,7 +18,7 @@ from station.opening import OpenBench
 from station.opening.reopening import Reopening
 from station.run.live import LiveEstimate
 from station.run.sequencer import Sequencer
-from station.run.snapshot import AxisSnapshot, GyroSnapshot, LinkSnapshot, Phase, Snapshot, SourceSnapshot
+from station.run.snapshot import AxisSnapshot, GyroSnapshot, Phase, Snapshot, SourceSnapshot
 from station.run.table_watch import TableRow
 
 _OVER_S = 2.0  # of the host's clock: for rates and latencies
@@ -102,7 +102,7 @@ class Monitor:
             axes=tuple(self._axis_snapshots(now_s)),
             sources=tuple(self._source_snapshots(now_s)),
             gyros=tuple(self._gyro_snapshots()),
-            links=tuple(LinkSnapshot(name, counts.text) for name, counts in self._open.link_counts().items()),
+            links=tuple(f"link of {name}: {counts.text}" for name, counts in self._open.link_counts().items()),
         )
 
     def _axis_snapshots(self, now_s: float) -> Iterator[AxisSnapshot]:

@@ -91,20 +91,12 @@ class SourceSnapshot:
 
 
 @dataclass(frozen=True, slots=True)
-class LinkSnapshot:
-    """What went over the link of a device and what went wrong, in words."""
-
-    device: str
-    counts: str
-
-
-@dataclass(frozen=True, slots=True)
 class Snapshot:
     """State of a run at one instant; times in seconds of the loop's clock. ``label``: of the step under way, or "".
 
     ``nis_mean`` per degree of freedom over the whole run, ``nis_recent`` over the last half minute; ``whiteness``:
     correlation of the innovations with those of the block before, 0 for a good filter. ``paused``: "",
-    ``AFTER_THIS_STEP`` or ``PAUSED``.
+    ``AFTER_THIS_STEP`` or ``PAUSED``. ``links``: of each device what went over its link and what went wrong, in words.
     """
 
     phase: Phase
@@ -120,7 +112,7 @@ class Snapshot:
     axes: tuple[AxisSnapshot, ...] = ()
     sources: tuple[SourceSnapshot, ...] = ()
     gyros: tuple[GyroSnapshot, ...] = ()
-    links: tuple[LinkSnapshot, ...] = ()
+    links: tuple[str, ...] = ()
 
     @property
     def doing(self) -> str:

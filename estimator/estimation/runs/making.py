@@ -130,16 +130,13 @@ def _run(recording: Recording, source: str, data: ImuData, block_s: float, order
     grid_s = (t_s[:, None] - 0.5 * length_s + offsets).ravel()
 
     @lru_cache(maxsize=12)  # every gyro asks for the same
-    def before_rps(delay_s: float) -> Floats:
+    def delayed_rps(delay_s: float) -> Floats:
         ago = w.copy()
         past = measured.past_rps(delay_s)
         ago[where] = np.where(np.isfinite(past), past, w[where])
-        return ago
+        return np.repeat(ago, steps, axis=0)
 
-    grid = replace(
-        conditions_of(recording, data, grid_s, w, steps),
-        delayed_rps=lambda delay_s: np.repeat(before_rps(delay_s), steps, axis=0),
-    )
+    grid = replace(conditions_of(recording, data, grid_s, w, steps), delayed_rps=delayed_rps)
     run = Run(
         recording.name,
         source,

@@ -195,7 +195,7 @@ def source_lines(snapshot: Snapshot) -> list[Text]:
     for line, source in zip(lines[1:], snapshot.sources, strict=True):
         if source.link != "ok" or source.lost or source.corrupt:
             line.stylize("bold red")
-    return [*lines, *(Text(f"link of {link.device}: {link.counts}", "dim") for link in snapshot.links)]
+    return [*lines, *(Text(said, "dim") for said in snapshot.links)]
 
 
 def innovation_lines(snapshot: Snapshot) -> list[Text]:
