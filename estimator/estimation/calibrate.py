@@ -42,10 +42,9 @@ def calibrate(
     Without one ``excluded`` names the effects of the catalogue that device and table do not have: what the others could
     do to the states unseen is in the sigmas then; None leaves that out.
 
-    Raises RecordingError if a source has no samples that the reference covers, no gyro can be estimated, or there is no
-    memory for so many samples; ModelError if the recording lacks what the model needs.
+    Raises RecordingError if a source has no samples that the reference covers, no gyro can be estimated, or memory does
+    not suffice; ModelError if the recording lacks what the model needs.
     """
-    check_estimating(recording)
     if model is not None:
         check_model(model, recording)
         model = model if model.effects else None
@@ -91,6 +90,7 @@ def calibrate(
 
 def _usable(recording: Recording) -> tuple[Sources, list[str], tuple[Excluded, ...]]:
     """Return the sources with what can be used of each, notes on them and their motion, and gyros left out."""
+    check_estimating(recording)
     fine = isinstance(recording.reference, TableReadings)
     found = {source: usable(data, fine=fine) for source, data in recording.sources.items()}
     sources = [(source, part) for source, its in found.items() for part in its.parts]

@@ -139,7 +139,7 @@ def of_type(kind: Any, value: Any) -> Any:
     if get_origin(kind) is tuple:
         return tuple(of_type(get_args(kind)[0], item) for item in value)
     if types := _types_of(kind):
-        return kind(**{name: of_type(types[name], value[name]) for name in types})
+        return kind(**{name: of_type(types[name], value[name]) for name in types if name in value})
     return math.nan if kind is float and value is None else kind(value)
 
 
