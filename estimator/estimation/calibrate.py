@@ -18,6 +18,7 @@ from estimator.observations.defects.reading_doubts import reading_doubts
 from estimator.observations.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
 from estimator.observations.health import Excluded, usable
 from estimator.observations.rests import RestNoise, motion_notes, rest_noise
+from estimator.recordings.memory import check_estimating
 from estimator.recordings.recording import Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
 
@@ -41,8 +42,8 @@ def calibrate(
     Without one ``excluded`` names the effects of the catalogue that device and table do not have: what the others could
     do to the states unseen is in the sigmas then; None leaves that out.
 
-    Raises RecordingError if a source has no samples that the reference covers, or no gyro can be estimated; ModelError
-    if the recording lacks what the model needs.
+    Raises RecordingError if a source has no samples that the reference covers, no gyro can be estimated, or memory does
+    not suffice; ModelError if the recording lacks what the model needs.
     """
     if model is not None:
         check_model(model, recording)
@@ -89,6 +90,7 @@ def calibrate(
 
 def _usable(recording: Recording) -> tuple[Sources, list[str], tuple[Excluded, ...]]:
     """Return the sources with what can be used of each, notes on them and their motion, and gyros left out."""
+    check_estimating(recording)
     fine = isinstance(recording.reference, TableReadings)
     found = {source: usable(data, fine=fine) for source, data in recording.sources.items()}
     sources = [(source, part) for source, its in found.items() for part in its.parts]

@@ -15,6 +15,7 @@ from estimator.geometry.array import sensor_array
 from estimator.geometry.kinematics import Site, check_gimbals
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
+from estimator.recordings.memory import READING, check_memory
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording
 from estimator.recordings.recovery import recover
 from estimator.recordings.reference import (
@@ -63,6 +64,9 @@ def _read(path: Path, file: Any) -> Recording:
         raise RecordingError(
             f"{path} is of format version {version}, this program reads up to {FORMAT_VERSION}: update it"
         )
+    groups = (*file.get("imu", {}).values(), file.get("table", {}))
+    columns = [group[key] for group in groups for key in group if "dimensions" in LAYOUT.get(key, {})]
+    check_memory(path, sum(8 * int(column.size or 0) for column in columns), READING)
     site = None
     if "site_latitude_rad" in attributes:
         site = Site(float(attributes["site_latitude_rad"]), float(attributes.get("site_heading_rad", 0.0)))

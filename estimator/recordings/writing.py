@@ -32,6 +32,7 @@ _RESERVE_BYTES = 2_000_000  # kept back on the disk: what is pending, and what H
 _CLOSING_BYTES = 300_000  # of them, HDF5's own
 _ATTRIBUTES_BYTES = 100_000  # and what attributes need, whatever was left for them
 _PLENTY_BYTES = 100_000_000  # more than another program takes while one block is written
+_CACHE_BYTES = 131_072  # of each dataset: rows go to its end
 TEXT_BYTES = 240
 
 
@@ -59,7 +60,7 @@ class RecordingWriter:
                 if journal:
                     self.journal = Journal(path)
                     undone.callback(self.journal.close, remove=True)
-                self._file = h5py.File(path, "x")
+                self._file = h5py.File(path, "x", rdcc_nbytes=_CACHE_BYTES)
             except FileExistsError as error:
                 if error.filename != str(journal_of(path)):
                     raise RecordingError(f"cannot create {path}: {first_line(error)}") from None

@@ -7,7 +7,7 @@ import signal
 import sys
 from collections.abc import Mapping
 from contextlib import AsyncExitStack, nullcontext, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -86,7 +86,8 @@ def _run_object(result: Result) -> Mapping[str, Any]:
     """Return what --json prints of a run."""
     found = result_object(result.verdict, str(result.recording), result.calibration)
     sources = {report.name: report.as_object() for report in result.sources}
-    return {**found, "ended_early": result.ended_early or None, "sources": sources}
+    links = {device: asdict(counts) for device, counts in result.links.items()}
+    return {**found, "ended_early": result.ended_early or None, "sources": sources, "links": links}
 
 
 def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.errors import BadReply, DeviceError, LinkLost
 from drivers.protocols import ImuSource
-from drivers.types import Floats, Identity, ImuBlock, SourceCounts, Stamps
+from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts, Stamps
 from station.bench.imu import ImuConfig
 from station.opening import OpenBench, OpenImu
 
@@ -68,6 +68,7 @@ class DeviceCheck:
     sources: list[SourceCheck] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
     experimental: bool = False
+    counts: LinkCounts | None = None
 
     @property
     def answered_nothing(self) -> bool:
@@ -91,6 +92,8 @@ async def check_bench(
             found.append(await _check_imu(imu, time_scale))
         finally:
             imu.source.close()
+    for check in found:
+        check.counts = opened.link_counts().get(check.device)
     dumb = [check for check in found if check.answered_nothing]
     for check in dumb if len(dumb) > 1 else ():
         others = " and ".join(other.device for other in dumb if other is not check)

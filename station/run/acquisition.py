@@ -13,8 +13,9 @@ import numpy as np
 from drivers.clocks.sampling import Alignment
 from drivers.errors import LinkLost
 from drivers.protocols import EarlySource
-from drivers.types import Floats, Identity, ImuBlock, SourceCounts
+from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts
 from estimator.calibration.error_model import ErrorModel
+from estimator.errors import EstimatorError
 from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.observations.timing import TimeOffset
 from estimator.recordings.writing import RecordingWriter
@@ -30,6 +31,7 @@ from station.views.json_values import named
 _JOURNAL_S = 0.006  # what a killed station loses, at most, beyond what was on its way
 _LOOK_S = 0.2  # between looks at counts, which go into the journal
 _FLUSH_S = 2.0
+_HISTORY_BLOCKS = 50  # of the live filter, which are written together
 _SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
 _LATE_S = 0.03  # of the host, after which a computer may be why a run fails
 _FIRST_SAMPLE_S = 3.0
@@ -103,7 +105,7 @@ class Acquisition:
         on_event: Callable[[float, EventKind, str], None] | None,
     ) -> None:
         """Describe table and sources in the recording; ``time_scale`` is how fast the loop's clock runs."""
-        self._imus, self._bench = opened.imus, opened.bench
+        self._opened, self._imus, self._bench = opened, opened.imus, opened.bench
         self.writer, self._model, self._reopening, self._on_event = writer, model, reopening, on_event
         self._host_scale, self._scale = time_scale, max(time_scale, 1.0)  # below 1 devices are slow, too
         self.live = LiveEstimate(self._bench.table.gimbals, self._bench.site)
@@ -238,10 +240,11 @@ class Acquisition:
         every_s = _FLUSH_S if virtual else _JOURNAL_S * self._host_scale
         look_due_s, flush_due_s = loop.time(), loop.time()
         while True:
-            await asyncio.sleep(every_s)
+            await self._sleep(every_s)
             if loop.time() >= look_due_s:
                 look_due_s = loop.time() + _LOOK_S * self._host_scale
                 self.monitor.mark()
+                self._take_histories(_HISTORY_BLOCKS)
                 self._note_counts()
             if not virtual:
                 self._note_arrived()
@@ -272,22 +275,37 @@ class Acquisition:
         about = [(imu.source, name) for imu in self._imus for name in imu.source.names]
         return {name: SourceReport(name, source.counts(name), source.alignment(name)) for source, name in about}
 
-    async def close(self, attributes: Mapping[str, str]) -> None:
-        """Close the links of all devices under test and, with these attributes, the recording."""
+    async def close(self, attributes: Mapping[str, str], *, whole: bool) -> None:
+        """Close the links of all devices under test and, with these attributes, the recording.
+
+        Of a run that is ``whole`` the live estimate is finished before.
+        """
         self.monitor.end()
         for imu in self._imus:
             imu.source.close()
             for name, block in imu.source.flush():
                 self._take_block(name, block)
         self.reports = self._reports_now()
-        for name, report in self.reports.items():
-            self.writer.set_source(name, report.attributes())
+        for imu in self._imus:
+            for name in imu.source.names:
+                self.writer.set_source(name, self.reports[name].attributes() | _link_attributes("", imu.counts))
+        if whole:
+            with suppress(EstimatorError):  # which the batch estimate tells
+                self.live.finish()
+        self._take_histories(1)
+        if counts := self._opened.link_counts().get("table"):
+            self.writer.set_attributes(_link_attributes("table_", counts))
         self.writer.set_attributes({"table_read_half_width_ns": self._half_width_ns, **attributes})
         if self._sync is not None:
             with suppress(OSError):
                 await self._sync
         self.writer.close()
         self.closed = True
+
+    def _take_histories(self, fewest: int) -> None:
+        for name, source in self.live.sources.items():
+            for group, columns in source.history.take(fewest).items():
+                self.writer.append_rows(f"{group}/{name}", columns)
 
     @property
     def _late(self) -> str:
@@ -300,6 +318,10 @@ class Acquisition:
         found = [report.mistimed for report in self.reports.values()]
         found += [slow] * (took_s > _SLOW_S) + [self._late] * (self._late_s > 0.0)
         return [cause for cause in found if cause]
+
+
+def _link_attributes(prefix: str, counts: LinkCounts) -> dict[str, Any]:
+    return {f"{prefix}link_{what}": count for what, count in asdict(counts).items()}
 
 
 def identity_attributes(prefix: str, identity: Identity) -> dict[str, Any]:

@@ -8,14 +8,15 @@ import importlib.metadata
 import logging
 import time
 import traceback
-from collections.abc import Callable, Coroutine, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Coroutine, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import DeviceError
 from drivers.tables.halting import first_look
+from drivers.types import LinkCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
@@ -58,6 +59,8 @@ class Result:
     """When and why the script was not run to its end."""
     sources: tuple[SourceReport, ...] = ()
     """What was had of each source."""
+    links: Mapping[str, LinkCounts] = field(default_factory=dict)
+    """What went over the link of each device."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,13 +327,13 @@ class Session:
         acquisition = self._acquisition
         if not acquisition.closed:
             self._open.table.close()
-            await acquisition.close({"ended_early": self._ended_early} if self._ended_early else {})
+            attributes = {"ended_early": self._ended_early} if self._ended_early else {}
+            await acquisition.close(attributes, whole=self._verdict is None)
         calibration, agreement = None, float("nan")
         verdict = self._verdict
         if verdict is None:
             self._monitor.phase = Phase.ESTIMATING
             try:
-                self._live.finish()
                 # In a thread: who looks on is not to think that the session hangs.
                 about = (self._writer.path, self._live, self._model, self._bench.excluded, dict(acquisition.reports))
                 work = partial(final_estimate, *about)
@@ -346,7 +349,8 @@ class Session:
         except RecordingError as error:
             verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
         reports = tuple(acquisition.reports.values())
-        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports)
+        links = self._open.link_counts()
+        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links)
 
     def _verdict_of(self, error: BaseException) -> Verdict:
         """Return the verdict for what ended the run: a device's error first, a stop, else a defect of the station."""
