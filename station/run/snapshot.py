@@ -96,8 +96,8 @@ class Snapshot:
 
     ``nis_mean`` per degree of freedom over the whole run, ``nis_recent`` over the last half minute; ``whiteness``:
     correlation of the innovations with those of the block before, 0 for a good filter; ``recent``: how many innovations
-    both are of. ``paused``: "", ``AFTER_THIS_STEP`` or ``PAUSED``. ``links``: of each device what went over its link and
-    what went wrong, in words.
+    both are of. ``paused``: "", ``AFTER_THIS_STEP`` or ``PAUSED``. ``links``: of each device what went over its
+    link and what went wrong, in words.
     """
 
     phase: Phase
