@@ -61,7 +61,7 @@ class SlcanBus(slcanBus):
         *lines, rest = bytes(self._buffer).replace(self._ERROR, self._OK).split(self._OK)
         self._buffer = bytearray(rest[-_LONGEST_LINE:])
         found = []
-        for line in (line.decode("ascii", "replace") for line in lines):
+        for line in (line.decode("ascii", "replace").lstrip("\n") for line in lines):
             digits = {"t": 3, "T": 8}.get(line[:1])
             if digits is None:
                 continue
