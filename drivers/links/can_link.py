@@ -63,7 +63,7 @@ class CanLink:
         )
         self._thread.start()
         try:
-            async with asyncio.timeout(_OPEN_LIMIT_S * loop_scale(loop)):
+            async with asyncio.timeout(_OPEN_LIMIT_S * max(loop_scale(loop), 1.0)):
                 self._bus = await opened
         except TimeoutError:
             self._give_up()

@@ -17,6 +17,7 @@ from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
 from drivers.protocols import ByteLink, FrameLink
 from drivers.types import Floats
+from estimator.strict_toml import not_one_of
 from sims.imus.registry import Ride, twin_of
 from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, Mounting, along, mounted
@@ -177,7 +178,9 @@ class Twins:
         wires = {"table": table.string("table", "tcp", one_of=("tcp", "serial"))}
         for imu in self.bench.imus:
             known = ("udp_multicast", "slcan", "socketcand") if imu.spec.on_can else ("serial", "tcp")
-            wires[imu.name] = table.string(imu.name, known[0], one_of=known)
+            wires[imu.name] = wire = table.string(imu.name, known[0])
+            if wire not in known and not (imu.spec.on_can and wire.startswith("can:")):
+                raise table.fail(imu.name, not_one_of(wire, known))
         table.done()
         return wires
 

@@ -87,7 +87,7 @@ class AceinnaImu(CanImu):
         return None
 
     async def _answer(self, group: int) -> bytes | None:
-        scale = loop_scale(asyncio.get_running_loop())  # it is a host that is waited for
+        scale = max(loop_scale(asyncio.get_running_loop()), 1.0)  # it is a host that is waited for
         try:
             async with asyncio.timeout(_ANSWER_S * scale):
                 while True:
