@@ -1,0 +1,167 @@
+"""SocketCAN of a real kernel: Debian's in QEMU, with vcan, slcan, the kernel's J1939, candump and slcand.
+
+One guest serves all tests of this module, in order. It is 10 to 40 times slower than this machine: the clocks of
+station and twin are slowed by as much as it needs, which is a scale below 1.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+HERE = Path(__file__).parent / "qemu"
+sys.path.insert(0, str(HERE))
+import guest as machine  # noqa: E402
+
+pytestmark = pytest.mark.timeout(900)
+MODULES = [
+    "station.cli",
+    "station.commands.common",
+    "station.opening.serving",
+    "station.run.session",
+    "h5py",
+    "cantools",
+]
+BENCH, SCRIPT, RESTS = HERE / "bench.toml", HERE / "script.toml", HERE / "rests.toml"
+J1939 = Path(__file__).parents[1] / "data" / "benches" / "galil_j1939.toml"
+KERNEL_J1939 = f"{sys.executable} {HERE / 'kernel_j1939.py'}"
+LONG_S = 400.0
+"""More than anything here takes on a machine with other work to do."""
+_CALM_S = 10.0  # scale times what the imports take, for which the guest is fast enough with a margin of two
+
+
+class Guest(machine.Guest):
+    """The guest with the station's modules imported; ``scale`` is what it can bear."""
+
+    scale = 1.0
+
+    def prepare(self) -> None:
+        """Import, and see how long that takes."""
+        start = time.monotonic()
+        self.load(MODULES, LONG_S)
+        self.scale = round(min(_CALM_S / (time.monotonic() - start), 0.5), 2)
+        self.run("ip link add vcan0 type vcan && ip link set vcan0 up")
+
+    @contextmanager
+    def twins(self, bench: Path, *, scale: float) -> Iterator[list[str]]:
+        """Serve the twins of a bench; yield the options that lead a station to them."""
+        job = self.start(["twin", "--bench", str(bench), "--scale", str(scale)])
+        try:
+            said = [json.loads(line) for line in job.wait_for('"ready"', LONG_S).splitlines()]
+            yield [word for one in said if "link" in one for word in ("--link", f"{one['device']}={one['link']}")]
+        finally:
+            self.stop(job)
+
+
+@pytest.fixture(scope="module")
+def guest(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guest]:
+    if missing := machine.missing():
+        pytest.skip(f"needs Debian's {', '.join(missing)}")
+    folder = tmp_path_factory.mktemp("guest")
+    try:
+        kernel = machine.fetch_kernel(folder)
+        made = Guest(folder, kernel, machine.build_initramfs(kernel, folder))
+    except machine.NoGuestError as error:
+        pytest.skip(str(error))
+    try:
+        made.prepare()
+        yield made
+    finally:
+        made.close()
+
+
+def run(guest: Guest, script: Path, name: str, links: list[str]) -> machine.Job:
+    """Start a run in the guest; its recording is NAME.h5 in the shared folder."""
+    words = ["run", "--bench", str(BENCH), "--script", str(script), "--scale", str(guest.scale)]
+    return guest.start([*words, "-o", str(machine.SHARED / f"{name}.h5"), *links])
+
+
+def dumped(text: str) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Return stamps (s of the day, UTC) and numbers of each identifier of candump's log."""
+    found: dict[int, tuple[list[float], list[int]]] = {}
+    for stamp, identifier, data in re.findall(r"^\((\d+\.\d+)\) \S+ ([0-9A-F]+)#([0-9A-F]{4})\s", text, re.MULTILINE):
+        stamps, numbers = found.setdefault(int(identifier, 16), ([], []))
+        stamps.append(float(stamp))
+        numbers.append(int.from_bytes(bytes.fromhex(data), "little", signed=True))
+    return {key: (np.array(stamps), np.array(numbers)) for key, (stamps, numbers) in found.items()}
+
+
+def test_a_run_over_socketcan_gives_a_verdict_and_holds_what_candump_saw(guest: Guest) -> None:
+    with guest.twins(BENCH, scale=guest.scale) as links:
+        dump = guest.start(f"exec candump -L vcan0 > {machine.SHARED}/dump.log")
+        job = run(guest, SCRIPT, "verdict", links)
+        code = job.wait(LONG_S)
+        guest.stop(dump)
+    assert code == 0, job.output
+    seen = dumped((guest.shared / "dump.log").read_text())
+    with h5py.File(guest.shared / "verdict.h5") as file:
+        assert (file.attrs["outcome"], file.attrs["time_scale"]) == ("PASS", guest.scale)
+        for number in range(1, 5):
+            source = file[f"imu/gyro{number}"]
+            stamps_s, raw = seen[0x100 + number]
+            ours = np.round(np.degrees(source["rate_rps"][:, 0]) / 0.005).astype(int)
+            starts = [i for i in range(len(raw) - len(ours) + 1) if np.array_equal(raw[i : i + len(ours)], ours)]
+            assert len(starts) == 1, f"gyro{number}: {len(ours)} samples are not among {len(raw)} frames in one piece"
+            arrived_s = source["arrival_ns"][()] * 1e-9 / guest.scale + file.attrs["clock_zero_utc_s"]
+            assert np.abs(arrived_s - stamps_s[starts[0] :][: len(ours)]).max() < 0.05
+
+
+def test_an_interface_down_at_rest_is_opened_again_and_in_a_motion_ends_the_run(guest: Guest) -> None:
+    with guest.twins(BENCH, scale=guest.scale) as links:
+        job = run(guest, RESTS, "down", links)
+        job.wait_for(" rest ", LONG_S)
+        guest.run("ip link set vcan0 down; sleep 2; ip link set vcan0 up")
+        job.wait_for("z at 20 deg/s", LONG_S)
+        guest.run("sleep 5; ip link set vcan0 down")
+        code = job.wait(LONG_S)
+        guest.run("ip link set vcan0 up")
+    assert code == 4, job.output
+    with h5py.File(guest.shared / "down.h5") as file:
+        assert file.attrs["outcome"] == "FAULT"
+        assert re.match(r"array: CAN bus socketcan:vcan0 .*down", file.attrs["reason"])
+        events = [text.decode() for text in file["events/text"][()]]
+        assert np.degrees(np.abs(file["table/rate_rps"][-1])).max() < 0.1
+        assert np.diff(file["table/angle_rad"][-3:], axis=0) == pytest.approx(0, abs=1e-4)
+        assert len(file["imu/gyro1/t_ns"]) > 100
+    again = [text for text in events if "open again" in text]
+    assert len(again) == 1, events
+
+
+def test_slcand_joins_our_adapter_to_the_kernel_both_ways(guest: Guest) -> None:
+    """The station asks the twin through the kernel who it is; the kernel's J1939 asks the same."""
+    with guest.twins(J1939, scale=guest.scale) as links:
+        port = next(link.split(":")[-1] for link in links if "slcan" in link)
+        guest.run(f"slcand -o -s5 {port} slcan0 && sleep 1 && ip link set slcan0 up")
+        links = [link.replace(f"slcan:{port}", "socketcan:slcan0") for link in links]
+        check = guest.start(["check", str(J1939), "--scale", str(guest.scale), "--json", *links])
+        code = check.wait(LONG_S)
+        asked = json.loads(guest.run(f"{KERNEL_J1939} ask slcan0"))
+        guest.run("pkill slcand")
+    assert code == 0, check.output
+    devices = {device["name"]: device for device in json.loads(check.output)["devices"]}
+    assert "J1939 manufacturer 823, function 131" in json.dumps(devices)
+    name = 131 << 40 | 823 << 21 | 305_001
+    assert (asked["claim"], asked["name"], asked["version"]) == (name, name, [19, 1, 51, 2, 1])
+    assert asked["samples"] > 20
+
+
+def test_the_kernels_j1939_is_named_and_read_as_a_device(guest: Guest) -> None:
+    guest.run("ip link add vcan1 type vcan && ip link set vcan1 up")
+    device = guest.start(f"exec {KERNEL_J1939} be vcan1")
+    device.wait_for("ready", LONG_S)
+    check = guest.start(["check", str(J1939), "--json", "--link", "openimu=can:socketcan:vcan1"])
+    check.wait(LONG_S)
+    guest.stop(device)
+    said = check.output
+    assert "J1939 manufacturer 299, function 130" in said
+    assert "123456" in said
+    assert "2.7.18 stage 1 build 44" in said
