@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 import can_stranger as stranger
 import numpy as np
 import pytest
-from can_support import collect
+from can_support import collect, joined
 from setups import imu_setup
 from support import TwinProcess
 
@@ -28,12 +28,14 @@ from drivers.imus.aceinna.imu import AceinnaImu
 from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanImu, CanSource
 from drivers.links.can_link import CanLink
 from drivers.specs import ImuSetup
+from drivers.types import ImuBlock
 from station.run.event_loop.loops import ScaledLoop
 
 T = TypeVar("T")
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX only")
 needs_j1939 = pytest.mark.skipif(importlib.util.find_spec("j1939") is None, reason="needs can-j1939 (pip)")
 GROUP = "239.74.163.9"
+COUNT = 150
 GYROS = tuple(CanChannel(f"gyro{i}", f"GYRO{i}_RATE.Rate") for i in range(1, 5))
 BENCHES = Path(__file__).parents[1] / "data" / "benches"
 
@@ -46,7 +48,7 @@ def in_real_time(main: Callable[[], Awaitable[T]]) -> T:
         return runner.run(run())
 
 
-def called(role: str, channel: str, interface: str, options: dict[str, Any], *arguments: str | Path) -> list[str]:
+def called(role: str, channel: str, interface: str, options: dict[str, Any], *arguments: str | Path | int) -> list[str]:
     words = [role, channel, interface, json.dumps(options), *map(str, arguments)]
     return [sys.executable, stranger.__file__, *words]
 
@@ -108,35 +110,39 @@ def test_python_can_and_cantools_read_our_twins_as_the_dbc_says(tmp_path: Path, 
         assert found["sum"] / found["count"] == pytest.approx(0, abs=0.03)
 
 
-async def heard_of(link: CanLink, start: Callable[[], subprocess.Popen[str]], lasts_s: float) -> tuple[CanImu, Any]:
-    """Return a driver of the built-in nodes, and what it has made of what a stranger sends."""
+async def heard_of(link: CanLink, *called_as: Any) -> tuple[CanImu, dict[str, ImuBlock]]:
+    """Return a driver of the built-in nodes, and what it has made of all that a stranger sends."""
     imu = CanImu(ImuSetup("array", 100.0, 0.5, {}, CanSource(BUILT_IN_DBC, GYROS)), link)
+    found: dict[str, list[ImuBlock]] = {name: [] for name in imu.names}
+
+    async def read() -> None:
+        async for name, block in imu.blocks():
+            found[name].append(block)
+
     await imu.open()
-    process = start()
-    blocks = await collect(imu, lasts_s)
+    reader = asyncio.create_task(read())
+    process = subprocess.Popen(called("send", *called_as, BUILT_IN_DBC, COUNT), stdout=subprocess.DEVNULL)
+    assert await asyncio.to_thread(process.wait, 60) == 0
+    await asyncio.sleep(0.5)  # what is still on its way
+    reader.cancel()
+    await asyncio.gather(reader, return_exceptions=True)
+    for name, block in imu.flush():
+        found[name].append(block)
     imu.close()
-    await asyncio.to_thread(process.wait, 30)
-    return imu, blocks
+    return imu, {name: joined(blocks) for name, blocks in found.items()}
 
 
 def test_our_driver_reads_a_stranger_on_udp_with_nothing_but_the_dbc() -> None:
-    options, count = multicast(), 150
+    options = multicast()
 
-    def start() -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            called("send", GROUP, "udp_multicast", options, BUILT_IN_DBC, str(count)),
-            text=True,
-            stdout=subprocess.DEVNULL,
-        )
-
-    async def main() -> tuple[CanImu, Any]:
-        return await heard_of(CanLink("array", "udp_multicast", GROUP, options), start, 4.5)
+    async def main() -> tuple[CanImu, dict[str, ImuBlock]]:
+        return await heard_of(CanLink("array", "udp_multicast", GROUP, options), GROUP, "udp_multicast", options)
 
     imu, blocks = in_real_time(main)
     for gyro, rate in zip(GYROS, stranger.RATES_DPS, strict=True):
         counts = imu.counts(gyro.name)
         assert (counts.corrupt, counts.lost) == (0, 0)
-        assert len(blocks[gyro.name].t_ns) == count
+        assert len(blocks[gyro.name].t_ns) == COUNT
         assert np.degrees(blocks[gyro.name].rate_rps) == pytest.approx(rate, abs=1e-9)
 
 
@@ -190,27 +196,20 @@ WIRES: dict[str, Callable[[bytes], list[bytes]]] = {
 @pytest.mark.parametrize("wire", WIRES)
 def test_our_driver_reads_the_lines_of_python_cans_slcan(wire: str) -> None:
     """A wire that loses bytes loses frames, which are counted or missing; what is left is right."""
-    count = 150
 
-    async def main() -> tuple[CanImu, Any, int]:
+    async def main() -> tuple[CanImu, dict[str, ImuBlock]]:
         async with serial_wire(WIRES[wire]) as (theirs, ours):
             link = CanLink("array", "slcan", ours, {"sleep_after_open": 0.0})
+            return await heard_of(link, theirs, "slcan", {"sleep_after_open": 0.1})
 
-            def start() -> subprocess.Popen[str]:
-                words = called("send", theirs, "slcan", {"sleep_after_open": 0.1}, BUILT_IN_DBC, str(count))
-                return subprocess.Popen(words, text=True, stdout=subprocess.DEVNULL)
-
-            imu, blocks = await heard_of(link, start, 4.5)
-            return imu, blocks, link.malformed
-
-    imu, blocks, _ = in_real_time(main)
+    imu, blocks = in_real_time(main)
     for gyro, rate in zip(GYROS, stranger.RATES_DPS, strict=True):
         rates = np.degrees(blocks[gyro.name].rate_rps)
         if wire == "bytes lost":
-            assert 0.8 * count < len(rates) <= count
+            assert 0.8 * COUNT < len(rates) <= COUNT
             assert np.mean(np.abs(rates - rate) < 1e-9) > 0.95  # a digit less in a line may leave a line
         else:
-            assert (len(rates), imu.counts(gyro.name).lost) == (count, 0)
+            assert (len(rates), imu.counts(gyro.name).lost) == (COUNT, 0)
             assert rates == pytest.approx(rate, abs=1e-9)
 
 

@@ -112,7 +112,9 @@ def test_a_run_over_socketcan_gives_a_verdict_and_holds_what_candump_saw(guest: 
             starts = [i for i in range(len(raw) - len(ours) + 1) if np.array_equal(raw[i : i + len(ours)], ours)]
             assert len(starts) == 1, f"gyro{number}: {len(ours)} samples are not among {len(raw)} frames in one piece"
             arrived_s = source["arrival_ns"][()] * 1e-9 / guest.scale + file.attrs["clock_zero_utc_s"]
-            assert np.abs(arrived_s - stamps_s[starts[0] :][: len(ours)]).max() < 0.05
+            late_s = arrived_s - stamps_s[starts[0] :][: len(ours)]
+            assert np.abs(np.median(late_s)) < 1e-3  # both tell the kernel's stamp; the guest may pause in between
+            assert np.abs(late_s).max() < 1.0
 
 
 def test_an_interface_down_at_rest_is_opened_again_and_in_a_motion_ends_the_run(guest: Guest) -> None:
