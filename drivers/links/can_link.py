@@ -149,7 +149,8 @@ class CanLink:
         except Exception as error:  # as above
             call_from_thread(loop, self._end_if_read, closing, f"{self._named} failed ({_plain(error)})")
         finally:
-            _leave(bus)
+            with suppress(Exception):  # an adapter that is gone cannot be told to close
+                bus.shutdown()
 
     def _read(self, loop: asyncio.AbstractEventLoop, bus: can.BusABC, closing: threading.Event) -> None:
         scale = loop_scale(loop)
@@ -190,8 +191,3 @@ def _plain(error: BaseException) -> str:
     cause = error.__cause__ or error
     lines = str(cause).strip().splitlines()
     return lines[0] if lines else type(cause).__name__
-
-
-def _leave(bus: can.BusABC) -> None:
-    with suppress(Exception):  # an adapter that is gone cannot be told to close
-        bus.shutdown()

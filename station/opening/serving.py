@@ -90,29 +90,23 @@ class _Serving:
         except Exception as error:  # interfaces raise what their vendors' libraries raise
             raise DeviceError(f"{imu.name} twin", f"cannot open {link} ({error})") from None
         self._stack.callback(bus.shutdown)
-        heard = _Heard(bus)
-        heard.by = self._twins.bus_device(imu, heard)
-        asyncio.get_running_loop().add_reader(bus.fileno(), heard.read)
+        node = self._twins.bus_device(imu, partial(_Node, bus))
+        asyncio.get_running_loop().add_reader(bus.fileno(), node.read)
         self._stack.callback(asyncio.get_running_loop().remove_reader, bus.fileno())
         return link
 
     async def _slcan(self, imu: ImuConfig) -> str:
-        heard = _Heard()
-
-        def adapter(write: Callable[[bytes], None]) -> SlcanAdapter:
-            made = SlcanAdapter(write, heard, clock=asyncio.get_running_loop().time)
-            heard.by = self._twins.bus_device(imu, made)
-            return made
+        def adapter(write: Write) -> SlcanAdapter:
+            made = partial(SlcanAdapter, write, clock=asyncio.get_running_loop().time)
+            return self._twins.bus_device(imu, made)
 
         name = await self._stack.enter_async_context(on_pty(adapter))
         return f"can:slcan:{name}"
 
     async def _socketcand(self, imu: ImuConfig) -> str:
-        heard = _Heard()
-        server = SocketcandServer(_BUS, heard)
+        server = self._twins.bus_device(imu, partial(SocketcandServer, _BUS))
         bound = await server.start(self._host)
         self._stack.push_async_callback(server.close)
-        heard.by = self._twins.bus_device(imu, server)
         return f"can:socketcand:{_BUS}?host={bound[0]}&port={bound[1]}"
 
     async def _pty(self, device: str, make: Callable[[Write], ByteDevice]) -> str:
@@ -130,19 +124,11 @@ class _Serving:
         return f"tcp://{bound[0]}:{bound[1]}"
 
 
-class _Heard:
-    """Hands on what a host says on a bus, to a device that is only put there afterwards, and what the device says.
+class _Node:
+    """One end of a bus that may be down for a while: what cannot be sent meanwhile is lost."""
 
-    A bus may be down for a while: what cannot be sent meanwhile is lost.
-    """
-
-    def __init__(self, bus: Any = None) -> None:
-        self._bus = bus
-        self.by: Callable[[can.Message], None] | None = None
-
-    def __call__(self, message: can.Message) -> None:
-        if self.by is not None:
-            self.by(message)
+    def __init__(self, bus: can.BusABC, hear: Callable[[can.Message], None]) -> None:
+        self._bus, self._hear = bus, hear
 
     def send(self, msg: can.Message) -> None:
         with suppress(can.CanError):
@@ -151,7 +137,7 @@ class _Heard:
     def read(self) -> None:
         with suppress(can.CanError):
             while (message := self._bus.recv(0)) is not None:
-                self(message)
+                self._hear(message)
 
 
 def _free_port() -> int:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Coroutine
 from contextlib import AsyncExitStack
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pymodbus.transport import NULLMODEM_HOST
@@ -39,6 +39,7 @@ from station.schema.tables import Table
 
 _log = logging.getLogger(__name__)
 _wires = itertools.count(1)
+Bus = TypeVar("Bus", bound=FrameSink)
 
 
 class Twins:
@@ -125,20 +126,24 @@ class Twins:
         """Return the near end of a wire to a device that speaks bytes."""
         return self._in_memory(imu.name, lambda write: self.imu_device(imu, write))
 
-    def bus_device(self, imu: ImuConfig, bus: FrameSink) -> Callable[[Any], None] | None:
-        """Put a device on a bus, where it sends from now on; return what hears the host's frames, if it listens."""
-        wire = self._faults.wires[imu.name]
+    def bus_device(self, imu: ImuConfig, make: Callable[[Callable[[Any], None]], Bus]) -> Bus:
+        """Put a device, which sends from now on, on the bus made with what hears the host's frames; return the bus."""
+        ears: list[Callable[[Any], None]] = []  # none on a device that does not listen
+
+        def heard(message: Any) -> None:
+            for ear in ears:
+                ear(message)
+
+        wire, bus = self._faults.wires[imu.name], make(heard)
         device = self.imu_device(imu, FaultyFrames(bus, wire, self._seed(imu.name)) if wire.any else bus)
-        heard: Callable[[Any], None] | None = getattr(device, "received", None)
-        return FaultyFrames(heard, wire, (*self._seed(imu.name), 1)) if heard is not None and wire.any else heard
+        if (hear := getattr(device, "received", None)) is not None:
+            ears.append(FaultyFrames(hear, wire, (*self._seed(imu.name), 1)) if wire.any else hear)
+        return bus
 
     def bus_in_memory(self, imu: ImuConfig) -> FrameLink:
         """Return the link to a bus in memory with the device on it."""
         channel = f"wire{next(_wires)}"
-        heard: list[Callable[[Any], None] | None] = [None]
-        bus = MemoryBus(channel, lambda message: heard[0](message) if heard[0] is not None else None)
-        self._stack.callback(bus.shutdown)
-        heard[0] = self.bus_device(imu, bus)
+        self._stack.callback(self.bus_device(imu, partial(MemoryBus, channel)).shutdown)
         return CanLink(imu.name, "memory", channel, {})
 
     def gyros(self, imu: ImuConfig) -> GyroArray:
