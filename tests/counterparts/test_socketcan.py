@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -52,7 +54,7 @@ class Guest(machine.Guest):
         self.run("ip link add vcan0 type vcan && ip link set vcan0 up")
 
     @contextmanager
-    def twins(self, bench: Path, *, scale: float) -> Iterator[list[str]]:
+    def twins(self, bench: Path | str, *, scale: float) -> Iterator[list[str]]:
         """Serve the twins of a bench; yield the options that lead a station to them."""
         job = self.start(["twin", "--bench", str(bench), "--scale", str(scale)])
         try:
@@ -60,6 +62,7 @@ class Guest(machine.Guest):
             yield [word for one in said if "link" in one for word in ("--link", f"{one['device']}={one['link']}")]
         finally:
             self.stop(job)
+        assert "Traceback" not in job.output, job.output
 
 
 @pytest.fixture(scope="module")
@@ -77,12 +80,31 @@ def guest(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guest]:
         yield made
     finally:
         made.close()
+        shutil.rmtree(kernel)
 
 
 def run(guest: Guest, script: Path, name: str, links: list[str]) -> machine.Job:
-    """Start a run in the guest; its recording is NAME.h5 in the shared folder."""
+    """Start a run in the guest; its recording is NAME.h5 in the guest's memory: files over 9p are slow to sync."""
     words = ["run", "--bench", str(BENCH), "--script", str(script), "--scale", str(guest.scale)]
-    return guest.start([*words, "-o", str(machine.SHARED / f"{name}.h5"), *links])
+    return guest.start([*words, "-o", f"/dev/shm/{name}.h5", *links])
+
+
+@pytest.fixture(scope="module")
+def j1939(guest: Guest) -> str:
+    """Return the bench of a Galil and an OpenIMU at a rate that the guest can bear, as the guest names it."""
+    text = J1939.read_text()
+    assert 'rate = "100 Hz"' in text
+    text = text.replace('rate = "100 Hz"', 'rate = "20 Hz"')
+    (guest.shared / "j1939.toml").write_text(text)
+    return str(machine.SHARED / "j1939.toml")
+
+
+def checked(guest: Guest, bench: str, links: list[str]) -> dict[str, Any]:
+    """Return what `station check` says of the IMU; the table's readings are too slow in a guest."""
+    job = guest.start(["check", bench, "--scale", str(guest.scale), "--json", *links])
+    job.wait(LONG_S)
+    found: dict[str, Any] = json.loads(job.output.splitlines()[-1])
+    return next(device for device in found["devices"] if device["device"] == "openimu")
 
 
 def dumped(text: str) -> dict[int, tuple[np.ndarray, np.ndarray]]:
@@ -97,11 +119,12 @@ def dumped(text: str) -> dict[int, tuple[np.ndarray, np.ndarray]]:
 
 def test_a_run_over_socketcan_gives_a_verdict_and_holds_what_candump_saw(guest: Guest) -> None:
     with guest.twins(BENCH, scale=guest.scale) as links:
-        dump = guest.start(f"exec candump -L vcan0 > {machine.SHARED}/dump.log")
+        dump = guest.start("exec candump -L vcan0 > /dev/shm/dump.log")
         job = run(guest, SCRIPT, "verdict", links)
         code = job.wait(LONG_S)
         guest.stop(dump)
     assert code == 0, job.output
+    guest.run(f"cp /dev/shm/verdict.h5 /dev/shm/dump.log {machine.SHARED}")
     seen = dumped((guest.shared / "dump.log").read_text())
     with h5py.File(guest.shared / "verdict.h5") as file:
         assert (file.attrs["outcome"], file.attrs["time_scale"]) == ("PASS", guest.scale)
@@ -121,49 +144,50 @@ def test_an_interface_down_at_rest_is_opened_again_and_in_a_motion_ends_the_run(
     with guest.twins(BENCH, scale=guest.scale) as links:
         job = run(guest, RESTS, "down", links)
         job.wait_for(" rest ", LONG_S)
-        guest.run("ip link set vcan0 down; sleep 2; ip link set vcan0 up")
+        guest.run(f"ip link set vcan0 down; sleep {1 / guest.scale:.1f}; ip link set vcan0 up")
         job.wait_for("z at 20 deg/s", LONG_S)
-        guest.run("sleep 5; ip link set vcan0 down")
+        guest.run(f"sleep {2 / guest.scale:.1f}; ip link set vcan0 down")
         code = job.wait(LONG_S)
         guest.run("ip link set vcan0 up")
     assert code == 4, job.output
+    guest.run(f"cp /dev/shm/down.h5 {machine.SHARED}")
     with h5py.File(guest.shared / "down.h5") as file:
         assert file.attrs["outcome"] == "FAULT"
         assert re.match(r"array: CAN bus socketcan:vcan0 .*down", file.attrs["reason"])
         events = [text.decode() for text in file["events/text"][()]]
-        assert np.degrees(np.abs(file["table/rate_rps"][-1])).max() < 0.1
-        assert np.diff(file["table/angle_rad"][-3:], axis=0) == pytest.approx(0, abs=1e-4)
         assert len(file["imu/gyro1/t_ns"]) > 100
-    again = [text for text in events if "open again" in text]
-    assert len(again) == 1, events
+    lost, again, rest, fault = events[1:]
+    assert lost.endswith("is down); nothing turns, so it is opened again")
+    assert (again.partition(" after ")[0], rest) == ("array: open again", "table at rest")
+    assert fault.startswith("FAULT array: CAN bus socketcan:vcan0")
 
 
-def test_slcand_joins_our_adapter_to_the_kernel_both_ways(guest: Guest) -> None:
+def test_slcand_joins_our_adapter_to_the_kernel_both_ways(guest: Guest, j1939: str) -> None:
     """The station asks the twin through the kernel who it is; the kernel's J1939 asks the same."""
-    with guest.twins(J1939, scale=guest.scale) as links:
-        port = next(link.split(":")[-1] for link in links if "slcan" in link)
+    with guest.twins(j1939, scale=guest.scale) as links:
+        port = next(link for link in links if "slcan" in link).rpartition(":")[2]
         guest.run(f"slcand -o -s5 {port} slcan0 && sleep 1 && ip link set slcan0 up")
         links = [link.replace(f"slcan:{port}", "socketcan:slcan0") for link in links]
-        check = guest.start(["check", str(J1939), "--scale", str(guest.scale), "--json", *links])
-        code = check.wait(LONG_S)
+        said = checked(guest, j1939, links)
         asked = json.loads(guest.run(f"{KERNEL_J1939} ask slcan0"))
         guest.run("pkill slcand")
-    assert code == 0, check.output
-    devices = {device["name"]: device for device in json.loads(check.output)["devices"]}
-    assert "J1939 manufacturer 823, function 131" in json.dumps(devices)
+    assert said["identity"]["model"] == "J1939 manufacturer 823, function 131"
+    assert (said["identity"]["serial"], said["identity"]["firmware"]) == ("305001", "19.1.51 stage 2 build 1")
+    assert (said["wrong"], said["sources"][0]["lost"]) == ([], 0)
     name = 131 << 40 | 823 << 21 | 305_001
     assert (asked["claim"], asked["name"], asked["version"]) == (name, name, [19, 1, 51, 2, 1])
-    assert asked["samples"] > 20
+    assert asked["samples"] > 0
 
 
-def test_the_kernels_j1939_is_named_and_read_as_a_device(guest: Guest) -> None:
+def test_the_kernels_j1939_is_named_and_read_as_a_device(guest: Guest, j1939: str) -> None:
+    """It sends as fast as the station's slower clock has it."""
     guest.run("ip link add vcan1 type vcan && ip link set vcan1 up")
-    device = guest.start(f"exec {KERNEL_J1939} be vcan1")
+    device = guest.start(f"exec {KERNEL_J1939} be vcan1 {20 * guest.scale}")
     device.wait_for("ready", LONG_S)
-    check = guest.start(["check", str(J1939), "--json", "--link", "openimu=can:socketcan:vcan1"])
-    check.wait(LONG_S)
+    said = checked(guest, j1939, ["--link", "openimu=can:socketcan:vcan1"])
     guest.stop(device)
-    said = check.output
-    assert "J1939 manufacturer 299, function 130" in said
-    assert "123456" in said
-    assert "2.7.18 stage 1 build 44" in said
+    assert said["identity"]["model"] == "J1939 manufacturer 299, function 130"
+    assert (said["identity"]["serial"], said["identity"]["firmware"]) == ("123456", "2.7.18 stage 1 build 44")
+    (source,) = said["sources"]
+    assert (said["wrong"], source["lost"]) == ([], 0)
+    assert np.degrees(source["mean_rps"]) == pytest.approx([10, -20, 30], abs=1 / 256)

@@ -7,6 +7,7 @@ test. No KVM is needed; without it the guest is some 10 to 20 times slower than 
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import socket
 import subprocess
@@ -33,6 +34,7 @@ PROGRAMS = {
 """What the host must have, and the Debian package that has it."""
 
 _BOOT_S = 120.0
+_PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"  # where depmod and ip are, also for people
 
 
 class NoGuestError(Exception):
@@ -41,12 +43,7 @@ class NoGuestError(Exception):
 
 def missing() -> list[str]:
     """Return the Debian packages that the host lacks."""
-    path = "/usr/sbin:/sbin:/usr/bin:/bin"
-    return [
-        package
-        for name, package in PROGRAMS.items()
-        if shutil.which(name) is None and not shutil.which(name, path=path)
-    ]
+    return [package for name, package in PROGRAMS.items() if shutil.which(name, path=_PATH) is None]
 
 
 def fetch_kernel(folder: Path) -> Path:
@@ -228,7 +225,8 @@ class Guest:
 
 def _run(*command: str, folder: Path | None = None) -> str:
     try:
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=True)
+        paths = {**os.environ, "PATH": _PATH}
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=True, env=paths)
     except (OSError, subprocess.SubprocessError) as error:
         said = getattr(error, "stderr", "") or str(error)
         raise NoGuestError(f"{' '.join(command)}: {said.strip()[-500:]}") from None
