@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -204,9 +205,9 @@ class Guest:
             else:
                 return
 
-    def _until(self, done: object, timeout_s: float) -> None:
+    def _until(self, done: Callable[[], bool], timeout_s: float) -> None:
         ends = time.monotonic() + timeout_s
-        while not done():  # type: ignore[operator]
+        while not done():
             if self._machine.poll() is not None or time.monotonic() > ends:
                 raise TimeoutError(f"nothing heard of the guest for {timeout_s:g} s")
             self._hear(0.2)

@@ -65,7 +65,7 @@ def be(interface: str, rate_hz: float) -> None:
 
     send(claim, CLAIM)
     time.sleep(0.3)  # the kernel sends nothing else for 250 ms
-    rates = struct.pack("<4H", *(round((rate + 250) * 128) for rate in (10.0, -20.0, 30.0)), 0xFFFF)
+    rates = struct.pack("<4H", *(round((rate + 250) * 128) for rate in (1.0, -2.0, 3.0)), 0xFFFF)
     force = struct.pack("<4H", 32000, 32000, 32981, 0xFFFF)
     print("ready", flush=True)
     held = {CLAIM: claim, VERSION: bytes((2, 7, 18, 1, 44))}
