@@ -129,8 +129,7 @@ class CanLink:
         return thread
 
     def _take_from_memory(self, message: can.Message) -> None:
-        loop = asyncio.get_running_loop()
-        if (frame := _frame(message, round(loop.time() * 1e9))) is not None:
+        if (frame := _frame(message, round(asyncio.get_running_loop().time() * 1e9))) is not None:
             self._frames.append(frame)
             self._wake.set()
 

@@ -56,7 +56,9 @@ class AceinnaDevice:
             self.saved += group == aceinna.SAVE
             self._send(group, bytes([1, self._address, 1]))
         elif group == aceinna.ADDRESS_CLAIM:
-            self._contend(msg.arbitration_id & 0xFF, data)
+            # A higher NAME must leave the address (SAE J1939-81); to a lower one it is not left here either.
+            if msg.arbitration_id & 0xFF == self._address and data[::-1] > self._held[group][::-1]:
+                self._send(group, self._held[group])
         elif data[:1] == bytes([self._address]):
             self._set(group, data[1:])
 
@@ -100,12 +102,6 @@ class AceinnaDevice:
                 return
         if destination == self._address and not set(groups) & {aceinna.SSI2, aceinna.ACCS, aceinna.ARI}:
             self._send(aceinna.ACKNOWLEDGEMENT, bytes([1, 0xFF, 0xFF, 0xFF, host]) + wanted)
-
-    def _contend(self, claimed: int, name: bytes) -> None:
-        """Claim its address again where a higher NAME wants it (SAE J1939-81); it does not leave it to a lower one."""
-        own = self._held[aceinna.ADDRESS_CLAIM]
-        if claimed == self._address and name[::-1] > own[::-1]:
-            self._send(aceinna.ADDRESS_CLAIM, own)
 
     def _set(self, group: int, values: bytes) -> None:
         """Take a setting if it is one that the device has."""

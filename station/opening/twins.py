@@ -128,16 +128,10 @@ class Twins:
 
     def bus_device(self, imu: ImuConfig, make: Callable[[Callable[[Any], None]], Bus]) -> Bus:
         """Put a device, which sends from now on, on the bus made with what hears the host's frames; return the bus."""
-        ears: list[Callable[[Any], None]] = []  # none on a device that does not listen
-
-        def heard(message: Any) -> None:
-            for ear in ears:
-                ear(message)
-
-        wire, bus = self._faults.wires[imu.name], make(heard)
+        wire, bus = self._faults.wires[imu.name], make(lambda message: ear(message))
         device = self.imu_device(imu, FaultyFrames(bus, wire, self._seed(imu.name)) if wire.any else bus)
-        if (hear := getattr(device, "received", None)) is not None:
-            ears.append(FaultyFrames(hear, wire, (*self._seed(imu.name), 1)) if wire.any else hear)
+        ear = getattr(device, "received", lambda message: None)  # some devices do not listen
+        ear = FaultyFrames(ear, wire, (*self._seed(imu.name), 1)) if wire.any else ear
         return bus
 
     def bus_in_memory(self, imu: ImuConfig) -> FrameLink:
