@@ -38,7 +38,8 @@ J1939 = Path(__file__).parents[1] / "data" / "benches" / "galil_j1939.toml"
 KERNEL_J1939 = f"{sys.executable} {HERE / 'kernel_j1939.py'}"
 LONG_S = 400.0
 """More than anything here takes on a machine with other work to do."""
-_CALM_S = 10.0  # scale times what the imports take, for which the guest is fast enough with a margin of two
+_CALM_S = 8.0  # scale times what the imports take, for which the guest is fast enough with a margin of two or three
+_TOO_SLOW = "this computer did not keep up"
 
 
 class Guest(machine.Guest):
@@ -117,13 +118,22 @@ def dumped(text: str) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     return {key: (np.array(stamps), np.array(numbers)) for key, (stamps, numbers) in found.items()}
 
 
-def test_a_run_over_socketcan_gives_a_verdict_and_holds_what_candump_saw(guest: Guest) -> None:
+def verdict(guest: Guest) -> machine.Job:
+    """Run to the verdict, with candump beside it; return the run."""
     with guest.twins(BENCH, scale=guest.scale) as links:
-        dump = guest.start("exec candump -L vcan0 > /dev/shm/dump.log")
+        dump = guest.start("rm -f /dev/shm/verdict.h5; exec candump -L vcan0 > /dev/shm/dump.log")
         job = run(guest, SCRIPT, "verdict", links)
-        code = job.wait(LONG_S)
+        job.wait(LONG_S)
         guest.stop(dump)
-    assert code == 0, job.output
+    return job
+
+
+def test_a_run_over_socketcan_gives_a_verdict_and_holds_what_candump_saw(guest: Guest) -> None:
+    job = verdict(guest)
+    while _TOO_SLOW in job.output and guest.scale > 0.05:
+        guest.scale = round(guest.scale / 2, 3)
+        job = verdict(guest)
+    assert job.wait(LONG_S) == 0, job.output
     guest.run(f"cp /dev/shm/verdict.h5 /dev/shm/dump.log {machine.SHARED}")
     seen = dumped((guest.shared / "dump.log").read_text())
     with h5py.File(guest.shared / "verdict.h5") as file:
