@@ -65,7 +65,7 @@ class CanLink:
         )
         self._thread.start()
         try:
-            async with asyncio.timeout(_OPEN_LIMIT_S * loop_scale(loop)):
+            async with asyncio.timeout(_OPEN_LIMIT_S * max(loop_scale(loop), 1.0)):
                 self._bus = await opened
         except TimeoutError:
             self._give_up()
@@ -131,8 +131,7 @@ class CanLink:
         return thread
 
     def _take_from_memory(self, message: can.Message) -> None:
-        loop = asyncio.get_running_loop()
-        if (frame := _frame(message, round(loop.time() * 1e9))) is not None:
+        if (frame := _frame(message, round(asyncio.get_running_loop().time() * 1e9))) is not None:
             self._frames.append(frame)
             self._wake.set()
 
@@ -151,7 +150,8 @@ class CanLink:
         except Exception as error:  # as above
             call_from_thread(loop, self._end_if_read, closing, f"{self._named} failed ({_plain(error)})")
         finally:
-            _leave(bus)
+            with suppress(Exception):  # an adapter that is gone cannot be told to close
+                bus.shutdown()
 
     def _read(self, loop: asyncio.AbstractEventLoop, bus: can.BusABC, closing: threading.Event) -> None:
         scale = loop_scale(loop)
@@ -194,8 +194,3 @@ def _plain(error: BaseException) -> str:
     cause = error.__cause__ or error
     lines = str(cause).strip().splitlines()
     return lines[0] if lines else type(cause).__name__
-
-
-def _leave(bus: can.BusABC) -> None:
-    with suppress(Exception):  # an adapter that is gone cannot be told to close
-        bus.shutdown()

@@ -55,6 +55,10 @@ class AceinnaDevice:
         elif group in (aceinna.RESET_ALGORITHM, aceinna.SAVE) and data[:2] == bytes([0, self._address]):
             self.saved += group == aceinna.SAVE
             self._send(group, bytes([1, self._address, 1]))
+        elif group == aceinna.ADDRESS_CLAIM:
+            # A higher NAME must leave the address (SAE J1939-81); to a lower one it is not left here either.
+            if msg.arbitration_id & 0xFF == self._address and data[::-1] > self._held[group][::-1]:
+                self._send(group, self._held[group])
         elif data[:1] == bytes([self._address]):
             self._set(group, data[1:])
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Coroutine
 from contextlib import AsyncExitStack
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pymodbus.transport import NULLMODEM_HOST
@@ -17,6 +17,7 @@ from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
 from drivers.protocols import ByteLink, FrameLink
 from drivers.types import Floats
+from estimator.strict_toml import not_one_of
 from sims.imus.registry import Ride, twin_of
 from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, Mounting, along, mounted
@@ -38,6 +39,7 @@ from station.schema.tables import Table
 
 _log = logging.getLogger(__name__)
 _wires = itertools.count(1)
+Bus = TypeVar("Bus", bound=FrameSink)
 
 
 class Twins:
@@ -124,20 +126,18 @@ class Twins:
         """Return the near end of a wire to a device that speaks bytes."""
         return self._in_memory(imu.name, lambda write: self.imu_device(imu, write))
 
-    def bus_device(self, imu: ImuConfig, bus: FrameSink) -> Callable[[Any], None] | None:
-        """Put a device on a bus, where it sends from now on; return what hears the host's frames, if it listens."""
-        wire = self._faults.wires[imu.name]
+    def bus_device(self, imu: ImuConfig, make: Callable[[Callable[[Any], None]], Bus]) -> Bus:
+        """Put a device, which sends from now on, on the bus made with what hears the host's frames; return the bus."""
+        wire, bus = self._faults.wires[imu.name], make(lambda message: ear(message))
         device = self.imu_device(imu, FaultyFrames(bus, wire, self._seed(imu.name)) if wire.any else bus)
-        heard: Callable[[Any], None] | None = getattr(device, "received", None)
-        return FaultyFrames(heard, wire, (*self._seed(imu.name), 1)) if heard is not None and wire.any else heard
+        ear = getattr(device, "received", lambda message: None)  # some devices do not listen
+        ear = FaultyFrames(ear, wire, (*self._seed(imu.name), 1)) if wire.any else ear
+        return bus
 
     def bus_in_memory(self, imu: ImuConfig) -> FrameLink:
         """Return the link to a bus in memory with the device on it."""
         channel = f"wire{next(_wires)}"
-        heard: list[Callable[[Any], None] | None] = [None]
-        bus = MemoryBus(channel, lambda message: heard[0](message) if heard[0] is not None else None)
-        self._stack.callback(bus.shutdown)
-        heard[0] = self.bus_device(imu, bus)
+        self._stack.callback(self.bus_device(imu, partial(MemoryBus, channel)).shutdown)
         return CanLink(imu.name, "memory", channel, {})
 
     def gyros(self, imu: ImuConfig) -> GyroArray:
@@ -177,7 +177,9 @@ class Twins:
         wires = {"table": table.string("table", "tcp", one_of=("tcp", "serial"))}
         for imu in self.bench.imus:
             known = ("udp_multicast", "slcan", "socketcand") if imu.spec.on_can else ("serial", "tcp")
-            wires[imu.name] = table.string(imu.name, known[0], one_of=known)
+            wires[imu.name] = wire = table.string(imu.name, known[0])
+            if wire not in known and not (imu.spec.on_can and wire.startswith("can:")):
+                raise table.fail(imu.name, not_one_of(wire, known))
         table.done()
         return wires
 

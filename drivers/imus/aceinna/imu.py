@@ -87,9 +87,8 @@ class AceinnaImu(CanImu):
         return None
 
     async def _answer(self, group: int) -> bytes | None:
-        scale = loop_scale(asyncio.get_running_loop())  # it is a host that is waited for
         try:
-            async with asyncio.timeout(_ANSWER_S * scale):
+            async with asyncio.timeout(_ANSWER_S * max(loop_scale(asyncio.get_running_loop()), 1.0)):  # of a host
                 while True:
                     for frame in await self._link.receive():
                         if aceinna.is_from(frame, group, self._peer):
