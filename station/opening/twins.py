@@ -17,6 +17,7 @@ from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
 from drivers.protocols import ByteLink, FrameLink
 from drivers.types import Floats
+from estimator.strict_toml import not_one_of
 from sims.imus.registry import Ride, twin_of
 from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, Mounting, along, mounted
@@ -212,9 +213,13 @@ def hidden_of(bench: Bench) -> Hidden | None:
         return None
     top = Table.load(bench.twin.hidden, BenchError)
     try:
-        return Hidden.of({name: top.value(name) for name in top.remaining()})
+        hidden = Hidden.of({name: top.value(name) for name in top.remaining()})
     except HiddenError as error:
         raise top.fail_at(str(error)) from None
+    names = [imu.name for imu in bench.imus]
+    for unknown in set(hidden.devices or ()).difference(names):
+        raise top.fail_at(f"devices: {not_one_of(unknown, names)}")
+    return hidden
 
 
 def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:

@@ -24,9 +24,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, cast
 
+from estimator.untrusted import harmless
 from station.bench.bench import Bench
 from station.errors import UsageError
-from station.remote.attaching import VERSION, socket_folder
+from station.remote.attaching import VERSION, of_this_user, socket_folder
 from station.run.session import Session
 from station.run.snapshot import EventKind, Snapshot
 from station.scripts.script import Script
@@ -144,7 +145,7 @@ class Host:
             case {"do": "course"}:
                 return b'{"kind":"course","points":[' + b",".join(self._course) + b"]}\n"
             case {"do": "note", "text": str(text)}:
-                self._run.note(text)
+                self._run.note(harmless(text))
             case {"do": "stop" | "pause" | "resume" as action}:
                 getattr(self._run, action)()
             case {"do": action}:
@@ -213,6 +214,9 @@ class _Client(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = cast(asyncio.Transport, transport)
         connection = transport.get_extra_info("socket")
+        if not of_this_user(connection):
+            self.transport.abort()
+            return
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BYTES)
         self._host.welcome(self)
 

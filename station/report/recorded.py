@@ -13,7 +13,7 @@ import numpy as np
 from drivers.types import Floats, Stamps
 from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.values import Calibration
-from estimator.errors import RecordingError, first_line
+from estimator.errors import MISSHAPEN, RecordingError, first_line
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
 from estimator.recordings.writing import plain
@@ -157,7 +157,7 @@ def laid_out(path: Path, message: str) -> Iterator[None]:
     """Turn what a group made by hand, or cut short, can raise into a RecordingError; ``message`` has {} for it."""
     try:
         yield
-    except (OSError, AttributeError, TypeError, ValueError, KeyError, IndexError) as error:
+    except MISSHAPEN as error:
         raise RecordingError(f"{path}: {message.format(first_line(error))}") from None
 
 

@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from estimator.errors import MISSHAPEN
+from estimator.untrusted import harmless, read_text
 from station.atomic_write import write_whole
 from station.errors import UsageError
 
@@ -37,10 +39,10 @@ def state_folder() -> Path:
 def load_remembered() -> Remembered:
     """Return what is remembered; nothing if the file is missing or no such file."""
     try:
-        found: Any = json.loads((state_folder() / _FILE).read_text(encoding="utf-8"))
+        found: Any = json.loads(harmless(read_text(state_folder() / _FILE, UsageError)))
         serials = {str(bench): str(serial) for bench, serial in dict(found.get("serials", {})).items()}
         return Remembered(**{key: str(found.get(key, "")) for key in REMEMBERED}, serials=serials)
-    except (OSError, ValueError, TypeError, AttributeError):
+    except (UsageError, *MISSHAPEN):
         return Remembered()
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 
 from estimator.errors import RecordingError, first_line
+from estimator.recordings.probe import objects
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION
 from estimator.recordings.writing import plain, write_attributes
 from station.errors import BenchError
@@ -50,6 +51,8 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
     try:
         # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
         with h5py.File(path, "r", locking=False) as file:
+            for _ in objects(path, file):  # which leads nowhere else, and can be held
+                pass
             if plain(file.attrs.get("format")) != FORMAT:
                 return Whole(replace(unread, wrong="an HDF5 file, but no recording", foreign=True))
             version = plain(file.attrs.get("format_version", 0))
@@ -119,6 +122,8 @@ def _investigation(recording: Path) -> dict[str, Any]:
     if newest is None:
         return {}
     with h5py.File(newest, "r", locking=False) as file:
+        for _ in objects(newest, file):
+            pass
         found: dict[str, Any] = json.loads(plain(file["investigation"].attrs["json"]))
         return found
 

@@ -1,0 +1,79 @@
+"""What strangers made: files read up to a size, what parsers stumble on as one line, texts made harmless."""
+
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from estimator.errors import EstimatorError, first_line
+
+MOST_TEXT_BYTES = 1 << 20
+"""Of a file that people write."""
+MOST_DATA_BYTES = 1 << 29
+"""Of a file of foreign data, of which several copies are held while it is read."""
+
+_HARMFUL = dict.fromkeys(
+    {*range(32), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)}.union(
+        range(0xD800, 0xE000)
+    )
+    - {9, 10},
+    "\N{REPLACEMENT CHARACTER}",
+)
+
+
+def harmless(text: str) -> str:
+    """Return a text without what steers a terminal (C0, C1) or turns its direction, and what no encoding can say.
+
+    Line feeds and tabs are kept.
+    """
+    return text.replace("\r\n", "\n").translate(_HARMFUL)
+
+
+@contextmanager
+def refused_as(error: type[Exception], what: str) -> Iterator[None]:
+    """Turn whatever a parser stumbles on into the error given, which names ``what``; refusals pass as they are.
+
+    Nobody can list what the readers of six formats raise on bytes that were made to break them.
+    """
+    try:
+        yield
+    except (error, EstimatorError):
+        raise
+    except MemoryError:
+        raise error(f"{what} cannot be read: it needs more memory than there is") from None
+    except RecursionError:
+        raise error(f"{what} cannot be read: it is nested too deep") from None
+    except Exception as reason:
+        raise error(f"{what} cannot be read: it is damaged ({first_line(reason)[:200]})") from None
+
+
+def read_bytes(path: Path, error: type[Exception], most_bytes: int = MOST_DATA_BYTES) -> bytes:
+    """Return a file's content; the error given if it is none, cannot be read, or is larger than anybody would make."""
+    try:
+        with open(path, "rb", opener=_at_once) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise error(f"{path} is a pipe or a device, not a file: save what it gives in a file")
+            content = file.read(most_bytes + 1)
+    except OSError as reason:
+        raise error(f"{path} cannot be read: {reason.strerror or reason}") from None
+    except ValueError as reason:  # a name with a null character
+        raise error(f"{str(path)!r} is no name of a file: {reason}") from None
+    if len(content) > most_bytes:
+        raise error(f"{path} has more than {most_bytes >> 20} MB: that is no such file, or split it")
+    return content
+
+
+def read_text(path: Path, error: type[Exception]) -> str:
+    """Return a text file in UTF-8, with or without byte order mark; lines end with a line feed. As ``read_bytes``."""
+    content = read_bytes(path, error, MOST_TEXT_BYTES)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as reason:
+        line = content.count(b"\n", 0, reason.start) + 1
+        raise error(f"{path} cannot be read: line {line} is no text in UTF-8: save it in that encoding") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a pipe that nobody writes to makes nobody wait
