@@ -206,7 +206,7 @@ def _check_depth(value: object, left: int = _DEEPEST) -> None:
     """Raise RecursionError if tables and lists are nested deeper than anybody would; ValueError for texts that harm."""
     if not left:
         raise RecursionError
-    if isinstance(value, str) and harmless(value) != value:
+    if isinstance(value, str) and "\N{REPLACEMENT CHARACTER}" in harmless(value.replace("\r", "")):
         raise ValueError(f"{value[:60]!r} has characters that steer a terminal; bytes of a device are written in hex")
     for inner in (*value, *value.values()) if isinstance(value, dict) else value if isinstance(value, list) else ():
         _check_depth(inner, left - 1)

@@ -91,7 +91,10 @@ def _read_binary(name: str, raw: bytes, record: np.dtype[Any], header_bytes: int
 def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
     from scipy.io import loadmat  # only where a .mat file is read
 
-    probe(path, "MATLAB")
+    try:
+        probe(path, "MATLAB")
+    except RecordingError as error:
+        raise RecordingError(str(error).replace(f"{path} cannot be read: it", path.name)) from None
     with refused_as(RecordingError, path.name):
         found = loadmat(str(path), squeeze_me=False)
     present = {key: value for key, value in found.items() if not key.startswith("__")}

@@ -80,7 +80,7 @@ def read_all(kind: str, path: Path) -> str | None:
         return {"HDF5": read_hdf5, "MATLAB": read_mat}[kind](path)
     except Exception as error:  # of a damaged file libraries raise whatever their decoders do: zlib.error, ...
         said = str(error).splitlines()[0] if str(error) else "no detail"
-        return f"it is no {kind} file, or damaged or cut short ({said})"
+        return f"it is {'' if kind == 'HDF5' else f'no {kind} file, or '}damaged or cut short ({said})"
 
 
 if __name__ == "__main__":

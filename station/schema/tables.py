@@ -172,7 +172,7 @@ def link_of(value: object) -> str:
     link = str(typed(value, (str,), "a text"))
     try:
         url = urlsplit(link)
-        if url.scheme not in _LINKS:
+        if link and url.scheme not in _LINKS:
             raise ValueError(not_one_of(url.scheme, _LINKS))
         _ = url.port
     except ValueError as error:
