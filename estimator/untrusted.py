@@ -48,19 +48,23 @@ def refused_as(error: type[Exception], what: str) -> Iterator[None]:
         raise error(f"{what} cannot be read: it is damaged ({first_line(reason)[:200]})") from None
 
 
-def read_bytes(path: Path, error: type[Exception], most_bytes: int = MOST_DATA_BYTES) -> bytes:
-    """Return a file's content; the error given if it is none, cannot be read, or is larger than anybody would make."""
+def read_bytes(path: Path, error: type[Exception], most_bytes: int = MOST_DATA_BYTES, name: str = "") -> bytes:
+    """Return a file's content; the error given if it is none, cannot be read, or is larger than anybody would make.
+
+    ``name`` is what errors call it; by default its path.
+    """
+    name = name or str(path)
     try:
         with open(path, "rb", opener=_at_once) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise error(f"{path} is a pipe or a device, not a file: save what it gives in a file")
+                raise error(f"{name} is a pipe or a device, not a file: save what it gives in a file")
             content = file.read(most_bytes + 1)
     except OSError as reason:
-        raise error(f"{path} cannot be read: {reason.strerror or reason}") from None
+        raise error(f"{name} cannot be read: {reason.strerror or reason}") from None
     except ValueError as reason:  # a name with a null character
-        raise error(f"{str(path)!r} is no name of a file: {reason}") from None
+        raise error(f"{name!r} is no name of a file: {reason}") from None
     if len(content) > most_bytes:
-        raise error(f"{path} has more than {most_bytes >> 20} MB: that is no such file, or split it")
+        raise error(f"{name} has more than {most_bytes >> 20} MB: that is no such file, or split it")
     return content
 
 

@@ -28,11 +28,11 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
     try:
         if path.stat().st_size == 0:
             raise RecordingError(f"{path.name} is empty")
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"{path.name} cannot be read: {error}") from None
+    except OSError as error:
+        raise RecordingError(f"{path.name} cannot be read: {error.strerror or error}") from None
     if file_format.kind == "mat":
         return _read_mat(path, wanted.all)
-    raw = read_bytes(path, RecordingError)
+    raw = read_bytes(path, RecordingError, name=path.name)
     if file_format.record is not None:
         return _read_binary(path.name, raw, file_format.record, file_format.header_bytes, wanted.all)
     if file_format.capture is not None:

@@ -9,16 +9,15 @@ from typing import Any
 
 import pytest
 
-from drivers.imus.aceinna.codec import Name, decode_version
+from drivers.imus.aceinna.codec import decode_version
 from drivers.imus.described.framing import Decoder
 from drivers.imus.stim300.codec import Stim300Decoder
 from drivers.imus.stim300.utility import parse_message
 from drivers.imus.vectornav.codec import VectorNavDecoder
 from drivers.imus.xsens import mtdata2
 from drivers.imus.xsens.xbus import XbusDecoder
-from drivers.tables.acutrol.language import NUMBERS, AcutrolFraming, absolute_limits, refusal
-from drivers.tables.aerosmith.table import AerosmithFraming
-from drivers.tables.galil.language import GalilFraming, error_of, revision
+from drivers.tables.acutrol.language import NUMBERS, absolute_limits, refusal
+from drivers.tables.galil.language import error_of, revision
 from station.bench.descriptions import load_description
 from station.remote.attaching import _Inbox
 
@@ -37,7 +36,21 @@ def seeds() -> list[bytes]:
     return [*whole, *texts[:20], b"$VNIMU,+00.1,+00.2,+00.3,+0.1,+0.2,-9.8,+0.1,+0.2,+0.3,+25.0,+101.3*65\r\n" * 20]
 
 
-STARTS = (b"\xfa\xff", b"\xfa", b"\x90", b"\x91", b"\x93", b"\x94", b"\xbc", b"\xaf", b"$VN", b"\x5a\xa5", b"\r\n", b":", b"?")
+STARTS = (
+    b"\xfa\xff",
+    b"\xfa",
+    b"\x90",
+    b"\x91",
+    b"\x93",
+    b"\x94",
+    b"\xbc",
+    b"\xaf",
+    b"$VN",
+    b"\x5a\xa5",
+    b"\r\n",
+    b":",
+    b"?",
+)
 
 
 def streams(count: int, seed: int) -> list[bytes]:
@@ -110,5 +123,12 @@ def test_a_reader_of_an_answer_takes_any_bytes(name: str) -> None:
 
 def test_what_a_session_is_said_to_say_is_taken_or_left() -> None:
     inbox = _Inbox()
-    for raw in (*streams(100, seed=5), b"[" * 100_000 + b"\n", b'{"kind": 1}\n', b"1e999\n", b"9" * 5000 + b"\n", b"null\n"):
+    for raw in (
+        *streams(100, seed=5),
+        b"[" * 100_000 + b"\n",
+        b'{"kind": 1}\n',
+        b"1e999\n",
+        b"9" * 5000 + b"\n",
+        b"null\n",
+    ):
         inbox.data_received(raw)
