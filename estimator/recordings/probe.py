@@ -14,7 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-_MOST_MEMORY_BYTES = 1 << 31
+_MOST_MEMORY_BYTES = 1 << 30
 _FREE_BYTES, _MOST_TIMES = 1 << 26, 30
 """What datasets may hold in all: so much, and beside it so many times what the file takes on its disk."""
 _PIECE_BYTES = 1 << 24
