@@ -1,12 +1,8 @@
-"""What strangers made: files read up to a size, what parsers stumble on as one line, texts made harmless."""
+"""What strangers made: files read up to a size, texts made harmless."""
 
 import os
 import stat
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-
-from estimator.errors import EstimatorError, first_line
 
 MOST_TEXT_BYTES = 1 << 20
 """Of a file that people write."""
@@ -30,24 +26,6 @@ def harmless(text: str) -> str:
     return text.replace("\r\n", "\n").translate(_HARMFUL)
 
 
-@contextmanager
-def refused_as(error: type[Exception], what: str) -> Iterator[None]:
-    """Turn whatever a parser stumbles on into the error given, which names ``what``; refusals pass as they are.
-
-    Nobody can list what the readers of six formats raise on bytes that were made to break them.
-    """
-    try:
-        yield
-    except (error, EstimatorError):
-        raise
-    except MemoryError:
-        raise error(f"{what} cannot be read: it needs more memory than there is") from None
-    except RecursionError:
-        raise error(f"{what} cannot be read: it is nested too deep") from None
-    except Exception as reason:
-        raise error(f"{what} cannot be read: it is damaged ({first_line(reason)[:200]})") from None
-
-
 def read_bytes(path: Path, error: type[Exception], most_bytes: int = MOST_DATA_BYTES, name: str = "") -> bytes:
     """Return a file's content; the error given if it is none, cannot be read, or is larger than anybody would make.
 
@@ -59,10 +37,8 @@ def read_bytes(path: Path, error: type[Exception], most_bytes: int = MOST_DATA_B
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise error(f"{name} is a pipe or a device, not a file: save what it gives in a file")
             content = file.read(most_bytes + 1)
-    except OSError as reason:
-        raise error(f"{name} cannot be read: {reason.strerror or reason}") from None
-    except ValueError as reason:  # a name with a null character
-        raise error(f"{name!r} is no name of a file: {reason}") from None
+    except (OSError, ValueError) as reason:  # a name with a null character is a ValueError
+        raise error(f"{name} cannot be read: {getattr(reason, 'strerror', None) or reason}") from None
     if len(content) > most_bytes:
         raise error(f"{name} has more than {most_bytes >> 20} MB: that is no such file, or split it")
     return content

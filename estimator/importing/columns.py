@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.errors import RecordingError
+from estimator.errors import MISSHAPEN, RecordingError, first_line
 from estimator.importing.mapping.mapping import FileFormat
 from estimator.importing.table import HUGE, Table, Wanted, no_column
 from estimator.importing.text_rows import read_rows
 from estimator.recordings.safe_open import probe
-from estimator.untrusted import read_bytes, refused_as
+from estimator.untrusted import read_bytes
 
 _ABSURD_SHARE = 0.1
 _LOOKED_AT, _BINARY = 4000, 0.05  # bytes at the beginning, and how many of them may be no text
@@ -36,8 +36,10 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
     if file_format.record is not None:
         return _read_binary(path.name, raw, file_format.record, file_format.header_bytes, wanted.all)
     if file_format.capture is not None:
-        with refused_as(RecordingError, path.name):
+        try:
             columns, notes = file_format.capture(raw, (*wanted.may_be_blank, *wanted.needed))
+        except MISSHAPEN as error:
+            raise RecordingError(f"{path.name} cannot be read: it is damaged ({first_line(error)})") from None
         if not columns:
             raise RecordingError(f"{path.name} holds no message of {file_format.kind}: check [file]")
         _check_present(path.name, wanted.all, list(columns), "the capture")
@@ -95,8 +97,7 @@ def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
         probe(path, "MATLAB")
     except RecordingError as error:
         raise RecordingError(str(error).replace(f"{path} cannot be read: it", path.name)) from None
-    with refused_as(RecordingError, path.name):
-        found = loadmat(str(path), squeeze_me=False)
+    found = loadmat(str(path), squeeze_me=False)  # as the process that reads files first has done
     present = {key: value for key, value in found.items() if not key.startswith("__")}
     _check_present(path.name, wanted, list(present), "it")
     columns: dict[str, NDArray[Any]] = {}

@@ -1,7 +1,7 @@
 """Child process that reads files through, so that a damaged one harms nobody else.
 
-A line of JSON for each file: its kind and path come in, and why it cannot be read goes out, null if it can. Ends with
-its input.
+A line of JSON for each: its kind and path come in, and why it cannot be read goes out, null if it can. Ends with its
+input.
 """
 
 import json
@@ -17,7 +17,7 @@ import numpy as np
 _MOST_MEMORY_BYTES = 1 << 30
 _FREE_BYTES, _MOST_TIMES = 1 << 26, 30
 """What datasets may hold in all: so much, and beside it so many times what the file takes on its disk."""
-_PIECE_BYTES = 1 << 24
+_ROWS = 65536  # read at once
 
 
 def read_hdf5(path: Path) -> str | None:
@@ -28,11 +28,8 @@ def read_hdf5(path: Path) -> str | None:
         return "it is not an HDF5 file; bring foreign data in with `station import`"
     with h5py.File(path, "r") as file:
         for dataset in objects(path, file):
-            step = max(_PIECE_BYTES * len(dataset) // max(_claimed(dataset.id), 1), 1) if dataset.shape else 0
-            for start in range(0, len(dataset), step) if step else ():
-                dataset[start : start + step]
-            if not step:
-                dataset[()]
+            for start in range(0, len(dataset) if dataset.shape else 0, _ROWS):
+                dataset[start : start + _ROWS]
     return None
 
 

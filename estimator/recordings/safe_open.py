@@ -18,11 +18,8 @@ def probe(path: Path, kind: str = "HDF5", limit_s: float = PROBE_LIMIT_S) -> Non
 
     Also if it is of another ``kind``, leads to other files, or claims far more data than it has.
     """
-    try:
-        if not path.is_file():
-            raise RecordingError(f"{path} is not a file: give the path of a recording (.h5)")
-    except ValueError as error:  # a name with a null character
-        raise RecordingError(f"{str(path)!r} is no name of a file: {error}") from None
+    if not path.is_file():
+        raise RecordingError(f"{path} is not a file: give the path of a recording (.h5)")
     reason = _prober.ask(path, kind, limit_s)
     if reason is not None:
         raise RecordingError(f"{path} {reason}")

@@ -51,8 +51,7 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
     try:
         # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
         with h5py.File(path, "r", locking=False) as file:
-            for _ in objects(path, file):  # which leads nowhere else, and can be held
-                pass
+            list(objects(path, file))  # which leads nowhere else, and can be held
             if plain(file.attrs.get("format")) != FORMAT:
                 return Whole(replace(unread, wrong="an HDF5 file, but no recording", foreign=True))
             version = plain(file.attrs.get("format_version", 0))
@@ -122,8 +121,7 @@ def _investigation(recording: Path) -> dict[str, Any]:
     if newest is None:
         return {}
     with h5py.File(newest, "r", locking=False) as file:
-        for _ in objects(newest, file):
-            pass
+        list(objects(newest, file))
         found: dict[str, Any] = json.loads(plain(file["investigation"].attrs["json"]))
         return found
 
