@@ -123,7 +123,7 @@ def _investigation(recording: Path) -> dict[str, Any]:
     with h5py.File(newest, "r", locking=False) as file:
         list(objects(newest, file))
         found: dict[str, Any] = json.loads(plain(file["investigation"].attrs["json"]))
-        return found
+        return found if isinstance(found, dict) else {}
 
 
 def _sizes(bench: str) -> tuple[float, ...]:
