@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estimator.calibration.budget import Contribution
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration, EffectValue, GyroCalibration
-from estimator.errors import RecordingError
+from estimator.errors import MISSHAPEN, RecordingError
 from estimator.geometry.model import STATES
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.health import Excluded
@@ -99,7 +99,7 @@ def read_calibration(path: Path, *, trusted: bool = False) -> Calibration:
             return _read(path, file, group)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error}") from None
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+    except MISSHAPEN as error:
         raise RecordingError(
             f"{path} holds a damaged calibration ({type(error).__name__}: {error}): `station calibrate --write {path}` "
             "estimates it again"

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.errors import GeometryError, RecordingError, first_line
+from estimator.errors import MISSHAPEN, GeometryError, RecordingError, first_line
 from estimator.geometry.array import sensor_array
 from estimator.geometry.kinematics import Site, check_gimbals
 from estimator.geometry.model import Prior
@@ -48,7 +48,7 @@ def read_recording(path: Path, *, trusted: bool = False) -> Recording:
             return _read(path, file)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {first_line(error)}") from None
-    except (AttributeError, TypeError, ValueError, KeyError) as error:  # a file made by hand can hold anything
+    except MISSHAPEN as error:  # a file made by hand can hold anything
         raise RecordingError(f"{path} is not laid out as a recording: {first_line(error)}") from None
 
 

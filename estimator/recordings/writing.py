@@ -27,6 +27,7 @@ from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, Journ
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording
 from estimator.recordings.reference import Reference, TableReadings, TableUncertainty
 from estimator.recordings.reserved_space import Ballast
+from estimator.untrusted import harmless
 
 _RESERVE_BYTES = 2_000_000  # kept back on the disk: what is pending, and what HDF5 needs to close a file whole
 _CLOSING_BYTES = 300_000  # of them, HDF5's own
@@ -337,5 +338,6 @@ def _create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> Any:
 def plain(value: Any) -> Any:
     """Return a value from an HDF5 file as Python's own: text, number, or array."""
     if isinstance(value, bytes):
-        return value.decode(errors="replace")
-    return value.item() if isinstance(value, np.generic) else value
+        value = value.decode(errors="replace")
+    value = value.item() if isinstance(value, np.generic) else value
+    return harmless(value) if isinstance(value, str) else value

@@ -16,6 +16,7 @@ from drivers.errors import DeviceError
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import EstimatorError
 from estimator.recordings.writing import write_recording
+from estimator.untrusted import harmless
 from station.atomic_write import new_recording
 from station.bench.bench import Bench, load_bench
 from station.errors import EXIT_USAGE, UsageError
@@ -153,10 +154,10 @@ def command_import(arguments: argparse.Namespace) -> int:
         print(json.dumps({"recording": str(output), "samples": samples, "refused": refused, "notes": notes}))
     else:
         for note in imported.notes:
-            print(f"note: {note}")
+            print(f"note: {harmless(note)}")
         print(f"{output}: {', '.join(f'{n} samples of {name}' for name, n in samples.items())}", flush=True)
         for entry in refused:
-            print(f"refused {entry['name']}: {entry['reason']}", file=sys.stderr)
+            print(harmless(f"refused {entry['name']}: {entry['reason']}"), file=sys.stderr)
     return EXIT_USAGE if imported.lost_files else 0
 
 

@@ -112,6 +112,8 @@ def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
         check.wrong += [error.message, look_at]
     except DeviceError as error:
         check.wrong.append(error.message)
+    except Exception as error:  # a driver of somebody else's
+        check.wrong.append(f"its driver failed ({type(error).__name__}: {error}); `station conformance` tries drivers")
 
 
 async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:

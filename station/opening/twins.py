@@ -214,9 +214,13 @@ def hidden_of(bench: Bench) -> Hidden | None:
         return None
     top = Table.load(bench.twin.hidden, BenchError)
     try:
-        return Hidden.of({name: top.value(name) for name in top.remaining()})
+        hidden = Hidden.of({name: top.value(name) for name in top.remaining()})
     except HiddenError as error:
         raise top.fail_at(str(error)) from None
+    names = [imu.name for imu in bench.imus]
+    for unknown in set(hidden.devices or ()).difference(names):
+        raise top.fail_at(f"devices: {not_one_of(unknown, names)}")
+    return hidden
 
 
 def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:

@@ -493,7 +493,7 @@ TONE = '[[tone]]\nfrequency = "7 Hz"\nsize = "1 deg/s"\n'
         ('# nothing\n[latency]\ndealy = "1 ms"\n', ", line 2: latency: unknown key 'dealy'; did you mean delay"),
         (TONE + TONE.replace("1 deg/s", "1 K"), ", line 6: tone.1.size: '1 K': there is no unit 'K'"),
         ("[latency", "not valid TOML"),
-        (None, "cannot read"),
+        (None, "cannot be read"),
     ],
 )
 def test_a_wrong_file_is_a_wrong_bench(tmp_path: Path, hidden: str | None, told: str) -> None:

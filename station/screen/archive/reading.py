@@ -12,6 +12,7 @@ from typing import Any
 import h5py
 
 from estimator.errors import RecordingError, first_line
+from estimator.recordings.probe import objects
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION
 from estimator.recordings.recovery import recover
 from estimator.recordings.writing import plain, write_attributes
@@ -54,6 +55,7 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
     try:
         # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
         with h5py.File(path, "r", locking=False) as file:
+            list(objects(path, file))  # which leads nowhere else, and can be held
             if plain(file.attrs.get("format")) != FORMAT:
                 return Whole(replace(unread, wrong="an HDF5 file, but no recording", foreign=True))
             version = plain(file.attrs.get("format_version", 0))
@@ -123,8 +125,9 @@ def _investigation(recording: Path) -> dict[str, Any]:
     if newest is None:
         return {}
     with h5py.File(newest, "r", locking=False) as file:
+        list(objects(newest, file))
         found: dict[str, Any] = json.loads(plain(file["investigation"].attrs["json"]))
-        return found
+        return found if isinstance(found, dict) else {}
 
 
 def _sizes(bench: str) -> tuple[float, ...]:
