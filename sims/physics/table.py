@@ -30,9 +30,13 @@ class TableModel:
     """
 
     def __init__(
-        self, axes: Mapping[str, AxisData], clock: Callable[[], float], faults: TableFaults | None = None
+        self,
+        axes: Mapping[str, AxisData],
+        clock: Callable[[], float],
+        faults: TableFaults | None = None,
+        started_s: float = 0.0,
     ) -> None:
-        """Start at rest, each axis where it stands; ``clock`` gives seconds."""
+        """Start at rest, each axis where it stands; ``clock`` gives seconds, ``started_s`` is the bench clock at 0."""
         self._faults = faults or TableFaults()
         self.clock = clock
         self.data = dict(axes)
@@ -40,6 +44,8 @@ class TableModel:
             name: AxisMotion(data.start_angle_rad, data.max_rate_rps, data.max_acceleration_rps2)
             for name, data in axes.items()
         }
+        self.read = {name: self._faults.read(name, motion.at, started_s) for name, motion in self.motion.items()}
+        """Angle from the mechanical home position (rad) and rate (rad/s) as they are read, by axis, at an instant."""
         self.tripped: dict[str, str] = {}
         self.pressed: dict[str, int] = {}  # limit switches: 1 forward, -1 reverse
         # Encoders count from where they were switched on until a homing run zeroes them at home.
@@ -57,8 +63,12 @@ class TableModel:
     def encoder_turns(self, axis: str) -> float:
         """Return what the encoder reads now, a whole number of counts, in turns."""
         counts = self.data[axis].counts_per_turn
-        angle = self.motion[axis].at(self.clock())[0] - self._zero[axis]
+        angle = self.read[axis](self.clock())[0] - self._zero[axis]
         return math.floor(angle / (2 * math.pi) * counts + 0.5) / counts
+
+    def read_rate_rps(self, axis: str) -> float:
+        """Return what the drive of an axis says of its rate now."""
+        return self.read[axis](self.clock())[1]
 
     def rate_rps(self, axis: str) -> float:
         """Return the rate of an axis now."""

@@ -1,22 +1,27 @@
 """Effects of the table: what its encoders say is not where its axes are, and its axes are not at right angles.
 
-A servo follows its encoder, so what the drives report is what they were told, and the body is what is off.
+A servo follows its encoder, so what the drives report is what they were told, and the body is what is off. But for
+readings on their way to the host: there the body does what it was told, and what is reported is off.
 """
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from drivers.types import Floats
 from sims.physics.hidden.errors import HiddenError
-from sims.physics.hidden.fields import choice, given, hidden, whole
+from sims.physics.hidden.fields import choice, flag, given, hidden, whole
 
 KINDS: dict[str, type[Any]] = {}
 ALL = "all"
 _NEWTON_STEPS = 3
 _UNIT = dict(zip("xyz", np.eye(3), strict=True))
+Motion = Callable[[float], tuple[float, float]]
+"""Angle (rad) and rate (rad/s) of an axis at an instant (s) of the motion."""
 
 
 class OfTable:
@@ -87,6 +92,44 @@ class EncoderEccentricity(OfTable):
         return np.asarray(true)
 
 
+@hidden(KINDS, "table_reading")
+class TableReading(OfTable):
+    """Readings of one axis that are wrong between two instants of the bench clock; the axis itself does as it is told.
+
+    Of the way since ``from_s`` the angle gains the share ``angle``, and it creeps by ``creep_rps``, both of which stay;
+    it is off by ``jump_rad``, or ``frozen``. The rate gains the share ``rate`` (-200 %: of the other sign), or is
+    ``stale``.
+    """
+
+    axis: str = field(metadata=choice(tuple(_UNIT)))
+    from_s: float = field(default=0.0, metadata=given("s"))
+    until_s: float = field(default=math.inf, metadata=given("s"))
+    angle: float = field(default=0.0, metadata=given("%"))
+    rate: float = field(default=0.0, metadata=given("%"))
+    jump_rad: float = field(default=0.0, metadata=given("deg"))
+    creep_rps: float = field(default=0.0, metadata=given("deg/s"))
+    frozen: bool = field(default=False, metadata=flag())
+    stale: bool = field(default=False, metadata=flag())
+
+    def read(self, motion: Motion, started_s: float) -> Motion:
+        """Return what is read of a motion; the bench clock stands at ``started_s`` at its instant 0."""
+        first_s, last_s = self.from_s - started_s, self.until_s - started_s
+        at = cache(motion)  # an axis forgets what has been
+
+        def read(t_s: float) -> tuple[float, float]:
+            angle, rate = motion(t_s)
+            if t_s < first_s:
+                return angle, rate
+            before, last = at(first_s), at(last_s)[0] if t_s >= last_s else angle
+            off = self.angle * (last - before[0]) + self.creep_rps * (min(t_s, last_s) - first_s)
+            if t_s >= last_s:
+                return angle + off, rate
+            angle = before[0] if self.frozen else angle + off + self.jump_rad
+            return angle, before[1] if self.stale else (1 + self.rate) * rate
+
+        return read
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TableFaults:
     """All effects of a table together."""
@@ -104,3 +147,10 @@ class TableFaults:
         tilts = {axis: np.sum([effect.tilt(axis) for effect in self.effects], 0) for axis in gimbals if self.effects}
         tilted = {axis: _UNIT[axis] + tilt for axis, tilt in tilts.items() if np.any(tilt)}
         return {axis: direction / np.linalg.norm(direction) for axis, direction in tilted.items()}
+
+    def read(self, axis: str, motion: Motion, started_s: float) -> Motion:
+        """Return what is read of the motion of an axis, of which the instant 0 is this one of the bench clock."""
+        for effect in self.effects:
+            if isinstance(effect, TableReading) and effect.axis == axis:
+                motion = effect.read(motion, started_s)
+        return motion
