@@ -70,9 +70,10 @@ def direct_run(
         motion.keep_all()
     for move in moves:
         motions[move.axis].move(move.start_s, move.angle_rad, move.rate_rps, move.acceleration_rps2)
+    true = {axis: table.true_angles(axis, motion.angles, started_s) for axis, motion in motions.items()}
     body = Body(
         gimbals,
-        lambda axis, t: table.true_angle(axis, motions[axis].angles(t)),
+        lambda axis, t: true[axis](t),
         lambda: 0,
         latitude_rad,
         heading_rad,

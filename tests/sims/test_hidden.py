@@ -233,6 +233,14 @@ def test_readings_of_an_axis_are_off_while_its_motion_is_not(
         np.testing.assert_array_equal(ours[:, 1:], its[:, 1:])
 
 
+def test_a_servo_that_follows_wrong_readings_turns_the_body_less() -> None:
+    reading = {"axis": "z", "from": "15.003 s", "until": "50.003 s", "angle": "1 %", "creep": "0.01 deg/s", "followed": True}
+    found, plain = run({"table_reading": reading}), run()
+    np.testing.assert_array_equal(found.angle_rad, plain.angle_rad)
+    off = -(0.01 * turn_rate() + 0.01 * DEG) * ((T > 15.003) & (T < 50.003))
+    np.testing.assert_allclose((found.output_rps - plain.output_rps)[AWAY], np.outer(off, P_Z)[AWAY], atol=2e-4)
+
+
 @pytest.mark.parametrize("stated", [{"cutoff": "2 Hz"}, {"time_constant": f"{1e3 / (4 * np.pi)} ms"}])
 def test_a_low_pass_answers_as_its_differential_equation(stated: dict[str, object]) -> None:
     fine = np.arange(80_001) / 1000

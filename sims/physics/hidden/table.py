@@ -22,6 +22,8 @@ _NEWTON_STEPS = 3
 _UNIT = dict(zip("xyz", np.eye(3), strict=True))
 Motion = Callable[[float], tuple[float, float]]
 """Angle (rad) and rate (rad/s) of an axis at an instant (s) of the motion."""
+Angles = Callable[[Floats], Floats]
+"""Angles (n,) of an axis at instants (n,), rad and s."""
 
 
 class OfTable:
@@ -94,11 +96,12 @@ class EncoderEccentricity(OfTable):
 
 @hidden(KINDS, "table_reading")
 class TableReading(OfTable):
-    """Readings of one axis that are wrong between two instants of the bench clock; the axis itself does as it is told.
+    """Readings of one axis that are wrong between two instants of the bench clock.
 
     Of the way since ``from_s`` the angle gains the share ``angle``, and it creeps by ``creep_rps``, both of which stay;
     it is off by ``jump_rad``, or ``frozen``. The rate gains the share ``rate`` (-200 %: of the other sign), or is
-    ``stale``.
+    ``stale``. The axis does as it is told; ``followed`` by its servo, the readings do, and the body is off by the
+    share and by what creeps.
     """
 
     axis: str = field(metadata=choice(tuple(_UNIT)))
@@ -110,22 +113,36 @@ class TableReading(OfTable):
     creep_rps: float = field(default=0.0, metadata=given("deg/s"))
     frozen: bool = field(default=False, metadata=flag())
     stale: bool = field(default=False, metadata=flag())
+    followed: bool = field(default=False, metadata=flag())
+
+    def shift(self, angles: Angles, started_s: float) -> Angles:
+        """Return by how much the angle gains and creeps; the bench clock stands at ``started_s`` at the instant 0."""
+        first_s, last_s = self.from_s - started_s, self.until_s - started_s
+        at = cache(lambda t_s: float(angles(np.array([t_s]))[0]))  # an axis forgets what has been
+
+        def shift(t_s: Floats) -> Floats:
+            if not (t_s >= first_s).any():
+                return np.zeros(len(t_s))
+            way = np.where(t_s < last_s, angles(t_s), at(last_s) if (t_s >= last_s).any() else 0.0) - at(first_s)
+            gained = self.angle * way + self.creep_rps * (np.minimum(t_s, last_s) - first_s)
+            return np.where(t_s >= first_s, gained, 0.0)
+
+        return shift
 
     def read(self, motion: Motion, started_s: float) -> Motion:
-        """Return what is read of a motion; the bench clock stands at ``started_s`` at its instant 0."""
+        """Return what is read of a motion."""
         first_s, last_s = self.from_s - started_s, self.until_s - started_s
-        at = cache(motion)  # an axis forgets what has been
+        before = cache(motion)
+        shift = self.shift(lambda t_s: np.array([motion(t)[0] for t in t_s.tolist()]), started_s)
 
         def read(t_s: float) -> tuple[float, float]:
             angle, rate = motion(t_s)
-            if t_s < first_s:
+            if not self.followed:
+                angle += float(shift(np.array([t_s]))[0])
+            if not first_s <= t_s < last_s:
                 return angle, rate
-            before, last = at(first_s), at(last_s)[0] if t_s >= last_s else angle
-            off = self.angle * (last - before[0]) + self.creep_rps * (min(t_s, last_s) - first_s)
-            if t_s >= last_s:
-                return angle + off, rate
-            angle = before[0] if self.frozen else angle + off + self.jump_rad
-            return angle, before[1] if self.stale else (1 + self.rate) * rate
+            angle = before(first_s)[0] if self.frozen else angle + self.jump_rad
+            return angle, before(first_s)[1] if self.stale else (1 + self.rate) * rate
 
         return read
 
@@ -136,11 +153,20 @@ class TableFaults:
 
     effects: tuple[OfTable, ...] = ()
 
-    def true_angle(self, axis: str, angle_rad: Floats) -> Floats:
-        """Return the true angle of an axis whose encoder stands at ``angle_rad`` (n,)."""
-        for effect in self.effects:
-            angle_rad = effect.true_angle(axis, angle_rad)
-        return angle_rad
+    def true_angles(self, axis: str, angles: Angles, started_s: float) -> Angles:
+        """Return the true angles of an axis whose encoder stands at ``angles``."""
+        its = [e for e in self.effects if isinstance(e, TableReading) and e.axis == axis and e.followed]
+        shifts = [effect.shift(angles, started_s) for effect in its]
+
+        def true(t_s: Floats) -> Floats:
+            angle_rad = angles(t_s)
+            for effect in self.effects:
+                angle_rad = effect.true_angle(axis, angle_rad)
+            for shift in shifts:
+                angle_rad = angle_rad - shift(t_s)
+            return angle_rad
+
+        return true
 
     def directions(self, gimbals: Sequence[str]) -> Mapping[str, Floats]:
         """Return the unit vectors (3,) of the axes that are not where they should be, at home."""
