@@ -153,15 +153,19 @@ class TableFaults:
 
     effects: tuple[OfTable, ...] = ()
 
+    def true_angle(self, axis: str, angle_rad: Floats) -> Floats:
+        """Return the true angle of an axis whose encoder stands at ``angle_rad`` (n,), whenever that is."""
+        for effect in self.effects:
+            angle_rad = effect.true_angle(axis, angle_rad)
+        return angle_rad
+
     def true_angles(self, axis: str, angles: Angles, started_s: float) -> Angles:
         """Return the true angles of an axis whose encoder stands at ``angles``."""
         its = [e for e in self.effects if isinstance(e, TableReading) and e.axis == axis and e.followed]
         shifts = [effect.shift(angles, started_s) for effect in its]
 
         def true(t_s: Floats) -> Floats:
-            angle_rad = angles(t_s)
-            for effect in self.effects:
-                angle_rad = effect.true_angle(axis, angle_rad)
+            angle_rad = self.true_angle(axis, angles(t_s))
             for shift in shifts:
                 angle_rad = angle_rad - shift(t_s)
             return angle_rad
