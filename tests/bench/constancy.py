@@ -6,7 +6,8 @@ python tests/bench/constancy.py 200 --clean    runs in which nothing changes: fa
 
 A PASS is false if a state is off by more than five of its sigmas from what the gyro was before the change and from what
 it was after (a state of which only one of the two was measured is right for that one); "before" counts those that are
-off from the former, whatever the latter.
+off from the former, whatever the latter. "shown" counts false ones in which the change leaves ten sigmas or more beside
+states that are fitted to it: a script that turns each axis once cannot show what changed between two turns.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ import numpy as np
 
 import station
 from estimator.estimation.calibrate import calibrate
+from estimator.observations.rows import source_blocks
+from estimator.recordings.recording import Recording
 from station.bench.bench import Bench, Limits, load_bench
 from station.opening.simulate import simulate_bench
 from station.opening.twins import truth_of
@@ -40,7 +43,7 @@ SETS = {
     True: (50_000, ("acutrol_vectornav", "described", "rtu_stim300", "default"), ("verification", "paper")),
 }
 """First seed, benches and scripts of the cases that were looked at, and of those kept for the end."""
-FALSE = 5.0
+FALSE, SHOWN = 5.0, 10.0
 LIMITS = Limits(*(6 * (np.inf,)), nis_low=0.8, nis_high=1.2, lost=1.0)
 """Nothing is limited that could tell of a change by its size alone."""
 KINDS = (
@@ -73,7 +76,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """How a case ended; ``off`` and ``off_before``: the worst state in its sigmas."""
+    """How a case ended; ``off`` and ``off_before``: the worst state in its sigmas, ``shown``: what the change left."""
 
     case: Case
     outcome: str
@@ -81,7 +84,7 @@ class Found:
     off: float
     off_before: float
     scores: np.ndarray
-    sd: np.ndarray
+    shown: float
 
 
 def bench_of(name: str) -> Bench:
@@ -136,6 +139,7 @@ def found_of(case: Case) -> Found:
         made = replace(bench, twin=replace(bench.twin, hidden=Path(hidden.name)))
         recording = simulate_bench(made, SCRIPTS[case.script](), case.seed)
     calibration = calibrate(recording, excluded=bench.excluded)
+    shown = shown_by(recording, simulate_bench(bench, SCRIPTS[case.script](), case.seed)) if case.said else 0.0
     verdict = judge(calibration, LIMITS)
     truths = {imu.name: truth_of(bench.twin.truths.again(), imu) for imu in bench.imus if imu.used}
     off, before, scores = [], [], []
@@ -156,8 +160,20 @@ def found_of(case: Case) -> Found:
         off.append(np.abs((states - nearest) / sd).max())
         before.append(np.abs((states - then) / sd).max())
         scores.append((states - then) / sd)
-    sd = np.array([gyro.sd for gyro in calibration.gyros])
-    return Found(case, str(verdict.outcome), verdict.reason, max(off), max(before), np.vstack(scores), sd)
+    return Found(case, str(verdict.outcome), verdict.reason, max(off), max(before), np.vstack(scores), shown)
+
+
+def shown_by(spoilt: Recording, clean: Recording) -> float:
+    """Return by how many sigmas of white noise a change shows at best, beside states that are fitted to it."""
+    squares = 0.0
+    for name, data in spoilt.sources.items():
+        ours, its = source_blocks(spoilt, data), source_blocks(clean, clean.sources[name])
+        _, here, there = np.intersect1d(ours.index, its.index, return_indices=True)
+        one = np.column_stack([np.ones(len(here)), ours.w_rps[here]])
+        change = ours.z_rps[here] - its.z_rps[there]
+        left = change - one @ np.linalg.lstsq(one, change, rcond=None)[0]
+        squares += float(np.sum(left**2)) * ours.length_s / data.noise.arw**2
+    return float(np.sqrt(squares))
 
 
 def main() -> None:
@@ -179,14 +195,15 @@ def main() -> None:
             rows[found.case.kind].append(found)
             false = found.outcome == Outcome.PASS and found.off > FALSE
             if false or told.verbose or (told.clean and found.outcome != Outcome.PASS):
-                print(f"{'FALSE ' if false else ''}{found.outcome} off {found.off:.1f}, before {found.off_before:.1f}:")
+                print(f"{'FALSE ' if false else ''}{found.outcome} off {found.off:.1f}, shown {found.shown:.1f}:")
                 print(f"  {found.case}\n  {found.reason}", flush=True)
-    print(f"{'kind':24} {'cases':>5} {'PASS':>5} {'false':>5} {'before':>6} {'rms score':>9}")
+    print(f"{'kind':24} {'cases':>5} {'PASS':>5} {'false':>5} {'shown':>5} {'before':>6} {'rms score':>9}")
     for kind, its in rows.items():
         good = [found for found in its if found.outcome == Outcome.PASS]
         false, before = (sum(getattr(f, key) > FALSE for f in good) for key in ("off", "off_before"))
+        shown = sum(found.off > FALSE and found.shown > SHOWN for found in good)
         rms = float(np.sqrt(np.mean(np.concatenate([f.scores.ravel() for f in its]) ** 2)))
-        print(f"{kind:24} {len(its):5} {len(good):5} {false:5} {before:6} {rms:9.2f}")
+        print(f"{kind:24} {len(its):5} {len(good):5} {false:5} {shown:5} {before:6} {rms:9.2f}")
 
 
 if __name__ == "__main__":
