@@ -7,7 +7,7 @@ one instant the Lagrange multiplier test of Andrews 1993). All spans between the
 What all gyros share is the table's doing.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
@@ -39,14 +39,10 @@ class _Change(NamedTuple):
     text: str
 
 
-def changes(joint: Joint, widened: Sequence[Floats] | None = None) -> list[str]:
-    """Return, in words, what changed in mid-run by more than chance: a state of a gyro, or the table.
-
-    ``widened`` by gyro (4,), beside another instrument: by how much errors that hang together widen the sigmas of its
-    states. Only halves are compared then.
-    """
+def changes(joint: Joint) -> list[str]:
+    """Return, in words, what changed in mid-run by more than chance: a state of a gyro, or the table."""
     used = sum(int((run.weight > 0).sum()) for run in joint.runs) // len(joint.runs)
-    parts = min(_MOST_SPANS if widened is None else 2, used // _FEWEST_BLOCKS)
+    parts = min(_MOST_SPANS, used // _FEWEST_BLOCKS)
     if parts < 2:
         return []
     edges_s = np.linspace(min(run.t_s[0] for run in joint.runs), max(run.t_s[-1] for run in joint.runs), parts + 1)
@@ -54,21 +50,55 @@ def changes(joint: Joint, widened: Sequence[Floats] | None = None) -> list[str]:
     shared: dict[tuple[str, float, str], Floats] = {}
     for number, run in enumerate(joint.runs):
         for i, gyro in enumerate(joint.gyros_of(number)):
-            who, table = run.array.names[i].partition(" ")[2], {} if widened is not None else _of_table(run, i)
-            columns = np.stack([*run.state_columns()[i].T, *table.values()], axis=1)
-            sums = _spans(joint, number, gyro, columns, edges_s)
-            sums[:4, 0] /= 1.0 if widened is None else widened[gyro][:, None, None]
+            who, table = run.array.names[i].partition(" ")[2], _of_table(run, i)
+            sums = _spans(joint, number, gyro, np.stack([*run.state_columns()[i].T, *table.values()], axis=1), edges_s)
             own |= {
                 (f"{state} of {who}", f, unit): one for (state, f, unit), one in zip(_STATES, sums[:4], strict=True)
             }
             shared |= {key: shared.get(key, 0.0) + one for key, one in zip(table, sums[4:], strict=True)}
     tried = sum(int((one[1] > 0).sum()) for one in (*own.values(), *shared.values()))
-    limit = NormalDist().inv_cdf(1 - _BY_CHANCE / max(2 * tried, 1))
     found = sorted((_worst(key, one, edges_s) for key, one in (*own.items(), *shared.items())), reverse=True)
-    if found[0].sigmas <= limit:
+    if found[0].sigmas <= _limit(tried):
         return []
     alike = [one.text for one in found if found[0].sigmas ** 2 - one.sigmas**2 < _ALIKE]
     return [f"what was measured changed in mid-run: {' or '.join(alike[:_MOST_NAMED])} ({found[0].sigmas:.0f} sigma)"]
+
+
+def halves(joint: Joint, cluster_s: float) -> list[str]:
+    """Return, in words, what of the states differs between the halves of a run by more than chance.
+
+    For references of other instruments, of which errors hang together over ``cluster_s`` (Liang, Zeger 1986).
+    """
+    found = []
+    for gyro, name in enumerate(name for run in joint.runs for name in run.array.names):
+        t_s, rows = joint.whitened(gyro)
+        precision = np.concatenate([1 / joint.evidence.gyros[gyro].prior, np.ones(rows.shape[1] - 5)])
+        sides = [_half(t_s[side], rows[side], precision, cluster_s) for side in (t_s < t_s.mean(), t_s >= t_s.mean())]
+        sigmas = np.abs(sides[0][0] - sides[1][0]) / np.sqrt(sides[0][1] + sides[1][1])
+        found += [
+            _Change(float(one), f"{state} of {name.partition(' ')[2]}")
+            for one, (state, *_) in zip(sigmas, _STATES, strict=True)
+        ]
+    worst = max(found)
+    if worst.sigmas <= _limit(len(found)):
+        return []
+    return [f"the two halves of this recording disagree: {worst.text} by {worst.sigmas:.0f} sigma"]
+
+
+def _half(t_s: Floats, rows: Floats, precision: Floats, cluster_s: float) -> tuple[Floats, Floats]:
+    """Return states and their variances (4,) from whitened rows (b, c + 1), the larger of two: as noise, by cluster."""
+    columns = np.delete(rows, Z, axis=1)
+    covariance = np.linalg.inv(columns.T @ columns + np.diag(precision))
+    x = covariance @ columns.T @ rows[:, Z]
+    _, first = np.unique((t_s / cluster_s).astype(np.intp), return_index=True)
+    scores = np.add.reduceat(columns * (rows[:, Z] - columns @ x)[:, None], first, axis=0) @ covariance
+    free = len(first) / max(len(first) - len(x), len(first) / 4)
+    return x[:4], np.maximum(np.diag(covariance), free * np.sum(scores**2, axis=0))[:4]
+
+
+def _limit(tried: int) -> float:
+    """Return the sigmas that the largest of so many has by chance so seldom."""
+    return NormalDist().inv_cdf(1 - _BY_CHANCE / max(2 * tried, 1))
 
 
 def _worst(key: tuple[str, float, str], spans: Floats, edges_s: Floats) -> _Change:

@@ -16,7 +16,7 @@ from estimator.calibration.values import EffectValue, GyroCalibration
 from estimator.effects.constructed import readable
 from estimator.effects.dynamics import LATENCY
 from estimator.effects.effect import Acts
-from estimator.estimation.constancy import changes
+from estimator.estimation.constancy import changes, halves
 from estimator.estimation.noise_evidence import Joint, Law, TooShort, expected_of, joint_estimate
 from estimator.estimation.runs.making import run_of
 from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes
@@ -111,8 +111,9 @@ def estimate_device(
     for number, (name, data) in enumerate(moved):
         doubt = covariances, unseen
         found.append(_estimated(recording, joint, number, data, doubt, block_s, offsets.get(name)))
-    widened = [np.sqrt(np.diag(a)[:4] / np.diag(b)[:4]) for a, b in zip(covariances, plain.covariances, strict=True)]
-    return DeviceEstimate(found, notes, spoilt=changes(plain, widened if external else None))
+    if external:
+        return DeviceEstimate(found, notes, halves(plain, CLUSTER_S))
+    return DeviceEstimate(found, notes, spoilt=changes(plain))
 
 
 def _aligned(
