@@ -25,7 +25,7 @@ from estimator.types import Floats
 _BY_CHANCE = 1e-4  # probability that anything is told of a run in which nothing changes
 _MOST_SPANS, _FEWEST_BLOCKS = 80, 10  # parts of a run at most, and blocks of each at least
 _FINE = 3  # waves for each part: what is finer tells next to nothing of it
-_LEAST = 1e-7  # share of what is known of a change that the constants must leave of it
+_LEAST = 1e-7  # share of all that is known of a state that must be left of a change: less is rounding
 _MOST_NAMED = 3
 _ALIKE = 9.2  # twice the logarithm of the odds, 100, below which two causes are not told apart
 _DEG = float(np.degrees(1.0))
@@ -49,9 +49,10 @@ def changes(joint: Joint) -> list[str]:
     own: dict[tuple[str, float, str], Floats] = {}
     shared: dict[tuple[str, float, str], Floats] = {}
     for number, run in enumerate(joint.runs):
+        table, states = _of_table(run), run.state_columns()
         for i, gyro in enumerate(joint.gyros_of(number)):
-            who, table = run.array.names[i].partition(" ")[2], _of_table(run, i)
-            sums = _spans(joint, number, gyro, np.stack([*run.state_columns()[i].T, *table.values()], axis=1), edges_s)
+            who = run.array.names[i].partition(" ")[2]
+            sums = _spans(joint, number, gyro, np.stack([*states[i].T, *(one[i] for one in table.values())]), edges_s)
             own |= {
                 (f"{state} of {who}", f, unit): one for (state, f, unit), one in zip(_STATES, sums[:4], strict=True)
             }
@@ -116,29 +117,28 @@ def _worst(key: tuple[str, float, str], spans: Floats, edges_s: Floats) -> _Chan
     return _Change(float(sigmas[first, last]), f"{name} by {size * factor:+.3g} {unit} {when}")
 
 
-def _of_table(run: Run, gyro: int) -> Mapping[tuple[str, float, str], Floats]:
-    """Return what a gyro sees (b,) of each axis that turns further than it reads: by a share, and by a rate."""
+def _of_table(run: Run) -> Mapping[tuple[str, float, str], Floats]:
+    """Return what gyros see (m, b) of each axis that turns further than it reads: by a share, and by a rate."""
     if not run.grid.gimbals:
         return {}
-    coarse = run.coarse()
-    grid, effect = coarse.grid, TABLE_RATE.effect(run.grid.gimbals)
-    even = replace(coarse, grid=replace(grid, rate_rps=np.ones_like(grid.rate_rps)))
-    geared, creeping = coarse.columns(effect, gyro).T, even.columns(effect, gyro).T
-    names = [f"the way of axis {axis} beside its readings" for axis in grid.gimbals]
-    return {(name, 100.0, "%"): one for name, one in zip(names, geared, strict=True)} | {
-        (name, _DEG, "deg/s"): one for name, one in zip(names, creeping, strict=True)
-    }
+    coarse, effect, found = run.coarse(), TABLE_RATE.effect(run.grid.gimbals), {}
+    even = replace(coarse, grid=replace(coarse.grid, rate_rps=np.ones_like(coarse.grid.rate_rps)))
+    for its, factor, unit in ((coarse, 100.0, "%"), (even, _DEG, "deg/s")):
+        seen = np.array([its.columns(effect, gyro).T for gyro in range(len(run.array))])
+        for n, axis in enumerate(run.grid.gimbals):
+            found[f"the way of axis {axis} beside its readings", factor, unit] = seen[:, n]
+    return found
 
 
 def _spans(joint: Joint, number: int, gyro: int, columns: Floats, edges_s: Floats) -> Floats:
-    """Return the scores and their variances (c, 2, T + 1, T + 1) of columns (b, c) of a gyro in each span of time.
+    """Return the scores and their variances (c, 2, T + 1, T + 1) of columns (c, b) of a gyro in each span of time.
 
     A span goes from one edge to a later one; where the constants explain all of it, or it is none, both are 0.
     """
     run, spectra = joint.runs[number], joint.evidence.gyros[gyro]
-    parts, c, n = len(edges_s) - 1, columns.shape[1], spectra.columns[0].shape[1]
+    parts, c, n = len(edges_s) - 1, len(columns), spectra.columns[0].shape[1]
     power, across, inner = np.zeros((c, parts, parts)), np.zeros((c * parts, n)), np.zeros((n, n))
-    weighed = run.weighed(columns, gyro - joint.gyros_of(number).start)
+    weighed = run.weighed(columns.T, gyro - joint.gyros_of(number).start)
     for stretch, own in zip(spectra.stretches, spectra.columns, strict=True):
         root = np.sqrt(joint.weight[:, gyro] @ (1 / joint.evidence.density(spectra, stretch)))[stretch.band, None]
         ends = np.searchsorted(run.t_s[stretch.blocks], edges_s[1:-1]).tolist()
@@ -158,11 +158,11 @@ def _spans(joint: Joint, number: int, gyro: int, columns: Floats, edges_s: Float
     score = (across[:, Z] - across[:, constants] @ taken[:, -1]).reshape(-1, parts)
     left = power - known @ taken[:, :-1].reshape(len(constants), -1, parts).transpose(1, 0, 2)
     score = np.pad(score.cumsum(axis=1), ((0, 0), (1, 0)))
-    sums = np.pad(np.stack([power, left]).cumsum(axis=2).cumsum(axis=3), ((0, 0), (0, 0), (1, 0), (1, 0)))
+    sums = np.pad(left.cumsum(axis=1).cumsum(axis=2), ((0, 0), (1, 0), (1, 0)))
     edge = np.arange(parts + 1)
     own = sums[..., edge, edge]
-    whole, variance = own[..., None, :] + own[..., :, None] - sums - sums.swapaxes(-1, -2)
-    seen = (variance > _LEAST * whole) & (edge > edge[:, None])
+    variance = own[..., None, :] + own[..., :, None] - sums - sums.swapaxes(-1, -2)
+    seen = (variance > _LEAST * power.sum(axis=(1, 2), keepdims=True)) & (edge > edge[:, None])
     found: Floats = np.stack([(score[:, None, :] - score[:, :, None]) * seen, variance * seen], axis=1)
     return found
 
