@@ -106,7 +106,13 @@ def _worst(key: tuple[str, float, str], spans: Floats, edges_s: Floats) -> _Chan
     """Return the change of something that the scores of its spans (2, T + 1, T + 1) make most probable."""
     score, variance = spans
     sigmas = np.abs(score) / np.sqrt(np.where(variance > 0, variance, np.inf))
-    first, last = np.unravel_index(np.argmax(sigmas), sigmas.shape)
+    first, last = (int(edge) for edge in np.unravel_index(np.argmax(sigmas), sigmas.shape))
+    # One instant is simpler than two, and while an axis rests nothing tells them apart.
+    nearly = max(float(sigmas[first, last]) ** 2 - _ALIKE / 2, 0.0) ** 0.5
+    if sigmas[first, -1] >= nearly:
+        last = len(edges_s) - 1
+    elif sigmas[0, last] >= nearly:
+        first = 0
     size, parts = float(score[first, last] / max(variance[first, last], 1e-300)), len(edges_s) - 1
     since = edges_s - edges_s[0]
     when = f"between {since[first]:.0f} and {since[last]:.0f} s"
