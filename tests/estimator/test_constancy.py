@@ -52,6 +52,6 @@ def test_gearing_that_changes_is_the_tables_because_all_gyros_say_so() -> None:
 
 
 def test_a_body_that_creeps_for_a_moment_while_the_table_says_that_it_rests_is_told() -> None:
-    reading = {"axis": "x", "from": "20 s", "until": "60 s", "creep": "0.01 deg/s", "followed": True}
+    reading = {"axis": "x", "from": "20 s", "until": "40 s", "creep": "0.03 deg/s", "followed": True}
     (said,) = told({"table_reading": reading})
     assert re.search(r"the way of axis x beside its readings by -0\.0\d+ deg/s (from|between) [12]\d ", said), said
