@@ -55,6 +55,7 @@ def calibrate(
         _device(recording, [pair for pair in sources if pair[1].device == device], model, excluded) for device in names
     ]
     estimates = [one for device in devices for one in device.sources]
+    spoilt: list[str] = []
     gyros: list[GyroCalibration] = []
     checks: list[GyroParity] = []
     for device in devices:
@@ -62,6 +63,7 @@ def calibrate(
         checks += _parity(device.sources, [gyro for _, gyro in its_gyros])
         notes += device.notes
         doubts += device.doubts
+        spoilt += device.spoilt
         for one, gyro in its_gyros:
             if not at_rest(recording.reference):  # else the body rests, and that was told
                 notes += unseen_notes(gyro.name, gyro.type_a, one.data.prior)
@@ -71,7 +73,8 @@ def calibrate(
     nis = squares / dof if dof and innovations else float("nan")
     doubts += _nis_doubts(nis, estimates)
     if isinstance(recording.reference, TableReadings):
-        doubts += reading_doubts(recording.reference)
+        spoilt += reading_doubts(recording.reference)
+    doubts += spoilt
     order = [name for data in recording.sources.values() for name in data.array.names]
     return Calibration(
         tuple(sorted(gyros, key=lambda gyro: order.index(gyro.name))),
@@ -85,6 +88,7 @@ def calibrate(
         tuple(doubts),
         holds_for(recording),
         {one.source: one.offset for one in estimates if one.offset is not None},
+        tuple(spoilt),
     )
 
 

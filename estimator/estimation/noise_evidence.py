@@ -11,11 +11,9 @@ states.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
@@ -103,25 +101,6 @@ class Joint:
         t_s = [self.runs[stretch.run].t_s[stretch.blocks] for stretch in spectra.stretches]
         return np.concatenate(t_s), np.vstack(parts)
 
-    def halves(self) -> list[Joint]:
-        """Return the estimates from the first and from the second half, under the noise of the whole.
-
-        TooShort if a half has too few blocks.
-        """
-        begin = min(float(run.t_s[0]) for run in self.runs)
-        middle_s = 0.5 * (begin + max(float(run.t_s[-1]) for run in self.runs))
-        found = []
-        for early in (True, False):
-            keeps = [(run.t_s < middle_s) == early for run in self.runs]
-            runs = [_some(run, keep) for run, keep in zip(self.runs, keeps, strict=True)]
-            columns = [c[:, keep] for c, keep in zip(self.columns, keeps, strict=True)]
-            arw = {gyro.name: gyro.arw for gyro in self.evidence.gyros}
-            evidence = Evidence(_spectra(runs, columns, arw), self.evidence.shapes, self.evidence.excess)
-            own = evidence.posterior(_terms(self.laws), self.weight)
-            parts: dict[str, Any] = {"means": own.means, "covariances": own.covariances, "evidence": evidence}
-            found.append(replace(self, runs=runs, columns=columns, **parts))
-        return found
-
 
 def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseModel | None = None) -> Joint:
     """Return the estimate of the gyros of one device, each name once; ``stated`` is its data sheet's noise.
@@ -198,13 +177,6 @@ def columns_of(run: Run, laws: Sequence[Law]) -> Floats:
 def expected_of(laws: Sequence[Law]) -> Floats:
     """Return what is expected of each parameter of some laws (p,), in its sigmas."""
     return np.concatenate([np.zeros(0), *(law.mean / law.sd for law in laws)])
-
-
-def _some(run: Run, keep: NDArray[np.bool_]) -> Run:
-    """Return a run with some of its blocks only; its conditions stay those of all."""
-    values: dict[str, Any] = {f.name: getattr(run, f.name) for f in fields(run)}
-    parts: dict[str, Any] = {k: v[keep] for k, v in values.items() if isinstance(v, np.ndarray) and len(v) == len(keep)}
-    return replace(run, **parts)
 
 
 def _steadied(run: Run, columns: Floats) -> Run:

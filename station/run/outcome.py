@@ -42,8 +42,8 @@ class Verdict:
 def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str] = ()) -> Verdict:
     """Compare a calibration with the limits of its bench; the reason names every limit that is broken.
 
-    Without limits it is neither good nor bad. What speaks against its sigmas is told in any case, ``causes``, what the
-    run itself may have done wrong, where a limit is broken.
+    Without limits it is neither good nor bad. What speaks against its sigmas is told in any case, and what no sigma can
+    hold fails it; ``causes``, what the run itself may have done wrong, are told where it fails.
     """
     if limits is None or not limits.stated:
         reasons = ("estimated; there are no limits to judge by", *calibration.doubts)
@@ -55,7 +55,7 @@ def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str]
             "these sigmas are mostly effects that this script cannot show: the section undeclared of the bench file "
             "says which are ruled out"
         )
-    if broken:
+    if broken or calibration.spoilt:
         because = (*causes, *calibration.doubts)
         return Verdict(Outcome.FAIL, "; ".join([*because, *broken]), tuple(lines), because)
     good = "every state, its sigma, the innovations and the losses are within limits"

@@ -150,3 +150,9 @@ def test_exit_codes_tell_outcomes_apart() -> None:
         "ABORTED": 3,
         "FAULT": 4,
     }
+
+
+def test_what_no_sigma_can_hold_fails_a_run_that_is_within_all_limits() -> None:
+    said = "what was measured changed in mid-run: k of gyro2 by +2e+03 ppm from 105 s on (8 sigma)"
+    verdict = judge(replace(GOOD, doubts=(said,), spoilt=(said,)), LIMITS)
+    assert (verdict.outcome, verdict.reason) == (Outcome.FAIL, said)
