@@ -52,8 +52,9 @@ class GalilAxisTwin:
             return self._position()
         if word == "TV":
             now = self._table.clock()
-            motion = self._table.motion[self._axis]
-            return self._to_counts((motion.at(now)[0] - motion.at(now - self._window_s)[0]) / self._window_s)
+            motion, rate_rps = self._table.motion[self._axis], self._table.rate_rps(self._axis)
+            mean_rps = (motion.at(now)[0] - motion.at(now - self._window_s)[0]) / self._window_s
+            return self._to_counts(mean_rps + self._table.read_rate_rps(self._axis) - rate_rps)
         if word == "TE":
             lost = self._table.tripped.get(self._axis) == FOLLOWING_ERROR
             return self._settings["ER"] + 1 if lost else 0

@@ -57,7 +57,7 @@ class Twins:
         }
         self._hidden = hidden_of(bench)
         faults = self._hidden.table if self._hidden is not None else TableFaults()
-        self.table = TableModel(axes, loop.time, faults)
+        self.table = TableModel(axes, loop.time, faults, bench.twin.started_s)
         site = bench.site
         latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
         self._body = Body(

@@ -36,6 +36,31 @@ class ThermalScale(Sensed):
         return np.asarray(self.linear * scene.warmth * scene.u)
 
 
+@hidden(KINDS, "scale_step")
+class ScaleStep(Sensed):
+    """A scale factor that is larger by ``size`` from an instant of the bench clock on."""
+
+    size: Each = field(metadata=each("ppm"))
+    at_s: float = field(metadata=given("s"))
+
+    def output(self, scene: Scene) -> Floats:
+        return np.asarray(self.size * scene.u * (scene.clock_s >= self.at_s)[:, None])
+
+
+@hidden(KINDS, "alignment_step")
+class AlignmentStep(Sensed):
+    """A sense axis that is tilted further from an instant of the bench clock on: by ``sigma_j``, ``sigma_k``; rad."""
+
+    at_s: float = field(metadata=given("s"))
+    sigma_j: Each = field(default=0.0, metadata=each("deg"))
+    sigma_k: Each = field(default=0.0, metadata=each("deg"))
+
+    def output(self, scene: Scene) -> Floats:
+        mounting, w_rps = scene.world.mounting, scene.world.body.rate_rps(scene.t_s)
+        tilted = self.sigma_j * (w_rps @ mounting.k.T) - self.sigma_k * (w_rps @ mounting.j.T)
+        return np.asarray(tilted * (scene.clock_s >= self.at_s)[:, None])
+
+
 @hidden(KINDS, "scale_asymmetry")
 class ScaleAsymmetry(Sensed):
     """A scale factor that differs between the directions by twice ``size``."""
