@@ -113,6 +113,9 @@ class _Node:
         if math.isnan(value) and not field.is_float:
             return  # it has no word for that
         scaled = signal.unscaled(value)
+        if not field.is_float:
+            most = abs(field.scale) * (2 ** (field.length - 1) - 1)
+            scaled = min(max(scaled, -most), most)
         low, high = field.minimum, field.maximum
         if low is not None and high is not None and low < high:
             scaled = min(max(scaled, low), high)

@@ -39,7 +39,7 @@ from station.schema.tables import Table
 
 _log = logging.getLogger(__name__)
 _wires = itertools.count(1)
-_APART = 0.01  # scale factors of two devices of a kind
+_APART = 0.005  # scale factors of two devices of a kind
 
 
 class Twins:

@@ -54,6 +54,51 @@ def test_a_table_that_answers_late_is_named_where_a_run_fails() -> None:
     assert re.search(r"the table took up to 1[5-9]\d ms to answer", found.reason), found.reason
 
 
+EXCHANGED = 'unplug = "5 s"\nreplug = "5.5 s"\nanother = "5.2 s"'
+
+
+@pytest.mark.parametrize(
+    ("bench", "device", "words"),
+    [
+        ("rtu_stim300", "stim300", ("N25582405002002", "N25582405002003")),
+        ("galil_xsens", "mti", ("03700715", "03700716")),
+        ("acutrol_vectornav", "vn100", ("0100012345", "0100012346")),
+        ("galil_j1939", "openimu", ("305001", "305002")),
+        ("galil_xsens", "table", ("9046", "9047")),
+        ("acutrol_vectornav", "table", ("3117", "3118")),
+    ],
+)
+def test_another_device_after_a_link_came_back_ends_the_run_by_both_names(
+    bench: str, device: str, words: tuple[str, str]
+) -> None:
+    found = ended((bench, (Fault(device, "another", EXCHANGED),), 0))
+    assert found.outcome == "FAULT", found.reason
+    assert found.reason.startswith(f"{device}: another device"), found.reason
+    assert all(word in found.reason for word in words), found.reason
+
+
+@pytest.mark.parametrize(("bench", "device"), [("rtu_stim300", "stim300"), ("galil_j1939", "openimu")])
+def test_a_device_exchanged_without_a_lost_link_is_known_at_the_end(bench: str, device: str) -> None:
+    found = ended((bench, (Fault(device, "another", 'another = "5.2 s"'),), 0))
+    assert found.outcome == "FAULT", found.reason
+    assert found.reason.startswith(f"{device}: another device"), found.reason
+
+
+def test_a_device_that_tells_no_identity_is_doubted_after_its_link_came_back() -> None:
+    fault = Fault("sketch", "unplug", 'unplug = "5 s"\nreplug = "5.1 s"')
+    found = ended(("described", (fault,), 0))
+    assert found.outcome == "PASS", found.reason
+    assert "sketch tells no serial number: whether it is the same device" in found.reason
+
+
+@pytest.mark.parametrize(("bench", "device"), [("described", "sketch"), ("galil_xsens", "mti")])
+def test_impossible_rates_are_counted_left_out_and_told(bench: str, device: str) -> None:
+    found = ended((bench, (Fault(device, "huge", 'huge = "3 %"'),), 0))
+    assert found.outcome == "FAIL", found.reason
+    assert re.search(r"[23]\.\d\d% of the samples lost", found.reason), found.reason
+    assert "mean NIS" not in found.reason
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("case", campaign(200), ids=lambda case: f"{case[2]}-{case[0]}")
 def test_random_pairs_of_faults_end_as_they_should(case: tuple[str, tuple[Fault, ...], int]) -> None:
