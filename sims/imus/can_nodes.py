@@ -114,7 +114,7 @@ class _Node:
             return  # it has no word for that
         scaled = signal.unscaled(value)
         if not field.is_float:
-            most = abs(field.scale) * (2 ** (field.length - 1) - 1)
+            most = 0.999 * abs(field.scale) * 2 ** (field.length - 1)
             scaled = min(max(scaled, -most), most)
         low, high = field.minimum, field.maximum
         if low is not None and high is not None and low < high:

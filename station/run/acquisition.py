@@ -133,7 +133,7 @@ class Acquisition:
     async def open(self, imu: OpenImu) -> Identity:
         """Open a device under test, and record and return what it says it is."""
         await imu.source.open()
-        identity = await imu.source.identify()
+        identity = await self._reopening.identify(imu.config.name, imu.source)
         for name in imu.source.names:
             self.writer.set_source(name, identity_attributes("", identity))
         return identity
@@ -145,7 +145,7 @@ class Acquisition:
                 async for name, block in imu.source.blocks():
                     self._take_block(name, block)
             except LinkLost as error:
-                await self._reopening.restore(imu.source, error)
+                await self._reopening.restore(imu.config.name, imu.source, error)
                 now_s = asyncio.get_running_loop().time()
                 self._last_seen_s |= {name: now_s for name in imu.source.names if name in self._last_seen_s}
 
@@ -244,8 +244,11 @@ class Acquisition:
                 sync_due_s = loop.time() + _SYNC_S * self._host_scale
                 self._sync = loop.run_in_executor(None, os.fsync, self.writer.descriptor)
 
-    async def close(self, attributes: Mapping[str, str]) -> None:
-        """Close the links of all devices under test and, with these attributes, the recording."""
+    async def close(self, attributes: Mapping[str, str], *, ask: bool) -> None:
+        """Close the links of all devices under test and, with these attributes, the recording.
+
+        To ``ask`` is to see first that the devices are still the same; DeviceFault for another, and nothing is closed.
+        """
         self.monitor.end()
         for imu in self._imus:
             imu.source.close()
@@ -254,6 +257,8 @@ class Acquisition:
             for name in imu.source.names:
                 self.reports[name] = SourceReport(name, imu.source.counts(name), imu.source.alignment(name))
                 self.writer.set_source(name, self.reports[name].attributes())
+            if ask:
+                await self._reopening.ask_at_end(imu.config.name, imu.source)
         self.writer.set_attributes({"table_read_half_width_ns": self._half_width_ns, **attributes})
         if self._sync is not None:
             with suppress(OSError):

@@ -214,7 +214,7 @@ class Session:
             await table.open()  # the last: what is not there is known before the table is touched
             await first_look(table, take_over=self._options.reset_fault)
             self._connected = True  # from here on it is ours to stop
-            self._writer.set_attributes(identity_attributes("table_", await table.identify()))
+            self._writer.set_attributes(identity_attributes("table_", await self._reopening.identify("table", table)))
             await acquisition.first_samples()
             services.append(_serve(group, acquisition.watch_silence()))
             if self._options.reset_fault:
@@ -235,7 +235,7 @@ class Session:
                 self._event(EventKind.NOTE, text)
             sequencer = monitor.sequencer = Sequencer(table, self._script, acquisition.end_step, tell)
             monitor.phase = Phase.RUNNING
-            rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, table)
+            rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, "table", table)
             watch = watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)
             services.append(_serve(group, watch))
             tell("script begins")
@@ -307,7 +307,8 @@ class Session:
         acquisition = self._acquisition
         if not acquisition.closed:
             self._open.table.close()
-            await acquisition.close({"ended_early": self._ended_early} if self._ended_early else {})
+            attributes = {"ended_early": self._ended_early} if self._ended_early else {}
+            await acquisition.close(attributes, ask=self._verdict is None)
         calibration, agreement = None, float("nan")
         verdict = self._verdict
         if verdict is None:
@@ -320,6 +321,7 @@ class Session:
                 found = await asyncio.get_running_loop().run_in_executor(None, work)
                 calibration, agreement, acquisition.reports = found
                 verdict = judge(calibration, self._bench.limits, acquisition.causes())
+                verdict = replace(verdict, reason="; but ".join((verdict.reason, *self._reopening.doubts())))
             except EstimatorError as error:
                 verdict = Verdict(Outcome.FAIL, str(error))
         try:

@@ -87,7 +87,7 @@ def test_a_device_exchanged_without_a_lost_link_is_known_at_the_end(bench: str, 
 def test_a_device_that_tells_no_identity_is_doubted_after_its_link_came_back() -> None:
     fault = Fault("sketch", "unplug", 'unplug = "5 s"\nreplug = "5.1 s"')
     found = ended(("described", (fault,), 0))
-    assert found.outcome == "PASS", found.reason
+    assert found.outcome == "FAIL", found.reason  # of its losses: the script is short
     assert "sketch tells no serial number: whether it is the same device" in found.reason
 
 

@@ -14,6 +14,7 @@ from drivers.types import Identity
 _GATHER_S = 0.03
 _ANSWER_S = 0.2
 _TRIES = 3
+_KEPT = (aceinna.FILTERS, aceinna.ORIENTATION)  # which it keeps, and the bench file does not say
 _OWN_ADDRESS = 0  # of the station on J1939
 
 
@@ -57,6 +58,7 @@ class AceinnaImu(CanImu):
             model="" if name is None else f"J1939 manufacturer {name.manufacturer}, function {name.function}",
             serial="" if name is None else str(name.identity),
             firmware=aceinna.decode_version(version or b""),
+            settings=" ".join([(await self._ask(group) or b"").hex() for group in _KEPT]) if claim else "",
         )
 
     async def _set(self, group: int, values: bytes) -> None:

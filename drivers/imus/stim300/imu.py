@@ -94,6 +94,7 @@ class Stim300Imu(OneSource[ByteLink]):
             f"STIM300 {part.text} rev {part.revision}" if isinstance(part, PartNumber) else "STIM300",
             serial.text if isinstance(serial, SerialNumber) else "",
             str(configuration.firmware) if isinstance(configuration, Configuration) else "",
+            configuration.data.hex() if isinstance(configuration, Configuration) else "",
         )
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
