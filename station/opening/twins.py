@@ -155,7 +155,9 @@ class Twins:
         wire = self._faults.wires[imu.name]
         device = self.imu_device(imu, FaultyFrames(bus, wire, self._seed(imu.name)) if wire.any else bus)
         heard: Callable[[Any], None] | None = getattr(device, "received", None)
-        return FaultyFrames(heard, wire.to_device, (*self._seed(imu.name), 1)) if heard is not None and wire.any else heard
+        return (
+            FaultyFrames(heard, wire.to_device, (*self._seed(imu.name), 1)) if heard is not None and wire.any else heard
+        )
 
     def bus_in_memory(self, imu: ImuConfig) -> FrameLink:
         """Return the link to a bus in memory with the device on it."""

@@ -346,11 +346,14 @@ class Session:
             return Verdict(Outcome.ABORTED, self._reason or self._stopped_by("Ctrl-C"))
         if isinstance(first, asyncio.CancelledError):
             return Verdict(Outcome.ABORTED, self._reason or "cancelled")
-        _log.debug("the run ended by a defect of the station", exc_info=first)
+        _log.debug("the run ended by what no device did", exc_info=first)
+        what = f"{type(first).__name__}: {first}"
+        if isinstance(first, MemoryError | OSError):
+            need = "more memory" if isinstance(first, MemoryError) else "its disk and its ports looked after"
+            return Verdict(Outcome.ABORTED, f"this computer failed, it needs {need} ({what})")
         at = traceback.extract_tb(first.__traceback__)[-1:]
         where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in at)
-        what = f"defect of the station, please report it: {type(first).__name__}: {first}{where}"
-        return Verdict(Outcome.ABORTED, what)
+        return Verdict(Outcome.ABORTED, f"defect of the station, please report it: {what}{where}")
 
     def _outlive(self) -> None:
         if not self._terminal_gone and not self._acquisition.closed:

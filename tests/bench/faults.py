@@ -343,7 +343,9 @@ def worst(found: Calibration, bench: Bench, faults: Sequence[Fault]) -> tuple[fl
                               (len(imu.array), 4))  # fmt: skip
         shifts = [0.0, *(_shift(fault) for fault in faults if fault.device == imu.name)]
         shifts += [-STEP_PPM * 1e-6] * any(fault.kind == "scale step" for fault in faults)
-        truths.append(np.array([one + np.array([shift, 0.0, 0.0, 0.0]) for shift in shifts + [0.0] * (4 - len(shifts))]))
+        truths.append(
+            np.array([one + np.array([shift, 0.0, 0.0, 0.0]) for shift in shifts + [0.0] * (4 - len(shifts))])
+        )
     true = np.concatenate(truths, axis=1)
     off = np.array([np.abs(true[:, i] - gyro.states) / gyro.sd for i, gyro in enumerate(found.gyros)]).min(axis=1)
     row, state = np.unravel_index(np.nanargmax(off), off.shape)

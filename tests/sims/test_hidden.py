@@ -234,7 +234,14 @@ def test_readings_of_an_axis_are_off_while_its_motion_is_not(
 
 
 def test_a_servo_that_follows_wrong_readings_turns_the_body_less() -> None:
-    reading = {"axis": "z", "from": "15.003 s", "until": "50.003 s", "angle": "1 %", "creep": "0.01 deg/s", "followed": True}
+    reading = {
+        "axis": "z",
+        "from": "15.003 s",
+        "until": "50.003 s",
+        "angle": "1 %",
+        "creep": "0.01 deg/s",
+        "followed": True,
+    }
     found, plain = run({"table_reading": reading}), run()
     np.testing.assert_array_equal(found.angle_rad, plain.angle_rad)
     off = -(0.01 * turn_rate() + 0.01 * DEG) * ((T > 15.003) & (T < 50.003))
