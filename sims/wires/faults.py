@@ -87,9 +87,9 @@ class DeviceFaults:
     """What is wrong with a device under test.
 
     Gyro ``stuck`` (from 1; 0 is none) keeps its output and gyro ``saturated`` shows the end of its range, from
-    ``from_s`` to ``until_s``. ``dropped`` and ``doubled`` are shares of samples, ``huge`` of those with impossible rates,
-    where its language has words for such; ``clock`` is how much too fast its clock runs. With ``no_temperature`` its
-    temperature is no number.
+    ``from_s`` to ``until_s``. ``dropped`` and ``doubled`` are shares of samples, ``huge`` of those with impossible
+    rates, where its language has numbers for such; ``clock`` is how much too fast its clock runs. With
+    ``no_temperature`` its temperature is no number.
     """
 
     stuck: int = field(default=0, metadata=whole())

@@ -90,7 +90,11 @@ class Twins:
             raise DeviceError("table twin", f"cannot listen on {where}; is the port free?") from None
         self._stack.push_async_callback(server.shutdown)
         plug = Plug()
-        plug.attach(partial(pull_plug, server), lambda: self.run(server.listen()))
+
+        def put_back() -> None:
+            self.run(server.listen())
+
+        plug.attach(partial(pull_plug, server), put_back)
         self._stack.callback(plug.detach)
         plug.schedule(faults.unplug_s, faults.replug_s)
         return server

@@ -223,9 +223,9 @@ class _Run:
 
     def go(self) -> Result:
         told = time.time
-        with mock.patch("time.time", lambda: told() + self._shift_s):
-            with asyncio.Runner(loop_factory=VirtualLoop) as runner:
-                return run_to_end(runner, self._main())
+        clock = mock.patch("time.time", side_effect=lambda: told() + self._shift_s)
+        with clock, asyncio.Runner(loop_factory=VirtualLoop) as runner:
+            return run_to_end(runner, self._main())
 
     async def _main(self) -> Result:
         loop = asyncio.get_running_loop()
@@ -336,18 +336,20 @@ def _off(ran: _Run) -> str:
 
 def worst(found: Calibration, bench: Bench, faults: Sequence[Fault]) -> tuple[float, int, int]:
     """Return by how many of its sigmas the worst state is off from the nearest it was, its gyro and its column."""
-    truths = []
-    for imu in (imu for imu in bench.imus if imu.used):
+    candidates = []
+    for imu in bench.imus:
+        if not imu.used:
+            continue
         true = truth_of(bench.twin.truths.again(), imu)
-        one = np.broadcast_to(np.column_stack(np.broadcast_arrays(true.k, true.b_rps, true.sigma_j_rad, true.sigma_k_rad)),
-                              (len(imu.array), 4))  # fmt: skip
-        shifts = [0.0, *(_shift(fault) for fault in faults if fault.device == imu.name)]
+        of_states = [
+            np.broadcast_to(x, len(imu.array)) for x in (true.k, true.b_rps, true.sigma_j_rad, true.sigma_k_rad)
+        ]
+        shifts = [_shift(fault) for fault in faults if fault.device == imu.name]
         shifts += [-STEP_PPM * 1e-6] * any(fault.kind == "scale step" for fault in faults)
-        truths.append(
-            np.array([one + np.array([shift, 0.0, 0.0, 0.0]) for shift in shifts + [0.0] * (4 - len(shifts))])
-        )
-    true = np.concatenate(truths, axis=1)
-    off = np.array([np.abs(true[:, i] - gyro.states) / gyro.sd for i, gyro in enumerate(found.gyros)]).min(axis=1)
+        of_k = np.array([0.0, *shifts, *(3 - len(shifts)) * [0.0]])[:, None, None] * [1.0, 0.0, 0.0, 0.0]
+        candidates.append(np.column_stack(of_states) + of_k)
+    was = np.concatenate(candidates, axis=1)  # (instant, gyro, state)
+    off = np.min([[abs(x - g.states) / g.sd for x, g in zip(one, found.gyros, strict=True)] for one in was], axis=0)
     row, state = np.unravel_index(np.nanargmax(off), off.shape)
     return float(off[row, state]), int(row), int(state)
 
@@ -398,11 +400,10 @@ def _each_judged(case: Case) -> Ended:
 
 def _told(all_found: Sequence[Ended]) -> Iterator[str]:
     """Yield a table by fault, one by bench, and each defect with what repeats it."""
-    for title, keys in (
-        ("fault", [(f"{'table' if f.device == 'table' else 'host' if f.device == 'host' else 'imu'} {f.kind}", e)
-                   for e in all_found for f in e.faults]),
-        ("bench", [(e.bench, e) for e in all_found]),
-    ):  # fmt: skip
+    by_fault = [
+        (f"{f.device if f.device in ('table', 'host') else 'imu'} {f.kind}", e) for e in all_found for f in e.faults
+    ]
+    for title, keys in (("fault", by_fault), ("bench", [(e.bench, e) for e in all_found])):
         rows: dict[str, Counter[str]] = defaultdict(Counter)
         for key, found in keys:
             rows[key].update(("runs", found.outcome, *(["wrong"] * bool(found.wrong))))

@@ -14,7 +14,7 @@ from faults import Fault, drawn, each, ended, faults_of
         ("galil_xsens", "unplug"),
         ("galil_xsens", "bit flips"),
         ("rtu_stim300", "servo trip"),
-        ("rtu_stim300", "stuck"),
+        pytest.param("rtu_stim300", "stuck", marks=pytest.mark.full),
     ],
 )
 def test_a_run_with_a_fault_ends_as_it_should(bench: str, kind: str) -> None:
@@ -61,11 +61,11 @@ EXCHANGED = 'unplug = "5 s"\nreplug = "5.5 s"\nanother = "5.2 s"'
     ("bench", "device", "words"),
     [
         ("rtu_stim300", "stim300", ("N25582405002002", "N25582405002003")),
-        ("galil_xsens", "mti", ("03700715", "03700716")),
-        ("acutrol_vectornav", "vn100", ("0100012345", "0100012346")),
-        ("galil_j1939", "openimu", ("305001", "305002")),
+        pytest.param("galil_xsens", "mti", ("03700715", "03700716"), marks=pytest.mark.full),
+        pytest.param("acutrol_vectornav", "vn100", ("0100012345", "0100012346"), marks=pytest.mark.full),
+        pytest.param("galil_j1939", "openimu", ("305001", "305002"), marks=pytest.mark.full),
         ("galil_xsens", "table", ("9046", "9047")),
-        ("acutrol_vectornav", "table", ("3117", "3118")),
+        pytest.param("acutrol_vectornav", "table", ("3117", "3118"), marks=pytest.mark.full),
     ],
 )
 def test_another_device_after_a_link_came_back_ends_the_run_by_both_names(
@@ -77,7 +77,9 @@ def test_another_device_after_a_link_came_back_ends_the_run_by_both_names(
     assert all(word in found.reason for word in words), found.reason
 
 
-@pytest.mark.parametrize(("bench", "device"), [("rtu_stim300", "stim300"), ("galil_j1939", "openimu")])
+@pytest.mark.parametrize(
+    ("bench", "device"), [("rtu_stim300", "stim300"), pytest.param("galil_j1939", "openimu", marks=pytest.mark.full)]
+)
 def test_a_device_exchanged_without_a_lost_link_is_known_at_the_end(bench: str, device: str) -> None:
     found = ended((bench, (Fault(device, "another", 'another = "5.2 s"'),), 0))
     assert found.outcome == "FAULT", found.reason
@@ -91,7 +93,9 @@ def test_a_device_that_tells_no_identity_is_doubted_after_its_link_came_back() -
     assert "sketch tells no serial number: whether it is the same device" in found.reason
 
 
-@pytest.mark.parametrize(("bench", "device"), [("described", "sketch"), ("galil_xsens", "mti")])
+@pytest.mark.parametrize(
+    ("bench", "device"), [pytest.param("described", "sketch", marks=pytest.mark.full), ("galil_xsens", "mti")]
+)
 def test_impossible_rates_are_counted_left_out_and_told(bench: str, device: str) -> None:
     found = ended((bench, (Fault(device, "huge", 'huge = "3 %"'),), 0))
     assert found.outcome == "FAIL", found.reason

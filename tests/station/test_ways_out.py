@@ -64,7 +64,7 @@ class Injector:
             else:
                 asyncio.get_running_loop().call_soon(self.strike)
 
-    def task(self, loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, Any], **more: Any) -> asyncio.Task[Any]:
+    def task(self, loop: asyncio.AbstractEventLoop, work: Any, **more: Any) -> asyncio.Task[Any]:
         """Make a task that it can raise in."""
         return asyncio.Task(Driven(work, self), loop=loop, **more)
 
