@@ -86,6 +86,11 @@ def test_a_device_exchanged_without_a_lost_link_is_known_at_the_end(bench: str, 
     assert found.reason.startswith(f"{device}: another device"), found.reason
 
 
+def test_a_device_that_does_not_answer_at_the_end_is_not_taken_for_another() -> None:
+    found = ended(("rtu_stim300", (Fault("stim300", "silence", 'silent_from = "22.1 s"'),), 0), lenient=True)
+    assert found.outcome == "PASS", found.reason
+
+
 def test_a_device_that_tells_no_identity_is_doubted_after_its_link_came_back() -> None:
     fault = Fault("sketch", "unplug", 'unplug = "5 s"\nreplug = "5.1 s"')
     found = ended(("described", (fault,), 0))
