@@ -5,6 +5,7 @@ Whatever answers then is asked who it is, and how it is set: another device ends
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import astuple
 from typing import Protocol
 
 from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
@@ -34,7 +35,10 @@ class Reopening:
         """How often each device's link was opened again."""
 
     async def identify(self, name: str, device: Device) -> Identity:
-        """Ask an open device of this name what it is: the same from now on. DeviceFault if it is another by now."""
+        """Ask an open device of this name what it is: the same from now on. DeviceFault if it is another by now.
+
+        LinkLost if it does not say any more what it has said before.
+        """
         known = self._known.get(name)
         try:
             now = await device.identify()
@@ -42,11 +46,16 @@ class Reopening:
             if known is None:
                 raise
             raise DeviceFault(name, f"{error.message}; when the run began it was {_said(known)}") from None
-        known = self._known.setdefault(name, now)
-        if (now, now.settings) != (known, known.settings):
-            other = "another device" if now != known else "the same device, set otherwise,"
-            told = [f"{_said(one)}{f', set to {one.settings}' * (now == known)}" for one in (known, now)]
-            raise DeviceFault(name, f"{other} answers since its link was lost: it was {told[0]}, it is {told[1]}")
+        before, after = (astuple(one) for one in (self._known.setdefault(name, now), now))
+        if any(old != new for old, new in zip(before, after, strict=True) if old and new):
+            other = "another device" if before[:-1] != after[:-1] else "the same device, set otherwise,"
+            told = [
+                f"{_said(Identity(*one))}{f', set to {one[-1]}' * (before[:-1] == after[:-1])}"
+                for one in (before, after)
+            ]
+            raise DeviceFault(name, f"{other} answers than when the run began: it was {told[0]}, it is {told[1]}")
+        if any(old and not new for old, new in zip(before, after, strict=True)):
+            raise LinkLost(name, "it does not answer any more what it is")
         return now
 
     async def restore(self, name: str, lost: Device, error: LinkLost) -> None:

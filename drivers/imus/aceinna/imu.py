@@ -54,11 +54,12 @@ class AceinnaImu(CanImu):
         version = await self._ask(aceinna.SOFTWARE_VERSION)
         claim = await self._ask(aceinna.ADDRESS_CLAIM)
         name = aceinna.Name.decode(claim or b"")
+        kept = [await self._ask(group) if claim else None for group in _KEPT]
         return Identity(
             model="" if name is None else f"J1939 manufacturer {name.manufacturer}, function {name.function}",
             serial="" if name is None else str(name.identity),
             firmware=aceinna.decode_version(version or b""),
-            settings=" ".join([(await self._ask(group) or b"").hex() for group in _KEPT]) if claim else "",
+            settings="" if None in kept else " ".join(one.hex() for one in kept if one),
         )
 
     async def _set(self, group: int, values: bytes) -> None:
