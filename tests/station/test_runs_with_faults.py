@@ -86,6 +86,12 @@ def test_a_device_exchanged_without_a_lost_link_is_known_at_the_end(bench: str, 
     assert found.reason.startswith(f"{device}: another device"), found.reason
 
 
+def test_a_computer_that_was_suspended_takes_no_device_for_silent() -> None:
+    found = ended(("two_triads", (Fault("host", "suspended", "", "rest", 3.0),), 0), lenient=True)
+    assert found.reason.startswith("table: axis"), found.reason  # its watchdog has acted
+    assert not found.wrong
+
+
 def test_a_device_that_does_not_answer_at_the_end_is_not_taken_for_another() -> None:
     found = ended(("rtu_stim300", (Fault("stim300", "silence", 'silent_from = "22.1 s"'),), 0), lenient=True)
     assert found.outcome == "PASS", found.reason
