@@ -210,7 +210,8 @@ class Acquisition:
                 if now - seen > limit_s and self._device_of(name) not in self._reopening.under_way
             ]
             if silent:
-                late = f"; {self._late}" * (self._late_at_s > min(self._last_seen_s[name] for name in silent))
+                since_s = min(self._last_seen_s[name] for name in silent)
+                late = f"; {self._late}" if self._late_at_s > since_s else ""
                 raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s{late}")
 
     def _device_of(self, source: str) -> str:
