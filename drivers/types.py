@@ -112,11 +112,16 @@ class ImuBlock:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What a device says it is; empty where its protocol does not say."""
+    """What a device says it is; empty where its protocol does not say.
+
+    ``settings`` is how it is set, in whatever form it says that, where its samples depend on it and the driver does not
+    set it. It is no part of who the device is.
+    """
 
     model: str = ""
     serial: str = ""
     firmware: str = ""
+    settings: str = field(default="", compare=False)
 
 
 @dataclass(slots=True)

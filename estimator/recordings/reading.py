@@ -16,7 +16,7 @@ from estimator.geometry.kinematics import Site, check_gimbals
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
 from estimator.recordings.memory import READING, check_memory
-from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording
+from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording, possible
 from estimator.recordings.recovery import recover
 from estimator.recordings.reference import (
     AttitudeReadings,
@@ -97,7 +97,8 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
     prior = Prior(*(float(v) for v in group.attrs["prior"])) if "prior" in group.attrs else Prior()
     noise = NoiseModel(*(float(v) for v in group.attrs["noise"])) if "noise" in group.attrs else None
     device, lost = str(plain(group.attrs.get("device", ""))), int(group.attrs.get("lost", 0))
-    return ImuData(array, lost=lost, prior=prior, noise=noise, device=device, **cast(Any, columns))
+    columns["rate_rps"], impossible = possible(columns["rate_rps"])
+    return ImuData(array, lost=lost + impossible, prior=prior, noise=noise, device=device, **cast(Any, columns))
 
 
 def _axes(group: Any, key: str) -> Floats | None:

@@ -37,7 +37,9 @@ class AceinnaDevice:
         """How often it was told to save its configuration."""
         self._held = {
             aceinna.SOFTWARE_VERSION: version,
-            aceinna.ADDRESS_CLAIM: (name or aceinna.Name(identity=305_001, manufacturer=823, function=131)).encode(),
+            aceinna.ADDRESS_CLAIM: (
+                name or aceinna.Name(identity=305_001 + ride.number, manufacturer=823, function=131)
+            ).encode(),
             aceinna.RATE_DIVIDER: bytes([address, round(aceinna.INTERNAL_RATE_HZ / ride.rate_hz)]),
             aceinna.PACKET_TYPES: bytes([address, sum(aceinna.PACKETS.values()), 0]),
             aceinna.FILTERS: bytes([address, 25, 5]),

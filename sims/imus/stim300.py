@@ -1,6 +1,7 @@
 """Twin of a STIM300: its gyros as normal datagrams on a byte link, and its answers to commands."""
 
 import asyncio
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -57,7 +58,7 @@ class Stim300Device(LineDevice):
             next(code for code, name in UNITS.items() if name == gyro_unit),
             accel_range_g,
             line_termination,
-            serial,
+            serial[:-4] + f"{int(serial[-4:]) + ride.number:04d}",
         )
         super().__init__(write)
         self.faults = ride.faults
@@ -76,7 +77,7 @@ class Stim300Device(LineDevice):
         self.overload_gyro: int | None = None
         """Gyro that the status calls overloaded."""
         self.dropped = self.doubled = 0
-        if cold:
+        if cold or ride.number:
             self.reset()
 
     def reset(self) -> None:
@@ -154,14 +155,16 @@ class Stim300Device(LineDevice):
         own = self.settings
         n = len(raw)
         start_up = status & stim300.STATUS_START_UP
-        temperature = np.full((n, 3), round(self._temperature_c(t_s) / stim300.TEMPERATURE_LSB_C))
+        temperature_c = self._temperature_c(t_s)
+        unknown = start_up if math.isfinite(temperature_c) else np.full(n, stim300.STATUS_INTEGRITY)
+        temperature = np.full((n, 3), round(np.nan_to_num(temperature_c) / stim300.TEMPERATURE_LSB_C))
         since_pps = (ticks % stim300.INTERNAL_RATE_HZ) * (1_000_000 // stim300.INTERNAL_RATE_HZ)
         groups: dict[str, tuple[Ints, Ints]] = {
             "gyro": (raw, status),
             "accelerometer": (np.round(force_g / ACCEL_LSB_G[own.accel_range_g]).astype(np.int64), start_up),
             "inclinometer": (np.round(force_g / stim300.INCLINOMETER_LSB_G).astype(np.int64), start_up),
         }
-        groups |= {f"{name}_temperature": (temperature, start_up) for name in groups}
+        groups |= {f"{name}_temperature": (temperature, unknown) for name in groups}
         groups["extra"] = since_pps[:, None], start_up
         latency_us = np.full(n, min(round(late_s * 1e6), _LONGEST_LATENCY_US))
         return stim300.encode(

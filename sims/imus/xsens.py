@@ -68,7 +68,7 @@ class XsensDevice:
         )
         """Output configuration, which it keeps when it is switched off."""
         self.measuring = True
-        own, period = bytes.fromhex(serial), _CLOCK_HZ // rate_hz
+        own, period = (int(serial, 16) + ride.number).to_bytes(4), _CLOCK_HZ // rate_hz
         self._answers: dict[int, bytes] = {
             **_MORE_ANSWERS,
             Mid.REQ_DEVICE_ID: own,
@@ -172,7 +172,7 @@ class XsensDevice:
         for gyro in self.faults.stuck:
             rate[:, gyro] = self._last[gyro]
         self._last = rate[-1]
-        return rate
+        return self.faults.spoilt(rate, float(np.finfo(np.float32).max))
 
     def _stream(self, at: Floats, index: Ints, rate: Floats) -> bytes:
         """Return the messages of these samples (n,)."""

@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Coroutine
 from contextlib import AsyncExitStack
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -28,7 +29,7 @@ from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import FaultyModbus, modbus_server, pull_plug
 from sims.tables.registry import Seat
 from sims.tables.registry import twin_of as twin_of_table
-from sims.wires.faults import DeviceFaults, FaultyFrames, faulty_device
+from sims.wires.faults import DeviceFaults, Exchanged, FaultyFrames, faulty_device
 from sims.wires.frames import FrameSink, NodeFaults
 from sims.wires.wires import ByteDevice, Plug, Write, in_memory
 from station.bench.bench import Bench
@@ -40,6 +41,7 @@ from station.schema.tables import Table
 _log = logging.getLogger(__name__)
 _wires = itertools.count(1)
 Bus = TypeVar("Bus", bound=FrameSink)
+_APART = 0.005  # scale factors of two devices of a kind
 
 
 class Twins:
@@ -90,7 +92,11 @@ class Twins:
             raise DeviceError("table twin", f"cannot listen on {where}; is the port free?") from None
         self._stack.push_async_callback(server.shutdown)
         plug = Plug()
-        plug.attach(partial(pull_plug, server), lambda: self.run(server.listen()))
+
+        def put_back() -> None:
+            self.run(server.listen())
+
+        plug.attach(partial(pull_plug, server), put_back)
         self._stack.callback(plug.detach)
         plug.schedule(faults.unplug_s, faults.replug_s)
         return server
@@ -102,7 +108,17 @@ class Twins:
 
     def table_device(self, write: Write) -> ByteDevice:
         """Return the controller, or the drives on a serial line."""
-        return twin_of_table(self.bench.table.spec)(self._seat(), write)
+        put_there, seat = twin_of_table(self.bench.table.spec), self._seat()
+        end = Exchanged(put_there(seat, write))
+
+        def exchange() -> None:
+            for axis in self.bench.table.axes:
+                self.table.stop(axis)  # its brakes close while there is no controller
+            end.device = put_there(replace(seat, number=1), write)
+
+        if math.isfinite(another_s := self._faults.wires["table"].another_s):
+            self._stack.callback(asyncio.get_running_loop().call_later(another_s, exchange).cancel)
+        return end
 
     async def table_in_memory(self) -> Any:
         """Return the near end of a wire to the controller, or where it is served in memory."""
@@ -117,10 +133,24 @@ class Twins:
         faults = self._faults.devices[imu.name]
         knobs = NodeFaults(clock_ppm=faults.clock_ppm, seed=self.bench.twin.seed)
         self._turn(faults, partial(turn_knobs, knobs, faults))
-        ride = Ride(self.gyros(imu), imu.rate_hz, self._up(imu), knobs, imu.options, imu.can)
-        device = twin_of(imu.spec)(ride, out)
-        self.run(device.serve())
-        return device
+
+        def put_there(number: int) -> tuple[Any, asyncio.Task[Any]]:
+            ride = Ride(self.gyros(imu, number), imu.rate_hz, self._up(imu), knobs, imu.options, imu.can, number)
+            ride.gyros.thermometer = not faults.no_temperature
+            device = twin_of(imu.spec)(ride, out)
+            return device, self.run(device.serve())
+
+        device, serving = put_there(0)
+        if not math.isfinite(another_s := self._faults.wires[imu.name].another_s):
+            return device
+        end = Exchanged(device)
+
+        def exchange() -> None:
+            serving.cancel()
+            end.device = put_there(1)[0]
+
+        self._stack.callback(asyncio.get_running_loop().call_later(another_s, exchange).cancel)
+        return end
 
     def imu_in_memory(self, imu: ImuConfig) -> ByteLink:
         """Return the near end of a wire to a device that speaks bytes."""
@@ -131,7 +161,7 @@ class Twins:
         wire, bus = self._faults.wires[imu.name], make(lambda message: ear(message))
         device = self.imu_device(imu, FaultyFrames(bus, wire, self._seed(imu.name)) if wire.any else bus)
         ear = getattr(device, "received", lambda message: None)  # some devices do not listen
-        ear = FaultyFrames(ear, wire, (*self._seed(imu.name), 1)) if wire.any else ear
+        ear = FaultyFrames(ear, wire.to_device, (*self._seed(imu.name), 1)) if wire.any else ear
         return bus
 
     def bus_in_memory(self, imu: ImuConfig) -> FrameLink:
@@ -140,25 +170,25 @@ class Twins:
         self._stack.callback(self.bus_device(imu, partial(MemoryBus, channel)).shutdown)
         return CanLink(imu.name, "memory", channel, {})
 
-    def gyros(self, imu: ImuConfig) -> GyroArray:
-        """Return the gyros of a device, on the table."""
+    def gyros(self, imu: ImuConfig, number: int = 0) -> GyroArray:
+        """Return the gyros of a device, on the table; each ``number`` of its kind has its own scale factors."""
         index = [other.name for other in self.bench.imus].index(imu.name)
-        twin = self.bench.twin
+        twin, truth = self.bench.twin, self._truths[imu.name]
         try:
             return GyroArray(
                 mounting_of(imu),
-                self._truths[imu.name],
+                replace(truth, k=truth.k + _APART * number),
                 self._body,
                 imu.rate_hz,
-                (twin.seed, index),
+                (twin.seed, index, number) if number else (twin.seed, index),
                 self._hidden.of_device(imu.name) if self._hidden is not None else None,
                 twin.started_s,
             )
         except HiddenError as error:
             raise BenchError(f"{twin.hidden}: {imu.name}: {error}") from None
 
-    def run(self, twin: Coroutine[Any, Any, Any]) -> None:
-        """Let a twin work until the bench is closed."""
+    def run(self, twin: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
+        """Let a twin work until the bench is closed, or its task is cancelled."""
         task = asyncio.get_running_loop().create_task(twin)
 
         async def end() -> None:
@@ -168,6 +198,7 @@ class Twins:
                 _log.error("a twin has ended by itself: %r", error)
 
         self._stack.push_async_callback(end)
+        return task
 
     def wire(self, device: str) -> str:
         """Return what a device is served on."""

@@ -136,7 +136,7 @@ class Acquisition:
     async def open(self, imu: OpenImu) -> Identity:
         """Open a device under test, and record and return what it says it is."""
         await imu.source.open()
-        identity = await imu.source.identify()
+        identity = await self._reopening.identify(imu.config.name, imu.source)
         for name in imu.source.names:
             self.writer.set_source(name, identity_attributes("", identity))
         return identity
@@ -148,7 +148,7 @@ class Acquisition:
                 async for name, block in imu.source.blocks():
                     self._take_block(name, block)
             except LinkLost as error:
-                await self._reopening.restore(imu.source, error)
+                await self._reopening.restore(imu.config.name, imu.source, error)
                 now_s = asyncio.get_running_loop().time()
                 self._last_seen_s |= {name: now_s for name in imu.source.names if name in self._last_seen_s}
 
@@ -213,7 +213,8 @@ class Acquisition:
                 if now - seen > limit_s and self._device_of(name) not in self._reopening.under_way
             ]
             if silent:
-                late = f"; {self._late}" * (self._late_at_s > min(self._last_seen_s[name] for name in silent))
+                since_s = min(self._last_seen_s[name] for name in silent)
+                late = f"; {self._late}" if self._late_at_s > since_s else ""
                 raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s{late}")
 
     def _device_of(self, source: str) -> str:
@@ -278,7 +279,8 @@ class Acquisition:
     async def close(self, attributes: Mapping[str, str], *, whole: bool) -> None:
         """Close the links of all devices under test and, with these attributes, the recording.
 
-        Of a run that is ``whole`` the live estimate is finished before.
+        Of a run that is ``whole`` the devices are first seen to be the same still (DeviceFault for another, and nothing
+        is closed), and the live estimate is finished.
         """
         self.monitor.end()
         for imu in self._imus:
@@ -289,6 +291,8 @@ class Acquisition:
         for imu in self._imus:
             for name in imu.source.names:
                 self.writer.set_source(name, self.reports[name].attributes() | _link_attributes("", imu.counts))
+            if whole:
+                await self._reopening.ask_at_end(imu.config.name, imu.source)
         if whole:
             with suppress(EstimatorError):  # which the batch estimate tells
                 self.live.finish()

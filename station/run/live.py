@@ -17,6 +17,7 @@ from estimator.observations.blocks import Blocks, BlockSums
 from estimator.observations.rows import BLOCK_S
 from estimator.observations.timing import expected_sd_s
 from estimator.recordings.growing_rows import GrowingRows
+from estimator.recordings.recording import possible
 from estimator.recordings.reference import BodyRates, TableReadings, TableUncertainty
 from station.run.table_watch import TableRow
 
@@ -162,11 +163,11 @@ class LiveSource:
         self._sums.add(t_ns[known], w[known], y[known] - w[known] @ self.array.p.T)
 
     def _take_new(self) -> None:
-        """Join what has come; samples that the device calls invalid (NaN) are left out."""
+        """Join what has come; samples that the device calls invalid (NaN), or that cannot be, are left out."""
         if not self._new:
             return
         t_ns = np.concatenate([block.t_ns for block in self._new])
-        rate = np.vstack([block.rate_rps for block in self._new])
+        rate, _ = possible(np.vstack([block.rate_rps for block in self._new]))
         good = np.isfinite(rate).all(axis=1)
         temperature = np.concatenate([block.temperature_c for block in self._new])
         self._temperature_c = np.concatenate([self._temperature_c, temperature[good]])

@@ -217,7 +217,7 @@ class Session:
             await table.open()  # the last: what is not there is known before the table is touched
             await first_look(table, take_over=self._options.reset_fault)
             self._connected = True  # from here on it is ours to stop
-            self._writer.set_attributes(identity_attributes("table_", await table.identify()))
+            self._writer.set_attributes(identity_attributes("table_", await self._reopening.identify("table", table)))
             await acquisition.first_samples()
             services.append(_serve(group, acquisition.watch_silence()))
             if self._options.reset_fault:
@@ -238,7 +238,7 @@ class Session:
                 self._event(EventKind.NOTE, text)
             sequencer = monitor.sequencer = Sequencer(table, self._script, acquisition.end_step, tell)
             monitor.phase = Phase.RUNNING
-            rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, table)
+            rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, "table", table)
             watch = watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)
             services.append(_serve(group, watch))
             tell("script begins")
@@ -340,6 +340,7 @@ class Session:
                 found = await asyncio.get_running_loop().run_in_executor(None, work)
                 calibration, agreement, acquisition.reports = found
                 verdict = judge(calibration, self._bench.limits, acquisition.causes())
+                verdict = replace(verdict, reason="; but ".join((verdict.reason, *self._reopening.doubts())))
             except EstimatorError as error:
                 verdict = Verdict(Outcome.FAIL, str(error))
         try:
@@ -367,11 +368,14 @@ class Session:
             return Verdict(Outcome.ABORTED, self._reason or self._stopped_by("Ctrl-C"))
         if isinstance(first, asyncio.CancelledError):
             return Verdict(Outcome.ABORTED, self._reason or "cancelled")
-        _log.debug("the run ended by a defect of the station", exc_info=first)
+        _log.debug("the run ended by what no device did", exc_info=first)
+        what = f"{type(first).__name__}: {first}"
+        if isinstance(first, MemoryError | OSError):
+            need = "more memory" if isinstance(first, MemoryError) else "its disk and its ports looked after"
+            return Verdict(Outcome.ABORTED, f"this computer failed, it needs {need} ({what})")
         at = traceback.extract_tb(first.__traceback__)[-1:]
         where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in at)
-        what = f"defect of the station, please report it: {type(first).__name__}: {first}{where}"
-        return Verdict(Outcome.ABORTED, what)
+        return Verdict(Outcome.ABORTED, f"defect of the station, please report it: {what}{where}")
 
     def _outlive(self) -> None:
         if not self._terminal_gone and not self._acquisition.closed:
