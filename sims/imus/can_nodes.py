@@ -114,8 +114,9 @@ class _Node:
             return  # it has no word for that
         scaled = signal.unscaled(value)
         if not field.is_float:
-            most = 0.999 * abs(field.scale) * 2 ** (field.length - 1)
-            scaled = min(max(scaled, -most), most)
+            least, steps = -(2 ** (field.length - 1)) if field.is_signed else 0, 2**field.length - 1
+            ends = sorted(raw * field.scale + field.offset for raw in (least, least + steps))
+            scaled = min(max(scaled, ends[0]), ends[1])
         low, high = field.minimum, field.maximum
         if low is not None and high is not None and low < high:
             scaled = min(max(scaled, low), high)
