@@ -8,15 +8,15 @@ import numpy as np
 
 from drivers.imus.stim300 import codec as stim300
 from drivers.imus.stim300.special import BiasTrim, ExtendedError, PartNumber, SerialNumber, Special
-from drivers.imus.stim300.units import ACCEL_LSB_G, GYRO_LSB_DEG, GYRO_LSB_DPS, UNITS
+from drivers.imus.stim300.units import ACCEL_LSB_G, UNITS
 from drivers.imus.stim300.utility import UtilityMessage, encode_message
 from drivers.types import Flags, Floats, Ints
 from sims.imus.stim300_output import GyroOutput
-from sims.imus.stim300_settings import SERVICE_ERRORS, Settings, banner, service_lines, utility_reply
+from sims.imus.stim300_settings import Settings, utility_reply
 from sims.physics.geometry import upright
 from sims.wires.burst import burst_of, copies_sent
 from sims.wires.frames import Ride
-from sims.wires.line_controller import LineDevice, Refused
+from sims.wires.line_controller import LineDevice
 
 _START_UP_TICKS = stim300.INTERNAL_RATE_HZ // 2
 _LONGEST_LATENCY_US = 65_535
@@ -91,10 +91,8 @@ class Stim300Device(LineDevice):
     def _take(self, line: bytes) -> None:
         if self._mode == "normal":
             self._command(line + b"\r")
-        elif self._mode == "utility":
-            self._utility(line)
         else:
-            self._service(line)
+            self._utility(line)
 
     async def serve(self) -> None:
         """Send until cancelled."""
@@ -191,9 +189,6 @@ class Stim300Device(LineDevice):
             self._errors = 0
         elif line == stim300.RESET:
             self.reset()
-        elif line == stim300.SERVICE_MODE:
-            self._mode = "service"
-            self._print(banner(own))
         elif line == stim300.UTILITY_MODE:
             self._mode = "utility"
             self._write(encode_message(UtilityMessage(True, ("UTILITYMODE",))))
@@ -204,31 +199,3 @@ class Stim300Device(LineDevice):
             self._write(encode_message(reply))
             if reply.fields[:2] == ("xn", "0"):
                 self._mode = "normal"
-
-    def _service(self, line: bytes) -> None:
-        self._write(line + b"\r")
-        try:
-            command = line.decode("latin-1").strip()
-            lines = service_lines(self.settings, command, self._readings()) if command else []
-        except Refused as refusal:
-            lines = [SERVICE_ERRORS[refusal.code]]
-        if lines and lines[0].startswith("SYSTEM RETURNING"):
-            self._write(lines[0].encode("ascii") + b"\r")
-            self._mode = "normal"
-            if "INIT" in lines[0]:
-                self.reset()
-        else:
-            self._print(lines)
-
-    def _readings(self) -> dict[str, list[str]]:
-        """Return what a single shot, the bias trim and the diagnostics of service mode print, in the twin's words."""
-        angle = self.settings.gyro_unit & 1
-        shot = self._held * (GYRO_LSB_DEG if angle else GYRO_LSB_DPS)
-        return {
-            "a": [f"GYRO [{'deg' if angle else 'deg/s'}] = {', '.join(f'{value:.5f}' for value in shot)}"],
-            "b": ["BIAS TRIM OFFSET GYRO [deg/s] = 0.00000, 0.00000, 0.00000"],
-            "c": list(ExtendedError(self._errors).texts) or ["NO ERRORS"],
-        }
-
-    def _print(self, lines: list[str]) -> None:
-        self._write("\r".join([*lines, ">"]).encode("ascii") if lines else b"\r>")
