@@ -8,21 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
 from drivers.packaged import packaged_toml
+from drivers.types import Floats
 from estimator.calibration.values import Calibration, GyroCalibration
 from estimator.estimation.repeatability import Repeatability
 from estimator.observations.rests import RestNoise
 from station.errors import EXIT_USAGE
-from station.render.terminal import print_rendered, rich_table, stdout
+from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome, Verdict
-from station.views.figures import OUTCOME_STYLES, STATE_UNITS
+from station.views.figures import OUTCOME_STYLES
 from station.views.json_values import budget_and_noise, by_state, json_object, named
 
 _BUDGET_WORDS = packaged_toml("station.views", "budget.toml")["terminal"]
-_SIGMA_HEADS = tuple(f"{name} ({unit})" for name, unit, _ in STATE_UNITS)
-_SCALES = np.array([factor for _, _, factor in STATE_UNITS])
 
 
 def print_calibration(calibration: Calibration, verdict: Verdict) -> None:
@@ -36,22 +34,22 @@ def print_calibration(calibration: Calibration, verdict: Verdict) -> None:
         "calibration": calibration,
         "broken": {(line.row, line.state, line.of_u) for line in verdict.broken},
         "budget": _budget(calibration),
+        "size": _size,
         "noise": np.degrees(np.mean(noises, axis=0)).tolist() if noises else None,
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
     }
     print_rendered(stdout(), "station.render", "calibration.rich", values)
 
 
-def _budget(calibration: Calibration) -> Table | None:
-    """Return where the sigmas come from: noise and the table's own uncertainty, rms over the gyros."""
+def _budget(calibration: Calibration) -> Mapping[str, Floats]:
+    """Return where the sigmas come from, (4,) each: noise and the table's own uncertainty, rms over the gyros."""
     budgets = [{c.name: c.u for c in gyro.budget} for gyro in calibration.gyros]
     names = list(budgets[0]) if budgets else []
     if len(names) < 2 or any(list(budget) != names for budget in budgets):
-        return None
-    lines = {_BUDGET_WORDS.get(name, name): np.array([budget[name] for budget in budgets]) for name in names}
-    lines["combined"] = np.array([gyro.sd for gyro in calibration.gyros])
-    rows = [(name, *map(_size, np.sqrt(np.mean(u**2, axis=0)) * _SCALES)) for name, u in lines.items()]
-    return rich_table("Uncertainty budget, rms over the gyros", ("source", *_SIGMA_HEADS), "lr", rows)
+        return {}
+    lines = {_BUDGET_WORDS.get(name, name): [budget[name] for budget in budgets] for name in names}
+    lines["combined"] = [gyro.sd for gyro in calibration.gyros]
+    return {name: np.sqrt(np.mean(np.square(u), axis=0)) for name, u in lines.items()}
 
 
 def _rest(rests: Sequence[RestNoise]) -> Mapping[str, str] | None:
@@ -72,14 +70,7 @@ def print_repeatability(repeats: Sequence[Repeatability], device: str) -> None:
     """Print how the states of a device scatter over its runs, beside the scatter that their sigmas promise."""
     if not repeats:
         return
-    rows, differing = [], []
-    for gyro in repeats:
-        pairs = zip(gyro.scatter * _SCALES, gyro.expected * _SCALES, gyro.differs, strict=True)
-        rows.append((gyro.name, *(f"{_size(s)} ({_size(e)}){' !' if d else ''}" for s, e, d in pairs)))
-        between = zip(STATE_UNITS, map(_size, gyro.between * _SCALES), gyro.differs, strict=True)
-        differing += [(gyro.name, state, size) for state, size, differs in between if differs]
-    scatter = rich_table(None, ("gyro", *_SIGMA_HEADS), "lr", rows)
-    values = {"repeats": repeats, "device": device, "scatter": scatter, "differing": differing}
+    values = {"repeats": repeats, "device": device, "size": _size}
     print_rendered(stdout(), "station.render", "repeatability.rich", values)
 
 

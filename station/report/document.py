@@ -16,12 +16,13 @@ from station.report import figures, pictures
 from station.report import traced as residual
 from station.report.chapters import correction, front, results, unseen
 from station.report.recorded import Recorded, laid_out
-from station.report.standing import Standing, number_of, standing_of
+from station.report.standing import Standing, begun_utc, number_of, standing_of
 from station.report.traced import Traced
 from station.views.seen import seen_by
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
+    "begun_utc": begun_utc,
     "blind_spots": unseen,
     "correction": correction,
     "figures": figures,
