@@ -9,7 +9,7 @@ from typing import Any
 
 from station.atomic_write import check_new_file, check_picture
 from station.errors import UsageError
-from station.studies import baselines, detection, paper, printed
+from station.studies import detection, paper, printed
 
 EXIT_INCOMPLETE = 1
 
@@ -65,11 +65,6 @@ def _detection(arguments: argparse.Namespace, **where: Any) -> detection.Detecti
 _FILES = {"plot": "picture", "output": "curves"}
 _STUDIES: dict[str, tuple[Callable[..., Any], Callable[[Any], None], Callable[[Any], dict[str, Any]]]] = {
     "paper": (_paper, printed.print_paper, printed.paper_object),
-    "baselines": (
-        lambda arguments, **where: baselines.run_study(arguments.seeds, **where),
-        printed.print_baselines,
-        printed.baselines_object,
-    ),
     "detection": (_detection, printed.print_detection, printed.detection_object),
 }
 """By name: what runs a study, what prints it, what --json says of it."""

@@ -10,7 +10,6 @@ import numpy as np
 
 from estimator.geometry.array import tetrahedron_as_printed
 from station.render.terminal import print_rendered, stdout
-from station.studies.baselines import BaselineStudy
 from station.studies.detection import DetectionStudy
 from station.studies.paper import BARS_PERCENT, Curve, PaperStudy
 from station.studies.paper_text import (
@@ -24,7 +23,7 @@ from station.studies.paper_text import (
     relative_percent,
     sentences,
 )
-from station.views.json_values import json_object, named
+from station.views.json_values import json_object
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,15 +72,6 @@ def detection_object(study: DetectionStudy) -> dict[str, Any]:
     return {"study": "detection", "lines": json_object(study.lines)}
 
 
-def print_baselines(study: BaselineStudy) -> None:
-    """Print every method beside the others, and what the direct observation cannot see."""
-    lists = {
-        "What the table rates alone do not show, however long they are watched": study.unseen,
-        "What this shows": baseline_findings(study),
-    }
-    _print("baselines.rich", {"study": study, "lists": lists})
-
-
 def paper_findings(study: PaperStudy) -> list[str]:
     """Return what the numbers of the reproduction say, in sentences."""
     floor = relative_percent(study.noise_free.linear)[2:].mean()
@@ -101,15 +91,6 @@ def paper_findings(study: PaperStudy) -> list[str]:
         "ours": 100 * np.abs(study.ours / TABLE_1).max(),
     }
     return sentences("paper_findings.txt", values)
-
-
-def baseline_findings(study: BaselineStudy) -> list[str]:
-    """Return what the comparison says, in sentences."""
-    names = ("static", "rotating", "direct", "augmented", "squares", "kalman", "ours")
-    methods = dict(zip(names, study.methods, strict=True))
-    alike = np.abs(methods["augmented"].rms / methods["squares"].rms - 1).max()
-    values = {**methods, "alike": alike, "states": TABLE_2.size, "unseen": study.unseen}
-    return sentences("baseline_findings.txt", values)
 
 
 def paper_object(study: PaperStudy) -> dict[str, Any]:
@@ -141,26 +122,7 @@ def paper_object(study: PaperStudy) -> dict[str, Any]:
     }
 
 
-def baselines_object(study: BaselineStudy) -> dict[str, Any]:
-    """Return the comparison as what --json prints; null where a method does not see a state."""
-    found = {
-        "study": "baselines",
-        "states": list(NAMES),
-        "units": list(UNITS),
-        "seeds": study.seeds,
-        "methods": [
-            {"rms_error": method.rms, "rms_stated_sigma": method.stated, "error_over_sigma": method.ratio}
-            | named(method, ("name", "seconds", "operations_a_sample"))
-            for method in study.methods
-        ],
-        "not_seen_directly": list(study.unseen),
-        "findings": baseline_findings(study),
-        "failed": _failed(study),
-    }
-    return dict(json_object(found))
-
-
-def _failed(study: PaperStudy | BaselineStudy) -> list[dict[str, str]]:
+def _failed(study: PaperStudy) -> list[dict[str, str]]:
     return [{"seed": failure.item, "reason": failure.reason} for failure in study.failures]
 
 

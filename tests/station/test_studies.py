@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 
 import h5py
@@ -13,8 +12,8 @@ import pytest
 from estimator.geometry.array import tetrahedron_as_printed
 from estimator.recordings.reading import read_recording
 from station.cli import main
-from station.studies import baselines, paper, paper_text
-from station.studies.printed import baselines_object, print_baselines, print_paper
+from station.studies import paper, paper_text
+from station.studies.printed import print_paper
 
 
 def relative(errors: np.ndarray) -> np.ndarray:
@@ -99,39 +98,6 @@ def test_the_tables_of_the_paper_are_printed(capsys: pytest.CaptureFixture[str])
     assert max(len(line) for line in printed.splitlines()) <= 120
 
 
-def test_methods_agree_where_they_must_and_are_silent_where_they_should(capsys: pytest.CaptureFixture[str]) -> None:
-    compared = baselines.run_study(1, quiet=True)
-    static, rotating, direct, augmented, squares, kalman, ours = compared.methods
-    assert np.isnan(direct.rms).all()
-    assert len(compared.unseen) == 4
-    assert static.rms[1] > 2e4  # ppm of k, where 5000 is the set value
-    assert rotating.rms[1] < 200
-    np.testing.assert_allclose(augmented.rms, squares.rms, rtol=1e-6)
-    np.testing.assert_allclose(kalman.rms, squares.rms, rtol=0.01)
-    assert (ours.rms < 3 * ours.stated).all()
-    assert kalman.operations_a_sample > 100 * ours.operations_a_sample
-    print_baselines(compared)
-    printed = capsys.readouterr().out
-    assert printed.count("not seen") == 4
-    assert "hopeless" in printed
-    methods = json.loads(json.dumps(baselines_object(compared), allow_nan=False))["methods"]
-    assert methods[2]["rms_error"] == [None] * 4
-
-
-def test_the_scripts_of_the_six_positions_take_as_long_as_the_papers() -> None:
-    for script in (baselines.static_script(), baselines.rotation_script()):
-        assert script.duration_s == pytest.approx(360.0)
-    turned = [step.turn_rad / (2 * math.pi) for step in baselines.rotation_script().steps]
-    np.testing.assert_allclose(np.abs(turned), 3.0)
-
-
-def test_the_command_compares_and_ends_well(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["study", "baselines", "--seeds", "1"]) == 0
-    captured = capsys.readouterr()
-    assert "six positions, rotation both ways" in captured.out
-    assert "1 of 1" in captured.err
-
-
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
@@ -153,7 +119,7 @@ def test_wrong_input_is_told_in_a_line_before_the_long_work(
 
 def test_no_seeds_are_no_study(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["study", "baselines", "--seeds", "0"])
+        main(["study", "paper", "--seeds", "0"])
     assert ended.value.code == 2
     assert "must be 1 or more" in capsys.readouterr().err
 
