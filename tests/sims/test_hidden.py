@@ -15,7 +15,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.hidden import KINDS, Hidden, HiddenError, Temperature
-from sims.physics.hidden.biases import BiasStep, ThermalBias, WalkPath
+from sims.physics.hidden.outputs import BiasStep, ThermalBias, WalkPath
 from sims.physics.hidden.timing import Latency
 from sims.physics.hidden.units import quantity
 from sims.physics.motion import AxisMotion
