@@ -11,6 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
+from types import SimpleNamespace
 from typing import Any, Generic, TypeVar
 
 import can
@@ -293,7 +294,7 @@ def faulty_device(
         device = make(FaultyBytes(write, faults, int(seeds[0])))
         plug.schedule(faults.unplug_s, faults.replug_s)
         hear = FaultyBytes(device.received, faults.to_device, int(seeds[1]))
-        return _Behind(hear, getattr(device, "hung_up", lambda: None))
+        return SimpleNamespace(received=hear, hung_up=getattr(device, "hung_up", lambda: None))
 
     return made
 
@@ -312,13 +313,6 @@ class Exchanged:
     def hung_up(self) -> None:
         """Tell it that its connection has ended."""
         getattr(self.device, "hung_up", lambda: None)()
-
-
-class _Behind:
-    """A device as it is heard through a faulty wire."""
-
-    def __init__(self, received: Write, hung_up: Callable[[], None]) -> None:
-        self.received, self.hung_up = received, hung_up
 
 
 def _share(random: np.random.Generator, share: float) -> bool:

@@ -67,7 +67,14 @@ class Reopening:
             raise error
         self._tell(f"{error}; nothing turns, so it is opened again")
         limits = BackOff(0.1 * self._scale, 5.0 * self._scale, 60.0 * self._scale)
-        tries = asyncio.get_running_loop().create_task(reopen(_Asked(name, lost, self), limits))
+
+        async def seen() -> None:
+            try:
+                await self.identify(name, lost)
+            except BadReply as error:  # what a plug leaves on a wire that is put back
+                raise LinkLost(error.device, error.message) from None
+
+        tries = asyncio.get_running_loop().create_task(reopen(lost, limits, seen=seen))
         self.under_way.add(error.device)
         try:
             while not tries.done():
@@ -102,23 +109,6 @@ class Reopening:
             for lost in self.times
             if name in ("", lost) and not self._known[lost].serial
         ]
-
-
-class _Asked:
-    """A device that is asked who it is when it is opened."""
-
-    def __init__(self, name: str, device: Device, reopening: Reopening) -> None:
-        self._name, self._device, self._reopening = name, device, reopening
-
-    async def open(self) -> None:
-        await self._device.open()
-        try:
-            await self._reopening.identify(self._name, self._device)
-        except BadReply as error:  # what a plug leaves on a wire that is put back
-            raise LinkLost(error.device, error.message) from None
-
-    def close(self) -> None:
-        self._device.close()
 
 
 def _said(identity: Identity) -> str:

@@ -29,7 +29,7 @@ from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import FaultyModbus, modbus_server, pull_plug
 from sims.tables.registry import Seat
 from sims.tables.registry import twin_of as twin_of_table
-from sims.wires.faults import DeviceFaults, Exchanged, FaultyFrames, faulty_device
+from sims.wires.faults import Exchanged, FaultyFrames, faulty_device
 from sims.wires.frames import FrameSink, NodeFaults
 from sims.wires.wires import ByteDevice, Plug, Write, in_memory
 from station.bench.bench import Bench
@@ -75,10 +75,7 @@ class Twins:
         self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
         truths.done()
         if (fault := self._faults.table) is not None:
-            strike = loop.call_later(
-                fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.spec.limits_trip)
-            )
-            stack.callback(strike.cancel)
+            self._later(fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.spec.limits_trip))
 
     async def serve_table(self, address: tuple[str, int]) -> Any:
         """Serve the controller of a driver that opens links itself at a host and port; return pymodbus's server."""
@@ -116,8 +113,7 @@ class Twins:
                 self.table.stop(axis)  # its brakes close while there is no controller
             end.device = put_there(replace(seat, number=1), write)
 
-        if math.isfinite(another_s := self._faults.wires["table"].another_s):
-            self._stack.callback(asyncio.get_running_loop().call_later(another_s, exchange).cancel)
+        self._later(self._faults.wires["table"].another_s, exchange)
         return end
 
     async def table_in_memory(self) -> Any:
@@ -132,7 +128,8 @@ class Twins:
         """Put a device on a wire, where it sends from now on; return it."""
         faults = self._faults.devices[imu.name]
         knobs = NodeFaults(clock_ppm=faults.clock_ppm, seed=self.bench.twin.seed)
-        self._turn(faults, partial(turn_knobs, knobs, faults))
+        self._later(faults.from_s, partial(turn_knobs, knobs, faults, True))
+        self._later(faults.until_s, partial(turn_knobs, knobs, faults, False))
 
         def put_there(number: int) -> tuple[Any, asyncio.Task[Any]]:
             ride = Ride(self.gyros(imu, number), imu.rate_hz, self._up(imu), knobs, imu.options, imu.can, number)
@@ -141,15 +138,13 @@ class Twins:
             return device, self.run(device.serve())
 
         device, serving = put_there(0)
-        if not math.isfinite(another_s := self._faults.wires[imu.name].another_s):
-            return device
         end = Exchanged(device)
 
         def exchange() -> None:
             serving.cancel()
             end.device = put_there(1)[0]
 
-        self._stack.callback(asyncio.get_running_loop().call_later(another_s, exchange).cancel)
+        self._later(self._faults.wires[imu.name].another_s, exchange)
         return end
 
     def imu_in_memory(self, imu: ImuConfig) -> ByteLink:
@@ -160,8 +155,7 @@ class Twins:
         """Put a device, which sends from now on, on the bus made with what hears the host's frames; return the bus."""
         wire, bus = self._faults.wires[imu.name], make(lambda message: ear(message))
         device = self.imu_device(imu, FaultyFrames(bus, wire, self._seed(imu.name)) if wire.any else bus)
-        ear = getattr(device, "received", lambda message: None)  # some devices do not listen
-        ear = FaultyFrames(ear, wire.to_device, (*self._seed(imu.name), 1)) if wire.any else ear
+        ear = FaultyFrames(device.received, wire.to_device, (*self._seed(imu.name), 1)) if wire.any else device.received
         return bus
 
     def bus_in_memory(self, imu: ImuConfig) -> FrameLink:
@@ -231,12 +225,10 @@ class Twins:
     def _seed(self, device: str) -> tuple[int, int]:
         return self.bench.twin.seed, 1000 + list(self._faults.wires).index(device)
 
-    def _turn(self, faults: DeviceFaults, knobs: Callable[[bool], None]) -> None:
-        """Turn a device's knobs when its faults begin, and back when they end."""
-        loop = asyncio.get_running_loop()
-        for at_s, on in ((faults.from_s, True), (faults.until_s, False)):
-            if math.isfinite(at_s):
-                self._stack.callback(loop.call_later(at_s, knobs, on).cancel)
+    def _later(self, at_s: float, act: Callable[[], None]) -> None:
+        """Let something happen at this time, infinite for never, unless the bench is closed before."""
+        if math.isfinite(at_s):
+            self._stack.callback(asyncio.get_running_loop().call_later(at_s, act).cancel)
 
 
 def hidden_of(bench: Bench) -> Hidden | None:

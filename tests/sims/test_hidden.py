@@ -15,9 +15,9 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.hidden import KINDS, Hidden, HiddenError, Temperature
-from sims.physics.hidden.biases import BiasStep, ThermalBias, WalkPath
+from sims.physics.hidden.fields import quantity
+from sims.physics.hidden.outputs import BiasStep, ThermalBias, WalkPath
 from sims.physics.hidden.timing import Latency
-from sims.physics.hidden.units import quantity
 from sims.physics.motion import AxisMotion
 from sims.physics.table import AxisData, TableModel
 from station.bench.bench import default_bench_text, load_bench

@@ -15,6 +15,7 @@ import numpy as np
 from drivers.clocks.loop_scale import loop_scale
 from drivers.clocks.sampling import Alignment, CounterClock, RegularClock
 from drivers.errors import DeviceError
+from drivers.imus.one_source import OneSource
 from drivers.imus.samples import Companion, Piece, block_of, regular_block
 from drivers.imus.signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.protocols import FrameLink
@@ -117,7 +118,7 @@ class ChannelSignals:
         return [*self.rates, *self.acceleration, *(signal for signal in single if signal is not None)]
 
 
-class CanImu:
+class CanImu(OneSource[FrameLink]):
     """Each channel is a source of its own: nodes on a bus share no clock."""
 
     def __init__(self, setup: ImuSetup, link: FrameLink) -> None:
@@ -126,7 +127,8 @@ class CanImu:
         J1939 messages are told by their parameter group, whoever sends them, unless a source address is meant.
         """
         device, source, rate_hz = setup.name, setup.signals, setup.rate_hz
-        self._device, self._link, self._address = device, link, source.source_address
+        super().__init__(device, link)
+        self._address = source.source_address
         dbc, channels = source.dbc, source.channels
         database = source.database or load_dbc(device, dbc)
         self._order = 0
@@ -159,10 +161,6 @@ class CanImu:
     def alignment(self, name: str) -> Alignment | None:
         """Get how the clock of one channel lies to the loop's; None while that is not known."""
         return self._sources[name].alignment
-
-    async def open(self) -> None:
-        """Open the bus."""
-        await self._link.open()
 
     async def identify(self) -> Identity:
         """A DBC says how to read values, not how to ask: nothing is known."""
@@ -207,10 +205,6 @@ class CanImu:
         last = list(self._timed)
         self._timed.clear()
         return last
-
-    def close(self) -> None:
-        """Leave the bus."""
-        self._link.close()
 
     def _time(self, *, everything: bool = False) -> None:
         """Put what can be timed of the frames that have arrived with the blocks to be given.

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.imus.described.checks import Check
+from drivers.imus.checks import Check
 
 MESSAGE = "frame"
 """Name of the message that is in each frame."""
