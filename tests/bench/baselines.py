@@ -21,10 +21,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from paper_study.filter import covariance_filter, decoded, regressors
+from paper_study.study import MEMS_NOISE, SOURCE, our_recording, rows_of
+from paper_study.text import NAMES, RATE_DPS, SAMPLE_HZ, TABLE_1, UNITS, from_si
 
 from drivers.types import Floats
 from estimator.errors import EstimatorError
-from estimator.estimation.baselines import covariance_filter, decoded, regressors
 from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import SensorArray, tetrahedron
 from estimator.geometry.model import Prior, regressor_maps
@@ -32,8 +34,6 @@ from estimator.observations.rows import Observations
 from estimator.recordings.recording import Recording
 from station.render.terminal import rich_table, stdout
 from station.scripts.script import Move, Rest, Rotate, Script, paper_script
-from station.studies.paper import MEMS_NOISE, SOURCE, our_recording, rows_of
-from station.studies.paper_text import NAMES, RATE_DPS, SAMPLE_HZ, TABLE_1, UNITS, from_si
 
 _NULL_SHARE = 1e-9  # of the greatest eigenvalue: below it a direction carries no information
 _SEEN = 1e-6  # share of a state that may lie in directions without information

@@ -16,9 +16,9 @@ from baselines import (
     table_rates,
     unseen_directions,
 )
+from paper_study.filter import bound, covariance_filter
 
 from estimator.errors import EstimatorError
-from estimator.estimation.baselines import bound, covariance_filter
 from estimator.estimation.gram import Gram, solve
 from estimator.geometry.array import SensorArray, cone, tetrahedron, tetrahedron_as_printed
 from estimator.geometry.model import Prior, decode, predicted_output, regressor_maps

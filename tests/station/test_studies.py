@@ -1,4 +1,4 @@
-"""The studies: what the paper prints against what its statement gives, other methods on the same data, the command."""
+"""What the paper prints against what its statement gives, and the benches and the command that tell it."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from paper import main as reproduce
+from paper_study import study as paper
+from paper_study import text as paper_text
+from paper_study.printed import print_paper
 
 from estimator.geometry.array import tetrahedron_as_printed
 from estimator.recordings.reading import read_recording
 from station.cli import main
-from station.studies import paper, paper_text
-from station.studies.printed import print_paper
+from station.errors import UsageError
 
 
 def relative(errors: np.ndarray) -> np.ndarray:
@@ -61,7 +64,7 @@ def test_the_bound_of_a_mems_gyro_lies_below_the_bars() -> None:
 def test_the_command_gives_json_a_picture_and_curves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture, curves = tmp_path / "c.png", tmp_path / "c.h5"
     options = ["--seeds", "1", "--jobs", "1", "--plot", str(picture), "-o", str(curves)]
-    assert main(["study", "paper", "--json", *options]) == 0
+    assert reproduce(["--json", *options]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["filter_apart_sd"] < 1e-4  # the filter on every sample against its batch form
     assert found["ours_at_mems_noise"]["seeds"] == 1
@@ -107,19 +110,14 @@ def test_the_tables_of_the_paper_are_printed(capsys: pytest.CaptureFixture[str])
         (["--output", "{here}/no/curves.h5"], "there is no directory"),
     ],
 )
-def test_wrong_input_is_told_in_a_line_before_the_long_work(
-    options: list[str], complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["study", "paper", *(option.format(here=tmp_path) for option in options)]) == 2
-    captured = capsys.readouterr()
-    assert complaint in captured.err
-    assert captured.err.count("\n") == 1
-    assert not captured.out
+def test_wrong_input_is_told_before_the_long_work(options: list[str], complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        reproduce([option.format(here=tmp_path) for option in options])
 
 
 def test_no_seeds_are_no_study(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["study", "paper", "--seeds", "0"])
+        main(["study", "detection", "--seeds", "0"])
     assert ended.value.code == 2
     assert "must be 1 or more" in capsys.readouterr().err
 

@@ -1,4 +1,4 @@
-"""The studies as people read them, in tables and a picture, and as --json gives them."""
+"""The reproduction as people read it, in tables and a picture, and as --json gives it."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimator.geometry.array import tetrahedron_as_printed
-from station.render.terminal import print_rendered, stdout
-from station.studies.detection import DetectionStudy
-from station.studies.paper import BARS_PERCENT, Curve, PaperStudy
-from station.studies.paper_text import (
+from paper_study.study import BARS_PERCENT, Curve, PaperStudy
+from paper_study.text import (
     NAMES,
     TABLE_1,
     TABLE_2,
@@ -23,7 +21,7 @@ from station.studies.paper_text import (
     relative_percent,
     sentences,
 )
-from station.views.json_values import json_object
+from station.render.terminal import print_rendered, stdout
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,19 +55,9 @@ def print_paper(study: PaperStudy) -> None:
     _print("paper.rich", {**values, "table_2": TABLE_2, "gyros": range(len(TABLE_2)), "abs": np.abs})
 
 
-def print_detection(study: DetectionStudy) -> None:
-    """Print how often each effect was found, at each size."""
-    _print("detection.rich", {"lines": study.lines})
-
-
 def _print(name: str, values: Mapping[str, Any]) -> None:
     common = {"names": NAMES, "states": _STATES, "forms": _FORMATS, "format": format, "isnan": np.isnan}
-    print_rendered(stdout(), "station.studies", name, {**common, **values})
-
-
-def detection_object(study: DetectionStudy) -> dict[str, Any]:
-    """Return the lines as --json prints them: shares from 0 to 1, null where nothing was named."""
-    return {"study": "detection", "lines": json_object(study.lines)}
+    print_rendered(stdout(), "paper_study", name, {**common, **values})
 
 
 def paper_findings(study: PaperStudy) -> list[str]:

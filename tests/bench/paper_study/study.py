@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from drivers.types import Floats
-from estimator.estimation.baselines import FilterRun, bound, covariance_filter
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.gram import Gram, solve
 from estimator.estimation.live.filter import LiveFilter
@@ -29,11 +28,8 @@ from estimator.observations.rows import BLOCK_S, block_rows, observations
 from estimator.recordings.recording import Recording
 from estimator.recordings.reference import RateReadings
 from estimator.recordings.writing import write_recording, write_results
-from station.campaigns.campaigns import Failure, run_all
-from station.errors import UsageError
-from station.opening.simulate import DeviceTruth, simulate
-from station.scripts.script import Rest, Rotate, Script, paper_script
-from station.studies.paper_text import (
+from paper_study.filter import FilterRun, bound, covariance_filter
+from paper_study.text import (
     LATITUDE_DEG,
     NOISE_DPH,
     RATE_DPS,
@@ -43,6 +39,10 @@ from station.studies.paper_text import (
     relative_percent,
     to_si,
 )
+from station.campaigns.campaigns import Failure, run_all
+from station.errors import UsageError
+from station.opening.simulate import DeviceTruth, simulate
+from station.scripts.script import Rest, Rotate, Script, paper_script
 
 SOURCE = "array"
 HEADINGS_DEG = tuple(range(0, 360, 30))

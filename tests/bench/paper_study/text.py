@@ -17,7 +17,7 @@ from station.render.template import rendered
 NAMES = ("b", "k", "sigma_j", "sigma_k")
 UNITS = ("deg/s", "ppm", "deg", "deg")
 
-_PRINTED = packaged_toml("station.studies", "paper.toml")
+_PRINTED = packaged_toml("paper_study", "paper.toml")
 TABLE_1, TABLE_2, TABLE_3, TABLE_4 = (np.array(_PRINTED[f"table_{number}"]) for number in (1, 2, 3, 4))
 """Set values (4,), errors at the end (gyros, 4), mean relative errors (4,) of the paper and of its reference [11]."""
 RATE_DPS, LATITUDE_DEG, NOISE_DPH, SAMPLE_HZ = (
@@ -66,7 +66,7 @@ def contradictions(bias_sd_dps: float) -> list[str]:
 
 def sentences(name: str, values: Mapping[str, Any]) -> list[str]:
     """Return the lines of a template of the studies."""
-    return rendered("station.studies", name, {"format": format, **values}).splitlines()
+    return rendered("paper_study", name, {"format": format, **values}).splitlines()
 
 
 def errata(printed: SensorArray) -> list[str]:
