@@ -59,6 +59,6 @@ def test_a_body_that_creeps_for_a_moment_while_the_table_says_that_it_rests_is_t
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_creep_that_would_pass_for_noise_is_told(seed: int) -> None:
-    reading = {"axis": "xyzx"[seed], "from": "20 s", "until": "60 s", "creep": "0.01 deg/s", "followed": True}
+    reading = {"axis": "xyzx"[seed], "from": "20 s", "until": "60 s", "creep": "0.008 deg/s", "followed": True}
     (said,) = told({"table_reading": reading}, seed)
     assert "changed in mid-run" in said
