@@ -22,6 +22,8 @@ from estimator.estimation.runs.run import Run
 from estimator.estimation.spectra import Z
 from estimator.types import Floats
 
+Key = tuple[str, float, str]
+
 _BY_CHANCE = 1e-4  # probability that anything is told of a run in which nothing changes
 _MOST_SPANS, _FEWEST_BLOCKS = (
     (40, 80),
@@ -30,14 +32,11 @@ _MOST_SPANS, _FEWEST_BLOCKS = (
 _FINE = 3  # waves for each part: what is finer tells next to nothing of it
 _LEAST = 1e-7  # share of all that is known of a state that must be left of a change: less is rounding
 _MOST_NAMED = 3
-_WORTH = 0.65  # of what is told: noise that was found with a change in it does not hide more of it than this leaves
+_WORTH = 0.75  # of what is told: finer parts, and noise found without the change, make more of it
 _ALIKE = 9.2  # twice the logarithm of the odds, 100, below which two causes are not told apart
 _WAY = "the way of axis {} beside its readings"
 _DEG = float(np.degrees(1.0))
-_STATES = (("k", 1e6, "ppm"), ("b", _DEG, "deg/s"), ("sigma_j", _DEG, "deg"), ("sigma_k", _DEG, "deg"))
-
-
-Key = tuple[str, float, str]
+_STATES: tuple[Key, ...] = (("k", 1e6, "ppm"), ("b", _DEG, "deg/s"), ("sigma_j", _DEG, "deg"), ("sigma_k", _DEG, "deg"))
 
 
 class _Change(NamedTuple):
@@ -167,13 +166,13 @@ def _columns(run: Run) -> list[dict[Key, Floats]]:
     for i, name in enumerate(run.array.names):
         who = name.partition(" ")[2]
         found.append(
-            {(f"{state} of {who}", *unit): own for (state, *unit), own in zip(_STATES, states[i].T, strict=True)}
+            {(f"{state} of {who}", f, u): its for (state, f, u), its in zip(_STATES, states[i].T, strict=True)}
         )
         if gimbals:
             ways = effect.columns(even, run.array, i)
             seen = coarse.fold(np.hstack([ways * rate_rps, ways])).T
-            kinds = [(axis, *unit) for unit in ((100.0, "%"), (_DEG, "deg/s")) for axis in gimbals]
-            found[-1] |= {(_WAY.format(axis), *unit): own for (axis, *unit), own in zip(kinds, seen, strict=True)}
+            kinds = [(_WAY.format(axis), f, unit) for f, unit in ((100.0, "%"), (_DEG, "deg/s")) for axis in gimbals]
+            found[-1] |= dict(zip(kinds, seen, strict=True))
     return found
 
 
