@@ -62,3 +62,8 @@ def test_a_creep_that_would_pass_for_noise_is_told(seed: int) -> None:
     reading = {"axis": "xyzx"[seed], "from": "20 s", "until": "60 s", "creep": "0.008 deg/s", "followed": True}
     (said,) = told({"table_reading": reading}, seed)
     assert "changed in mid-run" in said
+
+
+def test_earth_rate_on_a_table_of_no_stated_site_is_no_change() -> None:
+    recording = simulate(paper_script(), {"array": DEVICE}, 1, site=None)
+    assert calibrate(recording, innovations=False).spoilt == ()
