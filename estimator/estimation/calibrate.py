@@ -55,26 +55,20 @@ def calibrate(
         _device(recording, [pair for pair in sources if pair[1].device == device], model, excluded) for device in names
     ]
     estimates = [one for device in devices for one in device.sources]
-    spoilt: list[str] = []
-    gyros: list[GyroCalibration] = []
-    checks: list[GyroParity] = []
+    gyros, checks = [], []
     for device in devices:
         its_gyros = [(one, gyro) for one in device.sources for gyro in _gyros(recording, one)]
+        gyros += [gyro for _, gyro in its_gyros]
         checks += _parity(device.sources, [gyro for _, gyro in its_gyros])
-        notes += device.notes
-        doubts += device.doubts
-        spoilt += device.spoilt
-        for one, gyro in its_gyros:
-            if not at_rest(recording.reference):  # else the body rests, and that was told
-                notes += unseen_notes(gyro.name, gyro.type_a, one.data.prior)
-                notes += factor_notes(gyro.name, float(gyro.states[0]), float(gyro.sd[0]))
-            gyros.append(gyro)
+        notes += [*device.notes, *_gyro_notes(recording, its_gyros)]
+        doubts += [*device.doubts, *device.spoilt]
+    spoilt = [one for device in devices for one in device.spoilt]
     squares, dof = sum(one.squares for one in estimates), sum(one.dof for one in estimates)
     nis = squares / dof if dof and innovations else float("nan")
     doubts += _nis_doubts(nis, estimates)
     if isinstance(recording.reference, TableReadings):
-        spoilt += reading_doubts(recording.reference)
-    doubts += spoilt
+        spoilt += (of_table := reading_doubts(recording.reference))
+        doubts += of_table
     order = [name for data in recording.sources.values() for name in data.array.names]
     return Calibration(
         tuple(sorted(gyros, key=lambda gyro: order.index(gyro.name))),
@@ -90,6 +84,15 @@ def calibrate(
         {one.source: one.offset for one in estimates if one.offset is not None},
         tuple(spoilt),
     )
+
+
+def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, GyroCalibration]]) -> list[str]:
+    """Return, in words, what a recording did not show of its gyros; of a body at rest that was told."""
+    notes: list[str] = []
+    for one, gyro in gyros if not at_rest(recording.reference) else ():
+        notes += unseen_notes(gyro.name, gyro.type_a, one.data.prior)
+        notes += factor_notes(gyro.name, float(gyro.states[0]), float(gyro.sd[0]))
+    return notes
 
 
 def _usable(recording: Recording) -> tuple[Sources, list[str], tuple[Excluded, ...]]:

@@ -7,7 +7,7 @@ one instant the Lagrange multiplier test of Andrews 1993). All spans between the
 What all gyros share is the table's doing.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
@@ -17,52 +17,81 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.effects.table import TABLE_RATE
-from estimator.estimation.noise_evidence import Joint
+from estimator.estimation.noise_evidence import Joint, settled
 from estimator.estimation.runs.run import Run
 from estimator.estimation.spectra import Z
 from estimator.types import Floats
 
+Key = tuple[str, float, str]
+
 _BY_CHANCE = 1e-4  # probability that anything is told of a run in which nothing changes
-_MOST_SPANS, _FEWEST_BLOCKS = 80, 10  # parts of a run at most, and blocks of each at least
+_MOST_SPANS, _FEWEST_BLOCKS = (
+    (40, 80),
+    10,
+)  # first, and where that finds something worth a look; parts of a run at most, and blocks of each at least
 _FINE = 3  # waves for each part: what is finer tells next to nothing of it
 _LEAST = 1e-7  # share of all that is known of a state that must be left of a change: less is rounding
 _MOST_NAMED = 3
+_WORTH = 0.75  # of what is told: finer parts, and noise found without the change, make more of it
 _ALIKE = 9.2  # twice the logarithm of the odds, 100, below which two causes are not told apart
+_WAY = "the way of axis {} beside its readings"
 _DEG = float(np.degrees(1.0))
-_STATES = (("k", 1e6, "ppm"), ("b", _DEG, "deg/s"), ("sigma_j", _DEG, "deg"), ("sigma_k", _DEG, "deg"))
+_STATES: tuple[Key, ...] = (("k", 1e6, "ppm"), ("b", _DEG, "deg/s"), ("sigma_j", _DEG, "deg"), ("sigma_k", _DEG, "deg"))
 
 
 class _Change(NamedTuple):
-    """By how many sigmas something changed, and how that is told."""
+    """By how many sigmas something changed, how that is told, its key, and by how much between which edges."""
 
     sigmas: float
     text: str
+    key: Key = ("", 0.0, "")
+    size: float = 0.0
+    edges: tuple[int, int] = (0, 0)
 
 
 def changes(joint: Joint) -> list[str]:
-    """Return, in words, what changed in mid-run by more than chance: a state of a gyro, or the table."""
+    """Return, in words, what changed in mid-run by more than chance: a state of a gyro, or the table.
+
+    The noise was found with what changed in it, and may pass for it. What is most probable is therefore taken off, the
+    noise found again, and twice the logarithm of how much more probable the run is then counts as squared sigmas.
+    """
+    columns = [one for number, run in enumerate(joint.runs) for one in _columns(run)]
+    edges_s = np.linspace(min(run.t_s[0] for run in joint.runs), max(run.t_s[-1] for run in joint.runs), 2)
+    found, limit = [_Change(np.inf, "")], 0.0
     used = sum(int((run.weight > 0).sum()) for run in joint.runs) // len(joint.runs)
-    parts = min(_MOST_SPANS, used // _FEWEST_BLOCKS)
-    if parts < 2:
-        return []
-    edges_s = np.linspace(min(run.t_s[0] for run in joint.runs), max(run.t_s[-1] for run in joint.runs), parts + 1)
-    own: dict[tuple[str, float, str], Floats] = {}
-    shared: dict[tuple[str, float, str], Floats] = {}
-    for number, run in enumerate(joint.runs):
-        table, states = _of_table(run), run.state_columns()
-        for i, gyro in enumerate(joint.gyros_of(number)):
-            who = run.array.names[i].partition(" ")[2]
-            sums = _spans(joint, number, gyro, np.stack([*states[i].T, *(one[i] for one in table.values())]), edges_s)
-            own |= {
-                (f"{state} of {who}", f, unit): one for (state, f, unit), one in zip(_STATES, sums[:4], strict=True)
-            }
-            shared |= {key: shared.get(key, 0.0) + one for key, one in zip(table, sums[4:], strict=True)}
-    tried = sum(int((one[1] > 0).sum()) for one in (*own.values(), *shared.values()))
-    found = sorted((_worst(key, one, edges_s) for key, one in (*own.items(), *shared.items())), reverse=True)
-    if found[0].sigmas <= _limit(tried):
+    for parts in (min(most, used // _FEWEST_BLOCKS) for most in _MOST_SPANS):
+        if parts < 2 or found[0].sigmas <= _WORTH * limit:
+            return []
+        edges_s = np.linspace(edges_s[0], edges_s[-1], parts + 1)
+        scores: dict[Key, Floats] = {}
+        for gyro, own in enumerate(columns):
+            sums = _spans(joint, gyro, np.stack([*own.values()]), edges_s)
+            scores |= {key: scores.get(key, 0.0) + one for key, one in zip(own, sums, strict=True)}
+        limit = _limit(sum(int((one[1] > 0).sum()) for one in scores.values()))
+        found = sorted((_worst(key, one, edges_s) for key, one in scores.items()), reverse=True)
+    if found[0].sigmas <= limit:
+        worth = [one for one in found[:_MOST_NAMED] if one.sigmas > _WORTH * limit]
+        found = sorted((one._replace(sigmas=_beside(joint, columns, one, edges_s)) for one in worth), reverse=True)
+    if not found or found[0].sigmas <= limit:
         return []
     alike = [one.text for one in found if found[0].sigmas ** 2 - one.sigmas**2 < _ALIKE]
     return [f"what was measured changed in mid-run: {' or '.join(alike[:_MOST_NAMED])} ({found[0].sigmas:.0f} sigma)"]
+
+
+def _beside(joint: Joint, columns: Sequence[Mapping[Key, Floats]], change: _Change, edges_s: Floats) -> float:
+    """Return the sigmas of a change beside which the noise is found again; ``columns`` by gyro and key (b,)."""
+    first_s, last_s = edges_s[change.edges[0]], edges_s[change.edges[1]] + 1e-9
+    spectra = list(joint.evidence.gyros)
+    for gyro, own in enumerate(columns):
+        if change.key in own:
+            run, i = joint.run_of(gyro)
+            there = change.size * ((run.t_s >= first_s) & (run.t_s < last_s))
+            part = run.weighed((own[change.key] * there)[:, None], i)
+            its = spectra[gyro]
+            spectra[gyro] = replace(its, columns=[*its.columns], products=[one.copy() for one in its.products])
+            spectra[gyro].subtract([part[stretch.blocks] for stretch in its.stretches])
+    evidence, terms = settled(joint.runs, spectra, joint.evidence.shapes, joint.laws)
+    return float(np.sqrt(max(2 * (evidence.of(terms) - joint.evidence.of(terms)), 0.0)))
 
 
 def halves(joint: Joint, cluster_s: float) -> list[str]:
@@ -102,7 +131,7 @@ def _limit(tried: int) -> float:
     return NormalDist().inv_cdf(1 - _BY_CHANCE / max(2 * tried, 1))
 
 
-def _worst(key: tuple[str, float, str], spans: Floats, edges_s: Floats) -> _Change:
+def _worst(key: Key, spans: Floats, edges_s: Floats) -> _Change:
     """Return the change of something that the scores of its spans (2, T + 1, T + 1) make most probable."""
     score, variance = spans
     sigmas = np.abs(score) / np.sqrt(np.where(variance > 0, variance, np.inf))
@@ -113,38 +142,49 @@ def _worst(key: tuple[str, float, str], spans: Floats, edges_s: Floats) -> _Chan
         last = len(edges_s) - 1
     elif sigmas[0, last] >= nearly:
         first = 0
-    size, parts = float(score[first, last] / max(variance[first, last], 1e-300)), len(edges_s) - 1
-    since = edges_s - edges_s[0]
+    of_span = size = float(score[first, last] / max(variance[first, last], 1e-300))
+    parts, since = len(edges_s) - 1, edges_s - edges_s[0]
     when = f"between {since[first]:.0f} and {since[last]:.0f} s"
     if first == 0 or last == parts:  # what was so until then is off from then on
         size, at_s = (size, since[first]) if last == parts else (-size, since[last])
         when = f"from {at_s:.0f} s on"
     name, factor, unit = key
-    return _Change(float(sigmas[first, last]), f"{name} by {size * factor:+.3g} {unit} {when}")
+    text = f"{name} by {size * factor:+.3g} {unit} {when}"
+    return _Change(float(sigmas[first, last]), text, key, of_span, (first, last))
 
 
-def _of_table(run: Run) -> Mapping[tuple[str, float, str], Floats]:
-    """Return what gyros see (m, b) of each axis that turns further than it reads: by a share, and by a rate."""
-    if not run.grid.gimbals:
-        return {}
-    coarse, effect, found = run.coarse(), TABLE_RATE.effect(run.grid.gimbals), {}
-    even = replace(coarse, grid=replace(coarse.grid, rate_rps=np.ones_like(coarse.grid.rate_rps)))
-    for its, factor, unit in ((coarse, 100.0, "%"), (even, _DEG, "deg/s")):
-        seen = np.array([its.columns(effect, gyro).T for gyro in range(len(run.array))])
-        for n, axis in enumerate(run.grid.gimbals):
-            found[f"the way of axis {axis} beside its readings", factor, unit] = seen[:, n]
+def _columns(run: Run) -> list[dict[Key, Floats]]:
+    """Return by gyro what it sees (b,) of its states, and of each axis that turns further than it reads.
+
+    An axis does by a share of its way, and by a rate.
+    """
+    states, gimbals = run.state_columns(), run.grid.gimbals
+    found: list[dict[Key, Floats]] = []
+    coarse, effect = run.coarse(), TABLE_RATE.effect(gimbals)
+    rate_rps = coarse.grid.rate_rps
+    even = replace(coarse.grid, rate_rps=np.ones_like(rate_rps))
+    for i, name in enumerate(run.array.names):
+        who = name.partition(" ")[2]
+        found.append(
+            {(f"{state} of {who}", f, u): its for (state, f, u), its in zip(_STATES, states[i].T, strict=True)}
+        )
+        if gimbals:
+            ways = effect.columns(even, run.array, i)
+            seen = coarse.fold(np.hstack([ways * rate_rps, ways])).T
+            kinds = [(_WAY.format(axis), f, unit) for f, unit in ((100.0, "%"), (_DEG, "deg/s")) for axis in gimbals]
+            found[-1] |= dict(zip(kinds, seen, strict=True))
     return found
 
 
-def _spans(joint: Joint, number: int, gyro: int, columns: Floats, edges_s: Floats) -> Floats:
+def _spans(joint: Joint, gyro: int, columns: Floats, edges_s: Floats) -> Floats:
     """Return the scores and their variances (c, 2, T + 1, T + 1) of columns (c, b) of a gyro in each span of time.
 
     A span goes from one edge to a later one; where the constants explain all of it, or it is none, both are 0.
     """
-    run, spectra = joint.runs[number], joint.evidence.gyros[gyro]
+    (run, own_number), spectra = joint.run_of(gyro), joint.evidence.gyros[gyro]
     parts, c, n = len(edges_s) - 1, len(columns), spectra.columns[0].shape[1]
     power, across, inner = np.zeros((c, parts, parts)), np.zeros((c * parts, n)), np.zeros((n, n))
-    weighed = run.weighed(columns.T, gyro - joint.gyros_of(number).start)
+    weighed = run.weighed(columns.T, own_number)
     for stretch, own in zip(spectra.stretches, spectra.columns, strict=True):
         root = np.sqrt(joint.weight[:, gyro] @ (1 / joint.evidence.density(spectra, stretch)))[stretch.band, None]
         ends = np.searchsorted(run.t_s[stretch.blocks], edges_s[1:-1]).tolist()

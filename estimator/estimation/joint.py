@@ -13,9 +13,11 @@ import numpy as np
 from estimator.calibration.budget import UNSEEN, Contribution
 from estimator.calibration.error_model import ErrorModel, KnownEffect, ModelError
 from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.effects.catalogue import records
 from estimator.effects.constructed import readable
 from estimator.effects.dynamics import LATENCY
 from estimator.effects.effect import Acts
+from estimator.effects.site import EARTH_RATE
 from estimator.estimation.constancy import changes, halves
 from estimator.estimation.noise_evidence import Joint, Law, TooShort, expected_of, joint_estimate
 from estimator.estimation.runs.making import run_of
@@ -25,6 +27,7 @@ from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate,
 from estimator.estimation.spectra import Z
 from estimator.estimation.undeclared import undeclared_laws
 from estimator.geometry.model import regressor_maps
+from estimator.geometry.noise import NoiseModel
 from estimator.observations.blocks import Blocks
 from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
 from estimator.observations.rows import BLOCK_S, row_length_s, sample_noise, source_blocks
@@ -113,7 +116,19 @@ def estimate_device(
         found.append(_estimated(recording, joint, number, data, doubt, block_s, offsets.get(name)))
     if external:
         return DeviceEstimate(found, notes, halves(plain, CLUSTER_S))
-    return DeviceEstimate(found, notes, spoilt=changes(plain))
+    return DeviceEstimate(found, notes, spoilt=changes(_beside_earth(plain, stated)))
+
+
+def _beside_earth(joint: Joint, stated: NoiseModel | None) -> Joint:
+    """Return an estimate that knows of Earth rate on a table of no stated site: turning the body changes what is seen.
+
+    It is that of the recording itself where a site is stated.
+    """
+    grid = joint.runs[0].grid
+    if grid.site is not None or not grid.gimbals or any(law.effect.record is EARTH_RATE for law in joint.laws):
+        return joint
+    earth, runs = undeclared_laws(joint.runs, frozenset(record.name for record in records()) - {EARTH_RATE.name})
+    return joint_estimate(runs, [*joint.laws, *earth], stated) if earth else joint
 
 
 def _aligned(

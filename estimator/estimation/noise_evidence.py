@@ -84,6 +84,10 @@ class Joint:
         first = sum(len(r.array) for r in self.runs[:run])
         return range(first, first + len(self.runs[run].array))
 
+    def run_of(self, gyro: int) -> tuple[Run, int]:
+        """Return the run that a gyro is of, and its number there."""
+        return next((r, gyro - its.start) for n, r in enumerate(self.runs) if gyro in (its := self.gyros_of(n)))
+
     def slice_of(self, law: int) -> slice:
         """Return where the parameters of a law are."""
         first = 4 + sum(len(one.sd) for one in self.laws[:law])
@@ -117,10 +121,7 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
     if not all(len(run.t_s) for run in moved):
         raise TooShort("no block holds samples")
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in moved)
-    evidence = Evidence(_spectra(moved, columns), NoiseShapes.over(span_s, stated))
-    terms = _terms(ordered)
-    least = np.concatenate([np.full(len(run.array), run.stated_rps * np.sqrt(run.length_s)) for run in moved])
-    evidence.settle(terms, least)
+    evidence, terms = settled(moved, _spectra(moved, columns), NoiseShapes.over(span_s, stated), ordered)
     white = np.array([gyro.arw for gyro in evidence.gyros])
     arw = np.maximum(white * np.sqrt(evidence.level), _LEAST_ARW)
     weight = evidence.noise_weights(terms)
@@ -129,6 +130,15 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
     white, chance = np.maximum(white, 1e-3 * arw), _expected_nis(evidence, weight)
     found = posterior.means, posterior.covariances
     return Joint(list(moved), ordered, columns, *found, noise, arw, white, chance, weight, evidence)
+
+
+def settled(
+    runs: Sequence[Run], spectra: Sequence[GyroSpectra], shapes: NoiseShapes, laws: Sequence[Law]
+) -> tuple[Evidence, list[Term]]:
+    """Return the evidence of runs beside ordered laws, its noise taken from all that they leave, and their terms."""
+    evidence, terms = Evidence(spectra, shapes), _terms(laws)
+    evidence.settle(terms, np.concatenate([np.full(len(r.array), r.stated_rps * np.sqrt(r.length_s)) for r in runs]))
+    return evidence, terms
 
 
 def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableReadings) -> Run:

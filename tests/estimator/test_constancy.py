@@ -55,3 +55,15 @@ def test_a_body_that_creeps_for_a_moment_while_the_table_says_that_it_rests_is_t
     reading = {"axis": "x", "from": "20 s", "until": "40 s", "creep": "0.03 deg/s", "followed": True}
     (said,) = told({"table_reading": reading})
     assert re.search(r"the way of axis x beside its readings by -0\.0\d+ deg/s (from|between) [12]\d ", said), said
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_creep_that_would_pass_for_noise_is_told(seed: int) -> None:
+    reading = {"axis": "xyzx"[seed], "from": "20 s", "until": "60 s", "creep": "0.008 deg/s", "followed": True}
+    (said,) = told({"table_reading": reading}, seed)
+    assert "changed in mid-run" in said
+
+
+def test_earth_rate_on_a_table_of_no_stated_site_is_no_change() -> None:
+    recording = simulate(paper_script(), {"array": DEVICE}, 1, site=None)
+    assert calibrate(recording, innovations=False).spoilt == ()
