@@ -44,10 +44,8 @@ def shown(words: list[str]) -> list[str]:
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of a short script on the built-in twins, which fails: also that is shown."""
     folder = tmp_path_factory.mktemp("narrow")
-    turns = "".join(
-        f'[[step]]\nkind = "rotate"\naxis = "{axis}"\nrate = "60 deg/s"\nduration = "6 s"\n' for axis in "xyz"
-    )
-    (folder / "short.toml").write_text(f'[[step]]\nkind = "rest"\nduration = "6 s"\n{turns}')
+    turn = '[[step]]\nkind = "rotate"\naxis = "{}"\nrate = "60 deg/s"\nacceleration = "50 deg/s2"\nduration = "6 s"\n'
+    (folder / "short.toml").write_text('[[step]]\nkind = "rest"\nduration = "6 s"\n' + "".join(map(turn.format, "xyz")))
     assert main(["run", "--json", "--script", str(folder / "short.toml"), "-o", str(folder / "r.h5")]) == 1
     return folder / "r.h5"
 

@@ -86,11 +86,13 @@ def test_a_device_exchanged_without_a_lost_link_is_known_at_the_end(bench: str, 
     assert found.reason.startswith(f"{device}: another device"), found.reason
 
 
+@pytest.mark.full
 def test_a_computer_that_was_suspended_is_no_defect_of_the_station() -> None:
     found = ended(("two_triads", (Fault("host", "suspended", "", "rest", 3.0),), 0), lenient=True)
     assert not found.wrong
 
 
+@pytest.mark.full
 def test_a_device_that_does_not_answer_at_the_end_is_not_taken_for_another() -> None:
     found = ended(("rtu_stim300", (Fault("stim300", "silence", 'silent_from = "22.1 s"'),), 0), lenient=True)
     assert found.outcome == "PASS", found.reason
