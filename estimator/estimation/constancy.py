@@ -25,10 +25,8 @@ from estimator.types import Floats
 Key = tuple[str, float, str]
 
 _BY_CHANCE = 1e-4  # probability that anything is told of a run in which nothing changes
-_MOST_SPANS, _FEWEST_BLOCKS = (
-    (40, 80),
-    10,
-)  # first, and where that finds something worth a look; parts of a run at most, and blocks of each at least
+_MOST_SPANS = (40, 80)  # parts of a run at most: at first, and where those find something worth a look
+_FEWEST_BLOCKS = 10  # of a part
 _FINE = 3  # waves for each part: what is finer tells next to nothing of it
 _LEAST = 1e-7  # share of all that is known of a state that must be left of a change: less is rounding
 _MOST_NAMED = 3

@@ -35,7 +35,7 @@ _HEAD = struct.Struct("<4sII")
 _MOST_BYTES = 1 << 26  # of a record
 _MOST_FAILED = 32  # records that are looked at in vain; what is torn is one or two
 _ARRAY = 1
-_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_BINARY", 0)
 _TYPE = re.compile(r"[<|>]([iuf][1248]|b1|S[1-9]\d{0,3})")
 
 
@@ -50,9 +50,7 @@ class Journal:
     def __init__(self, recording: Path) -> None:
         """Create it; OSError if that fails, FileExistsError if there is one."""
         self._path = journal_of(recording)
-        self._file = os.open(
-            self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666
-        )
+        self._file = os.open(self._path, _NEW, 0o666)
         lock(self._file, alone=True)
         self._one_at_a_time = threading.Lock()
         self.unsynced, self._named = False, False

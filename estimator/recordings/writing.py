@@ -94,9 +94,8 @@ class RecordingWriter:
         """Declare the table: its columns are its gimbals, outermost first, its rates means over the window."""
         stated = asdict(uncertainty) if uncertainty is not None else {}
         attributes = {f"u_{key}": value for key, value in stated.items()}
-        self.set_group(
-            "table", {**attributes, "axes": gimbals, "gimbals": gimbals, "rate_window_ns": rate_window_ns}
-        )  # fmt: skip
+        named = {"axes": gimbals, "gimbals": gimbals, "rate_window_ns": rate_window_ns}
+        self.set_group("table", {**attributes, **named})
 
     def add_source(self, name: str, array: SensorArray, prior: Prior, attributes: Mapping[str, Any]) -> None:
         """Declare a source with the axes of its channels and what its data sheet promises."""

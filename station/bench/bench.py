@@ -76,8 +76,8 @@ class Bench:
 
     ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
     like there (regular expressions for the whole of it), empty for anything; the screen asks anew who operates it after
-    ``shift_s``. ``excluded`` are effects of the catalogue
-    that devices and table do not have; None for all of them. ``plugins`` are files and packages from outside.
+    ``shift_s``. ``excluded`` are effects of the catalogue that devices and table do not have; None for all of them.
+    ``plugins`` are files and packages from outside.
     """
 
     name: str

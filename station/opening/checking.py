@@ -58,7 +58,9 @@ class SourceCheck:
 @dataclass(slots=True)
 class DeviceCheck:
     """What one device answered. ``wrong`` says what is wrong and what to do, empty if nothing is.
-    Its protocol is ``experimental`` where driver and twin have met nothing that others made."""
+
+    Its protocol is ``experimental`` where driver and twin have met nothing that others made.
+    """
 
     device: str
     kind: str

@@ -39,6 +39,12 @@ class Verdict:
     because: tuple[str, ...] = ()
 
 
+_UNSEEN_HINT = (
+    "these sigmas are mostly effects that this script cannot show: the section undeclared of the bench file says which "
+    "are ruled out"
+)
+
+
 def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str] = ()) -> Verdict:
     """Compare a calibration with the limits of its bench; the reason names every limit that is broken.
 
@@ -49,15 +55,10 @@ def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str]
         reasons = ("estimated; there are no limits to judge by", *calibration.doubts)
         return Verdict(Outcome.ESTIMATED, "; ".join(reasons))
     lines = [line for line in limit_lines(calibration, limits) if not line.within]
-    broken = [line.broken for line in lines]
-    if any(line.of_u and _mostly_unseen(calibration, line) for line in lines):
-        broken.append(
-            "these sigmas are mostly effects that this script cannot show: the section undeclared of the bench file "
-            "says which are ruled out"
-        )
-    if broken or calibration.spoilt:
-        because = (*causes, *calibration.doubts)
-        return Verdict(Outcome.FAIL, "; ".join([*because, *broken]), tuple(lines), because)
+    if lines or calibration.spoilt:
+        because, broken = [*causes, *calibration.doubts], [line.broken for line in lines]
+        hints = [_UNSEEN_HINT] if any(line.of_u and _mostly_unseen(calibration, line) for line in lines) else []
+        return Verdict(Outcome.FAIL, "; ".join([*because, *broken, *hints]), tuple(lines), (*because, *hints))
     good = "every state, its sigma, the innovations and the losses are within limits"
     return Verdict(Outcome.PASS, "; but ".join([good, *calibration.doubts]))
 

@@ -340,7 +340,9 @@ class Session:
                 found = await asyncio.get_running_loop().run_in_executor(None, work)
                 calibration, agreement, acquisition.reports = found
                 verdict = judge(calibration, self._bench.limits, acquisition.causes())
-                verdict = replace(verdict, reason="; but ".join((verdict.reason, *self._reopening.doubts())))
+                doubts = self._reopening.doubts()
+                reason, because = "; but ".join((verdict.reason, *doubts)), (*verdict.because, *doubts)
+                verdict = replace(verdict, reason=reason, because=because)
             except EstimatorError as error:
                 verdict = Verdict(Outcome.FAIL, str(error))
         try:

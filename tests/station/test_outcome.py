@@ -138,8 +138,9 @@ def test_a_sigma_that_is_mostly_what_the_script_cannot_show_is_told_so(share: fl
     sd = SIGMAS_AT_THE_LIMITS * np.array([2.0, 0.5, 0.5, 0.5])
     (gyro,) = calibration(AT_THE_LIMITS * 0.5, sd).gyros
     lines = (Contribution("noise", np.diag(sd**2) * (1 - share)), Contribution(UNSEEN, np.diag(sd**2) * share))
-    reason = judge(replace(GOOD, gyros=(replace(gyro, budget=lines),)), LIMITS).reason
-    assert ("effects that this script cannot show" in reason) is told
+    verdict = judge(replace(GOOD, gyros=(replace(gyro, budget=lines),)), LIMITS)
+    assert ("effects that this script cannot show" in verdict.reason) is told
+    assert any("effects that this script cannot show" in cause for cause in verdict.because) is told
 
 
 def test_exit_codes_tell_outcomes_apart() -> None:
