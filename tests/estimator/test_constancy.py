@@ -12,8 +12,8 @@ from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import tetrahedron
 from sims.physics.hidden import Hidden
 from station.opening import DeviceTruth, simulate
-from station.scripts.loop_scripts import exploration_script
-from station.scripts.script import paper_script
+from station.scripts.loop_scripts import exploration_script, verification_script
+from station.scripts.script import Script, paper_script
 
 DEVICE = DeviceTruth(
     tetrahedron(), np.tile(TABLE_1, (4, 1)), float(np.radians(0.005)), float(np.radians(2 / 3600)), kind="tetrahedron"
@@ -67,3 +67,11 @@ def test_a_creep_that_would_pass_for_noise_is_told(seed: int) -> None:
 def test_earth_rate_on_a_table_of_no_stated_site_is_no_change() -> None:
     recording = simulate(paper_script(), {"array": DEVICE}, 1, site=None)
     assert calibrate(recording, innovations=False).spoilt == ()
+
+
+@pytest.mark.parametrize(("script", "once"), [(paper_script(), True), (verification_script(), False)])
+def test_what_turned_only_once_is_said_to_show_no_change_between_turns(script: Script, once: bool) -> None:
+    recording = simulate(script, {"array": DEVICE}, 1, site=SITE)
+    notes = [note for note in calibrate(recording, innovations=False).notes if "turned only once" in note]
+    assert len(notes) == once
+    assert not once or notes[0].startswith("turned only once: x, y, z:")
