@@ -199,7 +199,7 @@ def _folder(name: str, bench: str, faults: Sequence[Fault], seed: int, *, lenien
     twin = f'[twin]\nseed = {seed}\nwatchdog = "1 s"\n' + 'hidden = "hidden.toml"\n' * bool(hidden)
     text = (BENCHES / f"{bench}.toml").read_text().replace("[twin]\n", twin, 1)
     if lenient:
-        text = re.sub(r"\[limits\]\n(?:[^\[].*\n|\n)*", LIMITS, text)
+        text = re.sub(r"\[limits\]\n(?:(?!\[).*\n)*", LIMITS + "\n", text)
     tables: dict[str, list[str]] = {}
     for fault in faults:
         if fault.section:
