@@ -13,13 +13,13 @@ from station.errors import EXIT_USAGE, UsageError
 def command_report(arguments: argparse.Namespace) -> int:
     """Write the report of a recording; 0 if it is written, whatever it says."""
     html, pdf = _outputs(arguments)
-    said = _write(arguments, html)
+    said, document = _write(arguments, html)
     problem = ""
     if pdf is not None:
-        from station.report.browser import print_pdf
+        from station.report.pdf import print_pdf
 
         try:
-            print_pdf(html, pdf)
+            print_pdf(document, pdf)
         except UsageError as error:
             problem = str(error)
     if arguments.json:
@@ -57,7 +57,7 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None]:
     return html, pdf
 
 
-def _write(arguments: argparse.Namespace, html: Path) -> dict[str, Any]:
+def _write(arguments: argparse.Namespace, html: Path) -> tuple[dict[str, Any], str]:
     # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
     from station.report.document import make_report
     from station.report.formal import read_formal
@@ -71,7 +71,7 @@ def _write(arguments: argparse.Namespace, html: Path) -> dict[str, Any]:
     report = make_report(recorded, traced, formal)
     write_whole(html, report.html)
     standing = report.standing
-    return {
+    said = {
         "title": standing.title,
         "number": report.number,
         "outcome": None if standing.verdict is None else str(standing.verdict.outcome),
@@ -81,3 +81,4 @@ def _write(arguments: argparse.Namespace, html: Path) -> dict[str, Any]:
         "recording": str(path),
         "sha256": report.hashes,
     }
+    return said, report.html
