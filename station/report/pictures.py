@@ -112,7 +112,7 @@ def nis_picture(recorded: Recorded) -> Picture | None:
         return None
     columns = min(len(courses) + 1, 6)
     bottom = 0.4 + 0.15 * -(-(len(courses) + 1) // columns)
-    with _drawn((WIDTH_IN, 0.9 + bottom), 1, 1, bottom=bottom) as (figure, panels):
+    with _drawn((WIDTH_IN, 0.8 + bottom), 1, 1, bottom=bottom) as (figure, panels):
         panel = panels[0, 0]
         means = []
         for number, (name, course) in enumerate(courses):
@@ -128,7 +128,7 @@ def nis_picture(recorded: Recorded) -> Picture | None:
         half = 1.96 * np.sqrt(2 / max(min(d for _, _, d in means), 1))
         panel.axhspan(1 - half, 1 + half, color="#e9e9e9", lw=0, zorder=0, label="95 % of the means, if all is right")
         panel.set_xlabel("time since the script began, s")
-        panel.set_ylabel("NIS / degree of freedom")
+        panel.set_ylabel("NIS per dof")
         panel.margins(x=0)
         panel.set_ylim(bottom=0)
         figure.legend(loc="lower center", ncols=columns, frameon=False)
