@@ -4,7 +4,6 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 from station.atomic_write import check_new_file, free_path, write_whole
 from station.errors import EXIT_USAGE, UsageError
@@ -13,13 +12,34 @@ from station.errors import EXIT_USAGE, UsageError
 def command_report(arguments: argparse.Namespace) -> int:
     """Write the report of a recording; 0 if it is written, whatever it says."""
     html, pdf = _outputs(arguments)
-    said = _write(Path(arguments.recording), arguments.investigation, html)
+    # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
+    from station.report.document import make_report
+    from station.report.formal import read_formal
+    from station.report.recorded import read_recorded
+    from station.report.traced import read_traced
+
+    recorded = read_recorded(Path(arguments.recording))
+    formal = read_formal(recorded, Path(arguments.meta) if arguments.meta else None)
+    traced = read_traced(Path(arguments.investigation) if arguments.investigation else None, recorded)
+    report = make_report(recorded, traced, formal)
+    write_whole(html, report.html)
+    standing = report.standing
+    said = {
+        "title": standing.title,
+        "number": report.number,
+        "outcome": None if standing.verdict is None else str(standing.verdict.outcome),
+        "reason": None if standing.verdict is None else standing.verdict.reason,
+        "certificate": standing.certificate,
+        "simulated": standing.simulated,
+        "recording": arguments.recording,
+        "sha256": report.hashes,
+    }
     problem = ""
     if pdf is not None:
-        from station.report.browser import print_pdf
+        from station.report.pdf import print_pdf
 
         try:
-            print_pdf(html, pdf)
+            print_pdf(report.html, pdf)
         except UsageError as error:
             problem = str(error)
     if arguments.json:
@@ -55,25 +75,3 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None]:
     for path in filter(None, (pdf, html)):
         check_new_file(path, "--output")
     return html, pdf
-
-
-def _write(path: Path, investigation: str | None, html: Path) -> dict[str, Any]:
-    # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
-    from station.report.document import make_report
-    from station.report.recorded import read_recorded
-    from station.report.traced import read_traced
-
-    recorded = read_recorded(path)
-    report = make_report(recorded, read_traced(Path(investigation) if investigation else None, recorded))
-    write_whole(html, report.html)
-    standing = report.standing
-    return {
-        "title": standing.title,
-        "number": report.number,
-        "outcome": None if standing.verdict is None else str(standing.verdict.outcome),
-        "reason": None if standing.verdict is None else standing.verdict.reason,
-        "certificate": standing.certificate,
-        "simulated": standing.simulated,
-        "recording": str(path),
-        "sha256": report.hashes,
-    }

@@ -2,27 +2,28 @@
 
 import importlib.metadata
 import platform
-import re
+from base64 import b64encode
 from dataclasses import dataclass
-from itertools import count
+from mimetypes import guess_type
+from pathlib import Path
 
-from markupsafe import Markup
-
-from drivers.packaged import packaged_text
+from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A
+from station.errors import UsageError
 from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
 from station.render.template import rendered
 from station.report import figures, pictures
 from station.report import traced as residual
 from station.report.chapters import correction, front, results, unseen
-from station.report.recorded import Recorded, laid_out
-from station.report.standing import Standing, begun_utc, number_of, standing_of
+from station.report.formal import Formal
+from station.report.recorded import Recorded, laid_out, read_recorded
+from station.report.standing import Standing, number_of, standing_of
 from station.report.traced import Traced
 from station.views.seen import seen_by
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
-    "begun_utc": begun_utc,
+    "asked_for": packaged_toml("station.report", "certificate.toml")["not_stated"],
     "blind_spots": unseen,
     "correction": correction,
     "figures": figures,
@@ -47,8 +48,8 @@ class Report:
     hashes: dict[str, str]
 
 
-def make_report(recorded: Recorded, traced: Traced | None) -> Report:
-    """Return the report of a recording, with an investigation if there is one.
+def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Report:
+    """Return the report of a recording with its formal facts, and with an investigation if there is one.
 
     Raises BenchError if the bench text in the recording cannot be read, EstimatorError for an error model that is of
     another version.
@@ -56,13 +57,18 @@ def make_report(recorded: Recorded, traced: Traced | None) -> Report:
     hashes = {"file": file_sha256(recorded.path), "data": raw_sha256(recorded.path)}
     if traced is not None and traced.path != recorded.path:
         hashes["investigation"] = file_sha256(traced.path)
-    standing = standing_of(recorded)
-    number = number_of(recorded, tuple(hashes.values()))
-    device = recorded.text("device_serial") or recorded.text("device")
-    foot = f"{device}, {recorded.path.name}" if device else recorded.path.name
+    before = None if formal.item_as_found is None else _as_found(recorded, formal.item_as_found)
+    if before is not None:
+        hashes["as_found"] = file_sha256(before.path)
+    standing = standing_of(recorded, formal)
+    number = formal.certificate_number or number_of(recorded, tuple(hashes.values()))
+    device = formal.item_serial_number or recorded.text("device")
     versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
     values = {
         "recorded": recorded,
+        "formal": formal,
+        "logo": _logo(formal.laboratory_logo) if formal.laboratory_logo else "",
+        "before": before,
         "found": recorded.calibration,
         "standing": standing,
         "unseen": unseen.unseen_of(recorded),
@@ -70,22 +76,30 @@ def make_report(recorded: Recorded, traced: Traced | None) -> Report:
         "hashes": hashes,
         "number": number,
         "device": device,
-        "sheet": Markup(_sheet(standing.title, f"No. {number}", foot)),
+        "foot": ", ".join(filter(None, (device, recorded.path.name))),
         "made_with": ", ".join([*versions, f"Python {platform.python_version()}"]),
-        "next_number": count(1).__next__,
+        "titles": [],
     }
     with laid_out(recorded.path, "what it or its investigation holds cannot be reported ({})"):
         html = rendered("station.report", "report.html", _MADE_OF | values)
     return Report(html, standing, number, hashes)
 
 
-def _sheet(head: str, number: str, foot: str) -> str:
-    """Return the style sheet with what stands at the head and the foot of every printed page."""
-    shown = {"HEAD": head, "NUMBER": number, "FOOT": foot}
-    text = packaged_text("station.report", "report.css")
-    return re.sub(r"\b(HEAD|NUMBER|FOOT)\b", lambda found: _quoted(shown[found.group()]), text)
+def _as_found(recorded: Recorded, path: Path) -> Recorded:
+    """Return the recording of the device as found; UsageError if that holds nothing to set beside this one."""
+    before = read_recorded(path)
+    serials = {before.text("device_serial"), recorded.text("device_serial"), ""}
+    if not before.labels or before.labels != recorded.labels or len(serials) > 2:
+        raise UsageError(f"{path}: item.as_found must be a calibration of the same gyros, of the same device")
+    return before
 
 
-def _quoted(text: str) -> str:
-    """Return a text as CSS has it: whatever is in it, it ends neither the string nor the sheet."""
-    return '"' + "".join(c if c.isalnum() or c in " .,:-" else f"\\{ord(c):x} " for c in text) + '"'
+def _logo(path: Path) -> str:
+    """Return a picture as a data URI; UsageError if it cannot be read, or is none by its name."""
+    kind = str(guess_type(path.name)[0])
+    try:
+        if not kind.startswith("image/"):
+            raise UsageError(f"laboratory.logo: {path} is no picture: give a .svg, .png or .jpg")
+        return f"data:{kind};base64,{b64encode(path.read_bytes()).decode()}"
+    except OSError as error:
+        raise UsageError(f"laboratory.logo: {error}") from None

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,10 +94,6 @@ class Recorded:
         """What to call the gyros of the calibration."""
         return [self.label(gyro.source, gyro.name) for gyro in self.calibration.gyros] if self.calibration else []
 
-    def has(self, name: str) -> bool:
-        """Return whether the file has an attribute."""
-        return name in self.recording.attributes
-
     def text(self, name: str) -> str:
         """Return an attribute of the file as text, empty if it has none."""
         value = self.recording.attributes.get(name, "")
@@ -108,6 +105,17 @@ class Recorded:
         if self.steps:
             return self.steps[0].start_ns
         return min(int(data.t_ns[0]) for data in self.recording.sources.values() if len(data.t_ns))
+
+    @property
+    def begun_utc(self) -> datetime | None:
+        """When the measurement began; None where that is not known: in virtual time, in imports."""
+        return self.utc("clock_zero_utc_s", self.start_ns)
+
+    def utc(self, name: str, after_ns: int = 0) -> datetime | None:
+        """Return an instant that an attribute tells in seconds, and some time after it; None if it does not."""
+        with suppress(KeyError, TypeError, OverflowError, OSError, ValueError):
+            return datetime.fromtimestamp(float(self.recording.attributes[name]) + after_ns * 1e-9, UTC)
+        return None
 
     @property
     def end_ns(self) -> int:

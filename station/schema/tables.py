@@ -3,7 +3,9 @@
 import math
 import re
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import replace
+from datetime import date
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -117,6 +119,10 @@ def _value(key: Key, value: object, folder: Path, each: int) -> Any:
         return typed(value, (bool,), "true or false")
     if key.kind in ("integer", "number", *UNITS):
         return _number(key, value)
+    if key.kind == "date":
+        with suppress(ValueError):
+            return date.fromisoformat(str(value))  # that of TOML, too
+        raise ValueError(f"{str(value)!r} is no date: write it as 2026-11-23")
     text = str(typed(value, (str,), "a text"))
     if key.one_of and text not in key.one_of:
         raise ValueError(not_one_of(text, key.one_of))

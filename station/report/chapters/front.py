@@ -3,8 +3,6 @@
 import math
 import re
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
-from datetime import UTC, datetime
 
 import numpy as np
 
@@ -24,7 +22,7 @@ def links_of(recorded: Recorded) -> dict[str, str]:
     """Return protocol and link of each device and of the table."""
     devices = (text.partition(" (") for text in recorded.recording.attributes.get("devices", ()))
     links = {name: rest.rstrip(")") for name, _, rest in devices}
-    return links | ({"table": recorded.text("table_link")} if recorded.has("table_link") else {})
+    return links | ({"table": recorded.text("table_link")} if recorded.text("table_link") else {})
 
 
 def local_links(links: Mapping[str, str]) -> list[str]:
@@ -98,12 +96,3 @@ def driven_steps(recorded: Recorded) -> list[tuple[Step, Rotate | None]]:
         return []
     turned = ([part for part in driven_step(table, step) if isinstance(part, Rotate)] for step in recorded.steps)
     return [(step, next(iter(turns), None)) for step, turns in zip(recorded.steps, turned, strict=True)]
-
-
-def accepted(recorded: Recorded) -> str:
-    """Return who accepted the calibration and when, empty if nobody did."""
-    who, when = recorded.text("accepted_by"), recorded.text("accepted_utc")
-    if recorded.has("accepted_utc"):
-        with suppress(ValueError, OverflowError, OSError):  # it may be a text already
-            when = f"{datetime.fromtimestamp(float(when), UTC):%Y-%m-%d %H:%M} UTC"
-    return " on ".join(filter(None, (who, when)))
