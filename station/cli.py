@@ -25,7 +25,7 @@ from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
 from station.exports import GROUP as EXPORTS
 
 _NO_ROOM = ("can't start new thread", "failed to map segment")
-_MODULES = dict.fromkeys(("run", "twin", "import"), "station.commands.common") | {"study": "station.studies.command"}
+_MODULES = dict.fromkeys(("run", "twin", "import"), "station.commands.common")
 """Where the function of a command is, if not in a module of its name: ``command_NAME(arguments) -> exit code``."""
 
 _TYPED: dict[str, Any] = packaged_toml("station.commands", "commands.toml")
@@ -169,10 +169,6 @@ def _add_command(commands: argparse._SubParsersAction[_Parser], name: str, said:
     _add(parser, said.get("options", ()))
     if "group" in said:
         _add(parser.add_argument_group(said["group"]["title"], said["group"]["text"]), said["group"]["options"])
-    if "studies" in said:
-        studies = parser.add_subparsers(dest="study", required=True, metavar="STUDY", parser_class=_Parser)
-        for study, its in said["studies"].items():
-            _add_command(studies, study, its)
 
 
 def _number(kind: type[float], fits: Callable[[float], bool], wrong: str) -> Callable[[str], float]:

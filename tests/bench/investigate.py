@@ -15,11 +15,11 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+from detection_study.study import Case, recordings_of
 from support import command, station
 
 from estimator.recordings.writing import write_recording
 from station.bench.bench import default_bench_text
-from station.studies.detection import Case, recordings_of
 
 HIDDEN = {
     "thermal_bias": 'linear = ["0.005 deg/s/degC", "-0.006 deg/s/degC", "0.004 deg/s/degC", "0.007 deg/s/degC"]',

@@ -21,6 +21,7 @@ from functools import lru_cache, partial
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from detection_study.study import STATES, hidden_of
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from support import SITE
@@ -34,7 +35,6 @@ from estimator.tracing.type_model import error_model_of
 from station.opening import DeviceTruth, simulate
 from station.scripts.loop_scripts import exploration_script
 from station.scripts.script import paper_script
-from station.studies.detection import STATES, hidden_of
 
 Floats = NDArray[np.float64]
 

@@ -15,6 +15,7 @@ from functools import partial
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from detection_study.study import KNOWN, hidden_of
 from support import SITE, TABLE_1
 
 from estimator.calibration.budget import UNSEEN
@@ -22,7 +23,6 @@ from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import tetrahedron
 from station.opening import DeviceTruth, simulate
 from station.scripts.script import paper_script
-from station.studies.detection import KNOWN, hidden_of
 
 EFFECTS = ("nothing", *KNOWN, "scale_quadratic", "bias_step", "bandwidth")
 

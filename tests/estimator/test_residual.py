@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from detection_study.study import Case, recordings_of
 
 from estimator.estimation.runs.making import runs_of
 from estimator.estimation.runs.run import Run
@@ -13,7 +14,6 @@ from estimator.recordings.recording import Recording
 from estimator.tracing.investigate import fit_known, investigate
 from estimator.tracing.residuals.origin import Origin
 from estimator.tracing.residuals.residual import GyroResidual, Residual, residuals
-from station.studies.detection import Case, recordings_of
 
 DEG = np.pi / 180
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from detection_study.study import Case, end_of, recordings_of
 from support import first_gyros
 
 from estimator.errors import InvestigationError
@@ -18,7 +19,6 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings, TableReadings
 from estimator.tracing.investigate import fit_known, investigate
 from estimator.tracing.investigation import Finding
-from station.studies.detection import Case, end_of, recordings_of
 
 DEG = np.pi / 180
 

@@ -15,7 +15,6 @@ from paper_study.printed import print_paper
 
 from estimator.geometry.array import tetrahedron_as_printed
 from estimator.recordings.reading import read_recording
-from station.cli import main
 from station.errors import UsageError
 
 
@@ -113,13 +112,6 @@ def test_the_tables_of_the_paper_are_printed(capsys: pytest.CaptureFixture[str])
 def test_wrong_input_is_told_before_the_long_work(options: list[str], complaint: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=complaint):
         reproduce([option.format(here=tmp_path) for option in options])
-
-
-def test_no_seeds_are_no_study(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["study", "detection", "--seeds", "0"])
-    assert ended.value.code == 2
-    assert "must be 1 or more" in capsys.readouterr().err
 
 
 @pytest.mark.full

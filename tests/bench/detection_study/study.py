@@ -30,7 +30,7 @@ RISE_C = 8.0
 SITE = Site(math.pi / 4, 0.0)
 STATES = np.tile([0.005, math.radians(0.1), math.radians(0.1), math.radians(-0.1)], (4, 1))
 AXES = "zyx"
-_GIVEN = packaged_toml("station.studies", "detection.toml")
+_GIVEN = packaged_toml("detection_study", "detection.toml")
 KNOWN = tuple(_GIVEN["known"])
 UNKNOWN: Mapping[str, frozenset[str]] = {name: frozenset(on) for name, on in _GIVEN["unknown"].items()}
 """Effects that are not in the catalogue, and what the residual depends on."""

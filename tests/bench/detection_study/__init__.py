@@ -1,0 +1,1 @@
+"""How often the station finds what only the twin knows."""
