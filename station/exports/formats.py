@@ -10,7 +10,7 @@ from station.exports.exported import Exported
 from station.exports.forms.autopilots import write_ardupilot, write_px4
 from station.exports.forms.plain_data import write_csv, write_json, write_yaml
 from station.exports.forms.robotics import write_kalibr, write_ros
-from station.exports.forms.source_code import write_c, write_python
+from station.exports.forms.source_code import write_c, write_c_float, write_python
 from station.exports.written import Written
 
 
@@ -31,6 +31,7 @@ _WRITERS = {
     "yaml": write_yaml,
     "csv": write_csv,
     "c": write_c,
+    "c-float": write_c_float,
     "python": write_python,
     "ros": write_ros,
     "kalibr": write_kalibr,

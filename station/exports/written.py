@@ -1,6 +1,7 @@
 """One calibration in one form: the text of the file, and what the file cannot hold."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,7 @@ from estimator.effects.constructed import readable
 from station.errors import UsageError
 from station.exports.exported import Exported
 
+_LINE_END = re.compile(r"[\r\n\f]")
 _NOT_FINITE = "the calibration holds a number that is not finite: estimate it again"
 """Why a calibration cannot be written in any form."""
 
@@ -24,11 +26,11 @@ class Written:
     not_held: tuple[str, ...] = ()
 
 
-def number(value: float) -> str:
-    """Return a number with 17 significant digits, which give the same double back: for C and Python alike."""
+def number(value: float, digits: int = 17) -> str:
+    """Return a number for C and Python alike; 17 significant digits give the same double back, 9 the same float."""
     if not np.isfinite(value):
         raise UsageError(_NOT_FINITE)
-    text = format(float(value), ".17g")
+    text = format(float(value), f".{digits}g")
     mantissa, e, exponent = text.partition("e")
     # C takes 1 for an int.
     return f"{mantissa}{'' if '.' in mantissa else '.0'}{e}{exponent}"
@@ -75,7 +77,7 @@ def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> l
     lines = [what, "", *exported.origin]
     if not_held:
         lines += ["", "Not in this file, or to be done by hand:", *(f"  - {line}" for line in not_held)]
-    return [f"{mark} {line}".rstrip() for line in lines]
+    return [f"{mark} {_LINE_END.sub(' ', line)}".rstrip() for line in lines]  # a name must not end the comment
 
 
 def as_triad(exported: Exported, form: str) -> None:
