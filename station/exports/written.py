@@ -2,13 +2,14 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import yaml
 
+from estimator.calibration.compensation import Compensation
 from estimator.effects.constructed import readable
 from station.errors import UsageError
 from station.exports.exported import Exported
@@ -20,9 +21,9 @@ _NOT_FINITE = "the calibration holds a number that is not finite: estimate it ag
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """Text of a file; ``not_held`` says, a line each, what of the calibration is not in it, or must be done by hand."""
+    """Text or bytes of a file; ``not_held``: a line each, what of the calibration it lacks, what is left to do."""
 
-    text: str
+    text: str | bytes
     not_held: tuple[str, ...] = ()
 
 
@@ -80,8 +81,11 @@ def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> l
     return [f"{mark} {_LINE_END.sub(' ', line)}".rstrip() for line in lines]  # a name must not end the comment
 
 
-def as_triad(exported: Exported, form: str) -> None:
-    """See that there are three gyros, which is all that a form holds; UsageError that says what to do if not."""
+def as_triad(exported: Exported, form: str, keep: Collection[str] = ()) -> tuple[Compensation, dict[str, str]]:
+    """Return what is left for a form that holds three gyros and only some effects, and why each other is not in it.
+
+    UsageError that says what to do if there are not three.
+    """
     count = len(exported.gyros)
     if count != 3:
         several = f" of {len(exported.devices)} devices: give one with --device" if len(exported.devices) > 1 else ""
@@ -89,3 +93,5 @@ def as_triad(exported: Exported, form: str) -> None:
             f"{form} holds three gyros, and this is an array of {count}{several}; `--format c` or `--format python` "
             "gives the function that makes one body rate of them"
         )
+    held, dropped = exported.compensation.simplified(keep, exported.seen.temperature_c[1])
+    return held, {**exported.compensation.left_out, **dropped}

@@ -463,10 +463,18 @@ def test_vectornav_register_84_makes_our_rates(record: Record, array: str, capsy
     values = np.float32(words[2:]).astype(float)  # what the device keeps
     plain, (rate, t_s, _, _) = at_mean_temperature(path, ())
     found = (rate - values[9:]) @ values[:9].reshape(3, 3).T
-    assert np.abs(found - compensate(plain, rate, t_s)).max() < 3e-7
+    about_its_axes = compensate(plain, rate, t_s) @ ARRAYS[array].p.T
+    assert np.abs(found - about_its_axes).max() < 3e-7
     assert lines[-1].startswith("$VNWNV*")
     for word in ("identity", "g sensitivity", "delay"):
         assert word in said, word
+
+
+def test_the_stim300_is_told_what_it_adds(record: Record) -> None:
+    path = record(triad(), {})
+    lines = [line for line in export(path, "stim300").read_text(encoding="utf-8").splitlines() if line[0] != "#"]
+    offsets = {name: float(offset) for name, offset in map(str.split, lines)}
+    assert offsets == {gyro.name: round(np.degrees(gyro.states[1]), 5) for gyro in exported_of(path).gyros}
 
 
 def test_matlab_reads_what_json_holds(record: Record) -> None:

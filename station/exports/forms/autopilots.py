@@ -108,13 +108,12 @@ def _instance(exported: Exported, most: int, form: str) -> int:
 
 def _bias_only(exported: Exported, form: str) -> tuple[Compensation, list[str]]:
     """Return what an autopilot can hold, and what it cannot."""
-    as_triad(exported, form)
-    held, dropped = exported.compensation.simplified(_KEPT, exported.seen.temperature_c[1])
+    held, dropped = as_triad(exported, form, _KEPT)
     dropped |= {e.known.called: "it is not corrected" for e in exported.compensation.effects if e.acts is Acts.RATE}
     k = ", ".join(f"{state * 1e6:.0f}" for state in exported.compensation.states[:, 0])
     return held, [
         f"scale factor errors ({k} ppm) and misalignments: {form} has no parameters for them",
-        *lines_of({**exported.compensation.left_out, **dropped}),
+        *lines_of(dropped),
         *delay_line(exported, f"{form} has no parameter for it"),
         f"{form} keeps parameters as 32-bit floats, to 7 digits",
     ]

@@ -36,7 +36,7 @@ def write_c(exported: Exported) -> Written:
 def write_c_float(exported: Exported) -> Written:
     """Return the header in single precision, under names of its own: both can be in one program."""
     written = _header(exported, "float", f"{identifier(exported.name)}_float")
-    return Written(_DOUBLE.sub(_single, written.text), written.not_held)
+    return Written(_DOUBLE.sub(_single, str(written.text)), written.not_held)
 
 
 def _header(exported: Exported, real: str, prefix: str) -> Written:
@@ -74,9 +74,9 @@ def _single(found: re.Match[str]) -> str:
 
 
 def _vectors(exported: Exported, terms: Terms) -> tuple[Floats, Floats]:
-    """Return samples (8, n + 5) over the conditions of the calibration, and what the Python module makes of them (8, 3).
+    """Return samples (8, n + 5) over the conditions of the calibration, and what the Python module makes of them.
 
-    Outputs in rad/s, specific force in m/s2, temperature in degC, time step in s; rates in rad/s, NaN where it has none.
+    Outputs in rad/s, specific force in m/s2, temperature in degC, time step in s; rates (8, 3) in rad/s, NaN for none.
     """
     made: dict[str, Any] = {}
     exec(write_python(exported).text, made)  # no text of the recording's stands in it but in comments and quotes
