@@ -210,7 +210,7 @@ def _bound(says: dict[str, Any]) -> str:
 def _kind(key: Any) -> str:
     known = {"text": "text", "texts": "list of texts", "flag": "true or false", "integer": "whole number"}
     known |= {"number": "number", "path": "path", "pattern": "regular expression", "link": "[link](bench.md#links)"}
-    known |= {"table": "table", "tables": "tables", "any": "see there"}
+    known |= {"table": "table", "tables": "tables", "any": "see there", "date": "date"}
     kind = known.get(key.kind, f"[{key.kind}](units.md)")
     if key.one_of and len(key.one_of) < 13:
         kind = ("different ones of " if key.kind == "texts" else "") + ", ".join(f"`{one}`" for one in key.one_of)
@@ -249,6 +249,7 @@ def json_schemas() -> dict[str, dict[str, Any]]:
         "can_mapping": _object("can_mapping.can_mapping"),
         "profile": _object("profile.profile"),
         "hidden": _hidden(),
+        "certificate": _object("certificate.certificate_file"),
         "description": _object("can_mapping.source", "description.description"),
         "mapping": _mapping(),
     }
@@ -520,6 +521,8 @@ def _property(key: Any) -> dict[str, Any]:
         low, _, high = key.bound.partition(" to ")
         one |= {"above_zero": {"exclusiveMinimum": 0}, "not_negative": {"minimum": 0}}.get(low, {})
         one |= {"minimum": float(low), "maximum": float(high)} if high else {}
+    elif key.kind == "date":  # of TOML, or as a text: editors differ in what they see of the first
+        one = {}
     elif key.name == "fault":
         one = _faults()
     elif key.kind in ("table", "tables", "any"):

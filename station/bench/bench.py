@@ -128,6 +128,14 @@ def read_bench(
     top = Table.parse(text, file, BenchError)
     own = top.read_all("bench.bench", folder)
     name, place = own["name"] or called, own["station"].read_all("bench.station")
+    for key in (
+        "laboratory",
+        "equipment",
+        "procedure",
+        "decision",
+    ):  # of certificates, which read them in the recording
+        for stated in own[key] if isinstance(own[key], list) else [own[key]]:
+            stated.check(f"certificate.{key}")
     try:
         modules = load_files((*(folder / listed for listed in own["plugins"] or ()), *plugins))
         imus, tables = IMUS.beside(modules), TABLES.beside(modules)

@@ -13,7 +13,7 @@ from station.errors import EXIT_USAGE, UsageError
 def command_report(arguments: argparse.Namespace) -> int:
     """Write the report of a recording; 0 if it is written, whatever it says."""
     html, pdf = _outputs(arguments)
-    said = _write(Path(arguments.recording), arguments.investigation, html)
+    said = _write(arguments, html)
     problem = ""
     if pdf is not None:
         from station.report.browser import print_pdf
@@ -57,14 +57,18 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None]:
     return html, pdf
 
 
-def _write(path: Path, investigation: str | None, html: Path) -> dict[str, Any]:
+def _write(arguments: argparse.Namespace, html: Path) -> dict[str, Any]:
     # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
     from station.report.document import make_report
+    from station.report.formal import read_formal
     from station.report.recorded import read_recorded
     from station.report.traced import read_traced
 
+    path = Path(arguments.recording)
     recorded = read_recorded(path)
-    report = make_report(recorded, read_traced(Path(investigation) if investigation else None, recorded))
+    formal = read_formal(recorded, Path(arguments.meta) if arguments.meta else None)
+    traced = read_traced(Path(arguments.investigation) if arguments.investigation else None, recorded)
+    report = make_report(recorded, traced, formal)
     write_whole(html, report.html)
     standing = report.standing
     return {

@@ -15,14 +15,14 @@ from station.render.template import rendered
 from station.report import figures, pictures
 from station.report import traced as residual
 from station.report.chapters import correction, front, results, unseen
+from station.report.formal import Formal
 from station.report.recorded import Recorded, laid_out
-from station.report.standing import Standing, begun_utc, number_of, standing_of
+from station.report.standing import Standing, number_of, standing_of
 from station.report.traced import Traced
 from station.views.seen import seen_by
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
-    "begun_utc": begun_utc,
     "blind_spots": unseen,
     "correction": correction,
     "figures": figures,
@@ -47,8 +47,8 @@ class Report:
     hashes: dict[str, str]
 
 
-def make_report(recorded: Recorded, traced: Traced | None) -> Report:
-    """Return the report of a recording, with an investigation if there is one.
+def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Report:
+    """Return the report of a recording with its formal facts, and with an investigation if there is one.
 
     Raises BenchError if the bench text in the recording cannot be read, EstimatorError for an error model that is of
     another version.
@@ -63,6 +63,7 @@ def make_report(recorded: Recorded, traced: Traced | None) -> Report:
     versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
     values = {
         "recorded": recorded,
+        "formal": formal,
         "found": recorded.calibration,
         "standing": standing,
         "unseen": unseen.unseen_of(recorded),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -108,6 +109,15 @@ class Recorded:
         if self.steps:
             return self.steps[0].start_ns
         return min(int(data.t_ns[0]) for data in self.recording.sources.values() if len(data.t_ns))
+
+    @property
+    def begun_utc(self) -> datetime | None:
+        """When the measurement began; None where that is not known: in virtual time, in imports."""
+        zero = self.recording.attributes.get("clock_zero_utc_s")
+        try:
+            return None if zero is None else datetime.fromtimestamp(float(zero) + self.start_ns * 1e-9, UTC)
+        except (TypeError, OverflowError, OSError, ValueError):
+            return None
 
     @property
     def end_ns(self) -> int:

@@ -2,7 +2,6 @@
 
 import hashlib
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from enum import Enum
 
 from station.bench.bench import Limits, read_limits
@@ -105,17 +104,8 @@ def limits_of(recorded: Recorded) -> Limits | None:
 def number_of(recorded: Recorded, hashes: tuple[str, ...]) -> str:
     """Return a number for the document from its date and what its sources hash to: the same sources give the same."""
     digest = hashlib.sha256("".join(hashes).encode()).hexdigest()[:10].upper()
-    begun = begun_utc(recorded)
+    begun = recorded.begun_utc
     return f"{begun:%Y%m%d}-{digest}" if begun else digest
-
-
-def begun_utc(recorded: Recorded) -> datetime | None:
-    """Return when the measurement began; None where that is not known: in virtual time, in imports."""
-    zero = recorded.recording.attributes.get("clock_zero_utc_s")
-    try:
-        return None if zero is None else datetime.fromtimestamp(float(zero) + recorded.start_ns * 1e-9, UTC)
-    except (TypeError, OverflowError, OSError, ValueError):
-        return None
 
 
 def _ended(recorded: Recorded) -> Verdict | None:

@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from datetime import date
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -117,6 +118,8 @@ def _value(key: Key, value: object, folder: Path, each: int) -> Any:
         return typed(value, (bool,), "true or false")
     if key.kind in ("integer", "number", *UNITS):
         return _number(key, value)
+    if key.kind == "date":
+        return _date(value)
     text = str(typed(value, (str,), "a text"))
     if key.one_of and text not in key.one_of:
         raise ValueError(not_one_of(text, key.one_of))
@@ -140,6 +143,16 @@ def _texts(key: Key, value: object) -> tuple[str, ...]:
     if key.one_of and (len({*listed}) < len(listed) or not {*listed} <= {*key.one_of}):
         raise ValueError(key.told.format(value))
     return tuple(listed)
+
+
+def _date(value: object) -> date:
+    """Return a date, of TOML or as a text."""
+    if type(value) is date:
+        return value
+    try:
+        return date.fromisoformat(str(typed(value, (str,), "a date")))
+    except ValueError:
+        raise ValueError(f"{str(value)!r} is no date: write it as 2026-11-23") from None
 
 
 def _number(key: Key, value: object) -> float:

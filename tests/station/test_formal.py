@@ -1,0 +1,99 @@
+"""The formal facts of a certificate: from the recording, from its bench, and from the file for --meta."""
+
+from __future__ import annotations
+
+from datetime import date
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from estimator.recordings.recording import Recording
+from station.bench.bench import default_bench_text, read_bench
+from station.errors import BenchError, UsageError
+from station.report.formal import Equipment, read_formal
+from station.report.recorded import Recorded, Step
+
+BENCH = """
+[laboratory]
+name = "Gyro laboratory"
+address = ["Seestrasse 7", "Zürich"]
+[[equipment]]
+name = "rate table"
+certificate = "RT-2026-11"
+due = 2026-06-30
+[decision]
+rule = "guard band"
+[station]
+approved_by_another = true
+"""
+META = """
+[laboratory]
+name = "Branch laboratory"
+[customer]
+name = "Aerial surveys"
+[item]
+model = "TG4"
+received = "2026-05-02"
+[performed]
+temperature = "21.4 degC"
+humidity = "43 %"
+[certificate]
+number = "C-17"
+approved_by = "G. Hopper"
+"""
+FIRST_OF_MAY_2026_UTC_S = 1777593600.0
+
+
+def recorded(folder: Path, bench: str = BENCH, **attributes: Any) -> Recorded:
+    """Return a recording that holds only attributes and a step."""
+    told = {"operator": "A. Turing", "clock_zero_utc_s": FIRST_OF_MAY_2026_UTC_S, "bench": bench} | attributes
+    recording = Recording({}, cast(Any, None), attributes=told)
+    return Recorded(folder / "run.h5", recording, None, None, {}, {}, (Step("rest", 0, 1),), ())
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "meta.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_the_file_goes_before_the_bench_and_the_recording_says_the_rest(tmp_path: Path) -> None:
+    found = read_formal(recorded(tmp_path, device_serial="TG-0042"), written(tmp_path, META))
+    assert (found.laboratory_name, found.laboratory_address) == ("Branch laboratory", ("Seestrasse 7", "Zürich"))
+    assert (found.item_model, found.item_serial_number, found.item_maker) == ("TG4", "TG-0042", None)
+    assert (found.item_received, found.performed_date) == (date(2026, 5, 2), date(2026, 5, 1))
+    assert (found.performed_temperature_c, found.performed_humidity) == (21.4, 0.43)
+    assert found.equipment == (Equipment("rate table", None, "RT-2026-11", date(2026, 6, 30)),)
+    assert (found.decision_rule, found.decision_false_accept) == ("guard band", 0.025)
+    assert (found.operator, found.certificate_approved_by, found.approved) == ("A. Turing", "G. Hopper", True)
+    assert not found.overdue
+
+
+def test_a_file_of_another_device_or_that_is_wrong_is_refused_with_its_line(tmp_path: Path) -> None:
+    run = recorded(tmp_path, device_serial="TG-0042")
+    for text, said in {
+        '[item]\nserial_number = "TG-0043"': r"line 2: item.serial_number: 'TG-0043'.*'TG-0042'",
+        '[item]\nreceived = "2.5.2026"': r"line 2: item.received: '2.5.2026' is no date: write it as 2026-11-23",
+        '[customer]\nnmae = "x"': r"line 2: customer.nmae: unknown key; did you mean name\?",
+        '[decision]\nrule = "simple"\nfalse_accept = "1 %"': r"line 3: decision.false_accept: is for rule = ",
+        '[[equipment]]\nserial_number = "7"': r"equipment.0: name is missing",
+        "[lab]": r"lab: unknown key",
+    }.items():
+        with pytest.raises(UsageError, match=said):
+            read_formal(run, written(tmp_path, text))
+
+
+def test_equipment_is_overdue_and_approval_lacking_by_what_the_bench_wants(tmp_path: Path) -> None:
+    late = read_formal(recorded(tmp_path, BENCH.replace("2026-06-30", "2026-04-30")))
+    assert [one.name for one in late.overdue] == ["rate table"]
+    assert not late.approved
+    assert not read_formal(recorded(tmp_path, accepted_by="a.  turing".upper())).approved
+    assert read_formal(recorded(tmp_path, BENCH.replace("true", "false"))).approved
+
+
+def test_a_bench_file_is_checked_when_it_is_read_and_not_when_the_certificate_is_made() -> None:
+    more = BENCH.partition("[station]")[0]
+    assert read_bench(default_bench_text() + more, "bench.toml").text.endswith(more)
+    with pytest.raises(BenchError, match=r"laboratory.adress: unknown key; did you mean address\?"):
+        read_bench(default_bench_text() + '[laboratory]\nadress = ["Zürich"]\n', "bench.toml")
