@@ -1,4 +1,4 @@
-"""station report --dcc: a digital calibration certificate says what the recording holds, is valid, and can be signed."""
+"""station report --dcc: the digital certificate says what the recording holds, is valid, and can be signed."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from certified import META, certified
 from lxml import etree
+from station.report.dcc import make_dcc, sign, validate
 
 from station.cli import main
 from station.errors import UsageError
-from station.report.dcc import make_dcc, sign, validate
 from station.report.document import Report
 from station.report.formal import read_formal
 from station.report.recorded import read_recorded

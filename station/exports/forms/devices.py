@@ -4,17 +4,13 @@ Sources: VN-100 User Manual UM001, 6.2.3 Gyro Compensation: ``C (G - B)``, C by 
 3.8.2, checksum. STIM300 datasheet TS1524: bias trim offsets are added to the outputs, in deg/s with five decimals.
 """
 
-from collections.abc import Sequence
 from functools import reduce
 from operator import xor
 
 import numpy as np
 
-from drivers.packaged import packaged_toml
 from station.exports.exported import Exported
-from station.exports.written import Written, as_triad, delay_line, head, lines_of
-
-_NOTES = packaged_toml("station.exports", "device_notes.toml")
+from station.exports.written import Written, as_triad, from_template
 
 
 def write_vectornav(exported: Exported) -> Written:
@@ -23,17 +19,11 @@ def write_vectornav(exported: Exported) -> Written:
     matrix = exported.compensation.array.p @ constants.solution
     values = ",".join(f"{value:.9f}" for value in (*matrix.ravel(), *-constants.bias_rps))
     commands = [f"${text}*{reduce(xor, text.encode()):02X}" for text in (f"VNWRG,84,{values}", "VNWNV")]
-    return _written(exported, "vectornav", dropped, commands)
+    return from_template("vectornav", exported, dropped, commands=commands)
 
 
 def write_stim300(exported: Exported) -> Written:
     """Return the bias trim offset of each gyro in deg/s."""
     constants, dropped = as_triad(exported, "STIM300")
-    pairs = zip(constants.array.names, np.degrees(constants.bias_rps), strict=True)
-    return _written(exported, "stim300", dropped, [f"{name} {offset:+.5f}" for name, offset in pairs])
-
-
-def _written(exported: Exported, form: str, dropped: dict[str, str], lines: Sequence[str]) -> Written:
-    what, *notes = _NOTES[form]
-    not_held = [*notes, *lines_of(dropped), *delay_line(exported)]
-    return Written("\n".join([*head(exported, what, not_held, "#"), *lines, ""]), tuple(not_held))
+    offsets = list(zip(constants.array.names, np.degrees(constants.bias_rps), strict=True))
+    return from_template("stim300", exported, dropped, offsets_dps=offsets)

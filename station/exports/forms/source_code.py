@@ -136,21 +136,14 @@ def _argument_names(terms: Terms) -> list[str]:
 
 def _arguments_said(exported: Exported, terms: Terms) -> list[str]:
     """Return a line for each argument of the function, and what holds of them."""
-    said = {
-        "rate_rps": f"outputs of {', '.join(exported.compensation.array.names)}, in this order, in rad/s",
-        "temperature_c": "temperature of the gyros, in degC",
-        "accel": "specific force along body x, y, z, in m/s2 (at rest it points up)",
-        "dt_s": "time since the sample before, in s",
+    used = {name: terms.uses(name) for name in ("slope", "wdot")} | {"rate": bool(terms.of(Acts.RATE))}
+    given = {
+        "names": _argument_names(terms),
+        "gyros": exported.compensation.array.names,
+        "largest_dps": np.degrees(exported.seen.largest_rps),
+        "slope_s": SLOPE_S,
     }
-    lines = [f"{name}: {said[name]}" for name in _argument_names(terms)]
-    if terms.of(Acts.RATE):
-        largest = np.degrees(exported.seen.largest_rps)
-        lines.append(f"Effects of the rate were found up to {largest:.4g} deg/s; beyond they are extrapolated.")
-    if terms.uses("slope"):
-        lines.append(f"The slope of the temperature is taken over {SLOPE_S:g} s.")
-    if terms.uses("wdot"):
-        lines.append("Angular accelerations are differences of two samples, half a period late.")
-    return lines
+    return rendered("station.exports", "arguments.jinja", given | used).splitlines()
 
 
 def _cautions(exported: Exported, terms: Terms) -> list[str]:
