@@ -2,21 +2,19 @@
 
 import json
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import yaml
 
-from drivers.packaged import packaged_toml
 from estimator.calibration.compensation import Compensation
 from estimator.effects.constructed import readable
 from station.errors import UsageError
 from station.exports.exported import Exported
 from station.render.template import rendered
 
-_NOTES = packaged_toml("station.exports", "notes.toml")
 _LINE_END = re.compile(r"[\r\n\f]")
 _NOT_FINITE = "the calibration holds a number that is not finite: estimate it again"
 """Why a calibration cannot be written in any form."""
@@ -70,12 +68,6 @@ def lines_of(reasons: Mapping[str, str]) -> list[str]:
     return [f"{readable(effect)}: {why}" for effect, why in reasons.items()]
 
 
-def delay_line(exported: Exported, what: str = "take it off the stamps of the samples") -> list[str]:
-    """Return the line for a delay that a form does not hold; none if there is no delay."""
-    delay_s = exported.compensation.delay_s
-    return [f"a delay of {delay_s:.6g} s: {what}"] if delay_s else []
-
-
 def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> list[str]:
     """Return the lines that a text begins with, each behind ``mark``."""
     lines = [what, "", *exported.origin]
@@ -84,18 +76,13 @@ def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> l
     return [f"{mark} {_LINE_END.sub(' ', line)}".rstrip() for line in lines]  # a name must not end the comment
 
 
-def numbers(values: Iterable[float]) -> str:
-    """Return numbers in a row; UsageError as ``number``."""
-    return ", ".join(map(number, values))
-
-
 def from_template(form: str, exported: Exported, dropped: Mapping[str, str], **values: Any) -> Written:
-    """Return what the template of a form makes of ``values``, what ``notes.toml`` says, a line for each effect."""
-    said = _NOTES[form]
-    not_held = [*(note.format(**values) for note in said["notes"]), *lines_of(dropped)]
-    not_held += delay_line(exported, *filter(None, [said.get("delay")]))
-    given = {"head": head(exported, said["what"], not_held, "#"), "numbers": numbers}
-    return Written(rendered("station.exports", f"{form}.jinja", given | values), tuple(not_held))
+    """Return what the template of a form makes of ``values``: what it lacks and leaves to do first, then the file."""
+    values |= {"numbers": lambda row: ", ".join(map(number, row)), "delay_s": exported.compensation.delay_s}
+    what, *notes = rendered("station.exports", f"{form}.jinja", {"head": (), **values}).splitlines()
+    not_held = [*notes, *lines_of(dropped)]
+    values["head"] = head(exported, what, not_held, "#")
+    return Written(rendered("station.exports", f"{form}.jinja", values), tuple(not_held))
 
 
 def as_triad(exported: Exported, form: str, keep: Collection[str] = ()) -> tuple[Compensation, dict[str, str]]:

@@ -17,7 +17,7 @@ from estimator.effects.site import G_SENSITIVITY
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.errors import UsageError
 from station.exports.exported import Exported
-from station.exports.written import Written, as_triad, from_template, numbers
+from station.exports.written import Written, as_triad, from_template
 
 
 def write_ros(exported: Exported) -> Written:
@@ -44,10 +44,10 @@ def _chain(exported: Exported, form: str, called: str) -> Written:
     constants, dropped = as_triad(exported, called, (G_SENSITIVITY.name,))
     m, c = _lower_and_rotation(constants.sensitivity, called)
     felt = constants.held(G_SENSITIVITY.name)
-    values = {"m": m, "c": c, "felt": np.zeros((3, 3)) if felt is None else felt / GRAVITY_MPS2}
+    values: dict[str, object] = {"m": m, "c": c, "felt": np.zeros((3, 3)) if felt is None else felt / GRAVITY_MPS2}
     density, walk = _noise(exported)
     values |= {"density": density, "walk": walk, "rate_hz": exported.seen.rate_hz}
-    return from_template(form, exported, dropped, at_rest=numbers(-constants.bias_rps), **values)
+    return from_template(form, exported, dropped, at_rest=-constants.bias_rps, **values)
 
 
 def _lower_and_rotation(sensitivity: Floats, form: str) -> tuple[Floats, Floats]:
