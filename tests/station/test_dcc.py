@@ -126,6 +126,7 @@ def test_limits_and_decision_rule_are_stated_with_the_verdict(run: Path) -> None
     assert "simple acceptance" in "".join(found(xml, "//dcc:statement[dcc:conformity]")[0].itertext())
     recorded = read_recorded(run)
     lines = [line for line in standing_of(recorded).lines if line.state is not None and not line.of_u]
+    assert len(lines) == 12
     upper = found(xml, "//dcc:metaData[dcc:conformity='pass']//dcc:quantity[@refType='basic_acceptanceLimitUpper']")
     assert [float(texts(one, "si:real/si:value")[0]) for one in upper] == [line.high for line in lines]
 
