@@ -14,13 +14,13 @@ from station.errors import EXIT_USAGE, UsageError
 def command_report(arguments: argparse.Namespace) -> int:
     """Write the report of a recording; 0 if it is written, whatever it says."""
     html, pdf, dcc = _outputs(arguments)
-    said, make_dcc = _write(arguments, html)
+    said, document, make_dcc = _write(arguments, html)
     problem = ""
     try:
         if pdf is not None:
-            from station.report.browser import print_pdf
+            from station.report.pdf import print_pdf
 
-            print_pdf(html, pdf)
+            print_pdf(document, pdf)
         if dcc is not None:
             write_whole(dcc, make_dcc(None if pdf is None else pdf.read_bytes()))
     except UsageError as error:
@@ -64,8 +64,8 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | N
     return html, pdf, dcc
 
 
-def _write(arguments: argparse.Namespace, html: Path) -> tuple[dict[str, Any], Callable[[bytes | None], bytes]]:
-    """Write the HTML; return what --json says of it, and what makes the digital certificate with a PDF inside."""
+def _write(arguments: argparse.Namespace, html: Path) -> tuple[dict[str, Any], str, Callable[[bytes | None], bytes]]:
+    """Write the HTML; return what --json says of it, itself, and what makes the digital one with a PDF inside."""
     # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
     from station.report.dcc import check_facts, make_dcc, read_key, sign
     from station.report.document import make_report
@@ -92,7 +92,7 @@ def _write(arguments: argparse.Namespace, html: Path) -> tuple[dict[str, Any], C
         xml = make_dcc(recorded, formal, report, pdf)
         return sign(xml, *keys) if keys else xml
 
-    return {
+    said = {
         "title": standing.title,
         "number": report.number,
         "outcome": None if standing.verdict is None else str(standing.verdict.outcome),
@@ -101,4 +101,5 @@ def _write(arguments: argparse.Namespace, html: Path) -> tuple[dict[str, Any], C
         "simulated": standing.simulated,
         "recording": str(path),
         "sha256": report.hashes,
-    }, dcc
+    }
+    return said, report.html, dcc

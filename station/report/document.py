@@ -3,20 +3,23 @@
 import importlib.metadata
 import platform
 import re
+from base64 import b64encode
 from dataclasses import dataclass
-from itertools import count
+from mimetypes import guess_type
+from pathlib import Path
 
 from markupsafe import Markup
 
 from drivers.packaged import packaged_text
 from estimator.calibration.budget import TYPE_A
+from station.errors import UsageError
 from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
 from station.render.template import rendered
 from station.report import figures, pictures
 from station.report import traced as residual
 from station.report.chapters import correction, front, results, unseen
 from station.report.formal import Formal
-from station.report.recorded import Recorded, laid_out
+from station.report.recorded import Recorded, laid_out, read_recorded
 from station.report.standing import Standing, number_of, standing_of
 from station.report.traced import Traced
 from station.views.seen import seen_by
@@ -56,14 +59,19 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     hashes = {"file": file_sha256(recorded.path), "data": raw_sha256(recorded.path)}
     if traced is not None and traced.path != recorded.path:
         hashes["investigation"] = file_sha256(traced.path)
-    standing = standing_of(recorded)
-    number = number_of(recorded, tuple(hashes.values()))
-    device = recorded.text("device_serial") or recorded.text("device")
+    before = _as_found(recorded, formal.item_as_found)
+    if before is not None:
+        hashes["as_found"] = file_sha256(before.path)
+    standing = standing_of(recorded, formal)
+    number = formal.certificate_number or number_of(recorded, tuple(hashes.values()))
+    device = formal.item_serial_number or recorded.text("device")
     foot = f"{device}, {recorded.path.name}" if device else recorded.path.name
     versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
     values = {
         "recorded": recorded,
         "formal": formal,
+        "logo": _logo(formal.laboratory_logo),
+        "before": before,
         "found": recorded.calibration,
         "standing": standing,
         "unseen": unseen.unseen_of(recorded),
@@ -73,11 +81,30 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
         "device": device,
         "sheet": Markup(_sheet(standing.title, f"No. {number}", foot)),
         "made_with": ", ".join([*versions, f"Python {platform.python_version()}"]),
-        "next_number": count(1).__next__,
+        "titles": [],
     }
     with laid_out(recorded.path, "what it or its investigation holds cannot be reported ({})"):
         html = rendered("station.report", "report.html", _MADE_OF | values)
     return Report(html, standing, number, hashes)
+
+
+def _as_found(recorded: Recorded, path: Path | None) -> Recorded | None:
+    """Return the recording of the device as found; UsageError if that holds nothing to set beside this one."""
+    before = None if path is None else read_recorded(path)
+    serials = {one.text("device_serial") for one in (recorded, before) if one is not None} - {""}
+    if before is not None and (before.labels != recorded.labels or not before.labels or len(serials) > 1):
+        raise UsageError(f"{path}: item.as_found must be a calibration of the same gyros, of the same device")
+    return before
+
+
+def _logo(path: Path | None) -> str:
+    """Return a picture as a data URI, empty if there is none; UsageError if it cannot be read."""
+    if path is None:
+        return ""
+    try:
+        return f"data:{guess_type(path.name)[0]};base64,{b64encode(path.read_bytes()).decode()}"
+    except OSError as error:
+        raise UsageError(f"laboratory.logo: {error}") from None
 
 
 def _sheet(head: str, number: str, foot: str) -> str:

@@ -144,4 +144,5 @@ def significant(value: float, digits: int) -> str:
 
 
 def _minus(text: str) -> str:
-    return text.replace("-", "−")
+    """Return a number with a minus sign, but none before nought."""
+    return text.replace("-", "−") if float(text) else text.removeprefix("-")

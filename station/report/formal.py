@@ -48,6 +48,7 @@ class Formal:
     item_serial_told: str | None = None
     item_serial_reason: str | None = None
     item_condition: str | None = None
+    item_as_found: Path | None = None
     item_received: date | None = None
     performed_place: str | None = None
     performed_date: date | None = None

@@ -37,7 +37,7 @@ _SYMBOLS = ("k", "b", "σⱼ", "σₖ")
 _RIGHT_IN = 0.06
 _MOST_POINTS = 400  # of a curve as wide as the text: more are not seen on paper
 _FEW_POINTS = 200  # of one in a small panel
-_FONTS = "Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
+_FONTS = "'Report Sans', Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
 _NOISE = "#e0e0e0"
 _DPI = 200
 _STYLE = Path(__file__).with_name("report.mplstyle")
@@ -55,13 +55,16 @@ class Picture:
 
 def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, what: str) -> Picture:
     """Return the rates (N, axes) of named axes over time."""
-    with _drawn((WIDTH_IN, 0.62 * len(names) + 0.42), len(names), 1, between=0.12) as (figure, panels):
+    with _drawn((WIDTH_IN, 0.36 * len(names) + 0.42), len(names), 1, between=0.12) as (figure, panels):
         for column, (name, panel) in enumerate(zip(names, panels[:, 0], strict=True)):
             at, shown = _thinned(t_s, rate_rps[:, column] * DEG_PER_S.factor)
             panel.axhline(0, color=GREY, lw=0.5)
             panel.plot(at, shown, color=BLUE)
             panel.set_ylabel(f"{name}, °/s")
             panel.margins(x=0, y=0.15)
+        for panel in panels[:-1, 0]:  # the numbers of time stand below the last
+            panel.spines["bottom"].set_visible(False)
+            panel.tick_params(bottom=False)
         panels[-1, 0].set_xlabel("time since the script began, s")
         of_each = zip(names, (rate_rps * DEG_PER_S.factor).T, strict=True)
         largest = [f"{name} {np.nanmin(r):.4g} to {np.nanmax(r):.4g}" for name, r in of_each]
@@ -82,7 +85,7 @@ def convergence_pictures(recorded: Recorded) -> list[Picture]:
 def _convergence_picture(gyro: str, course: Course, channel: int, start_ns: int, turns_s: Sequence[float]) -> Picture:
     t_s = np.asarray((course.t_ns - start_ns) * 1e-9, dtype=np.float64)
     each = slice((len(t_s) - 1) % _every(t_s), None, _every(t_s))  # the last among them
-    with _drawn((WIDTH_IN, 1.45), 1, 4, left=0.42, top=0.2) as (figure, panels):
+    with _drawn((WIDTH_IN, 0.95), 1, 4, left=0.42, bottom=0.2, top=0.2) as (figure, panels):
         for s, (panel, symbol) in enumerate(zip(panels[0], _SYMBOLS, strict=True)):
             unit = STATES[s][1]
             value, sd = course.states[each, channel, s] * unit.factor, course.sd[each, channel, s] * unit.factor
@@ -93,7 +96,6 @@ def _convergence_picture(gyro: str, course: Course, channel: int, start_ns: int,
             _close_up(panel, value, sd)
             panel.locator_params(nbins=4)  # more labels would not fit, and each costs time
             panel.set_title(f"{symbol}, {unit.name}")
-            panel.set_xlabel("time, s")
             panel.margins(x=0)
         last = [
             f"{word} {course.states[-1, channel, s] * unit.factor:.4g} ± {course.sd[-1, channel, s] * unit.factor:.2g} "
@@ -110,7 +112,7 @@ def nis_picture(recorded: Recorded) -> Picture | None:
         return None
     columns = min(len(courses) + 1, 6)
     bottom = 0.4 + 0.15 * -(-(len(courses) + 1) // columns)
-    with _drawn((WIDTH_IN, 1.25 + bottom), 1, 1, bottom=bottom) as (figure, panels):
+    with _drawn((WIDTH_IN, 0.9 + bottom), 1, 1, bottom=bottom) as (figure, panels):
         panel = panels[0, 0]
         means = []
         for number, (name, course) in enumerate(courses):
@@ -138,13 +140,14 @@ def allan_picture(recorded: Recorded) -> Picture | None:
     if recorded.allan is None:
         return None
     names, (tau_s, deviation_rps) = recorded.labels, recorded.allan
-    with _drawn((WIDTH_IN / 2 + 0.6, 2.1), 1, 1) as (figure, panels):
+    with _drawn((WIDTH_IN / 2, 1.7), 1, 1) as (figure, panels):
         panel = panels[0, 0]
         for number, name in enumerate(names):
             colour, style = _STYLES[number % len(_STYLES)]
             panel.loglog(tau_s[number], deviation_rps[number] * DEG_PER_H.factor, style, color=colour, label=name)
         panel.set_xlabel("averaging time, s")
         panel.set_ylabel("Allan deviation, °/h")
+        _plain_decades(panel)
         panel.legend(frameon=False, ncols=1 + len(names) // 9)
         lowest = [f"{name} {np.nanmin(d) * DEG_PER_H.factor:.2g}" for name, d in zip(names, deviation_rps, strict=True)]
         return _done(figure, "allan", lowest=lowest)
@@ -201,7 +204,7 @@ def _draw(row: Sequence[Axes], view: ResidualView, spectra: Spectra | None, *, w
     noise = 2 * view.noise_rps * DEG_PER_H.factor
     for label, colour, _, values in both:
         at, shown = _means(since, values * DEG_PER_H.factor)
-        over_time.plot(at, shown, color=colour, label=label, lw=0.7)
+        over_time.plot(at, shown, color=colour, label=label, lw=2.2 if label == "before" else 0.6)
     band = noise * np.sqrt(len(at) / len(since))
     over_time.axhspan(-band, band, color=_NOISE, lw=0, zorder=0, label="± 2 sigma of the noise")
     over_time.set_xlabel("time, s")
@@ -214,11 +217,10 @@ def _draw(row: Sequence[Axes], view: ResidualView, spectra: Spectra | None, *, w
     for panel, (x, label) in zip(beside, over, strict=False):
         for _, colour, mark, values in both:
             y = values[each] * DEG_PER_H.factor
-            panel.plot(x[each], y, mark, ms=1.4, mew=0.3, mfc="none", color=colour)
+            panel.plot(x[each], y, mark, ms=3 if mark == "x" else 1.2, mew=0.4, mfc="none", color=colour)
         panel.axhspan(-noise, noise, color=_NOISE, lw=0, zorder=0)
         panel.set_xlabel(label)
         panel.sharey(over_time)
-        panel.tick_params(labelleft=False)
     if spectra is not None:
         _draw_spectra(row[-1], spectra)
 
@@ -231,9 +233,19 @@ def _draw_spectra(panel: Axes, spectra: Spectra) -> None:
         (GREY, "--", spectra.noise, "noise model"),
     ):
         panel.loglog(spectra.frequency_hz, np.sqrt(density) * ARW.factor * 3600, style, color=colour, label=label)
-    panel.yaxis.set_minor_formatter("")
+    _plain_decades(panel)
     panel.set_xlabel("frequency, Hz")
     panel.set_ylabel("°/h/√Hz")
+
+
+def _plain_decades(panel: Axes) -> None:
+    """Number logarithmic axes at 1, 2 and 5 of each decade, so that the shortest of them has numbers."""
+    from matplotlib.ticker import LogLocator
+
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
 
 
 @contextmanager

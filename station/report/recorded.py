@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -113,11 +113,13 @@ class Recorded:
     @property
     def begun_utc(self) -> datetime | None:
         """When the measurement began; None where that is not known: in virtual time, in imports."""
-        zero = self.recording.attributes.get("clock_zero_utc_s")
-        try:
-            return None if zero is None else datetime.fromtimestamp(float(zero) + self.start_ns * 1e-9, UTC)
-        except (TypeError, OverflowError, OSError, ValueError):
-            return None
+        return self.utc("clock_zero_utc_s", self.start_ns)
+
+    def utc(self, name: str, after_ns: int = 0) -> datetime | None:
+        """Return an instant that an attribute tells in seconds, and some time after it; None if it does not."""
+        with suppress(KeyError, TypeError, OverflowError, OSError, ValueError):
+            return datetime.fromtimestamp(float(self.recording.attributes[name]) + after_ns * 1e-9, UTC)
+        return None
 
     @property
     def end_ns(self) -> int:

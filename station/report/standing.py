@@ -1,11 +1,17 @@
 """What a document may call itself: every limit compared with what was found, and a certificate only of a pass."""
 
 import hashlib
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from enum import Enum
 
+from scipy.optimize import brentq
+from scipy.special import ndtr
+
+from estimator.calibration.values import Calibration
 from station.bench.bench import Limits, read_limits
 from station.bench.table import TWIN
+from station.report.formal import Formal, read_formal
 from station.report.recorded import Recorded
 from station.run.outcome import Outcome, Verdict, judge
 from station.views.limits import LimitLine, limit_lines
@@ -19,6 +25,8 @@ class Kind(Enum):
     ELSEWHERE = ("Calibration report", ": no run of the station made the recording")
     UNJUDGED = ("Calibration report", ": the recording states no limits, so nothing was judged")
     FAILED = ("Calibration report: not within limits", ": the calibration failed its limits")
+    OVERDUE = ("Calibration report", ": the calibration of an instrument that was used was over")
+    NOT_APPROVED = ("Calibration report", ": nobody but the operator approved it, and the bench file asks for another")
     NO_ESTIMATE = ("Report of a failed calibration", ": the run came to no estimate")
     ABORTED = ("Report of an aborted run", ": the run was ended before its time")
     FAULT = ("Report of a run that ended by a fault", ": a device failed during the run")
@@ -51,16 +59,36 @@ class Standing:
         return " ".join(filter(None, (twins, why and f"This is not a calibration certificate{why}.")))
 
 
-def standing_of(recorded: Recorded) -> Standing:
-    """Judge a recording; BenchError if the bench text that it carries cannot be read."""
-    limits = limits_of(recorded)
-    found = recorded.calibration
-    lines = tuple(limit_lines(found, limits, recorded.labels)) if found is not None and limits is not None else ()
+def standing_of(recorded: Recorded, formal: Formal | None = None) -> Standing:
+    """Judge a recording by its formal facts, left out: its own; BenchError if its bench text cannot be read."""
+    formal, limits, found = formal or read_formal(recorded), limits_of(recorded), recorded.calibration
+    lines: tuple[LimitLine, ...] = ()
+    if found is not None and limits is not None:
+        listed = limit_lines(found, limits, recorded.labels)
+        lines = tuple(_guarded(line, found, formal.decision_false_accept) for line in listed)
     simulated = is_simulated(recorded)
     kind, verdict = _kind_of(recorded, limits, lines)
-    if kind is Kind.CERTIFICATE and simulated:
-        kind = Kind.SPECIMEN
+    if kind is Kind.CERTIFICATE:
+        formally = {Kind.OVERDUE: formal.overdue, Kind.NOT_APPROVED: not formal.approved, Kind.SPECIMEN: simulated}
+        kind = next((other for other, so in formally.items() if so), kind)
     return Standing(kind, verdict, lines, simulated)
+
+
+def _guarded(line: LimitLine, found: Calibration, false_accept: float | None) -> LimitLine:
+    """Return the limit of a state with its guard band, any other as it is; None is simple acceptance.
+
+    At the acceptance limit the probability that the state, normal about its estimate with its u, is beyond one of its
+    limits is ``false_accept`` (JCGM 106:2012, 7.4 and 8.3.2; ILAC-G8:09/2019, 4.2.2). Where it is larger in the
+    middle nothing is accepted.
+    """
+    if false_accept is None or line.state is None or line.row is None or line.of_u:
+        return line
+    u = float(found.gyros[line.row].sd[line.state])
+
+    def beyond(size: float) -> float:
+        return float(ndtr((size - line.high) / u) + ndtr(-(size + line.high) / u)) - false_accept
+
+    return replace(line, guard=line.high - brentq(beyond, 0, line.high) if u > 0 and beyond(0) < 0 else math.inf)
 
 
 def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, ...]) -> tuple[Kind, Verdict | None]:
@@ -70,6 +98,10 @@ def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, 
     if recorded.calibration is None:
         return Kind.NO_ESTIMATE, ended
     judged = judge(recorded.calibration, limits) if limits is not None and lines else None
+    refused = tuple(line for line in lines if not line.within)
+    if judged is not None and judged.outcome is Outcome.PASS and refused:
+        names = ", ".join(f"{line.gyro} {line.what}" for line in refused)
+        judged = Verdict(Outcome.FAIL, f"within the limits, but not up to the guard band: {names}", refused)
     if judged is not None and judged.outcome is Outcome.FAIL:
         return Kind.FAILED, judged
     if ended is None:

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import replace
 from datetime import date
 from functools import cache
@@ -119,7 +120,9 @@ def _value(key: Key, value: object, folder: Path, each: int) -> Any:
     if key.kind in ("integer", "number", *UNITS):
         return _number(key, value)
     if key.kind == "date":
-        return _date(value)
+        with suppress(ValueError):
+            return date.fromisoformat(str(value))  # that of TOML, too
+        raise ValueError(f"{str(value)!r} is no date: write it as 2026-11-23")
     text = str(typed(value, (str,), "a text"))
     if key.one_of and text not in key.one_of:
         raise ValueError(not_one_of(text, key.one_of))
@@ -143,16 +146,6 @@ def _texts(key: Key, value: object) -> tuple[str, ...]:
     if key.one_of and (len({*listed}) < len(listed) or not {*listed} <= {*key.one_of}):
         raise ValueError(key.told.format(value))
     return tuple(listed)
-
-
-def _date(value: object) -> date:
-    """Return a date, of TOML or as a text."""
-    if type(value) is date:
-        return value
-    try:
-        return date.fromisoformat(str(typed(value, (str,), "a date")))
-    except ValueError:
-        raise ValueError(f"{str(value)!r} is no date: write it as 2026-11-23") from None
 
 
 def _number(key: Key, value: object) -> float:

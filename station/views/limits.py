@@ -16,7 +16,7 @@ class LimitLine:
     """One limit: what it is of, the value found, the bounds, SI.
 
     Of a gyro (``row`` in the calibration) it is of ``state`` 0 to 3 or, ``of_u``, of that state's standard
-    uncertainty. ``note`` says why a gyro has no estimate.
+    uncertainty. ``note`` says why a gyro has no estimate. What is accepted ends a ``guard`` band before the limits.
     """
 
     gyro: str
@@ -28,6 +28,7 @@ class LimitLine:
     state: int | None = None
     of_u: bool = False
     note: str = ""
+    guard: float = 0.0
 
     @property
     def stated(self) -> bool:
@@ -36,8 +37,8 @@ class LimitLine:
 
     @property
     def within(self) -> bool:
-        """Whether the value is within its bounds; what is not known is not."""
-        return self.low <= self.value <= self.high
+        """Whether the value is accepted; what is not known is not."""
+        return self.low + self.guard <= self.value <= self.high - self.guard
 
     @property
     def broken(self) -> str:

@@ -36,8 +36,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def made(run: Path, meta: Path | None = None, pdf: bytes | None = None) -> bytes:
     """Return the certificate of a recording without that of paper."""
     recorded = read_recorded(run)
-    report = Report("", standing_of(recorded), "1A2B3C", {"file": "0" * 64, "data": "1" * 64})
-    return make_dcc(recorded, read_formal(recorded, meta or run.with_name("meta.toml")), report, pdf)
+    formal = read_formal(recorded, meta or run.with_name("meta.toml"))
+    report = Report("", standing_of(recorded, formal), "1A2B3C", {"file": "0" * 64, "data": "1" * 64})
+    return make_dcc(recorded, formal, report, pdf)
 
 
 def found(xml: bytes | etree._Element, path: str) -> list[Any]:
@@ -129,6 +130,17 @@ def test_limits_and_decision_rule_are_stated_with_the_verdict(run: Path) -> None
     assert len(lines) == 12
     upper = found(xml, "//dcc:metaData[dcc:conformity='pass']//dcc:quantity[@refType='basic_acceptanceLimitUpper']")
     assert [float(texts(one, "si:real/si:value")[0]) for one in upper] == [line.high for line in lines]
+
+
+def test_a_guard_band_moves_what_is_accepted_and_is_told(run: Path, tmp_path: Path) -> None:
+    meta = tmp_path / "meta.toml"
+    meta.write_text(f'{META}[decision]\nrule = "guard band"\nfalse_accept = "1 %"\n', encoding="utf-8")
+    xml = made(run, meta)
+    assert "guard band by ILAC-G8:09/2019, probability of false acceptance at most 1 %" in xml.decode()
+    recorded = read_recorded(run)
+    first = standing_of(recorded, read_formal(recorded, meta)).lines[0]
+    upper = found(xml, "//dcc:quantity[@refType='basic_acceptanceLimitUpper']")[0]
+    assert 0 < float(texts(upper, "si:real/si:value")[0]) == first.high - first.guard < first.high
 
 
 def test_paper_screen_and_json_have_the_same_figures(run: Path, tmp_path: Path) -> None:
@@ -227,4 +239,3 @@ def test_a_key_that_is_none_is_told_before_the_work(
     assert main([*arguments, "--sign", "k.pem", "--certificate", "c.pem"]) == 2
     assert "--dcc" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
-    assert META  # what the file for --meta says

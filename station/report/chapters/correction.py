@@ -23,7 +23,7 @@ from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.exports.terms import SPELLED, law_terms
 from station.render.template import rendered
-from station.report.figures import ONE, figure
+from station.report.figures import ONE, fixed
 from station.report.recorded import Recorded
 from station.report.traced import ALL, Traced
 
@@ -115,7 +115,7 @@ def gains(one: Correction, gyro: int) -> list[Markup]:
     """Return the row of the sensitivity of a gyro, or what it has of the rate about its own axis."""
     compensation = one.compensation
     values = [1 - compensation.states[gyro, 0]] if one.axes_only else compensation.sensitivity[gyro].tolist()
-    return [figure(float(value), ONE, f"{value:.7f}".replace("-", "−")) for value in values]
+    return [fixed(float(value), ONE, 7) for value in values]
 
 
 def formula_of(effect: HeldEffect) -> Markup:

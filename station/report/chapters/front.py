@@ -3,20 +3,21 @@
 import math
 import re
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
-from datetime import UTC, datetime
 
 import numpy as np
 
+from drivers.packaged import packaged_toml
 from drivers.types import Floats
 from estimator.observations.rows import observations
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
 from station.report.chapters.unseen import driven_step
+from station.report.formal import Formal
 from station.report.pictures import Picture, rates_picture
 from station.report.recorded import Recorded, Step
 from station.scripts.script import Rotate
 
+_ASKED_FOR = packaged_toml("station.report", "certificate.toml")["not_stated"]
 _LOCAL = re.compile(r"//(?:127\.|localhost|\[::1\])|/dev/pts/|udp_multicast|can:virtual")
 
 
@@ -100,10 +101,6 @@ def driven_steps(recorded: Recorded) -> list[tuple[Step, Rotate | None]]:
     return [(step, next(iter(turns), None)) for step, turns in zip(recorded.steps, turned, strict=True)]
 
 
-def accepted(recorded: Recorded) -> str:
-    """Return who accepted the calibration and when, empty if nobody did."""
-    who, when = recorded.text("accepted_by"), recorded.text("accepted_utc")
-    if recorded.has("accepted_utc"):
-        with suppress(ValueError, OverflowError, OSError):  # it may be a text already
-            when = f"{datetime.fromtimestamp(float(when), UTC):%Y-%m-%d %H:%M} UTC"
-    return " on ".join(filter(None, (who, when)))
+def not_stated(formal: Formal) -> list[str]:
+    """Return what a certificate must say and nobody stated."""
+    return [words for field, words in _ASKED_FOR.items() if getattr(formal, field) in (None, ())]

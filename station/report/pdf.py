@@ -1,0 +1,26 @@
+"""Prints a report: PDF/A-3b of its HTML, the same bytes for the same report."""
+
+from pathlib import Path
+
+from drivers.packaged import packaged_text
+from station.atomic_write import write_whole
+from station.errors import UsageError
+
+
+def print_pdf(html: str, pdf: Path) -> None:
+    """Print a report to PDF/A-3b (ISO 19005-3) with the fonts of matplotlib; UsageError if Pango is not installed."""
+    try:
+        from weasyprint import CSS, HTML
+        from weasyprint.text.fonts import FontConfiguration
+    except (ImportError, OSError) as error:
+        raise UsageError(
+            f"no PDF without WeasyPrint and Pango ({str(error).splitlines()[0]}): apt install libpango-1.0-0 "
+            "libpangoft2-1.0-0 libharfbuzz-subset0; or open the HTML file and print it"
+        ) from None
+    from matplotlib import get_data_path
+
+    fonts, folder = FontConfiguration(), Path(get_data_path(), "fonts", "ttf").as_uri()
+    sheet = packaged_text("station.report", "print.css").replace("FONTS", folder)
+    own = CSS(string=sheet, font_config=fonts)
+    document = HTML(string=html)
+    write_whole(pdf, document.write_pdf(stylesheets=[own], font_config=fonts, pdf_variant="pdf/a-3b"))
