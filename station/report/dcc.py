@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from lxml import etree
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from drivers.packaged import packaged_toml
 from station.errors import UsageError
@@ -53,7 +53,7 @@ def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | No
         "seen": seen_by(recorded.recording.sources.values()),
         "k": f"{COVERAGE:g}",
         "p": PROBABILITY,
-        "k_of_four": float(np.sqrt(chi2.ppf(PROBABILITY, 4))),  # JCGM 102:2011, 6.5.2.4
+        "k_of_four": float(np.sqrt(chdtri(4, 1 - PROBABILITY))),  # JCGM 102:2011, 6.5.2.4
         "dsi": _FACTS["units"],
         "pdf": pdf and base64.b64encode(pdf).decode(),
         "version": importlib.metadata.version("turntable-station"),
