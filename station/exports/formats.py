@@ -38,8 +38,8 @@ _WRITERS = {
     "ros": write_ros,
     "kalibr": write_kalibr,
     "openvins": write_openvins,
-    "vectornav": write_vectornav,
-    "stim300": write_stim300,
+    "vectornav-84": write_vectornav,
+    "stim300-trim": write_stim300,
     "px4": write_px4,
     "ardupilot": write_ardupilot,
 }

@@ -453,7 +453,7 @@ def test_openvins_undoes_what_we_undo(record: Record, array: str) -> None:
 @pytest.mark.parametrize("array", ["three", "skewed"])
 def test_vectornav_register_84_makes_our_rates(record: Record, array: str, capsys: pytest.CaptureFixture[str]) -> None:
     path = record(ARRAYS[array], {**EFFECTS, **LAWS})
-    lines = export(path, "vectornav").read_text(encoding="utf-8").splitlines()
+    lines = export(path, "vectornav-84").read_text(encoding="utf-8").splitlines()
     said = capsys.readouterr().err
     command = next(line for line in lines if line.startswith("$"))
     fields, checksum = command[1:].split("*")
@@ -472,7 +472,7 @@ def test_vectornav_register_84_makes_our_rates(record: Record, array: str, capsy
 
 def test_the_stim300_is_told_what_it_adds(record: Record) -> None:
     path = record(triad(), {})
-    lines = [line for line in export(path, "stim300").read_text(encoding="utf-8").splitlines() if line[0] != "#"]
+    lines = [line for line in export(path, "stim300-trim").read_text(encoding="utf-8").splitlines() if line[0] != "#"]
     offsets = {name: float(offset) for name, offset in map(str.split, lines)}
     assert offsets == {gyro.name: round(np.degrees(gyro.states[1]), 5) for gyro in exported_of(path).gyros}
 
@@ -560,7 +560,7 @@ def test_gyros_along_minus_axes_and_in_another_order_get_the_right_parameter(rec
     assert held == {"CAL_GYRO0_XOFF": b["a"], "CAL_GYRO0_YOFF": -b["b"], "CAL_GYRO0_ZOFF": -b["c"]}
 
 
-@pytest.mark.parametrize("form", ["ros", "kalibr", "openvins", "vectornav", "px4", "ardupilot"])
+@pytest.mark.parametrize("form", ["ros", "kalibr", "openvins", "vectornav-84", "px4", "ardupilot"])
 def test_an_array_of_four_is_not_squeezed_into_three(
     record: Record, form: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -573,7 +573,7 @@ def test_every_text_form_says_what_of_the_calibration_is_not_in_it(
     record: Record, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = record(triad(), {**EFFECTS, **LEFT_OUT})
-    for form in ("c", "python", "ros", "kalibr", "openvins", "vectornav", "px4", "ardupilot"):
+    for form in ("c", "python", "ros", "kalibr", "openvins", "vectornav-84", "px4", "ardupilot"):
         text = export(path, form).read_text(encoding="utf-8")
         said = capsys.readouterr().err
         for name in LEFT_OUT:

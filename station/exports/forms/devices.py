@@ -19,11 +19,11 @@ def write_vectornav(exported: Exported) -> Written:
     matrix = exported.compensation.array.p @ constants.solution
     values = ",".join(f"{value:.9f}" for value in (*matrix.ravel(), *-constants.bias_rps))
     commands = [f"${text}*{reduce(xor, text.encode()):02X}" for text in (f"VNWRG,84,{values}", "VNWNV")]
-    return from_template("vectornav", exported, dropped, commands=commands)
+    return from_template("vectornav-84", exported, dropped, commands=commands)
 
 
 def write_stim300(exported: Exported) -> Written:
     """Return the bias trim offset of each gyro in deg/s."""
     constants, dropped = as_triad(exported, "STIM300")
     offsets = list(zip(constants.array.names, np.degrees(constants.bias_rps), strict=True))
-    return from_template("stim300", exported, dropped, offsets_dps=offsets)
+    return from_template("stim300-trim", exported, dropped, offsets_dps=offsets)
