@@ -46,7 +46,7 @@ def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | No
     check_facts(formal)
     if report.standing.kind not in (Kind.CERTIFICATE, Kind.SPECIMEN):
         raise UsageError(f"--dcc: {report.standing.warning}")
-    values = {
+    values = _FACTS | {
         "recorded": recorded,
         "formal": formal,
         "report": report,
@@ -54,7 +54,6 @@ def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | No
         "k": f"{COVERAGE:g}",
         "p": PROBABILITY,
         "k_of_four": float(np.sqrt(chdtri(4, 1 - PROBABILITY))),  # JCGM 102:2011, 6.5.2.4
-        "dsi": _FACTS["units"],
         "pdf": pdf and base64.b64encode(pdf).decode(),
         "version": importlib.metadata.version("turntable-station"),
     }

@@ -165,6 +165,16 @@ def test_paper_screen_and_json_have_the_same_figures(run: Path, tmp_path: Path) 
             assert shown[1] == expanded[s]
 
 
+def test_the_device_as_found_is_stated_beside_the_device_as_left(run: Path, tmp_path: Path) -> None:
+    before, recorded = read_recorded(certified(tmp_path, seed=8)), read_recorded(run)
+    formal = read_formal(recorded, run.with_name("meta.toml"))
+    xml = make_dcc(recorded, formal, Report("", standing_of(recorded, formal), "1", {"file": "0"}, before))
+    for of, result in zip((recorded, before), found(xml, "//dcc:measurementResult"), strict=True):
+        assert of.calibration is not None
+        values = texts(result, ".//dcc:list[dcc:name/dcc:content='States']/dcc:quantity/si:real/si:value")
+        assert [float(value) for value in values] == [x for gyro in of.calibration.gyros for x in gyro.states]
+
+
 def test_what_nobody_stated_is_listed_with_the_place_where_it_is_stated(
     run: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

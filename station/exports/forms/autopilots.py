@@ -27,21 +27,20 @@ from station.exports.exported import Exported
 from station.exports.written import Written, as_triad, from_template
 
 _KEPT = (THERMAL_BIAS.name, THERMAL_BIAS_QUADRATIC.name)
-_PX4_MOST, _ARDUPILOT_MOST = 4, 3
 _PX4_STEP_RPS = 0.01
 _ARDUPILOT_REFERENCE_C = 35.0
 
 
 def write_px4(exported: Exported) -> Written:
     """Return parameters of one of PX4's gyros, 0 to 3, as QGroundControl loads them."""
-    held, values = _bias_only(exported, "PX4", _PX4_MOST)
+    held, values = _bias_only(exported, "PX4", 4)
     passed_over = np.linalg.norm(values["offsets"]) <= _PX4_STEP_RPS
     return from_template("px4", exported, held, passed_over=passed_over, **values)
 
 
 def write_ardupilot(exported: Exported) -> Written:
     """Return parameters of one of ArduPilot's gyros, 0 to 2, as its ground stations load them."""
-    held, values = _bias_only(exported, "ArduPilot", _ARDUPILOT_MOST)
+    held, values = _bias_only(exported, "ArduPilot", 3)
     if values["thermal"]:
         linear, quadratic = values["thermal"]
         above = values["mean_c"] - REFERENCE_C

@@ -23,7 +23,6 @@ _DOUBLE = re.compile(
     re.DOTALL,
 )
 """What C writes otherwise for floats, and comments, in which it stays."""
-_LARGEST_SINGLE = 3e38
 _GIVEN = {"warmth": ", double warmth", "time_s": ", double time_s", "accel": ", const double accel[3]"}
 _MATH = ("cos", "exp", "expm1", "fabs", "isfinite", "isnan", "log1p", "nan", "sin", "sqrt", "tanh")
 
@@ -70,7 +69,7 @@ def _single(found: re.Match[str]) -> str:
     text = found.group()
     if not text[0].isdigit():
         return text if text.startswith("/*") else f"{text}f"
-    return number(float(np.float32(min(float(text), _LARGEST_SINGLE))), 9) + "f"
+    return number(float(np.float32(min(float(text), 3e38))), 9) + "f"
 
 
 def _vectors(exported: Exported, terms: Terms) -> tuple[Floats, Floats]:
