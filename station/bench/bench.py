@@ -128,13 +128,8 @@ def read_bench(
     top = Table.parse(text, file, BenchError)
     own = top.read_all("bench.bench", folder)
     name, place = own["name"] or called, own["station"].read_all("bench.station")
-    for key in (
-        "laboratory",
-        "equipment",
-        "procedure",
-        "decision",
-    ):  # of certificates, which read them in the recording
-        for stated in own[key] if isinstance(own[key], list) else [own[key]]:
+    for key in ("laboratory", "procedure", "decision", "equipment"):  # certificates read them in the recording
+        for stated in own[key] if key == "equipment" else [own[key]]:
             stated.check(f"certificate.{key}")
     try:
         modules = load_files((*(folder / listed for listed in own["plugins"] or ()), *plugins))

@@ -3,9 +3,7 @@
 import argparse
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from station.atomic_write import check_new_file, free_path, write_whole
 from station.errors import EXIT_USAGE, UsageError
@@ -14,15 +12,43 @@ from station.errors import EXIT_USAGE, UsageError
 def command_report(arguments: argparse.Namespace) -> int:
     """Write the report of a recording; 0 if it is written, whatever it says."""
     html, pdf, dcc = _outputs(arguments)
-    said, document, make_dcc = _write(arguments, html)
+    keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
+    # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
+    from station.report.dcc import check_facts, make_dcc, read_key, sign
+    from station.report.document import make_report
+    from station.report.formal import read_formal
+    from station.report.recorded import read_recorded
+    from station.report.traced import read_traced
+
+    if keys:
+        read_key(*keys)
+    recorded = read_recorded(Path(arguments.recording))
+    formal = read_formal(recorded, Path(arguments.meta) if arguments.meta else None)
+    if dcc is not None:
+        check_facts(formal)
+    traced = read_traced(Path(arguments.investigation) if arguments.investigation else None, recorded)
+    report = make_report(recorded, traced, formal)
+    write_whole(html, report.html)
+    standing = report.standing
+    said = {
+        "title": standing.title,
+        "number": report.number,
+        "outcome": None if standing.verdict is None else str(standing.verdict.outcome),
+        "reason": None if standing.verdict is None else standing.verdict.reason,
+        "certificate": standing.certificate,
+        "simulated": standing.simulated,
+        "recording": arguments.recording,
+        "sha256": report.hashes,
+    }
     problem = ""
     try:
         if pdf is not None:
             from station.report.pdf import print_pdf
 
-            print_pdf(document, pdf)
+            print_pdf(report.html, pdf)
         if dcc is not None:
-            write_whole(dcc, make_dcc(None if pdf is None else pdf.read_bytes()))
+            xml = make_dcc(recorded, formal, report, None if pdf is None else pdf.read_bytes())
+            write_whole(dcc, sign(xml, *keys) if keys else xml)
     except UsageError as error:
         problem = str(error)
     made = [str(path) if path is not None and path.exists() else None for path in (pdf, dcc)]
@@ -47,6 +73,8 @@ def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]
 
 def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | None]:
     """Return the files to write, HTML and, where they are wanted, PDF and XML, seen to be free before any long work."""
+    if bool(arguments.sign) != bool(arguments.certificate) or (arguments.sign and not arguments.dcc):
+        raise UsageError("--sign KEY.pem goes with --certificate CERTIFICATE.pem and --dcc")
     if arguments.output is None:
         wanted = [".pdf"] * arguments.pdf + [".xml"] * arguments.dcc
         html = free_path(Path(arguments.recording).with_suffix(".html"), beside=wanted)
@@ -62,44 +90,3 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | N
     for path in filter(None, (pdf, dcc, html)):
         check_new_file(path, "--output")
     return html, pdf, dcc
-
-
-def _write(arguments: argparse.Namespace, html: Path) -> tuple[dict[str, Any], str, Callable[[bytes | None], bytes]]:
-    """Write the HTML; return what --json says of it, itself, and what makes the digital one with a PDF inside."""
-    # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
-    from station.report.dcc import check_facts, make_dcc, read_key, sign
-    from station.report.document import make_report
-    from station.report.formal import read_formal
-    from station.report.recorded import read_recorded
-    from station.report.traced import read_traced
-
-    keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
-    if len(keys) == 1 or (keys and not arguments.dcc):
-        raise UsageError("--sign KEY.pem goes with --certificate CERTIFICATE.pem and --dcc")
-    if keys:
-        read_key(*keys)
-    path = Path(arguments.recording)
-    recorded = read_recorded(path)
-    formal = read_formal(recorded, Path(arguments.meta) if arguments.meta else None)
-    if arguments.dcc:
-        check_facts(formal)
-    traced = read_traced(Path(arguments.investigation) if arguments.investigation else None, recorded)
-    report = make_report(recorded, traced, formal)
-    write_whole(html, report.html)
-    standing = report.standing
-
-    def dcc(pdf: bytes | None) -> bytes:
-        xml = make_dcc(recorded, formal, report, pdf)
-        return sign(xml, *keys) if keys else xml
-
-    said = {
-        "title": standing.title,
-        "number": report.number,
-        "outcome": None if standing.verdict is None else str(standing.verdict.outcome),
-        "reason": None if standing.verdict is None else standing.verdict.reason,
-        "certificate": standing.certificate,
-        "simulated": standing.simulated,
-        "recording": str(path),
-        "sha256": report.hashes,
-    }
-    return said, report.html, dcc

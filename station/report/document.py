@@ -2,15 +2,12 @@
 
 import importlib.metadata
 import platform
-import re
 from base64 import b64encode
 from dataclasses import dataclass
 from mimetypes import guess_type
 from pathlib import Path
 
-from markupsafe import Markup
-
-from drivers.packaged import packaged_text
+from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A
 from station.errors import UsageError
 from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
@@ -26,6 +23,7 @@ from station.views.seen import seen_by
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
+    "asked_for": packaged_toml("station.report", "certificate.toml")["not_stated"],
     "blind_spots": unseen,
     "correction": correction,
     "figures": figures,
@@ -61,19 +59,18 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     hashes = {"file": file_sha256(recorded.path), "data": raw_sha256(recorded.path)}
     if traced is not None and traced.path != recorded.path:
         hashes["investigation"] = file_sha256(traced.path)
-    before = _as_found(recorded, formal.item_as_found)
+    before = None if formal.item_as_found is None else _as_found(recorded, formal.item_as_found)
     if before is not None:
         hashes["as_found"] = file_sha256(before.path)
     standing = standing_of(recorded, formal)
     number = formal.certificate_number or number_of(recorded, tuple(hashes.values()))
     device = formal.item_serial_number or recorded.text("device")
-    foot = f"{device}, {recorded.path.name}" if device else recorded.path.name
     versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
     not_seen = unseen.unseen_of(recorded)
     values = {
         "recorded": recorded,
         "formal": formal,
-        "logo": _logo(formal.laboratory_logo),
+        "logo": _logo(formal.laboratory_logo) if formal.laboratory_logo else "",
         "before": before,
         "found": recorded.calibration,
         "standing": standing,
@@ -82,7 +79,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
         "hashes": hashes,
         "number": number,
         "device": device,
-        "sheet": Markup(_sheet(standing.title, f"No. {number}", foot)),
+        "foot": ", ".join(filter(None, (device, recorded.path.name))),
         "made_with": ", ".join([*versions, f"Python {platform.python_version()}"]),
         "titles": [],
     }
@@ -91,32 +88,21 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     return Report(html, standing, number, hashes, before, not_seen)
 
 
-def _as_found(recorded: Recorded, path: Path | None) -> Recorded | None:
+def _as_found(recorded: Recorded, path: Path) -> Recorded:
     """Return the recording of the device as found; UsageError if that holds nothing to set beside this one."""
-    before = None if path is None else read_recorded(path)
-    serials = {one.text("device_serial") for one in (recorded, before) if one is not None} - {""}
-    if before is not None and (before.labels != recorded.labels or not before.labels or len(serials) > 1):
+    before = read_recorded(path)
+    serials = {before.text("device_serial"), recorded.text("device_serial"), ""}
+    if not before.labels or before.labels != recorded.labels or len(serials) > 2:
         raise UsageError(f"{path}: item.as_found must be a calibration of the same gyros, of the same device")
     return before
 
 
-def _logo(path: Path | None) -> str:
-    """Return a picture as a data URI, empty if there is none; UsageError if it cannot be read."""
-    if path is None:
-        return ""
+def _logo(path: Path) -> str:
+    """Return a picture as a data URI; UsageError if it cannot be read, or is none by its name."""
+    kind = str(guess_type(path.name)[0])
     try:
-        return f"data:{guess_type(path.name)[0]};base64,{b64encode(path.read_bytes()).decode()}"
+        if not kind.startswith("image/"):
+            raise UsageError(f"laboratory.logo: {path} is no picture: give a .svg, .png or .jpg")
+        return f"data:{kind};base64,{b64encode(path.read_bytes()).decode()}"
     except OSError as error:
         raise UsageError(f"laboratory.logo: {error}") from None
-
-
-def _sheet(head: str, number: str, foot: str) -> str:
-    """Return the style sheet with what stands at the head and the foot of every printed page."""
-    shown = {"HEAD": head, "NUMBER": number, "FOOT": foot}
-    text = packaged_text("station.report", "report.css")
-    return re.sub(r"\b(HEAD|NUMBER|FOOT)\b", lambda found: _quoted(shown[found.group()]), text)
-
-
-def _quoted(text: str) -> str:
-    """Return a text as CSS has it: whatever is in it, it ends neither the string nor the sheet."""
-    return '"' + "".join(c if c.isalnum() or c in " .,:-" else f"\\{ord(c):x} " for c in text) + '"'

@@ -91,7 +91,10 @@ def read_formal(recorded: Recorded, meta: Path | None = None) -> Formal:
     bench = Table.parse(recorded.text("bench"), "bench in the recording", BenchError)
     top = Table.parse("", "", UsageError) if meta is None else Table.load(meta, UsageError)
     item, decision = (top.again().table(name, optional=True) for name in ("item", "decision"))
-    stated = dict(_facts(bench, beside)) | dict(_facts(top, beside if meta is None else meta.parent))
+    stated = dict(_facts(bench, beside))
+    if logo := stated.get("laboratory_logo"):
+        stated["laboratory_logo"] = beside / logo.name  # no other file of this computer, whoever made the recording
+    stated |= dict(_facts(top, beside if meta is None else meta.parent))
     top.done()
     serial, begun = recorded.text("device_serial"), recorded.begun_utc
     if serial and stated.setdefault("item_serial_number", serial) != serial:

@@ -10,8 +10,7 @@ from station.errors import UsageError
 def print_pdf(html: str, pdf: Path) -> None:
     """Print a report to PDF/A-3b (ISO 19005-3) with the fonts of matplotlib; UsageError if Pango is not installed."""
     try:
-        from weasyprint import CSS, HTML
-        from weasyprint.text.fonts import FontConfiguration
+        from weasyprint import HTML
     except (ImportError, OSError) as error:
         raise UsageError(
             f"no PDF without WeasyPrint and Pango ({str(error).splitlines()[0]}): apt install libpango-1.0-0 "
@@ -19,8 +18,7 @@ def print_pdf(html: str, pdf: Path) -> None:
         ) from None
     from matplotlib import get_data_path
 
-    fonts, folder = FontConfiguration(), Path(get_data_path(), "fonts", "ttf").as_uri()
+    folder = Path(get_data_path(), "fonts", "ttf").as_uri()
     sheet = packaged_text("station.report", "print.css").replace("FONTS", folder)
-    own = CSS(string=sheet, font_config=fonts)
-    document = HTML(string=html)
-    write_whole(pdf, document.write_pdf(stylesheets=[own], font_config=fonts, pdf_variant="pdf/a-3b"))
+    document = HTML(string=html.replace("</style>", f"{sheet}</style>", 1))
+    write_whole(pdf, document.write_pdf(pdf_variant="pdf/a-3b"))

@@ -112,7 +112,7 @@ def nis_picture(recorded: Recorded) -> Picture | None:
         return None
     columns = min(len(courses) + 1, 6)
     bottom = 0.4 + 0.15 * -(-(len(courses) + 1) // columns)
-    with _drawn((WIDTH_IN, 0.9 + bottom), 1, 1, bottom=bottom) as (figure, panels):
+    with _drawn((WIDTH_IN, 0.8 + bottom), 1, 1, bottom=bottom) as (figure, panels):
         panel = panels[0, 0]
         means = []
         for number, (name, course) in enumerate(courses):
@@ -128,7 +128,7 @@ def nis_picture(recorded: Recorded) -> Picture | None:
         half = 1.96 * np.sqrt(2 / max(min(d for _, _, d in means), 1))
         panel.axhspan(1 - half, 1 + half, color="#e9e9e9", lw=0, zorder=0, label="95 % of the means, if all is right")
         panel.set_xlabel("time since the script began, s")
-        panel.set_ylabel("NIS / degree of freedom")
+        panel.set_ylabel("NIS per dof")
         panel.margins(x=0)
         panel.set_ylim(bottom=0)
         figure.legend(loc="lower center", ncols=columns, frameon=False)
@@ -204,7 +204,7 @@ def _draw(row: Sequence[Axes], view: ResidualView, spectra: Spectra | None, *, w
     noise = 2 * view.noise_rps * DEG_PER_H.factor
     for label, colour, _, values in both:
         at, shown = _means(since, values * DEG_PER_H.factor)
-        over_time.plot(at, shown, color=colour, label=label, lw=2.2 if label == "before" else 0.6)
+        over_time.plot(at, shown, color=colour, label=label, lw=1.6 if label == "before" else 0.6)
     band = noise * np.sqrt(len(at) / len(since))
     over_time.axhspan(-band, band, color=_NOISE, lw=0, zorder=0, label="± 2 sigma of the noise")
     over_time.set_xlabel("time, s")
@@ -239,11 +239,12 @@ def _draw_spectra(panel: Axes, spectra: Spectra) -> None:
 
 
 def _plain_decades(panel: Axes) -> None:
-    """Number logarithmic axes at 1, 2 and 5 of each decade, so that the shortest of them has numbers."""
+    """Number logarithmic axes at each decade, and those of two decades or less at 2 and 5, too."""
     from matplotlib.ticker import LogLocator
 
     for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=(1,) if high > 100 * low else (1, 2, 5)))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter("")
 

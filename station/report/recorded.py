@@ -94,10 +94,6 @@ class Recorded:
         """What to call the gyros of the calibration."""
         return [self.label(gyro.source, gyro.name) for gyro in self.calibration.gyros] if self.calibration else []
 
-    def has(self, name: str) -> bool:
-        """Return whether the file has an attribute."""
-        return name in self.recording.attributes
-
     def text(self, name: str) -> str:
         """Return an attribute of the file as text, empty if it has none."""
         value = self.recording.attributes.get(name, "")

@@ -22,7 +22,6 @@ from estimator.tracing.investigation import ResidualView
 from station.render.investigation_printed import verdict_lines
 from station.report.figures import COVERAGE, worded
 from station.report.recorded import Recorded, labels_of, laid_out
-from station.views.figures import probability
 from station.views.investigation import InvestigationView, Spectra, judged_views
 
 if TYPE_CHECKING:
@@ -125,18 +124,9 @@ def is_among(recorded: Recorded, what: Mapping[str, Any]) -> bool:
     return recorded.path.name in {Path(path).name for key in ("recordings", "verification") for path in what[key]}
 
 
-def added_rows(added: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, Markup, str]]:
-    """Return the effects that were traced: name, parameter, value with its expanded uncertainty, probability."""
-    return [
-        (
-            words(effect["effect"]),
-            name,
-            worded(_number(value), COVERAGE * _number(sd), unit),
-            probability(_number(effect["probability"])),
-        )
-        for effect in added
-        for name, (value, sd, unit) in effect["parameters"].items()
-    ]
+def parameter(value: float | None, sd: float | None, unit: str) -> Markup:
+    """Return a parameter of an effect that was traced, with its expanded uncertainty."""
+    return worded(number(value), COVERAGE * number(sd), unit)
 
 
 def findings(what: InvestigationView) -> list[str]:
@@ -144,7 +134,7 @@ def findings(what: InvestigationView) -> list[str]:
     return [sentence(said) for said in (*verdict_lines({**what, "added": []}), *what["notes"])]
 
 
-def _number(value: float | None) -> float:
+def number(value: float | None) -> float:
     """Return a number of JSON, in which null stands for what is not known."""
     return math.nan if value is None else float(value)
 

@@ -57,7 +57,7 @@ def test_the_pdf_is_pdf_a_3b(pdf: Path) -> None:
 def test_it_stays_so_when_it_is_signed(pdf: Path) -> None:
     signed = pdf.with_name("signed.pdf")
     if shutil.which("pyhanko") is None or shutil.which("openssl") is None:
-        pytest.skip("pip install 'pyhanko[cli]'; apt install openssl")
+        pytest.skip("pip install pyhanko-cli; apt install openssl")
     key = ["-newkey", "rsa:2048", "-nodes", "-subj", "/CN=Laboratory", "-keyout", "key.pem", "-out", "cert.pem"]
     subprocess.run(["openssl", "req", "-x509", *key], cwd=pdf.parent, check=True, capture_output=True)
     by = ["pemder", "--key", "key.pem", "--cert", "cert.pem", "--no-pass"]

@@ -6,18 +6,15 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from drivers.packaged import packaged_toml
 from drivers.types import Floats
 from estimator.observations.rows import observations
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
 from station.report.chapters.unseen import driven_step
-from station.report.formal import Formal
 from station.report.pictures import Picture, rates_picture
 from station.report.recorded import Recorded, Step
 from station.scripts.script import Rotate
 
-_ASKED_FOR = packaged_toml("station.report", "certificate.toml")["not_stated"]
 _LOCAL = re.compile(r"//(?:127\.|localhost|\[::1\])|/dev/pts/|udp_multicast|can:virtual")
 
 
@@ -25,7 +22,7 @@ def links_of(recorded: Recorded) -> dict[str, str]:
     """Return protocol and link of each device and of the table."""
     devices = (text.partition(" (") for text in recorded.recording.attributes.get("devices", ()))
     links = {name: rest.rstrip(")") for name, _, rest in devices}
-    return links | ({"table": recorded.text("table_link")} if recorded.has("table_link") else {})
+    return links | ({"table": recorded.text("table_link")} if recorded.text("table_link") else {})
 
 
 def local_links(links: Mapping[str, str]) -> list[str]:
@@ -99,8 +96,3 @@ def driven_steps(recorded: Recorded) -> list[tuple[Step, Rotate | None]]:
         return []
     turned = ([part for part in driven_step(table, step) if isinstance(part, Rotate)] for step in recorded.steps)
     return [(step, next(iter(turns), None)) for step, turns in zip(recorded.steps, turned, strict=True)]
-
-
-def not_stated(formal: Formal) -> list[str]:
-    """Return what a certificate must say and nobody stated."""
-    return [words for field, words in _ASKED_FOR.items() if getattr(formal, field) in (None, ())]

@@ -7,8 +7,7 @@ from markupsafe import Markup
 
 from drivers.packaged import packaged_toml
 from estimator.calibration.values import Calibration
-from estimator.effects.constructed import readable as words
-from station.report.figures import COVERAGE, ONE, PERCENT, STATES, Unit, figure, plain, worded
+from station.report.figures import ONE, PERCENT, STATES, Unit, figure, plain
 from station.report.recorded import Recorded
 from station.report.standing import Standing
 from station.report.traced import Traced
@@ -27,18 +26,6 @@ def moved_by(recorded: Recorded, found: Calibration, traced: Traced) -> float:
         if label in traced.names
     ]
     return float(np.max(moved, initial=0.0))
-
-
-def effect_values(recorded: Recorded, found: Calibration) -> list[list[str]]:
-    """Return the effects of the error model that were estimated beside the states: what, of which gyro, the value."""
-    rows = []
-    for column, effect in enumerate(found.gyros[0].effects):
-        for i, gyro in enumerate(found.gyros[:1] if effect.shared else found.gyros):
-            value = gyro.effects[column]
-            who = "all gyros" if effect.shared else recorded.label(gyro.source, gyro.name)
-            shown = worded(value.value, COVERAGE * value.sd, value.unit, f"calibration/effects[{i},{column}]")
-            rows.append([f"{words(effect.effect)}, {effect.parameter}", who, shown])
-    return rows
 
 
 def quantity(line: LimitLine) -> tuple[str, Unit, str | None]:
