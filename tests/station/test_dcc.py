@@ -56,6 +56,7 @@ def numbers(xml: etree._Element, path: str) -> Any:
 
 def test_every_state_has_the_value_unit_k_and_uncertainty_of_the_recording(run: Path) -> None:
     results = found(made(run), "//dcc:result[starts-with(@id, 'gyro')]")
+    assert made(run) == made(run)
     with h5py.File(run) as file:
         states, sd, covariance = (file[f"calibration/{key}"][()] for key in ("states", "sd", "covariance"))
     assert len(results) == len(states)
@@ -185,6 +186,9 @@ def test_what_nobody_stated_is_listed_with_the_place_where_it_is_stated(
     for fact in ("laboratory.name", "laboratory.country", "customer.address", "certificate.approved_by", "--meta"):
         assert fact in said, fact
     assert "customer.name" not in said.replace("customer.name is", "")
+    meta.write_text(META.replace('"CH"', '"Switzerland"'), encoding="utf-8")
+    assert main(["report", str(run), "--dcc", "--meta", str(meta), "-o", str(tmp_path / "c.html")]) == 2
+    assert "laboratory.country = 'Switzerland': give two capital letters" in capsys.readouterr().err
     assert not list(tmp_path.glob("c.*"))  # said before the work, and nothing is left half done
 
 
