@@ -90,7 +90,7 @@ def read_formal(recorded: Recorded, meta: Path | None = None) -> Formal:
     beside = recorded.path.parent
     bench = Table.parse(recorded.text("bench"), "bench in the recording", BenchError)
     top = Table.parse("", "", UsageError) if meta is None else Table.load(meta, UsageError)
-    item, decision = (top.again().table(name, optional=True) for name in ("item", "decision"))
+    item, performed, decision = (top.again().table(name, optional=True) for name in ("item", "performed", "decision"))
     stated = dict(_facts(bench, beside))
     if logo := stated.get("laboratory_logo"):
         stated["laboratory_logo"] = beside / logo.name  # no other file of this computer, whoever made the recording
@@ -104,7 +104,9 @@ def read_formal(recorded: Recorded, meta: Path | None = None) -> Formal:
     elif stated.pop("decision_false_accept", None) and decision.has("false_accept"):
         raise decision.fail("false_accept", 'is for rule = "guard band"')
     stated.setdefault("certificate_approved_by", recorded.text("accepted_by") or None)
-    stated.setdefault("performed_date", begun and begun.date())
+    day = stated.setdefault("performed_date", begun and begun.date())
+    if begun is not None and day is not None and abs((day - begun.date()).days) > 1:  # but for the time of the place
+        raise performed.fail("date", f"'{day}': the recording began on {begun.date()} UTC")
     stated |= {field: recorded.text(name) or None for field, name in _RECORDED.items()}
     stated["approved_by_another"] = bench.table("station", optional=True).read("bench.station")["approved_by_another"]
     return Formal(**stated)

@@ -77,11 +77,17 @@ def test_a_file_of_another_device_or_that_is_wrong_is_refused_with_its_line(tmp_
         '[item]\nreceived = "2.5.2026"': r"line 2: item.received: '2.5.2026' is no date: write it as 2026-11-23",
         '[customer]\nnmae = "x"': r"line 2: customer.nmae: unknown key; did you mean name\?",
         '[decision]\nrule = "simple"\nfalse_accept = "1 %"': r"line 3: decision.false_accept: is for rule = ",
+        "[performed]\ndate = 2026-04-20": r"line 2: performed.date: '2026-04-20': the .* began on 2026-05-01",
         '[[equipment]]\nserial_number = "7"': r"equipment.0: name is missing",
         "[lab]": r"lab: unknown key",
     }.items():
         with pytest.raises(UsageError, match=said):
             read_formal(run, written(tmp_path, text))
+
+
+def test_the_bench_of_a_stranger_leads_to_no_file_but_beside_its_recording(tmp_path: Path) -> None:
+    bench = '[laboratory]\nlogo = "/etc/../etc/passwd"\n'
+    assert read_formal(recorded(tmp_path, bench)).laboratory_logo == tmp_path / "passwd"
 
 
 def test_equipment_is_overdue_and_approval_lacking_by_what_the_bench_wants(tmp_path: Path) -> None:
