@@ -36,7 +36,10 @@ def command_export(arguments: argparse.Namespace) -> int:
         print(json.dumps({**told, "notes": exported.cautions}))
     elif arguments.output == _STDOUT:
         sys.stdout.flush()
-        sys.stdout.buffer.write(written.text.encode())  # whatever the locale: these files are UTF-8
+        text = written.text
+        sys.stdout.buffer.write(
+            text.encode() if isinstance(text, str) else text
+        )  # whatever the locale: these files are UTF-8
         sys.stdout.buffer.flush()
     for line in written.not_held:
         print(f"not in {arguments.format}: {line}", file=sys.stderr)

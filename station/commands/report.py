@@ -1,4 +1,4 @@
-"""station report: the report of a recording, as HTML and as PDF."""
+"""station report: the report of a recording, as HTML, as PDF and as digital calibration certificate."""
 
 import argparse
 import json
@@ -11,15 +11,21 @@ from station.errors import EXIT_USAGE, UsageError
 
 def command_report(arguments: argparse.Namespace) -> int:
     """Write the report of a recording; 0 if it is written, whatever it says."""
-    html, pdf = _outputs(arguments)
+    html, pdf, dcc = _outputs(arguments)
+    keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
     # numpy, h5py and matplotlib are slow to import: what is wrong with the arguments was said before.
+    from station.report.dcc import check_facts, make_dcc, read_key, sign
     from station.report.document import make_report
     from station.report.formal import read_formal
     from station.report.recorded import read_recorded
     from station.report.traced import read_traced
 
+    if keys:
+        read_key(*keys)
     recorded = read_recorded(Path(arguments.recording))
     formal = read_formal(recorded, Path(arguments.meta) if arguments.meta else None)
+    if dcc is not None:
+        check_facts(formal)
     traced = read_traced(Path(arguments.investigation) if arguments.investigation else None, recorded)
     report = make_report(recorded, traced, formal)
     write_whole(html, report.html)
@@ -35,20 +41,25 @@ def command_report(arguments: argparse.Namespace) -> int:
         "sha256": report.hashes,
     }
     problem = ""
-    if pdf is not None:
-        from station.report.pdf import print_pdf
+    try:
+        if pdf is not None:
+            from station.report.pdf import print_pdf
 
-        try:
             print_pdf(report.html, pdf)
-        except UsageError as error:
-            problem = str(error)
+        if dcc is not None:
+            xml = make_dcc(recorded, formal, report, None if pdf is None else pdf.read_bytes())
+            write_whole(dcc, sign(xml, *keys) if keys else xml)
+    except UsageError as error:
+        problem = str(error)
+    made = [str(path) if path is not None and path.exists() else None for path in (pdf, dcc)]
     if arguments.json:
-        print(json.dumps({**said, "html": str(html), "pdf": None if problem or pdf is None else str(pdf)}))
+        print(json.dumps({**said, "html": str(html), "pdf": made[0], "dcc": made[1]}))
     else:
         print(f"{said['title']} No. {said['number']}")
         print(f"report: {html}")
-        if pdf is not None and not problem:
-            print(f"PDF: {pdf}")
+        for what, path in zip(("PDF", "digital calibration certificate"), made, strict=True):
+            if path:
+                print(f"{what}: {path}")
     if problem:
         print(f"station: {problem}; the report is kept in {html}", file=sys.stderr)
         return EXIT_USAGE
@@ -57,13 +68,16 @@ def command_report(arguments: argparse.Namespace) -> int:
 
 def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]:
     """Return what --json prints when there is no report."""
-    return {"title": None, "reason": reason, "html": None, "pdf": None}
+    return {"title": None, "reason": reason, "html": None, "pdf": None, "dcc": None}
 
 
-def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None]:
-    """Return the files to write, HTML and, where it is wanted, PDF, seen to be free before any long work."""
+def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | None]:
+    """Return the files to write, HTML and, where they are wanted, PDF and XML, seen to be free before any long work."""
+    if bool(arguments.sign) != bool(arguments.certificate) or (arguments.sign and not arguments.dcc):
+        raise UsageError("--sign KEY.pem goes with --certificate CERTIFICATE.pem and --dcc")
     if arguments.output is None:
-        html = free_path(Path(arguments.recording).with_suffix(".html"), beside=[".pdf"] if arguments.pdf else [])
+        wanted = [".pdf"] * arguments.pdf + [".xml"] * arguments.dcc
+        html = free_path(Path(arguments.recording).with_suffix(".html"), beside=wanted)
         pdf = html.with_suffix(".pdf") if arguments.pdf else None
     else:
         named = Path(arguments.output)
@@ -72,6 +86,7 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None]:
         as_pdf = named.suffix.lower() == ".pdf"
         html = named.with_suffix(".html") if as_pdf else named
         pdf = named if as_pdf else named.with_suffix(".pdf") if arguments.pdf else None
-    for path in filter(None, (pdf, html)):
+    dcc = html.with_suffix(".xml") if arguments.dcc else None
+    for path in filter(None, (pdf, dcc, html)):
         check_new_file(path, "--output")
-    return html, pdf
+    return html, pdf, dcc

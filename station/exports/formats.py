@@ -8,9 +8,10 @@ from drivers.plugins import Registry
 from station.exports import GROUP
 from station.exports.exported import Exported
 from station.exports.forms.autopilots import write_ardupilot, write_px4
-from station.exports.forms.plain_data import write_csv, write_json, write_yaml
-from station.exports.forms.robotics import write_kalibr, write_ros
-from station.exports.forms.source_code import write_c, write_python
+from station.exports.forms.devices import write_stim300, write_vectornav
+from station.exports.forms.plain_data import write_csv, write_json, write_matlab, write_yaml
+from station.exports.forms.robotics import write_kalibr, write_openvins, write_ros
+from station.exports.forms.source_code import write_c, write_c_float, write_python
 from station.exports.written import Written
 
 
@@ -29,11 +30,16 @@ _HELD = packaged_toml("station.exports", "held.toml")
 _WRITERS = {
     "json": write_json,
     "yaml": write_yaml,
+    "matlab": write_matlab,
     "csv": write_csv,
     "c": write_c,
+    "c-float": write_c_float,
     "python": write_python,
     "ros": write_ros,
     "kalibr": write_kalibr,
+    "openvins": write_openvins,
+    "vectornav-84": write_vectornav,
+    "stim300-trim": write_stim300,
     "px4": write_px4,
     "ardupilot": write_ardupilot,
 }

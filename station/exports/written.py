@@ -1,34 +1,38 @@
 """One calibration in one form: the text of the file, and what the file cannot hold."""
 
 import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import yaml
 
+from estimator.calibration.compensation import Compensation
 from estimator.effects.constructed import readable
 from station.errors import UsageError
 from station.exports.exported import Exported
+from station.render.template import rendered
 
+_LINE_END = re.compile(r"[\r\n\f]")
 _NOT_FINITE = "the calibration holds a number that is not finite: estimate it again"
 """Why a calibration cannot be written in any form."""
 
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """Text of a file; ``not_held`` says, a line each, what of the calibration is not in it, or must be done by hand."""
+    """Text or bytes of a file; ``not_held``: a line each, what of the calibration it lacks, what is left to do."""
 
-    text: str
+    text: str | bytes
     not_held: tuple[str, ...] = ()
 
 
-def number(value: float) -> str:
-    """Return a number with 17 significant digits, which give the same double back: for C and Python alike."""
+def number(value: float, digits: int = 17) -> str:
+    """Return a number for C and Python alike; 17 significant digits give the same double back, 9 the same float."""
     if not np.isfinite(value):
         raise UsageError(_NOT_FINITE)
-    text = format(float(value), ".17g")
+    text = format(float(value), f".{digits}g")
     mantissa, e, exponent = text.partition("e")
     # C takes 1 for an int.
     return f"{mantissa}{'' if '.' in mantissa else '.0'}{e}{exponent}"
@@ -75,11 +79,23 @@ def head(exported: Exported, what: str, not_held: Sequence[str], mark: str) -> l
     lines = [what, "", *exported.origin]
     if not_held:
         lines += ["", "Not in this file, or to be done by hand:", *(f"  - {line}" for line in not_held)]
-    return [f"{mark} {line}".rstrip() for line in lines]
+    return [f"{mark} {_LINE_END.sub(' ', line)}".rstrip() for line in lines]  # a name must not end the comment
 
 
-def as_triad(exported: Exported, form: str) -> None:
-    """See that there are three gyros, which is all that a form holds; UsageError that says what to do if not."""
+def from_template(form: str, exported: Exported, dropped: Mapping[str, str], **values: Any) -> Written:
+    """Return what the template of a form makes of ``values``: what it lacks and leaves to do first, then the file."""
+    values |= {"numbers": lambda row: ", ".join(map(number, row)), "delay_s": exported.compensation.delay_s}
+    what, *notes = rendered("station.exports", f"{form}.jinja", {"head": (), **values}).splitlines()
+    not_held = [*notes, *lines_of(dropped)]
+    values["head"] = head(exported, what, not_held, "#")
+    return Written(rendered("station.exports", f"{form}.jinja", values), tuple(not_held))
+
+
+def as_triad(exported: Exported, form: str, keep: Collection[str] = ()) -> tuple[Compensation, dict[str, str]]:
+    """Return what is left for a form that holds three gyros and only some effects, and why each other is not in it.
+
+    UsageError that says what to do if there are not three.
+    """
     count = len(exported.gyros)
     if count != 3:
         several = f" of {len(exported.devices)} devices: give one with --device" if len(exported.devices) > 1 else ""
@@ -87,3 +103,5 @@ def as_triad(exported: Exported, form: str) -> None:
             f"{form} holds three gyros, and this is an array of {count}{several}; `--format c` or `--format python` "
             "gives the function that makes one body rate of them"
         )
+    held, dropped = exported.compensation.simplified(keep, exported.seen.temperature_c[1])
+    return held, {**exported.compensation.left_out, **dropped}

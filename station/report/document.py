@@ -40,12 +40,14 @@ _MADE_OF = {
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A document and what identifies it; ``hashes`` are SHA-256 of the recording's "file" and "data"."""
+    """A document, SHA-256 of its sources ("file", "data" of the recording), the device as found, what was not seen."""
 
     html: str
     standing: Standing
     number: str
     hashes: dict[str, str]
+    before: Recorded | None = None
+    not_seen: unseen.Unseen | None = None
 
 
 def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Report:
@@ -64,6 +66,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     number = formal.certificate_number or number_of(recorded, tuple(hashes.values()))
     device = formal.item_serial_number or recorded.text("device")
     versions = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
+    not_seen = unseen.unseen_of(recorded)
     values = {
         "recorded": recorded,
         "formal": formal,
@@ -71,7 +74,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
         "before": before,
         "found": recorded.calibration,
         "standing": standing,
-        "unseen": unseen.unseen_of(recorded),
+        "unseen": not_seen,
         "traced": traced,
         "hashes": hashes,
         "number": number,
@@ -82,7 +85,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     }
     with laid_out(recorded.path, "what it or its investigation holds cannot be reported ({})"):
         html = rendered("station.report", "report.html", _MADE_OF | values)
-    return Report(html, standing, number, hashes)
+    return Report(html, standing, number, hashes, before, not_seen)
 
 
 def _as_found(recorded: Recorded, path: Path) -> Recorded:

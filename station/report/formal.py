@@ -36,6 +36,7 @@ class Formal:
 
     laboratory_name: str | None = None
     laboratory_address: tuple[str, ...] = ()
+    laboratory_country: str | None = None
     laboratory_contact: str | None = None
     laboratory_accreditation: str | None = None
     laboratory_logo: Path | None = None

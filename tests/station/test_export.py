@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import csv
+import functools
 import importlib.util
 import json
+import operator
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -16,6 +19,7 @@ import numpy as np
 import pytest
 import yaml
 from compensating import compensate, less_added
+from scipy.io import loadmat
 from support import station
 
 from estimator.calibration.calibration_file import write_calibration
@@ -36,6 +40,7 @@ from station.exports.written import yaml_text
 SAMPLES = 400
 PERIOD_S = 0.01
 SAME = 1e-9
+SAME_SINGLE = 1e-5  # rad/s, of rates up to 2: 5e-6 of them
 EFFECTS: dict[str, tuple[float, ...]] = {
     "thermal_bias": (2e-4,),
     "thermal_bias_quadratic": (3e-6,),
@@ -227,36 +232,50 @@ MAIN = """
 #include "made.h"
 int main(void)
 {{
-    double rate_rps[my_gyro_1_gyros], temperature_c, accel[3], dt_s, w_rps[3];
+    {real} rate_rps[{p}_gyros], temperature_c, accel[3], dt_s, w_rps[3];
+    double read[6];
     int i;
     {state}
+    if ({p}_self_test() != 0) return 2;
     for (;;) {{
-        for (i = 0; i < my_gyro_1_gyros; i++)
-            if (scanf("%lf", &rate_rps[i]) != 1) return 0;
-        if (scanf("%lf %lf %lf %lf %lf", &temperature_c, &accel[0], &accel[1], &accel[2], &dt_s) != 5) return 1;
-        i = my_gyro_1_correct({arguments});
-        printf("%d %.17g %.17g %.17g\\n", i, w_rps[0], w_rps[1], w_rps[2]);
+        for (i = 0; i < {p}_gyros; i++) {{
+            if (scanf("%lf", &read[0]) != 1) return 0;
+            rate_rps[i] = ({real})read[0];
+        }}
+        for (i = 0; i < 5; i++)
+            if (scanf("%lf", &read[i]) != 1) return 1;
+        temperature_c = ({real})read[0];
+        accel[0] = ({real})read[1];
+        accel[1] = ({real})read[2];
+        accel[2] = ({real})read[3];
+        dt_s = ({real})read[4];
+        (void)temperature_c;
+        (void)accel;
+        (void)dt_s;
+        i = {p}_correct({arguments});
+        printf("%d %.17g %.17g %.17g\\n", i, (double)w_rps[0], (double)w_rps[1], (double)w_rps[2]);
     }}
 }}
 """
+WARNED = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-pedantic", "-Werror"]
 
 
-def by_c(exported: Exported, *given: Any) -> tuple[Any, Any]:
+def by_c(exported: Exported, *given: Any, form: str = "c", spoil: Callable[[str], str] = str) -> tuple[Any, Any]:
     """Return the rates that the C function makes of samples as ``samples`` gives them, and what it returned for each.
 
-    It is compiled without a warning first.
+    It is compiled without a warning, and tests itself, first. ``spoil`` changes the header.
     """
-    path, text = exported.path, FORMATS["c"].write(exported).text
-    signature = text.rpartition("static inline int my_gyro_1_correct(")[2].partition(")")[0]
+    path, text, p = exported.path, spoil(FORMATS[form].write(exported).text), "my_gyro_1" + form[1:].replace("-", "_")
+    signature = text.rpartition(f"static inline int {p}_correct(")[2].partition(")")[0]
     arguments = [word.split("[")[0].split()[-1].lstrip("*") for word in signature.split(",")]
-    state = "my_gyro_1_state kept; my_gyro_1_reset(&kept);" if "state" in arguments else ""
-    source = MAIN.format(state=state, arguments=", ".join(arguments).replace("state,", "&kept,"))
+    state = f"{p}_state kept; {p}_reset(&kept);" if "state" in arguments else ""
+    called = ", ".join(arguments).replace("state,", "&kept,")
+    source = MAIN.format(state=state, arguments=called, p=p, real="double" if form == "c" else "float")
     path.with_name("made.h").write_text(text, encoding="utf-8")
     path.with_name("made.c").write_text(source, encoding="utf-8")
     program = path.with_name("made")
-    flags = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror"]
     built = subprocess.run(
-        ["cc", *flags, str(path.with_name("made.c")), "-o", str(program), "-lm"],
+        ["cc", *WARNED, str(path.with_name("made.c")), "-o", str(program), "-lm"],
         capture_output=True,
         text=True,
         check=False,
@@ -266,7 +285,7 @@ def by_c(exported: Exported, *given: Any) -> tuple[Any, Any]:
     rows = np.column_stack([rate, warm, force, np.diff(t_s, prepend=t_s[0])])
     fed = "\n".join(" ".join(f"{value:.17g}" for value in row) for row in rows)
     run = subprocess.run([str(program)], input=fed, capture_output=True, text=True, check=False)
-    assert run.returncode == 0
+    assert run.returncode == 0, "the self-test fails" if run.returncode == 2 else run.returncode
     found = np.array([[float(word) for word in line.split()] for line in run.stdout.splitlines()])
     return found[:, 1:], found[:, 0]
 
@@ -289,6 +308,37 @@ def test_the_c_header_compiles_without_a_warning_and_gives_our_rates(record: Rec
     found, codes = by_c(exported, *samples(exported))
     assert np.abs(found - ours(exported)).max() < SAME
     assert not codes.any()
+
+
+@needs_cc
+@pytest.mark.parametrize(("array", "effects"), [("three", "none"), ("four", "all"), ("six", "all"), ("four", "laws")])
+def test_the_single_precision_header_gives_our_rates_to_its_digits(record: Record, array: str, effects: str) -> None:
+    exported = exported_of(record(ARRAYS[array], CASES[effects]))
+    found, codes = by_c(exported, *samples(exported), form="c-float")
+    assert np.abs(found - ours(exported)).max() < SAME_SINGLE
+    assert not codes.any()
+
+
+@needs_cc
+@pytest.mark.parametrize("form", ["c", "c-float"])
+@pytest.mark.parametrize("table", ["solution", "bias", "scale_cubic"])
+def test_the_header_tests_itself(record: Record, form: str, table: str) -> None:
+    exported = exported_of(record(ARRAYS["four"], EFFECTS))
+
+    def spoil(text: str) -> str:
+        """Change the first number of a table by a half, as a bad copy would."""
+        changed, count = re.subn(
+            rf"(_{table}\[.*?= \{{[^-\d]*)(-?[\d.]+)",
+            lambda m: f"{m[1]}{float(m[2]) * 1.5}",
+            text,
+            count=1,
+            flags=re.S,
+        )
+        assert count == 1
+        return changed
+
+    with pytest.raises(AssertionError, match="the self-test fails"):
+        by_c(exported, *samples(exported), form=form, spoil=spoil)
 
 
 @pytest.mark.parametrize("form", ["python", pytest.param("c", marks=needs_cc)])
@@ -386,6 +436,72 @@ def test_the_kalibr_file_predicts_the_outputs_that_we_undo(record: Record, array
     assert np.abs(predicted - rate).max() < SAME
 
 
+@pytest.mark.parametrize("array", ["three", "skewed"])
+def test_openvins_undoes_what_we_undo(record: Record, array: str) -> None:
+    path = record(ARRAYS[array], EFFECTS)
+    text = export(path, "openvins").read_text(encoding="utf-8")
+    assert text.startswith("%YAML:1.0\n")  # what cv::FileStorage asks for, and no other YAML takes
+    held = yaml.safe_load(text.partition("\n")[2])["imu0"]
+    tw, tg, r = (np.array(held[key]) for key in ("Tw", "Tg", "R_IMUtoGYRO"))
+    assert held["model"] == "kalibr"
+    dw = np.tril(np.linalg.inv(tw))  # it takes the lower triangle
+    plain, (rate, t_s, _, force) = at_mean_temperature(path, ("g_sensitivity",))
+    found = (rate + plain.bias_rps - force @ tg.T) @ (r.T @ dw).T
+    assert np.abs(found - compensate(plain, rate, t_s, None, force)).max() < SAME
+
+
+@pytest.mark.parametrize("array", ["three", "skewed"])
+def test_vectornav_register_84_makes_our_rates(record: Record, array: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = record(ARRAYS[array], {**EFFECTS, **LAWS})
+    lines = export(path, "vectornav-84").read_text(encoding="utf-8").splitlines()
+    said = capsys.readouterr().err
+    command = next(line for line in lines if line.startswith("$"))
+    fields, checksum = command[1:].split("*")
+    assert f"{functools.reduce(operator.xor, fields.encode()):02X}" == checksum
+    words = fields.split(",")
+    assert words[:2] == ["VNWRG", "84"]
+    values = np.float32(words[2:]).astype(float)  # what the device keeps
+    plain, (rate, t_s, _, _) = at_mean_temperature(path, ())
+    found = (rate - values[9:]) @ values[:9].reshape(3, 3).T
+    about_its_axes = compensate(plain, rate, t_s) @ ARRAYS[array].p.T
+    assert np.abs(found - about_its_axes).max() < 3e-7
+    assert lines[-1].startswith("$VNWNV*")
+    for word in ("identity", "g sensitivity", "delay"):
+        assert word in said, word
+
+
+def test_the_stim300_is_told_what_it_adds(record: Record) -> None:
+    path = record(triad(), {})
+    lines = [line for line in export(path, "stim300-trim").read_text(encoding="utf-8").splitlines() if line[0] != "#"]
+    offsets = {name: float(offset) for name, offset in map(str.split, lines)}
+    assert offsets == {gyro.name: round(np.degrees(gyro.states[1]), 5) for gyro in exported_of(path).gyros}
+
+
+def test_matlab_reads_what_json_holds(record: Record) -> None:
+    path = record(ARRAYS["four"], {**EFFECTS, **LAWS, **LEFT_OUT})
+    held = json.loads(export(path, "json").read_text(encoding="utf-8"))
+    written = export(path, "matlab")
+    found = loadmat(written, simplify_cells=True)["calibration"]
+
+    def compare(ours: Any, theirs: Any) -> None:
+        if isinstance(ours, dict):
+            for key, value in ours.items():
+                if value is not None:
+                    compare(value, theirs[re.sub(r"\W", "_", key)])
+        elif isinstance(ours, list) and ours and not isinstance(ours[0], int | float | list):
+            theirs = [theirs] if len(ours) == 1 and not isinstance(theirs, np.ndarray) else theirs
+            for one, other in zip(ours, theirs, strict=True):
+                compare(one, other)
+        elif isinstance(ours, str):
+            assert str(theirs) == ours or (ours == "" and len(theirs) == 0)
+        else:
+            assert np.array_equal(np.squeeze(np.array(ours)), theirs)
+
+    compare(held, found)
+    first = written.read_bytes()
+    assert export(path, "matlab").read_bytes() == first
+
+
 def parameters(path: Path) -> dict[str, float]:
     """Return the parameters of a PX4 or ArduPilot file by name."""
     lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
@@ -444,7 +560,7 @@ def test_gyros_along_minus_axes_and_in_another_order_get_the_right_parameter(rec
     assert held == {"CAL_GYRO0_XOFF": b["a"], "CAL_GYRO0_YOFF": -b["b"], "CAL_GYRO0_ZOFF": -b["c"]}
 
 
-@pytest.mark.parametrize("form", ["ros", "kalibr", "px4", "ardupilot"])
+@pytest.mark.parametrize("form", ["ros", "kalibr", "openvins", "vectornav-84", "px4", "ardupilot"])
 def test_an_array_of_four_is_not_squeezed_into_three(
     record: Record, form: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -457,7 +573,7 @@ def test_every_text_form_says_what_of_the_calibration_is_not_in_it(
     record: Record, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = record(triad(), {**EFFECTS, **LEFT_OUT})
-    for form in ("c", "python", "ros", "kalibr", "px4", "ardupilot"):
+    for form in ("c", "python", "ros", "kalibr", "openvins", "vectornav-84", "px4", "ardupilot"):
         text = export(path, form).read_text(encoding="utf-8")
         said = capsys.readouterr().err
         for name in LEFT_OUT:

@@ -13,111 +13,61 @@ P(T - 35 degC) - P(INS_GYRn_CALTEMP - 35 degC), P of INS_TCALn_GYRm_AXIS in 1e-6
 AP_InertialSensor_tempcal.cpp).
 """
 
+from typing import Any
+
 import numpy as np
 
 from drivers.types import Floats
-from estimator.calibration.compensation import Compensation
 from estimator.effects.conditions import REFERENCE_C
 from estimator.effects.effect import Acts
 from estimator.effects.thermal import THERMAL_BIAS, THERMAL_BIAS_QUADRATIC
 from estimator.geometry.array import TOLERANCE
 from station.errors import UsageError
 from station.exports.exported import Exported
-from station.exports.written import Written, as_triad, delay_line, head, lines_of, number
+from station.exports.written import Written, as_triad, from_template
 
 _KEPT = (THERMAL_BIAS.name, THERMAL_BIAS_QUADRATIC.name)
-_PX4_MOST, _ARDUPILOT_MOST = 4, 3
 _PX4_STEP_RPS = 0.01
 _ARDUPILOT_REFERENCE_C = 35.0
-_ARDUPILOT_UNIT = 1e-6
-_INTEGER, _FLOAT = 6, 9
 
 
 def write_px4(exported: Exported) -> Written:
     """Return parameters of one of PX4's gyros, 0 to 3, as QGroundControl loads them."""
-    instance = _instance(exported, _PX4_MOST, "PX4")
-    held, not_held = _bias_only(exported, "PX4")
-    offsets = _along_axes(exported, -held.bias_rps)
-    prefix = f"CAL_GYRO{instance}"
-    not_held.append(
-        f"{prefix}_ID and {prefix}_ROT: they must be those of this sensor already, as after a calibration by PX4; "
-        "offsets are in the sensor's own axes"
-    )
-    if np.linalg.norm(offsets) <= _PX4_STEP_RPS:
-        not_held.append(
-            "PX4 passes over offsets that differ from those in use (zero at its start) by less than 0.01 rad/s, and "
-            "these do: its estimator finds them as its gyro bias instead"
-        )
-    rows: list[tuple[str, float | int]] = [*_by_axis(prefix + "_{}OFF", offsets)]
-    if held.effects:
-        low, _, high = exported.seen.temperature_c
-        thermal = f"TC_G{instance}"
-        rows += [("TC_G_ENABLE", 1), (f"{thermal}_TREF", REFERENCE_C)]
-        rows += [(f"{thermal}_TMIN", low), (f"{thermal}_TMAX", high)]
-        coefficients = [np.zeros(3), *_thermal(exported, held), np.zeros(3)]
-        for order, values in enumerate(coefficients):
-            rows += _by_axis(f"{thermal}_X{order}_{{}}", values, "012")
-        not_held.append(f"{thermal}_ID: it must be that of this sensor, the number that {prefix}_ID has")
-    lines = [
-        f"1\t1\t{name}\t{value if isinstance(value, int) else number(value)}\t"
-        f"{_INTEGER if isinstance(value, int) else _FLOAT}"
-        for name, value in rows
-    ]
-    what = "Parameters for PX4, to be loaded by QGroundControl: output less offset (rad/s)"
-    titles = [*head(exported, what, not_held, "#"), "#", "# Vehicle-Id Component-Id Name Value Type"]
-    return Written("\n".join([*titles, *lines]) + "\n", tuple(not_held))
+    held, values = _bias_only(exported, "PX4", 4)
+    passed_over = np.linalg.norm(values["offsets"]) <= _PX4_STEP_RPS
+    return from_template("px4", exported, held, passed_over=passed_over, **values)
 
 
 def write_ardupilot(exported: Exported) -> Written:
     """Return parameters of one of ArduPilot's gyros, 0 to 2, as its ground stations load them."""
-    instance = _instance(exported, _ARDUPILOT_MOST, "ArduPilot")
-    held, not_held = _bias_only(exported, "ArduPilot")
-    number_of = instance + 1
-    prefix = f"INS_GYR{'O' if instance == 0 else f'{number_of}O'}FFS"
-    not_held.append("INS_GYR_CAL: ArduPilot finds offsets anew at each start and loses these unless it is set to 0")
-    offsets = _along_axes(exported, -held.bias_rps)
-    thermal_rows: list[tuple[str, float]] = []
-    if held.effects:
-        low, mean, high = exported.seen.temperature_c
-        linear, quadratic = _thermal(exported, held)
-        above = mean - REFERENCE_C
-        offsets = offsets + linear * above + quadratic * above**2  # those at INS_GYRn_CALTEMP
-        linear = linear + 2 * (_ARDUPILOT_REFERENCE_C - REFERENCE_C) * quadratic
-        thermal = f"INS_TCAL{number_of}"
-        thermal_rows = [(f"INS_GYR{number_of}_CALTEMP", mean), (f"{thermal}_ENABLE", 1.0)]
-        thermal_rows += [(f"{thermal}_TMIN", low), (f"{thermal}_TMAX", high)]
-        for order, values in ((1, linear), (2, quadratic), (3, np.zeros(3))):
-            thermal_rows += _by_axis(f"{thermal}_GYR{order}_{{}}", values / _ARDUPILOT_UNIT)
-        not_held.append(f"{thermal}_TMIN and TMAX are for the coefficients of the accelerometer, too, if it has any")
-    rows = [*_by_axis(prefix + "_{}", offsets), *thermal_rows]
-    lines = [f"{name},{number(value)}" for name, value in rows]
-    what = "Parameters for ArduPilot: output less offset (rad/s)"
-    return Written("\n".join([*head(exported, what, not_held, "#"), *lines]) + "\n", tuple(not_held))
+    held, values = _bias_only(exported, "ArduPilot", 3)
+    if values["thermal"]:
+        linear, quadratic = values["thermal"]
+        above = values["mean_c"] - REFERENCE_C
+        values["offsets"] += linear * above + quadratic * above**2  # those at INS_GYRn_CALTEMP
+        values["thermal"] = linear + 2 * (_ARDUPILOT_REFERENCE_C - REFERENCE_C) * quadratic, quadratic
+    return from_template("ardupilot", exported, held, **values)
 
 
-def _by_axis(name: str, values: Floats, axes: str = "XYZ") -> list[tuple[str, float]]:
-    """Return a parameter for each axis, which stands in its name."""
-    return [(name.format(axis), value) for axis, value in zip(axes, values.tolist(), strict=True)]
-
-
-def _instance(exported: Exported, most: int, form: str) -> int:
+def _bias_only(exported: Exported, form: str, most: int) -> tuple[dict[str, str], dict[str, Any]]:
+    """Return why effects are not in it, and what an autopilot can hold: rad/s along x, y, z, per K and per K2, degC."""
     if not 0 <= exported.instance < most:
         raise UsageError(f"{form} has gyros number 0 to {most - 1}, not {exported.instance}")
-    return exported.instance
-
-
-def _bias_only(exported: Exported, form: str) -> tuple[Compensation, list[str]]:
-    """Return what an autopilot can hold, and what it cannot."""
-    as_triad(exported, form)
-    held, dropped = exported.compensation.simplified(_KEPT, exported.seen.temperature_c[1])
+    held, dropped = as_triad(exported, form, _KEPT)
     dropped |= {e.known.called: "it is not corrected" for e in exported.compensation.effects if e.acts is Acts.RATE}
-    k = ", ".join(f"{state * 1e6:.0f}" for state in exported.compensation.states[:, 0])
-    return held, [
-        f"scale factor errors ({k} ppm) and misalignments: {form} has no parameters for them",
-        *lines_of({**exported.compensation.left_out, **dropped}),
-        *delay_line(exported, f"{form} has no parameter for it"),
-        f"{form} keeps parameters as 32-bit floats, to 7 digits",
-    ]
+    lowest, mean, highest = exported.seen.temperature_c
+    coefficients = (held.held(name) for name in _KEPT)
+    along = [_along_axes(exported, np.zeros(3) if some is None else some[:, 0]) for some in coefficients]
+    return dropped, {
+        "instance": exported.instance,
+        "offsets": _along_axes(exported, -held.bias_rps),
+        "thermal": along if held.effects else (),
+        "k_ppm": ", ".join(f"{state * 1e6:.0f}" for state in exported.compensation.states[:, 0]),
+        "reference_c": REFERENCE_C,
+        "lowest_c": lowest,
+        "mean_c": mean,
+        "highest_c": highest,
+    }
 
 
 def _along_axes(exported: Exported, values: Floats) -> Floats:
@@ -130,12 +80,3 @@ def _along_axes(exported: Exported, values: Floats) -> Floats:
             "gives the function that makes a body rate of them"
         )
     return np.asarray(nearest.T @ values)
-
-
-def _thermal(exported: Exported, held: Compensation) -> tuple[Floats, Floats]:
-    """Return bias over temperature along x, y, z: linear in rad/s/K and quadratic in rad/s/K2, each (3,)."""
-    linear, quadratic = (held.held(name) for name in _KEPT)
-    return (
-        _along_axes(exported, np.zeros(3) if linear is None else linear[:, 0]),
-        _along_axes(exported, np.zeros(3) if quadratic is None else quadratic[:, 0]),
-    )

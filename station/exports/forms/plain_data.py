@@ -1,8 +1,13 @@
-"""All of a calibration as JSON and YAML, and its states as CSV."""
+"""All of a calibration as JSON, YAML and MAT-file, and its states as CSV."""
 
 import csv
 import io
+import json
+import re
 from typing import Any
+
+import numpy as np
+from scipy.io import savemat
 
 from estimator.calibration.compensation import CompensationError
 from estimator.calibration.values import GyroCalibration
@@ -13,6 +18,7 @@ from station.views.json_values import budget_and_noise, by_state, json_object, n
 
 FORMAT = "turntable-calibration"
 FORMAT_VERSION = 1
+_MAT_TEXT = 116  # bytes of text at the head of a MAT-file
 _FORMULA = "y = G w - b + effects, so w = H (y + b - effects); rows of G: (1 - k)(p - sigma_k j + sigma_j k)"
 
 
@@ -24,6 +30,25 @@ def write_json(exported: Exported) -> Written:
 def write_yaml(exported: Exported) -> Written:
     """Return the same as YAML."""
     return Written(yaml_text(_object(exported)))
+
+
+def write_matlab(exported: Exported) -> Written:
+    """Return the same as a MAT-file of version 5: the struct ``calibration``, lists of structs as cells."""
+    file = io.BytesIO()
+    savemat(file, {"calibration": _matlab(json.loads(json_text(_object(exported))))}, long_field_names=True)
+    text = b"MATLAB 5.0 MAT-file, turntable calibration"  # in place of one with the time of writing
+    return Written(text.ljust(_MAT_TEXT) + file.getvalue()[_MAT_TEXT:])
+
+
+def _matlab(value: Any) -> Any:
+    """Return a value of JSON as savemat takes it; None is left out, names are those that MATLAB allows."""
+    if isinstance(value, dict):
+        return {re.sub(r"\W", "_", f"{key}", flags=re.ASCII): _matlab(x) for key, x in value.items() if x is not None}
+    if not isinstance(value, list) or all(isinstance(x, float | int | list) for x in value):
+        return np.array(value) if isinstance(value, list) else value
+    cells = np.empty(len(value), dtype=object)
+    cells[:] = [_matlab(x) for x in value]
+    return cells
 
 
 def write_csv(exported: Exported) -> Written:

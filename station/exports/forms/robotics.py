@@ -1,11 +1,13 @@
-"""Files of robotics tools: the ROS package imu_calib, Kalibr.
+"""Files of robotics tools: the ROS package imu_calib, Kalibr, OpenVINS.
 
 Sources: imu_calib reads the keys ``SM`` (nine numbers, by rows) and ``bias`` (three) of the accelerometer and puts out
 ``SM a - bias``; of the gyros it only takes off the mean of the first samples (github.com/dpkoch/imu_calib,
 src/accel_calib/accel_calib.cpp, src/apply_calib.cpp). Kalibr predicts the output of the model "scale-misalignment" as
 ``M C_gyro_i w + A C_gyro_i a + bias``, with M lower triangular and the bias a function of time that no file holds; its
 reader asks for the noise of both sensors (github.com/ethz-asl/kalibr, kalibr_imu_camera_calibration/IccSensors.py,
-kalibr_common/ConfigReader.py).
+kalibr_common/ConfigReader.py). OpenVINS takes ``R_IMUtoGYRO^T Dw (output - bias - Tg a)`` for the rate, Dw the lower
+triangle of the inverse of Tw (github.com/rpng/open_vins, ov_msckf/src/core/VioManagerOptions.h, state/Propagator.cpp);
+its parser is cv::FileStorage, which wants the first line %YAML:1.0.
 """
 
 import numpy as np
@@ -15,29 +17,14 @@ from estimator.effects.site import G_SENSITIVITY
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.errors import UsageError
 from station.exports.exported import Exported
-from station.exports.written import Written, as_triad, delay_line, head, lines_of, number, yaml_text
+from station.exports.written import Written, as_triad, from_template
 
 
 def write_ros(exported: Exported) -> Written:
     """Return a file that imu_calib loads, with the gyros in keys of the same form: gyro_SM y - gyro_bias."""
-    as_triad(exported, "imu_calib")
-    constants, dropped = exported.compensation.simplified((), exported.seen.temperature_c[1])
-    solution = constants.solution
-    not_held = [
-        "accelerometer: not calibrated here; SM and bias leave it as it is",
-        "imu_calib itself does not read gyro_SM and gyro_bias: its node takes off the mean of the first 100 samples at "
-        "rest, scale and misalignment of gyros not at all; apply them where you read this file",
-        *lines_of({**exported.compensation.left_out, **dropped}),
-        *delay_line(exported),
-    ]
-    content = {
-        "SM": np.eye(3).ravel().tolist(),
-        "bias": [0.0, 0.0, 0.0],
-        "gyro_SM": solution.ravel().tolist(),
-        "gyro_bias": (-solution @ constants.bias_rps).tolist(),
-    }
-    what = "imu_calib: corrected = SM raw - bias, SM by rows; gyros likewise: gyro_SM raw - gyro_bias (rad/s)"
-    return Written("\n".join([*head(exported, what, not_held, "#"), yaml_text(content)]), tuple(not_held))
+    constants, dropped = as_triad(exported, "imu_calib")
+    h = constants.solution
+    return from_template("ros", exported, dropped, solution=h, bias_rps=-h @ constants.bias_rps)
 
 
 def write_kalibr(exported: Exported) -> Written:
@@ -45,49 +32,32 @@ def write_kalibr(exported: Exported) -> Written:
 
     Raises UsageError for gyros that are not three, or form a left-handed triad.
     """
-    as_triad(exported, "Kalibr")
-    constants, dropped = exported.compensation.simplified((G_SENSITIVITY.name,), exported.seen.temperature_c[1])
-    m, c = _lower_and_rotation(constants.sensitivity)
+    return _chain(exported, "kalibr", "Kalibr")
+
+
+def write_openvins(exported: Exported) -> Written:
+    """Return a kalibr_imu_chain.yaml for OpenVINS and its model "kalibr"; UsageError as ``write_kalibr``."""
+    return _chain(exported, "openvins", "OpenVINS")
+
+
+def _chain(exported: Exported, form: str, called: str) -> Written:
+    constants, dropped = as_triad(exported, called, (G_SENSITIVITY.name,))
+    m, c = _lower_and_rotation(constants.sensitivity, called)
     felt = constants.held(G_SENSITIVITY.name)
-    per_force = np.zeros((3, 3)) if felt is None else felt / GRAVITY_MPS2
-    bias = ", ".join(number(-b) for b in constants.bias_rps)
-    not_held = [
-        f"bias: Kalibr finds its own; here the outputs at rest are [{bias}] rad/s, in its sign",
-        "accelerometer: not calibrated here; put in accelerometer_noise_density and accelerometer_random_walk (data "
-        "sheet), and rostopic",
-        *lines_of({**exported.compensation.left_out, **dropped}),
-        *delay_line(exported, "time_offset is zero, since Kalibr counts it from its first IMU"),
-    ]
+    values: dict[str, object] = {"m": m, "c": c, "felt": np.zeros((3, 3)) if felt is None else felt / GRAVITY_MPS2}
     density, walk = _noise(exported)
-    content: dict[str, object] = {
-        "rostopic": "/imu0",
-        "update_rate": exported.seen.rate_hz,
-        "gyroscope_noise_density": density,
-        "gyroscope_random_walk": walk,
-        "model": "scale-misalignment",
-        "T_i_b": np.eye(4).tolist(),
-        "time_offset": 0.0,
-        "accelerometers": {"M": np.eye(3).tolist()},
-        "gyroscopes": {"M": m.tolist(), "C_gyro_i": c.tolist(), "A": (per_force @ c.T).tolist()},
-    }
-    what = "Kalibr, model scale-misalignment: output = M C_gyro_i w + A C_gyro_i a + bias (rad/s, m/s2)"
-    lines = [
-        *head(exported, what, not_held, "#"),
-        "#accelerometer_noise_density: m/s^2/sqrt(Hz)",
-        "#accelerometer_random_walk: m/s^3/sqrt(Hz)",
-        yaml_text(content),
-    ]
-    return Written("\n".join(lines), tuple(not_held))
+    values |= {"density": density, "walk": walk, "rate_hz": exported.seen.rate_hz}
+    return from_template(form, exported, dropped, at_rest=-constants.bias_rps, **values)
 
 
-def _lower_and_rotation(sensitivity: Floats) -> tuple[Floats, Floats]:
+def _lower_and_rotation(sensitivity: Floats, form: str) -> tuple[Floats, Floats]:
     """Return a lower triangular matrix with positive diagonal and a rotation whose product is ``sensitivity``."""
     q, r = np.linalg.qr(sensitivity.T)
     signs = np.sign(np.diag(r))
     rotation = (q * signs).T
     if np.linalg.det(rotation) < 0:
         raise UsageError(
-            "Kalibr holds right-handed triads, and these gyros in their order form a left-handed one: put them in "
+            f"{form} holds right-handed triads, and these gyros in their order form a left-handed one: put them in "
             "another order in the bench file, or use `--format c`"
         )
     return r.T * signs + 0.0, rotation  # no minus zeros

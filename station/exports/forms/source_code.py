@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -10,29 +11,38 @@ from estimator.calibration.compensation import MOST_ITERATIONS, TOLERANCE_RPS
 from estimator.effects.conditions import REFERENCE_C, SLOPE_S
 from estimator.effects.effect import Acts
 from estimator.effects.law import LAST_SHARE
+from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.exports.exported import Exported
 from station.exports.terms import AXIS_TABLES, Term, Terms, terms_of
 from station.exports.written import Written, delay_line, head, lines_of, number
 from station.render.template import rendered
 
+_DOUBLE = re.compile(
+    r"/\*.*?\*/|\b(?:cos|exp|expm1|fabs|fmax|fmin|log1p|pow|sin|sqrt|tanh)\b(?=\()|"
+    r"(?<![\w.])\d+(?:\.\d*(?:e[+-]?\d+)?|e[+-]?\d+)",
+    re.DOTALL,
+)
+"""What C writes otherwise for floats, and comments, in which it stays."""
 _GIVEN = {"warmth": ", double warmth", "time_s": ", double time_s", "accel": ", const double accel[3]"}
 _MATH = ("cos", "exp", "expm1", "fabs", "isfinite", "isnan", "log1p", "nan", "sin", "sqrt", "tanh")
 
 
 def write_c(exported: Exported) -> Written:
     """Return the header; CompensationError for gyros that do not span space."""
+    return _header(exported, "double", identifier(exported.name))
+
+
+def write_c_float(exported: Exported) -> Written:
+    """Return the header in single precision, under names of its own: both can be in one program."""
+    written = _header(exported, "float", f"{identifier(exported.name)}_float")
+    return Written(_DOUBLE.sub(_single, str(written.text)), written.not_held)
+
+
+def _header(exported: Exported, real: str, prefix: str) -> Written:
     terms = terms_of(exported.compensation)
     not_held = _cautions(exported, terms)
-    prefix = identifier(exported.name)
     what = f"{prefix}_correct: outputs of {len(exported.gyros)} gyros (rad/s) to the rate of their body (rad/s). C99."
-    declared = {
-        "rate_rps": f"const double rate_rps[{prefix}_gyros]",
-        "temperature_c": "double temperature_c",
-        "accel": "const double accel[3]",
-        "dt_s": "double dt_s",
-    }
-    arguments = [f"{prefix}_state *state"] if terms.keeps_state else []
-    arguments += [*(declared[name] for name in _argument_names(terms)), "double w_rps[3]"]
+    samples, rates = _vectors(exported, terms)
     text = _function_text(
         "header.jinja",
         exported,
@@ -45,11 +55,38 @@ def write_c(exported: Exported) -> Written:
         said=list(map(_said, _arguments_said(exported, terms))),
         p=prefix,
         upper=prefix.upper(),
-        arguments=", ".join(arguments),
-        beside="".join(_GIVEN[name] for name in terms.given_to_the_rate),
-        simple=f"void {prefix}_solve" if terms.of(Acts.RATE) else f"int {prefix}_invert",
+        names=_argument_names(terms),
+        beside="".join(_GIVEN[name].replace("double", real) for name in terms.given_to_the_rate),
+        real=real,
+        samples=samples,
+        rates=rates,
     )
     return Written(text, tuple(not_held))
+
+
+def _single(found: re.Match[str]) -> str:
+    """Return a function or a number of C in single precision; a comment as it is."""
+    text = found.group()
+    if not text[0].isdigit():
+        return text if text.startswith("/*") else f"{text}f"
+    return number(float(np.float32(min(float(text), 3e38))), 9) + "f"
+
+
+def _vectors(exported: Exported, terms: Terms) -> tuple[Floats, Floats]:
+    """Return samples (8, n + 5) over the conditions of the calibration, and what the Python module makes of them.
+
+    Outputs in rad/s, specific force in m/s2, temperature in degC, time step in s; rates (8, 3) in rad/s, NaN for none.
+    """
+    made: dict[str, Any] = {}
+    exec(write_python(exported).text, made)  # no text of the recording's stands in it but in comments and quotes
+    correct = made["Correction"]().correct if terms.keeps_state else made["correct"]
+    held, seen, turns = exported.compensation, exported.seen, np.outer(np.arange(8), (1.0, 1.7, 2.3))
+    rate = seen.largest_rps / np.sqrt(3) * np.sin(turns) @ held.sensitivity.T - held.bias_rps
+    low, _, high = seen.temperature_c if np.isfinite(seen.temperature_c[1]) else (REFERENCE_C,) * 3
+    given = {"rate_rps": rate, "accel": GRAVITY_MPS2 * np.cos(turns), "temperature_c": np.linspace(low, high, 8)}
+    given["dt_s"] = np.full(8, 1 / seen.rate_hz if np.isfinite(seen.rate_hz) else 0.01)
+    rows = zip(*(given[name].tolist() for name in _argument_names(terms)), strict=True)
+    return np.column_stack(list(given.values())), np.array([correct(*row) for row in rows])
 
 
 def write_python(exported: Exported) -> Written:
@@ -98,21 +135,14 @@ def _argument_names(terms: Terms) -> list[str]:
 
 def _arguments_said(exported: Exported, terms: Terms) -> list[str]:
     """Return a line for each argument of the function, and what holds of them."""
-    said = {
-        "rate_rps": f"outputs of {', '.join(exported.compensation.array.names)}, in this order, in rad/s",
-        "temperature_c": "temperature of the gyros, in degC",
-        "accel": "specific force along body x, y, z, in m/s2 (at rest it points up)",
-        "dt_s": "time since the sample before, in s",
+    used = {name: terms.uses(name) for name in ("slope", "wdot")} | {"rate": bool(terms.of(Acts.RATE))}
+    given = {
+        "names": _argument_names(terms),
+        "gyros": exported.compensation.array.names,
+        "largest_dps": np.degrees(exported.seen.largest_rps),
+        "slope_s": SLOPE_S,
     }
-    lines = [f"{name}: {said[name]}" for name in _argument_names(terms)]
-    if terms.of(Acts.RATE):
-        largest = np.degrees(exported.seen.largest_rps)
-        lines.append(f"Effects of the rate were found up to {largest:.4g} deg/s; beyond they are extrapolated.")
-    if terms.uses("slope"):
-        lines.append(f"The slope of the temperature is taken over {SLOPE_S:g} s.")
-    if terms.uses("wdot"):
-        lines.append("Angular accelerations are differences of two samples, half a period late.")
-    return lines
+    return rendered("station.exports", "arguments.jinja", given | used).splitlines()
 
 
 def _cautions(exported: Exported, terms: Terms) -> list[str]:
@@ -158,7 +188,7 @@ def _function_text(
         "dt_s": terms.timed,
         "lag": name_of(terms.lag) if terms.lag is not None else "",
         "tables": _tables(exported, terms),
-        "numbers": lambda row: ", ".join(map(number, row)),
+        "numbers": lambda row: ", ".join(number(x) if np.isfinite(x) else "NAN" for x in row),
         "gyros": len(exported.gyros),
         "delay_s": number(exported.compensation.delay_s),
         "iterations": MOST_ITERATIONS,
@@ -182,5 +212,8 @@ def _tables(exported: Exported, terms: Terms) -> list[tuple[str, str, Floats]]:
         *([("Nominal sense axes.", "axis", held.array.p)] if terms.uses("u") or terms.uses("axis") else []),
         *([("Nominal tilt axes j.", "axis_j", held.array.j)] if terms.uses("axis_j") else []),
         *([("Nominal tilt axes k.", "axis_k", held.array.k)] if terms.uses("axis_k") else []),
-        *((f"{term.effect.replace('_', ' ')}: {term.unit}", term.table, term.values) for term in terms.all),
+        *(
+            (f"{term.effect.replace('_', ' ')}: {' '.join(term.unit.split())}", term.table, term.values)
+            for term in terms.all
+        ),
     ]

@@ -1,0 +1,102 @@
+"""The calibration as a digital calibration certificate: DCC 3.3.0 of PTB, https://ptb.de/dcc/v3.3.0, with D-SI."""
+
+import base64
+import importlib.metadata
+import re
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from scipy.special import chdtri
+
+from drivers.packaged import packaged_toml
+from station.errors import UsageError
+from station.render.template import rendered
+from station.report.document import Report
+from station.report.figures import COVERAGE
+from station.report.formal import Formal
+from station.report.recorded import Recorded
+from station.report.standing import Kind
+from station.views.seen import seen_by
+
+PROBABILITY = 0.95
+"""Coverage probability, as the report states it of U = 2 u; that of the ellipsoid of four states is made to be it."""
+_FACTS = packaged_toml("station.report", "dcc.toml")
+_PARSER = etree.XMLParser(no_network=True, resolve_entities=False, huge_tree=True)
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def check_facts(formal: Formal) -> None:
+    """See, before any long work, that all is stated that must be; UsageError that lists what is not."""
+    missing = [fact for fact in _FACTS["mandatory"] if not getattr(formal, fact.replace(".", "_"))]
+    if missing:
+        raise UsageError(
+            f"a digital calibration certificate must state {', '.join(missing)}, and nobody did: write it into the "
+            "file for --meta (customer.name is `name` below [customer]), what is of the laboratory into the bench file"
+        )
+    if not re.fullmatch("[A-Z]{2}", str(formal.laboratory_country)):
+        raise UsageError(f"laboratory.country = {formal.laboratory_country!r}: give two capital letters (ISO 3166-1)")
+
+
+def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | None = None) -> bytes:
+    """Return the certificate, with the one of paper inside if there is one; valid by the schema.
+
+    Raises UsageError if the report is no certificate (nor specimen of one), or if mandatory facts are not stated.
+    """
+    check_facts(formal)
+    if report.standing.kind not in (Kind.CERTIFICATE, Kind.SPECIMEN):
+        raise UsageError(f"--dcc: {report.standing.warning}")
+    values = _FACTS | {
+        "recorded": recorded,
+        "formal": formal,
+        "report": report,
+        "seen": seen_by(recorded.recording.sources.values()),
+        "k": f"{COVERAGE:g}",
+        "p": PROBABILITY,
+        "k_of_four": float(np.sqrt(chdtri(4, 1 - PROBABILITY))),  # JCGM 102:2011, 6.5.2.4
+        "pdf": pdf and base64.b64encode(pdf).decode(),
+        "version": importlib.metadata.version("turntable-station"),
+    }
+    xml = _NOT_XML.sub("\ufffd", rendered("station.report", "dcc.xml", values)).encode()
+    validate(xml)
+    return xml
+
+
+def validate(xml: bytes) -> None:
+    """See that a certificate is valid by the schema kept in the package, without network; UsageError says where not."""
+    schema = etree.XMLSchema(etree.parse(str(files("station.report") / "schemas" / "dcc.xsd"), _PARSER))
+    if not schema.validate(etree.fromstring(xml, _PARSER)):
+        first = schema.error_log[0]
+        raise UsageError(f"the digital calibration certificate is not valid, line {first.line}: {first.message}")
+
+
+def sign(xml: bytes, key: Path, certificate: Path) -> bytes:
+    """Return a valid certificate with an enveloped signature of XAdES; UsageError as ``read_key``."""
+    from signxml.xades.xades import XAdESDataObjectFormat, XAdESSigner
+
+    private, pem, method = read_key(key, certificate)
+    described = XAdESDataObjectFormat(Description="digital calibration certificate", MimeType="text/xml")
+    signer = XAdESSigner(signature_algorithm=method, data_object_format=described)
+    signed = signer.sign(etree.fromstring(xml, _PARSER), key=private, cert=pem)
+    text = bytes(etree.tostring(signed, xml_declaration=True, encoding="UTF-8"))
+    validate(text)
+    return text
+
+
+def read_key(key: Path, certificate: Path) -> tuple[Any, str, Any]:
+    """Return a private key, its certificate (PEM) and the method to sign with; UsageError where they are not such."""
+    try:
+        from cryptography import x509
+        from cryptography.hazmat.primitives import serialization
+        from signxml.algorithms import SignatureMethod
+    except ImportError:
+        raise UsageError("--sign needs more packages: pip install turntable-station[sign]") from None
+    try:
+        private, pem = serialization.load_pem_private_key(key.read_bytes(), None), certificate.read_text()
+        if x509.load_pem_x509_certificate(pem.encode()).public_key() != private.public_key():
+            raise ValueError("the certificate is that of another key")
+    except (OSError, ValueError, TypeError) as error:
+        raise UsageError(f"--sign {key} --certificate {certificate}: {error}") from None
+    return private, pem, SignatureMethod["ECDSA_SHA256" if hasattr(private, "curve") else "RSA_SHA256"]
