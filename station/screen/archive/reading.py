@@ -12,6 +12,7 @@ from typing import Any
 import h5py
 
 from estimator.errors import RecordingError, first_line
+from estimator.geometry.model import STATES
 from estimator.recordings.probe import objects
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION
 from estimator.recordings.recovery import recover
@@ -74,11 +75,9 @@ def _entry(unread: Entry, file: Any) -> Entry:
     devices = [str(plain(source.attrs.get("device", ""))) for source in file.get("imu", {}).values()]
     gyros: tuple[GyroSnapshot, ...] = ()
     if (group := file.get("calibration")) is not None:
-        rows = zip(*(group[name][()] for name in ("name", "source", "states", "sd")), strict=True)
-        gyros = tuple(
-            GyroSnapshot(plain(name), plain(source), tuple(states.tolist()), tuple(sd.tolist()))
-            for name, source, states, sd in rows
-        )
+        figures = (group[key][()].astype(float).reshape(-1, len(STATES)).tolist() for key in ("states", "sd"))
+        rows = zip(group["name"][()], group["source"][()], *figures, strict=True)
+        gyros = tuple(GyroSnapshot(str(plain(n)), str(plain(s)), tuple(x), tuple(sd)) for n, s, x, sd in rows)
     return replace(
         unread,
         when_utc_s=unread.when_utc_s if began_utc_s is None else float(began_utc_s),
