@@ -134,14 +134,15 @@ class HistoryScreen(StationScreen):
         if not chosen.gyros:
             return [Text(f"{chosen.path.name} came to no calibration", "dim")]
         gyro = chosen.gyros[self.gyro % len(chosen.gyros)]
-        alike = sorted(filter(chosen.same_device, self._entries), key=lambda entry: entry.when_utc_s)
-        points = [g for entry in alike for g in entry.gyros if (g.source, g.name) == (gyro.source, gyro.name)]
-        failed = sum(entry.texts.get("outcome") not in ("PASS", "ESTIMATED", "") for entry in alike if entry.gyros)
+        points = []
+        for entry in sorted(self._entries, key=lambda entry: entry.when_utc_s):
+            if entry.same_device(chosen):
+                points += [g for g in entry.gyros if (g.source, g.name) == (gyro.source, gyro.name)]
         unit = STATE_FIGURES[self._state]
         values = [point.values[self._state] * unit.factor for point in points]
         sds = [point.sds[self._state] * unit.factor for point in points]
         limit = self._limits[self._state] * unit.factor
-        count = f"{len(points)} calibration{'s' * (len(points) != 1)}{f', {failed} of them no PASS' * (failed > 0)}"
+        count = f"{len(points)} calibration{'s' * (len(points) != 1)}"
         title = f"{unit.name} ({unit.unit}) of {gyro.name}, {chosen.device or 'this device'}, {count}"
         label = partial(number, digits=unit.digits)
         return trend_plot(title, values, sds, limit, width, _TREND_ROWS, label)
