@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,9 @@ def _entry(unread: Entry, file: Any) -> Entry:
         gyros = tuple(GyroSnapshot(str(plain(n)), str(plain(s)), tuple(x), tuple(sd)) for n, s, x, sd in rows)
     return replace(
         unread,
-        when_utc_s=unread.when_utc_s if began_utc_s is None else float(began_utc_s),
+        when_utc_s=unread.when_utc_s
+        if began_utc_s is None
+        else datetime.fromtimestamp(float(began_utc_s), UTC).timestamp(),
         texts={name: str(plain(file.attrs.get(name, ""))) for name in _TEXTS},
         devices=tuple(filter(None, dict.fromkeys(devices))) or (str(plain(file.attrs.get("device", ""))),),
         gyros=gyros,

@@ -8,6 +8,7 @@ import random
 from contextlib import aclosing
 from pathlib import Path
 
+import h5py
 import pytest
 
 from station.screen.archive.archive import Archive
@@ -106,3 +107,12 @@ def test_a_first_listing_that_is_cut_short_loses_nothing(whole: Path) -> None:
     (read,) = asyncio.run(listed(whole, most=1))
     spoil(read.path)
     assert repr(read) in told(whole)
+
+
+@pytest.mark.parametrize("began_utc_s", [float("nan"), 1e300])
+def test_a_recording_of_no_date_is_damaged_and_harms_no_list(began_utc_s: float, whole: Path) -> None:
+    with h5py.File(whole / "first.h5", "r+") as file:
+        file.attrs["clock_zero_utc_s"] = began_utc_s
+    found = {entry.path.name: entry for entry in asyncio.run(listed(whole))}
+    assert "damaged" in found["first.h5"].wrong
+    assert all(entry.when for entry in found.values())
