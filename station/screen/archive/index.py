@@ -17,7 +17,6 @@ from typing import Any, TypeAlias
 
 from drivers.packaged import packaged_text
 from estimator.errors import MISSHAPEN
-from station.run.snapshot import GyroSnapshot
 from station.screen.archive.entries import Entry
 from station.screen.memory import state_folder
 
@@ -37,21 +36,20 @@ def index_file(folder: Path) -> Path:
 def load(folder: Path) -> dict[File, Entry]:
     """Return what the index of a folder holds; nothing if there is none, or none that can be read."""
     found = {}
-    for *row, checksum in _done(folder, "SELECT path, mtime_ns, size, entry, checksum FROM recordings"):
+    for *row, checksum in _done(folder, "SELECT path, mtime_ns, size, entry, figures, checksum FROM recordings"):
         if checksum == _checksum(row):
             path, told = os.path.join(folder, os.fsdecode(row[0])), json.loads(row[3])
-            gyros = [GyroSnapshot(name, source, tuple(x), tuple(sd)) for name, source, x, sd in told.pop("gyros")]
             told["devices"] = tuple(told["devices"])
-            found[path, row[1], row[2]] = Entry(Path(path), gyros=tuple(gyros), **told)
+            found[path, row[1], row[2]] = Entry(Path(path), figures=row[4].decode(), **told)
     return found
 
 
 def keep(folder: Path, file: File, entry: Entry) -> None:
     """Add a recording to the index of a folder, if it can be written."""
-    told = {name: getattr(entry, name) for name in _TOLD}
-    told["gyros"] = [(gyro.name, gyro.source, gyro.values, gyro.sds) for gyro in entry.gyros]
-    row = (os.fsencode(os.path.relpath(file[0], folder)), *file[1:], json.dumps(told).encode())
-    _done(folder, "REPLACE INTO recordings VALUES (CAST(? AS TEXT), ?, ?, CAST(? AS TEXT), ?)", *row, _checksum(row))
+    told = json.dumps({name: getattr(entry, name) for name in _TOLD})
+    row = (os.fsencode(os.path.relpath(file[0], folder)), *file[1:], told.encode(), entry.figures.encode())
+    values = "CAST(? AS TEXT), ?, ?, CAST(? AS TEXT), CAST(? AS TEXT), ?"
+    _done(folder, f"REPLACE INTO recordings VALUES ({values})", *row, _checksum(row))
 
 
 def _checksum(row: Sequence[Any]) -> int:

@@ -1,5 +1,5 @@
--- What is kept of each recording of a folder. What people may ask for is derived from the entry: SQLite 3.38 or newer reads
--- it. An entry with a figure that is not finite is no JSON to SQLite, and its derived columns are null.
+-- What is kept of each recording of a folder. What people may ask for is derived from the entry. Figures of which one is
+-- not finite are no JSON to SQLite, and not in the view.
 PRAGMA journal_mode = MEMORY;   -- no file beside it that another station might take for its own
 PRAGMA synchronous = OFF;       -- what a power cut leaves of it is seen by the checksums, and made anew
 PRAGMA cell_size_check = ON;
@@ -8,14 +8,15 @@ CREATE TABLE IF NOT EXISTS recordings (
     mtime_ns INTEGER,
     size INTEGER,
     entry TEXT,
+    figures TEXT,               -- of each gyro of the calibration its name, its source, the states, their sigmas
     checksum INTEGER,
-    when_utc_s REAL AS (CASE WHEN json_valid(entry) THEN json_extract(entry, '$.when_utc_s') END),
-    serial TEXT AS (CASE WHEN json_valid(entry) THEN json_extract(entry, '$.texts.device_serial') END),
-    devices TEXT AS (CASE WHEN json_valid(entry) THEN json_extract(entry, '$.devices') END),
-    bench TEXT AS (CASE WHEN json_valid(entry) THEN json_extract(entry, '$.texts.station') END),
-    script TEXT AS (CASE WHEN json_valid(entry) THEN json_extract(entry, '$.texts.script') END),
-    outcome TEXT AS (CASE WHEN json_valid(entry) THEN json_extract(entry, '$.texts.outcome') END)
-) WITHOUT ROWID;
+    when_utc_s REAL AS (json_extract(entry, '$.when_utc_s')),
+    serial TEXT AS (json_extract(entry, '$.texts.device_serial')),
+    devices TEXT AS (json_extract(entry, '$.devices')),
+    bench TEXT AS (json_extract(entry, '$.texts.station')),
+    script TEXT AS (json_extract(entry, '$.texts.script')),
+    outcome TEXT AS (json_extract(entry, '$.texts.outcome'))
+);
 CREATE VIEW IF NOT EXISTS gyros AS SELECT
     recordings.path, when_utc_s, serial, bench, script, outcome,
     json_extract(value, '$[0]') AS gyro,
@@ -28,4 +29,4 @@ CREATE VIEW IF NOT EXISTS gyros AS SELECT
     json_extract(value, '$[3][1]') AS sd_b_rps,
     json_extract(value, '$[3][2]') AS sd_sigma_j_rad,
     json_extract(value, '$[3][3]') AS sd_sigma_k_rad
-FROM recordings, json_each(entry, '$.gyros') WHERE json_valid(entry);
+FROM recordings, json_each(figures) WHERE json_valid(figures);

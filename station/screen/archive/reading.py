@@ -3,7 +3,7 @@
 import json
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -19,7 +19,6 @@ from estimator.recordings.recording import FORMAT, FORMAT_VERSION
 from estimator.recordings.recovery import recover
 from estimator.recordings.writing import plain, write_attributes
 from station.errors import BenchError
-from station.run.snapshot import GyroSnapshot
 from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, Entry, Whole
 from station.screen.sessions.live_run import Trend
 
@@ -74,11 +73,12 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
 def _entry(unread: Entry, file: Any) -> Entry:
     began_utc_s = plain(file.attrs.get("clock_zero_utc_s"))
     devices = [str(plain(source.attrs.get("device", ""))) for source in file.get("imu", {}).values()]
-    gyros: tuple[GyroSnapshot, ...] = ()
+    rows: Iterable[Any] = ()
     if (group := file.get("calibration")) is not None:
         figures = (group[key][()].astype(float).reshape(-1, len(STATES)).tolist() for key in ("states", "sd"))
-        rows = zip(group["name"][()], group["source"][()], *figures, strict=True)
-        gyros = tuple(GyroSnapshot(str(plain(n)), str(plain(s)), tuple(x), tuple(sd)) for n, s, x, sd in rows)
+        rows = zip(
+            *([str(plain(name)) for name in group[key][()]] for key in ("name", "source")), *figures, strict=True
+        )
     return replace(
         unread,
         when_utc_s=unread.when_utc_s
@@ -86,7 +86,7 @@ def _entry(unread: Entry, file: Any) -> Entry:
         else datetime.fromtimestamp(float(began_utc_s), UTC).timestamp(),
         texts={name: str(plain(file.attrs.get(name, ""))) for name in _TEXTS},
         devices=tuple(filter(None, dict.fromkeys(devices))) or (str(plain(file.attrs.get("device", ""))),),
-        gyros=gyros,
+        figures=json.dumps(list(rows)),
     )
 
 
