@@ -22,6 +22,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from support import station
 
 from station.cli import main
 from station.screen.archive.archive import Archive
@@ -112,6 +113,10 @@ def measure(folder: Path, count: int, harms: int) -> None:
     print(f"index: {index.stat().st_size / 1e6:.1f} MB")
     took = min(_as(truth, folder) for _ in range(5))
     print(f"opened in {took:.2f} s (best of 5)", flush=True)
+    for options in ([], ["--serial", "SN-0007"], ["--csv"]):
+        began = time.monotonic()
+        assert station("history", folder, *options).returncode == 0
+        print(f"station history {' '.join(options)}: {time.monotonic() - began:.2f} s, Python's start in it")
     for what in harmed(index, harms):
         print(f"after {what}: {_as(truth, folder):.1f} s", flush=True)
     index.unlink()
