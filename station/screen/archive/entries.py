@@ -55,6 +55,14 @@ class Entry:
         """What identifies the device: its serial number, or else the names of the devices of the bench."""
         return self.serial or ", ".join(device for device in self.devices if device)
 
+    @property
+    def series(self) -> tuple[object, ...] | None:
+        """What comparable runs have in common; None for what is compared with none."""
+        if not self.serial or not self.gyros or self.texts.get("outcome") in ("ABORTED", "FAULT"):
+            return None
+        gyros = tuple((gyro.source, gyro.name) for gyro in self.gyros)
+        return (self.serial, self.texts.get("station"), self.texts.get("script"), gyros)
+
     def same_device(self, other: Entry) -> bool:
         """Whether both are of one device: the same serial number or, where neither has one, the same gyros."""
         if self.serial or other.serial:

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
+from estimator.estimation.control_charts import control_chart
 from station.cli import main
 
 _DAY_S = 86_400
@@ -81,6 +82,47 @@ def test_no_name_steers_a_terminal_or_is_a_formula(
     assert (row["bench"], row["operator"]) == ("'=1+2", "'@SUM(A1)")
 
 
+def test_a_device_that_moved_is_told_at_once(series: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    moved = [line for line in history(capsys, series).splitlines() if "b of gyro1" in line]
+    assert len(moved) == 1
+    assert "2026-12-02" in moved[0]
+    (only,) = [each for each in json.loads(history(capsys, series, "--json"))["recordings"] if each["moved"]]
+    assert (only["file"], [(m["gyro"], m["state"]) for m in only["moved"]]) == ("day-11.h5", [("gyro1", "b_rps")])
+    assert only["moved"][0]["since"] == "day-10.h5"
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"outcome": "FAULT"}, {"outcome": "ABORTED"}, {"station": "another bench"}, {"script": "longer"}],
+    ids=lambda other: next(iter(other.values())),
+)
+def test_only_comparable_runs_are_compared(
+    other: dict[str, str], series: Path, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(series, runs, 13, moved=300.0, **other)
+    found = json.loads(history(capsys, series, "--serial", "SN-0042", "--json"))
+    assert not found["recordings"][0]["moved"]
+    charts = [chart for chart in found["charts"] if chart["bench"] != "another bench" and chart["script"] != "longer"]
+    assert {len(chart["values"]) for chart in charts} == {12}
+
+
+def test_control_charts_leave_failed_runs_out_of_their_limits(
+    series: Path, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clean = json.loads(history(capsys, series, "--serial", "SN-0042", "--json"))["charts"]
+    write_run(series, runs, 12, moved=50.0, outcome="FAIL")
+    found = json.loads(history(capsys, series, "--serial", "SN-0042", "--json"))["charts"]
+    assert [chart["limits"] for chart in found] == [chart["limits"] for chart in clean]
+    assert all(chart["outside"][-1] for chart in found)
+    assert "1 FAIL" in history(capsys, series, "--serial", "SN-0042")
+
+
+def test_charts_of_a_device_name_the_run_that_is_outside(series: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shown = history(capsys, series, "--serial", "SN-0042")
+    (line,) = [line for line in shown.splitlines() if line.startswith("!") and "b (deg/s) of gyro1" in line]
+    assert "2026-12-02" in line
+
+
 @pytest.mark.parametrize("words", [[], ["--serial", "SN-0042"]])
 def test_history_fits_80_columns(
     words: Sequence[str], series: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -97,3 +139,27 @@ def test_a_folder_that_is_not_there_is_wrong_usage(place: Path, capsys: pytest.C
     assert main(["history", "nowhere"]) == 2
     assert "nowhere" in capsys.readouterr().err
     assert main(["history", ".", "--since", "yesterday"]) == 2
+
+
+def test_limits_are_those_of_the_textbook() -> None:
+    """Individuals and moving ranges: NIST/SEMATECH e-Handbook of Statistical Methods, 6.3.2.2, its example."""
+    values = [49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]
+    chart = control_chart(values, [True] * len(values))
+    assert chart.mean == pytest.approx(50.81)
+    assert chart.limits == pytest.approx((45.8159, 55.8041), abs=2e-2)
+    assert not any(chart.outside)
+
+
+def test_a_slow_drift_is_seen_by_the_moving_average_before_any_single_run() -> None:
+    """Twenty runs in control, then each two sigmas above them."""
+    scatter = np.resize([1.0, -1.0, 0.5, -0.5, 0.0], 20)
+    chart = control_chart([*scatter, *(scatter[:10] + 1.9)], [True] * 20 + [False] * 10)
+    assert not any(chart.outside)
+    assert not any(chart.ewma_outside[:20])
+    assert any(chart.ewma_outside[20:])
+
+
+def test_copies_of_one_run_are_within_their_limits() -> None:
+    chart = control_chart([0.1] * 7, [True] * 7)
+    assert not any(chart.outside)
+    assert not any(chart.ewma_outside)
