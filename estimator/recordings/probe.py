@@ -5,6 +5,7 @@ input.
 """
 
 import json
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -12,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 
 _MOST_MEMORY_BYTES = 1 << 30
 _FREE_BYTES, _MOST_TIMES = 1 << 26, 30
@@ -57,7 +57,7 @@ def objects(path: Path, file: Any) -> Iterator[Any]:
 
 def _claimed(held: Any) -> int:
     """Return how many bytes a dataset or an attribute takes when it is read."""
-    return int(np.prod([float(n) for n in held.shape or ()])) * max(int(held.get_type().get_size()), 1)
+    return math.prod(held.shape or ()) * max(int(held.get_type().get_size()), 1)
 
 
 def read_mat(path: Path) -> str | None:

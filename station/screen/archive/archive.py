@@ -6,6 +6,7 @@ import asyncio
 import multiprocessing
 import os
 import sys
+import time
 from collections.abc import AsyncIterator, Mapping
 from concurrent.futures import TimeoutError as TooLong
 from contextlib import redirect_stderr, suppress
@@ -16,9 +17,11 @@ from typing import Any
 from pebble import ProcessExpired, ProcessPool
 
 from station.screen.archive.entries import Entry, Whole
+from station.screen.archive.index import File, keep, load
 
 _LIMIT_S = 10.0
 _WRITE_LIMIT_S = 120.0
+_TICK_NS = 50_000_000  # a file that changed less ago may change again under the same date
 
 
 class Archive:
@@ -27,16 +30,29 @@ class Archive:
     def __init__(self) -> None:
         self._pool: ProcessPool | None = None
         self._turn = asyncio.Lock()
-        self._known: dict[tuple[Path, float, int], Entry] = {}
+        self._known: dict[File, Entry] = {}
+        self.unread = 0
 
     async def entries(self, folder: Path) -> AsyncIterator[Entry]:
-        """Yield the recordings of a folder and its subfolders, those that changed last first."""
-        for path, when_utc_s, size in await asyncio.to_thread(_files, folder):
-            key = (path, when_utc_s, size)
-            if key not in self._known:
-                self._known[key] = (await self._read(path, when_utc_s, everything=False)).entry
-            if not self._known[key].foreign:
-                yield self._known[key]
+        """Yield the recordings of a folder and its subfolders: known ones, then ``unread`` others.
+
+        Of both those that changed last come first. What is read is indexed at once; what cannot be read is tried again
+        by the next program.
+        """
+        files = await asyncio.to_thread(_files, folder)
+        if not self._known.keys() >= set(files):
+            self._known |= await asyncio.to_thread(load, folder)
+        others = {file for file in files if file not in self._known}
+        self.unread = len(others)
+        for file in sorted(files, key=others.__contains__):
+            if file not in self._known:
+                settled = abs(time.time_ns() - file[1]) > _TICK_NS
+                entry = (await self._read(Path(file[0]), file[1] * 1e-9, everything=False)).entry
+                self._known[file], self.unread = entry, self.unread - 1
+                if settled and (entry.foreign or not entry.wrong):
+                    keep(folder, file, entry)
+            if not self._known[file].foreign:
+                yield self._known[file]
 
     async def read(self, path: Path) -> Whole:
         """Return a whole recording; its entry says what is wrong, if something is."""
@@ -93,10 +109,10 @@ def _done(work: str, *about: Any) -> Any:
     return getattr(reading, work)(*about)
 
 
-def _files(folder: Path) -> list[tuple[Path, float, int]]:
+def _files(folder: Path) -> list[File]:
     found = []
-    for path in folder.rglob("*.h5"):
+    for path in (os.path.join(top, name) for top, _, names in os.walk(folder) for name in names):
         with suppress(OSError):
-            status = path.stat()
-            found.append((path, status.st_mtime, status.st_size))
+            if path.endswith(".h5"):
+                found.append((path, (status := os.stat(path)).st_mtime_ns, status.st_size))
     return sorted(found, key=lambda file: file[1], reverse=True)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +19,11 @@ INVESTIGATION = "-investigation"
 NO_LIMITS: tuple[float, ...] = (math.inf,) * 4
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Entry:
     """One recording of a folder. ``wrong`` says why it cannot be read, and then nothing else is known of it.
 
-    ``foreign``: it is no recording at all, but some other HDF5 file. ``gyros`` are those of its calibration.
+    ``foreign``: it is no recording at all, but some other HDF5 file. ``figures``: ``gyros`` as JSON, see there.
     """
 
     path: Path
@@ -30,7 +32,13 @@ class Entry:
     foreign: bool = False
     texts: Mapping[str, str] = field(default_factory=dict)
     devices: tuple[str, ...] = ()
-    gyros: tuple[GyroSnapshot, ...] = ()
+    figures: str = "[]"
+
+    @cached_property
+    def gyros(self) -> tuple[GyroSnapshot, ...]:
+        """The gyros of its calibration; not read before they are asked for, ten thousand would take a while."""
+        found = json.loads(self.figures)
+        return tuple(GyroSnapshot(name, source, tuple(x), tuple(sd)) for name, source, x, sd in found)
 
     @property
     def when(self) -> str:
@@ -46,6 +54,14 @@ class Entry:
     def device(self) -> str:
         """What identifies the device: its serial number, or else the names of the devices of the bench."""
         return self.serial or ", ".join(device for device in self.devices if device)
+
+    @property
+    def series(self) -> tuple[object, ...] | None:
+        """What comparable runs have in common; None for what is compared with none."""
+        if not self.serial or not self.gyros or self.texts.get("outcome") in ("ABORTED", "FAULT"):
+            return None
+        gyros = tuple((gyro.source, gyro.name) for gyro in self.gyros)
+        return (self.serial, self.texts.get("station"), self.texts.get("script"), gyros)
 
     def same_device(self, other: Entry) -> bool:
         """Whether both are of one device: the same serial number or, where neither has one, the same gyros."""

@@ -3,21 +3,22 @@
 import json
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import h5py
 
 from estimator.errors import RecordingError, first_line
+from estimator.geometry.model import STATES
 from estimator.recordings.probe import objects
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION
 from estimator.recordings.recovery import recover
 from estimator.recordings.writing import plain, write_attributes
 from station.errors import BenchError
-from station.run.snapshot import GyroSnapshot
 from station.screen.archive.entries import INVESTIGATION, NO_LIMITS, Entry, Whole
 from station.screen.sessions.live_run import Trend
 
@@ -72,19 +73,20 @@ def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
 def _entry(unread: Entry, file: Any) -> Entry:
     began_utc_s = plain(file.attrs.get("clock_zero_utc_s"))
     devices = [str(plain(source.attrs.get("device", ""))) for source in file.get("imu", {}).values()]
-    gyros: tuple[GyroSnapshot, ...] = ()
+    rows: Iterable[Any] = ()
     if (group := file.get("calibration")) is not None:
-        rows = zip(*(group[name][()] for name in ("name", "source", "states", "sd")), strict=True)
-        gyros = tuple(
-            GyroSnapshot(plain(name), plain(source), tuple(states.tolist()), tuple(sd.tolist()))
-            for name, source, states, sd in rows
+        figures = (group[key][()].astype(float).reshape(-1, len(STATES)).tolist() for key in ("states", "sd"))
+        rows = zip(
+            *([str(plain(name)) for name in group[key][()]] for key in ("name", "source")), *figures, strict=True
         )
     return replace(
         unread,
-        when_utc_s=unread.when_utc_s if began_utc_s is None else float(began_utc_s),
+        when_utc_s=unread.when_utc_s
+        if began_utc_s is None
+        else datetime.fromtimestamp(float(began_utc_s), UTC).timestamp(),
         texts={name: str(plain(file.attrs.get(name, ""))) for name in _TEXTS},
         devices=tuple(filter(None, dict.fromkeys(devices))) or (str(plain(file.attrs.get("device", ""))),),
-        gyros=gyros,
+        figures=json.dumps(list(rows)),
     )
 
 

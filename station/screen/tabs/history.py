@@ -1,5 +1,6 @@
 """History: the recordings of a folder, by device and date; how a state of a device went over its calibrations."""
 
+import time
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
@@ -16,7 +17,8 @@ from station.screen.plots import trend_plot
 from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
 
 _COLUMNS = ("when", "device", "script", "outcome", "operator", "accepted", "file")
-_SHOWN_EVERY = 25
+_SHOWN_EVERY_S = 0.5
+_MOST_ROWS = 500  # of more the table would keep its reader waiting: narrow them
 _TREND_ROWS = 9
 
 
@@ -81,15 +83,16 @@ class HistoryScreen(StationScreen):
         self.redraw()
 
     async def _read(self, folder: Path) -> None:
-        self._entries, self._reading = [], True
+        self._entries, self._reading, shown_s = [], True, time.monotonic()
         running = self.station.shown
         written = running.recording if running is not None and running.active else None
         async for entry in self.station.archive.entries(folder):
             if written is not None and entry.path.absolute() == written.absolute():
                 continue
             self._entries.append(entry)
-            if len(self._entries) % _SHOWN_EVERY == 0:
+            if time.monotonic() - shown_s > _SHOWN_EVERY_S:
                 self._show()
+                shown_s = time.monotonic()
         self._entries.sort(key=lambda entry: entry.when_utc_s, reverse=True)
         self._reading = False
         newest = next((entry for entry in self._entries if entry.gyros), None)
@@ -105,13 +108,14 @@ class HistoryScreen(StationScreen):
         table = self.query_one(DataTable)
         row = table.cursor_row
         table.clear()
-        for entry in self._shown:
+        for entry in self._shown[:_MOST_ROWS]:
             table.add_row(*_cells(entry))
         if self._shown:
             table.move_cursor(row=min(row, len(self._shown) - 1))
         of = "" if len(self._shown) == len(self._entries) else f" of {len(self._entries)}"
         reading = ", reading ..." if self._reading else ""
-        words = f"{len(self._shown)}{of} recordings in {self.station.choices.folder}{reading}   (Enter opens one)"
+        most = f", the first {_MOST_ROWS} here" if len(self._shown) > _MOST_ROWS else ""
+        words = f"{len(self._shown)}{of} recordings in {self.station.choices.folder}{most}{reading}   (Enter opens one)"
         self.query_one("#folder", Static).update(words)
         self.redraw()
 

@@ -1,0 +1,124 @@
+"""station history: the recordings of a folder, and control charts of a device."""
+
+import argparse
+import asyncio
+import json
+import os
+from collections import defaultdict
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from estimator.estimation.control_charts import control_chart
+from estimator.geometry.model import STATES
+from station.errors import UsageError
+from station.render.progress import TracingProgress
+from station.render.template import rendered
+from station.render.terminal import print_rendered, stdout
+from station.run.snapshot import GyroSnapshot
+from station.screen.archive.archive import Archive
+from station.screen.archive.entries import Entry
+from station.views.figures import OUTCOME_STYLES
+from station.views.json_values import by_state, json_object
+
+_BY_CHANCE = 0.0027  # how often a run without any change is marked: as often as a value beyond three sigmas
+_MOST_ROWS = 50  # for a person
+_TEXTS = {"device_serial": "serial", "station": "bench"} | {
+    key: key for key in ("script", "outcome", "reason", "operator", "accepted_by", "accepted_utc")
+}
+
+
+def command_history(arguments: argparse.Namespace) -> int:
+    """List the recordings of a folder, the newest first, and charts of a device; always 0."""
+    folder, data, since = Path(arguments.folder), arguments.json or arguments.csv, arguments.since or ""
+    outcome = arguments.outcome and arguments.outcome.upper()
+    if not folder.is_dir():
+        raise UsageError(f"{folder} is no folder: name the one that holds the recordings")
+    if not f"{since}0000"[:4].isdigit():
+        raise UsageError(f"--since {since}: write a date, for instance 2026-11 or 2026-11-21")
+    if outcome not in (None, *OUTCOME_STYLES):
+        raise UsageError(f"--outcome {outcome}: write one of {', '.join(OUTCOME_STYLES)}")
+    entries = asyncio.run(_listed(folder, data))
+    moved = {path: moves for runs in _series(entries) for path, moves in _moves(runs).items()}
+    wanted = {"device_serial": arguments.serial, "station": arguments.bench, "outcome": outcome}
+    wanted = {key: value for key, value in wanted.items() if value is not None}
+    entries = [entry for entry in entries if entry.when >= since and wanted.items() <= entry.texts.items()]
+    shown = entries[: arguments.last or (len(entries) if data else _MOST_ROWS)]
+    found = {
+        "folder": str(folder),
+        "found": len(entries),
+        "recordings": [_row(entry, folder, moved.get(entry.path, [])) for entry in shown],
+        "charts": [_chart(runs) for runs in _series(entries) if arguments.serial and sum(map(_counts, runs)) > 1],
+    }
+    if arguments.json:
+        print(json.dumps(found))
+    elif arguments.csv:
+        print(rendered("station.render", "history.csv", {**found, "states": STATES}), end="")
+    else:
+        print_rendered(stdout(), "station.render", "history.rich", {**found, "serial": arguments.serial})
+    return 0
+
+
+async def _listed(folder: Path, quiet: bool) -> list[Entry]:
+    """Return the recordings of a folder, the newest first; with progress while some are read."""
+    archive, found, bar = Archive(), [], None
+    with ExitStack() as stack:
+        async for entry in archive.entries(folder):
+            found.append(entry)
+            if archive.unread:
+                bar = bar or stack.enter_context(TracingProgress(quiet))
+                left = archive.unread
+                bar.show(len(found) / (len(found) + left), f"reading {folder}: {left} left")
+    await archive.close()
+    return sorted(found, key=lambda entry: entry.when_utc_s, reverse=True)
+
+
+def _series(entries: Sequence[Entry]) -> list[list[Entry]]:
+    """Return the runs that may be compared with each other, the oldest first."""
+    found: dict[Any, list[Entry]] = defaultdict(list)
+    for entry in reversed(entries):
+        if entry.series is not None:
+            found[entry.series].append(entry)
+    return list(found.values())
+
+
+def _counts(run: Entry) -> bool:
+    return run.texts.get("outcome") != "FAIL"
+
+
+def _moves(runs: Sequence[Entry]) -> dict[Path, list[dict[str, Any]]]:
+    """Return by run what moved since the last before it that did not fail, by more than its sigmas explain."""
+    x, sd = (np.array([[getattr(gyro, key) for gyro in run.gyros] for run in runs]) for key in ("values", "sds"))
+    last = np.maximum.accumulate([n if _counts(run) else -1 for n, run in enumerate(runs)])[:-1]
+    with np.errstate(all="ignore"):
+        sigmas = (x[1:] - x[last]) / np.hypot(sd[1:], sd[last])
+    limit = NormalDist().inv_cdf(1 - _BY_CHANCE / 2 / x[0].size)
+    found = defaultdict(list)
+    for n, gyro, state in np.argwhere((abs(sigmas) > limit) & (last >= 0)[:, None, None]):
+        told = {"gyro": _name(runs[0].gyros[gyro]), "state": STATES[state], "sigmas": float(sigmas[n, gyro, state])}
+        found[runs[n + 1].path].append({**told, "since": runs[last[n]].path.name})
+    return found
+
+
+def _chart(runs: Sequence[Entry]) -> dict[str, Any]:
+    """Return control charts of runs: values and what is outside (runs, gyros, 4), SI. Failed ones make no limits."""
+    counted = [_counts(run) for run in runs]
+    chart = control_chart([[gyro.values for gyro in run.gyros] for run in runs], counted)
+    told = {"bench": runs[0].texts["station"], "script": runs[0].texts["script"], "counted": counted}
+    names = {"gyros": [_name(gyro) for gyro in runs[0].gyros], "files": [run.path.name for run in runs]}
+    return {**told, **names, "when": [run.when for run in runs], **json_object(chart)}
+
+
+def _row(entry: Entry, folder: Path, moved: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    told = {name: entry.texts.get(key, "") for key, name in _TEXTS.items()}
+    told |= {"file": os.path.relpath(entry.path, folder), "wrong": entry.wrong, "device": entry.device}
+    gyros = [{"name": _name(g), **by_state(g.values), "sd": by_state(g.sds)} for g in entry.gyros]
+    return {"when": entry.when, **told, "when_utc_s": entry.when_utc_s, "moved": moved, "gyros": gyros}
+
+
+def _name(gyro: GyroSnapshot) -> str:
+    return " ".join(dict.fromkeys((gyro.source, gyro.name)))  # two devices may have gyros of one name

@@ -1,0 +1,165 @@
+"""`station history`: recordings of a folder, what has moved, control charts."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from estimator.estimation.control_charts import control_chart
+from station.cli import main
+
+_DAY_S = 86_400
+_NOON_S = 1_795_262_400  # 2026-11-21 12:00:00 UTC
+
+
+def write_run(folder: Path, runs: Path, day: int, moved: float = 0.0, sigmas: float = 0.0, **attributes: str) -> Path:
+    """Write the first recording again as that of another day; ``moved``: all states but one, ``sigmas``: bias too."""
+    path = folder / f"day-{day:02d}.h5"
+    shutil.copy(runs / "first.h5", path)
+    with h5py.File(path, "r+") as file:
+        file.attrs.update({"clock_zero_utc_s": float(_NOON_S + day * _DAY_S), **attributes})
+        sd = file["calibration/sd"][()]
+        shift = moved * sd
+        shift[0, 1] += sigmas * sd[0, 1]
+        file["calibration/states"][...] = file["calibration/states"][()] + shift
+    return path
+
+
+@pytest.fixture
+def series(place: Path, runs: Path) -> Path:
+    """Return a folder of 12 runs of a device that scatters by half its sigmas and has moved in the last."""
+    folder = place / "series"
+    folder.mkdir()
+    chance = np.random.default_rng(3)
+    for day in range(12):
+        write_run(folder, runs, day, moved=0.5 * chance.standard_normal(), sigmas=9.0 * (day == 11))
+    return folder
+
+
+def history(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    """Return what `station history` prints."""
+    capsys.readouterr()
+    assert main(["history", *map(str, arguments)]) == 0
+    return capsys.readouterr().out
+
+
+def test_a_list_is_newest_first_and_can_be_narrowed(series: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = [line for line in history(capsys, series).splitlines() if "SN-0042" in line]
+    assert len(lines) == 12
+    assert lines[0].index("2026-12-02") < 6
+    found = json.loads(history(capsys, series, "--since", "2026-11-30", "--outcome", "pass", "--json"))
+    assert [each["file"] for each in found["recordings"]] == ["day-11.h5", "day-10.h5", "day-09.h5"]
+    assert json.loads(history(capsys, series, "--serial", "SN-0001", "--json"))["recordings"] == []
+
+
+def test_figures_are_those_of_the_files_in_json_and_csv(series: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    newest = json.loads(history(capsys, series, "--json"))["recordings"][0]
+    row = next(csv.DictReader(io.StringIO(history(capsys, series, "--csv"))))
+    with h5py.File(series / "day-11.h5") as file:
+        bias, sd = file["calibration/states"][0, 1], file["calibration/sd"][0, 1]
+    assert newest["gyros"][0]["b_rps"] == float(row["gyro1 b_rps"]) == bias
+    assert newest["gyros"][0]["sd"]["b_rps"] == float(row["gyro1 sd b_rps"]) == sd
+    assert row["serial"] == newest["serial"] == "SN-0042"
+
+
+def test_no_name_steers_a_terminal_or_is_a_formula(
+    series: Path, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(series, runs, 30, station="=1+2", device_serial="\x1b[31mred[/] [bold]", operator="@SUM(A1)")
+    shown = history(capsys, series)
+    assert "\x1b" not in shown
+    assert "[bold]" in shown
+    row = next(csv.DictReader(io.StringIO(history(capsys, series, "--csv"))))
+    assert (row["bench"], row["operator"]) == ("'=1+2", "'@SUM(A1)")
+
+
+def test_a_device_that_moved_is_told_at_once(series: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    moved = [line for line in history(capsys, series).splitlines() if "b of gyro1" in line]
+    assert len(moved) == 1
+    assert "2026-12-02" in moved[0]
+    (only,) = [each for each in json.loads(history(capsys, series, "--json"))["recordings"] if each["moved"]]
+    assert (only["file"], [(m["gyro"], m["state"]) for m in only["moved"]]) == ("day-11.h5", [("gyro1", "b_rps")])
+    assert only["moved"][0]["since"] == "day-10.h5"
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"outcome": "FAULT"}, {"outcome": "ABORTED"}, {"station": "another bench"}, {"script": "longer"}],
+    ids=lambda other: next(iter(other.values())),
+)
+def test_only_comparable_runs_are_compared(
+    other: dict[str, str], series: Path, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(series, runs, 13, moved=300.0, **other)
+    found = json.loads(history(capsys, series, "--serial", "SN-0042", "--json"))
+    assert not found["recordings"][0]["moved"]
+    charts = [chart for chart in found["charts"] if chart["bench"] != "another bench" and chart["script"] != "longer"]
+    assert {len(chart["values"]) for chart in charts} == {12}
+
+
+def test_control_charts_leave_failed_runs_out_of_their_limits(
+    series: Path, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clean = json.loads(history(capsys, series, "--serial", "SN-0042", "--json"))["charts"]
+    write_run(series, runs, 12, moved=50.0, outcome="FAIL")
+    found = json.loads(history(capsys, series, "--serial", "SN-0042", "--json"))["charts"]
+    assert [chart["limits"] for chart in found] == [chart["limits"] for chart in clean]
+    assert all(chart["outside"][-1] for chart in found)
+    assert "1 FAIL" in history(capsys, series, "--serial", "SN-0042")
+
+
+def test_charts_of_a_device_name_the_run_that_is_outside(series: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shown = history(capsys, series, "--serial", "SN-0042")
+    (line,) = [line for line in shown.splitlines() if line.startswith("!") and "b (deg/s) of gyro1" in line]
+    assert "2026-12-02" in line
+
+
+@pytest.mark.parametrize("words", [[], ["--serial", "SN-0042"]])
+def test_history_fits_80_columns(
+    words: Sequence[str], series: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("NO_COLOR", "1")
+    shown = re.sub(r"\x1b\[[0-9;]*m", "", history(capsys, series, *words))
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "…" not in shown
+
+
+def test_a_folder_that_is_not_there_is_wrong_usage(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["history", "nowhere"]) == 2
+    assert "nowhere" in capsys.readouterr().err
+    assert main(["history", ".", "--since", "yesterday"]) == 2
+
+
+def test_limits_are_those_of_the_textbook() -> None:
+    """Individuals and moving ranges: NIST/SEMATECH e-Handbook of Statistical Methods, 6.3.2.2, its example."""
+    values = [49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]
+    chart = control_chart(values, [True] * len(values))
+    assert chart.mean == pytest.approx(50.81)
+    assert chart.limits == pytest.approx((45.8159, 55.8041), abs=2e-2)
+    assert not any(chart.outside)
+
+
+def test_a_slow_drift_is_seen_by_the_moving_average_before_any_single_run() -> None:
+    """Twenty runs in control, then each two sigmas above them."""
+    scatter = np.resize([1.0, -1.0, 0.5, -0.5, 0.0], 20)
+    chart = control_chart([*scatter, *(scatter[:10] + 1.9)], [True] * 20 + [False] * 10)
+    assert not any(chart.outside)
+    assert not any(chart.ewma_outside[:20])
+    assert any(chart.ewma_outside[20:])
+
+
+def test_copies_of_one_run_are_within_their_limits() -> None:
+    chart = control_chart([0.1] * 7, [True] * 7)
+    assert not any(chart.outside)
+    assert not any(chart.ewma_outside)

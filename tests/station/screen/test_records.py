@@ -1,0 +1,118 @@
+"""The index of a folder of recordings is quick, and never the truth itself."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+from contextlib import aclosing
+from pathlib import Path
+
+import h5py
+import pytest
+
+from station.screen.archive.archive import Archive
+from station.screen.archive.entries import Entry
+from station.screen.archive.index import index_file
+
+
+async def listed(folder: Path, most: int = 10_000) -> list[Entry]:
+    """Return the recordings as a program that has just begun lists them, or the first of them."""
+    archive, found = Archive(), []
+    try:
+        async with aclosing(archive.entries(folder)) as entries:
+            async for entry in entries:
+                found.append(entry)
+                if len(found) == most:
+                    break
+    finally:
+        await archive.close()
+    return found
+
+
+def told(folder: Path) -> list[str]:
+    """Return all that the list says of each recording."""
+    return sorted(map(repr, asyncio.run(listed(folder))))
+
+
+def spoil(path: Path) -> None:
+    """Have a file be no HDF5 file any more, of the same size and date."""
+    status = path.stat()
+    path.write_bytes(bytes(status.st_size))
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+@pytest.fixture
+def whole(recordings: Path) -> Path:
+    """Return the folder without what cannot be read, so that a list does not wait for it."""
+    for name in ("later", "torn"):
+        (recordings / f"{name}.h5").unlink()
+    return recordings
+
+
+def test_what_did_not_change_is_not_read_again_and_what_did_is(whole: Path) -> None:
+    before = told(whole)
+    spoil(whole / "first.h5")
+    assert told(whole) == before
+    os.utime(whole / "first.h5")
+    (found,) = [entry for entry in asyncio.run(listed(whole)) if entry.path.name == "first.h5"]
+    assert "damaged" in found.wrong
+
+
+def test_the_index_is_this_users_and_not_in_the_folder(whole: Path, place: Path) -> None:
+    names = set(whole.iterdir())
+    told(whole)
+    assert set(whole.iterdir()) == names
+    assert index_file(whole).is_relative_to(place / "state")
+    assert index_file(whole).parent.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 100), marks=pytest.mark.full)], ids=["few", "many"])
+def test_an_index_that_is_harmed_anywhere_changes_no_figure(whole: Path, seeds: range) -> None:
+    before, index = told(whole), index_file(whole)
+    made = index.read_bytes()
+    for seed in seeds:
+        chance, content = random.Random(seed), bytearray(made)
+        for _ in range((20, 2000, 1)[seed % 3]):
+            content[chance.randrange(len(content))] ^= chance.randrange(1, 256)
+        index.write_bytes(content[: chance.randrange(len(content)) if seed % 4 == 3 else None])
+        assert told(whole) == before, seed
+
+
+def test_without_its_index_a_folder_is_read_again(
+    whole: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    before, index = told(whole), index_file(whole)
+    index.write_bytes(b"not a database at all" * 1000)
+    assert told(whole) == before
+    assert told(whole) == before
+    index.unlink()
+    index.mkdir()
+    assert told(whole) == before
+    monkeypatch.setenv("XDG_STATE_HOME", str(whole / "first.h5"))
+    assert told(whole) == before
+    assert "Traceback" not in "".join(capfd.readouterr())
+
+
+def test_several_stations_use_an_index_at_once(whole: Path) -> None:
+    async def together() -> list[list[Entry]]:
+        return await asyncio.gather(*(listed(whole) for _ in range(2)))
+
+    found = asyncio.run(together())
+    assert len({tuple(sorted(map(repr, each))) for each in found}) == 1
+    assert len(found[0]) == 2
+
+
+def test_a_first_listing_that_is_cut_short_loses_nothing(whole: Path) -> None:
+    (read,) = asyncio.run(listed(whole, most=1))
+    spoil(read.path)
+    assert repr(read) in told(whole)
+
+
+@pytest.mark.parametrize("began_utc_s", [float("nan"), 1e300])
+def test_a_recording_of_no_date_is_damaged_and_harms_no_list(began_utc_s: float, whole: Path) -> None:
+    with h5py.File(whole / "first.h5", "r+") as file:
+        file.attrs["clock_zero_utc_s"] = began_utc_s
+    found = {entry.path.name: entry for entry in asyncio.run(listed(whole))}
+    assert "damaged" in found["first.h5"].wrong
+    assert all(entry.when for entry in found.values())
