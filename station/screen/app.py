@@ -26,8 +26,8 @@ from station.screen.archive.archive import Archive
 from station.screen.bars import SCREENS, STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
-from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_remembered
+from station.screen.dialogs import AskDialog, ChooseDialog, StationDialog, help_words
+from station.screen.memory import HIGH_CONTRAST, REMEMBERED, Remembered, load_remembered, save_remembered
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
@@ -58,13 +58,13 @@ class StationApp(App[None]):
 
     TITLE = "turntable station"
     CSS_PATH = Path(__file__).with_name("station.tcss")
-    ENABLE_COMMAND_PALETTE = False
     MODES: ClassVar = {"prepare": PrepareScreen, "run": RunScreen, "result": ResultScreen, "history": HistoryScreen}
     DEFAULT_MODE: str = "prepare"  # type: ignore[misc]  # it depends on how the app is begun
     BINDINGS: ClassVar = [
         *(Binding(key.lower(), f"switch_mode('{mode}')", name, show=False) for mode, key, name in SCREENS),
         Binding(",".join(_STOP_KEYS), "stop", "STOP", show=False, priority=True),
-        Binding("ctrl+q", "leave", "Quit", show=False, priority=True),
+        Binding("ctrl+q", "quit", "Quit", show=False, priority=True),
+        Binding("f1", "help", "Help", key_display="F1"),
     ]
 
     def __init__(self, choices: Choices, *, attach: bool = False) -> None:
@@ -73,6 +73,8 @@ class StationApp(App[None]):
             self.DEFAULT_MODE = "run"
         super().__init__()
         self.remembered: Remembered = load_remembered()
+        self.register_theme(HIGH_CONTRAST)
+        self.theme = self.remembered.theme if self.remembered.theme in self.available_themes else self.theme
         entered = {key: getattr(choices, key) or getattr(self.remembered, key) for key in REMEMBERED}
         self.choices = replace(choices, **entered)
         self.operator_utc_s = time.time() if choices.operator else self.remembered.operator_utc_s
@@ -137,7 +139,13 @@ class StationApp(App[None]):
             await asyncio.gather(*map(stop_session, sockets[1:]))
             self.notify(f"{len(sockets)} told to stop", title="STOP", severity="warning")
 
-    def action_leave(self) -> None:
+    def action_help(self) -> None:
+        """Show all keys of the screen."""
+        if not isinstance(self.screen, StationDialog):
+            keys = (binding for _, binding, enabled, _ in self.screen.active_bindings.values() if enabled)
+            self.push_screen(StationDialog(help_words(keys)))
+
+    async def action_quit(self) -> None:
         """Leave; if a session runs, ask what is to become of it."""
         if not self.busy:
             self.exit()
@@ -186,10 +194,16 @@ class StationApp(App[None]):
         else:
             self.notify(f"no session takes it: {text}", title="Note NOT kept", severity="error", markup=False)
 
+    def watch_theme(self) -> None:
+        """Keep the theme that was chosen, for the next time."""
+        if self.is_running and self.theme != self.remembered.theme:
+            self.remembered = replace(self.remembered, theme=self.theme)
+            save_remembered(self.remembered)
+
     def _remember(self) -> None:
         chosen = self.choices.bench, self.choices.script
         bench, script = (str(Path(path).absolute()) if path else "" for path in chosen)
-        self.remembered = Remembered(self.choices.operator, bench, script, self.operator_utc_s)
+        self.remembered = Remembered(self.choices.operator, bench, script, self.operator_utc_s, self.theme)
         save_remembered(self.remembered)
 
     def prepare(self, script: str | None) -> None:
@@ -304,7 +318,7 @@ class StationApp(App[None]):
 
     def _show_stop(self) -> None:
         with suppress(ScreenStackError):
-            for bar in self.screen.query(StopBar):
+            for bar in (bar for screen in self.screen_stack for bar in screen.query(StopBar)):
                 bar.show(self.shown, self.others)
 
     def _watch_terminal(self) -> None:

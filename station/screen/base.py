@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
+from pathlib import Path
 from typing import ClassVar, cast
 
 from textual import events
 from textual.app import ComposeResult
+from textual.binding import Binding
 from textual.containers import VerticalScroll
 from textual.screen import Screen
+from textual.suggester import Suggester
 from textual.widgets import Footer, Input, Static
 
 from station.screen.bars import StopBar, TopBar
+from station.screen.charts import Charts
 from station.screen.seen_app import SeenApp
 
 LEAST_WIDTH, LEAST_HEIGHT = 80, 24
-_TALL = 34
+_TALL, _LARGE = 34, 52
 
 
 class StationScreen(Screen[None]):
@@ -23,6 +28,12 @@ class StationScreen(Screen[None]):
     MODE: ClassVar[str] = ""
     WIDE: ClassVar[int] = 120
     AUTO_FOCUS = None
+    ALLOW_IN_MAXIMIZED_VIEW = "#top, #small, #start-row, #actions, Footer, StopBar"
+    BINDINGS: ClassVar = [
+        Binding("c", "charts('next')", "Chart"),
+        Binding("z", "charts('enlarge')", "Enlarge"),
+        Binding("0", "charts('show_all')", "All of the time", show=False),
+    ]
     gyro = 0
     """Number of the gyro whose pictures are shown, of as many as there are."""
 
@@ -54,6 +65,11 @@ class StationScreen(Screen[None]):
     def redraw(self) -> None:
         """Draw what depends on the room there is, and on the gyro that is shown."""
 
+    def action_charts(self, what: str) -> None:
+        """Have the charts of the screen do something."""
+        for charts in self.query(Charts):
+            getattr(charts, what)()
+
     def action_gyro(self, step: int) -> None:
         """Show another gyro."""
         self.gyro += step
@@ -74,13 +90,44 @@ class StationScreen(Screen[None]):
         self.set_class(self.small, "-small")
         self.set_class(size.width >= self.WIDE, "-wide")
         self.set_class(size.height >= _TALL, "-tall")
+        self.set_class(size.height >= _LARGE, "-large")
         self.call_after_refresh(self.redraw)
+
+
+class PathSuggester(Suggester):
+    """Completes what is in a field to a file or folder that begins so; the right arrow takes it over."""
+
+    def __init__(self) -> None:
+        super().__init__(use_cache=False, case_sensitive=True)
+
+    async def get_suggestion(self, value: str) -> str | None:
+        """Return the first that fits."""
+        return await asyncio.to_thread(self._first, value)
+
+    def _first(self, value: str) -> str | None:
+        folder, _, begun = value.rpartition("/")
+        try:
+            names = sorted(Path(f"{folder}/" if "/" in value else ".").expanduser().iterdir())
+        except OSError:
+            return None
+        found = (path for path in names if path.name.startswith(begun) and (path.is_dir() or path.suffix == ".toml"))
+        path = next(found, None) if begun else None
+        return None if path is None else f"{value}{path.name[len(begun) :]}{'/' if path.is_dir() else ''}"
 
 
 class Field(Input):
     """A line of input, one row high, whose cursor stands still: nothing but news is to move on these screens."""
 
-    def __init__(self, *, id: str | None = None, placeholder: str = "", max_length: int = 0) -> None:
+    def __init__(
+        self, *, id: str | None = None, placeholder: str = "", max_length: int = 0, suggester: Suggester | None = None
+    ) -> None:
         """``max_length`` in characters, 0 for any."""
-        super().__init__(id=id, placeholder=placeholder, max_length=max_length, compact=True, select_on_focus=False)
+        super().__init__(
+            id=id,
+            placeholder=placeholder,
+            max_length=max_length,
+            suggester=suggester,
+            compact=True,
+            select_on_focus=False,
+        )
         self.cursor_blink = False

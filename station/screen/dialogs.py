@@ -1,9 +1,11 @@
 """Questions over a screen."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import zip_longest
 from typing import ClassVar
 
 from textual.app import ComposeResult
+from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Button, Input, OptionList, Static
@@ -34,6 +36,21 @@ class StationDialog(ModalScreen[str | None]):
     def answers(self) -> ComposeResult:
         """Yield what may be answered."""
         yield from ()
+
+
+def help_words(bindings: Iterable[Binding]) -> str:
+    """Return the keys that do something, and what, in two columns."""
+    keys: dict[str, list[str]] = {}
+    for binding in bindings:
+        if binding.description and not binding.system:
+            keys.setdefault(binding.description, []).append(binding.key_display or binding.key.replace("plus", "+"))
+    cells = [
+        f"{' '.join(names).upper() if len(names[0]) > 1 else ' '.join(names):12} {words}"[:34]
+        for words, names in keys.items()
+    ]
+    half = -(-len(cells) // 2)
+    rows = [f"{left:36}{right}" for left, right in zip_longest(cells[:half], cells[half:], fillvalue="")]
+    return "\n".join([*rows, "", "Tab moves on, Ctrl+P has all commands and themes, Escape goes back."])
 
 
 class AskDialog(StationDialog):

@@ -1,4 +1,4 @@
-"""What the screen remembers from one day to the next: the operator and when that was confirmed, bench and script."""
+"""What the screen remembers from one day to the next: the operator and when that was confirmed, files, the theme."""
 
 import json
 import os
@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from textual.theme import Theme
+
 from station.atomic_write import write_whole
 from station.errors import UsageError
 
@@ -14,6 +16,20 @@ _FOLDER = "turntable-station"
 _FILE = "screen.json"
 REMEMBERED = ("operator", "bench", "script")
 """What is remembered of the fields: the number of a device is not, the next device has another."""
+HIGH_CONTRAST = Theme(
+    name="high-contrast",
+    primary="#00d7ff",
+    secondary="#ffffff",
+    accent="#ffff00",
+    warning="#ffff00",
+    error="#ff5f5f",
+    success="#5fff5f",
+    foreground="#ffffff",
+    background="#000000",
+    surface="#000000",
+    panel="#303030",
+)
+"""Beside the themes of textual, dark and light."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +40,7 @@ class Remembered:
     bench: str = ""
     script: str = ""
     operator_utc_s: float = 0.0
+    theme: str = ""
 
 
 def state_folder() -> Path:
@@ -37,7 +54,9 @@ def load_remembered() -> Remembered:
     try:
         found: Any = json.loads((state_folder() / _FILE).read_text(encoding="utf-8"))
         texts = {key: str(found.get(key, "")) for key in REMEMBERED}
-        return Remembered(**texts, operator_utc_s=float(found.get("operator_utc_s", 0.0)))
+        return Remembered(
+            **texts, operator_utc_s=float(found.get("operator_utc_s", 0.0)), theme=str(found.get("theme", ""))
+        )
     except (OSError, ValueError, TypeError, AttributeError):
         return Remembered()
 

@@ -14,9 +14,11 @@ from textual.binding import Binding
 from textual.containers import Container, Horizontal, Vertical
 from textual.widgets import Button, Input, Label, Static
 
-from station.screen.base import Field, StationScreen
+from station.screen.base import Field, PathSuggester, StationScreen
+from station.screen.charts import Charts
 from station.screen.choices import Choices
 from station.screen.dialogs import AskTextDialog
+from station.screen.drawings import Drawing, motion_drawing
 from station.screen.figures import columns, templated, titled
 from station.screen.sessions.link import sessions_on
 from station.screen.sessions.live_run import LiveRun
@@ -63,12 +65,14 @@ class PrepareScreen(StationScreen):
                 for name, words, placeholder in _FIELDS:
                     with Horizontal(classes="field"):
                         yield Label(words)
-                        yield Field(id=name, placeholder=placeholder)
+                        paths = PathSuggester() if name in ("bench", "script") else None
+                        yield Field(id=name, placeholder=placeholder, suggester=paths)
                 yield Static(id="ready", markup=False, classes="block")
                 yield Static(id="limits", markup=False, classes="block")
             with Vertical(id="answers"):
                 yield Static(id="check", markup=False, classes="block")
                 yield Static(id="plan", markup=False, classes="block")
+        yield Charts(("motion",), self._drawing)
 
     def row_below(self) -> ComposeResult:
         with Horizontal(id="start-row"):
@@ -261,7 +265,7 @@ class PrepareScreen(StationScreen):
         return [("WRONG", f"{d['device']}: {wrong}") for d in devices for wrong in d["wrong"]]
 
     def redraw(self) -> None:
-        if not self.is_mounted:
+        if not self.query(Charts):
             return
         obstacles = self._obstacles()
         self.query_one("#start", Button).disabled = bool(obstacles)
@@ -281,7 +285,12 @@ class PrepareScreen(StationScreen):
         }
         self.query_one("#check", Static).update(templated("check.rich", {**values, "degrees": _degrees}))
         width = max(self.query_one("#plan").size.width, 40)
-        self.query_one("#plan", Static).update(_plan(prospect, self._plan, width))
+        self.query_one("#plan", Static).update(_plan(prospect, self._plan, width, self.has_class("-tall")))
+        self.query_one(Charts).draw()
+
+    def _drawing(self, name: str) -> Drawing | None:
+        motion = self._prospect.motion if self._prospect is not None else None
+        return None if motion is None else motion_drawing(motion.gimbals, motion.t_s, motion.rate_rps)
 
     def _warnings(self) -> list[str]:
         plan = self._plan.found if self._plan is not None else {}
@@ -302,11 +311,11 @@ def _degrees(angle_rad: float) -> str:
     return number(math.degrees(angle_rad), 3)
 
 
-def _plan(prospect: Prospect | None, plan: Answer | None, width: int) -> Text:
+def _plan(prospect: Prospect | None, plan: Answer | None, width: int, drawn: bool) -> Text:
     profile: list[str] = []
     rows: list[list[str]] = []
     gyros = plan.found.get("gyros") or [] if plan is not None else []
-    if prospect is not None and prospect.motion is not None:
+    if prospect is not None and prospect.motion is not None and not drawn:
         from station.scripts.axis_profile import profile_lines  # loaded by now, in the thread that read the script
 
         profile = profile_lines(prospect.motion, width)
@@ -316,7 +325,14 @@ def _plan(prospect: Prospect | None, plan: Answer | None, width: int) -> Text:
         rows = [["predicted", *(f"{name} {unit}" for name, unit, _ in STATE_UNITS)]]
         rows += [_sizes(g["name"], g["sd"]) for g in gyros] + ([_sizes("required", required)] if asked else [])
     table = columns(rows, gap=" ") if rows else []
-    values = {"prospect": prospect, "plan": plan, "profile": profile, "table": table, "gyros": gyros, "clock": clock}
+    values = {
+        "prospect": prospect,
+        "plan": plan,
+        "profile": profile,
+        "table": table,
+        "gyros": gyros,
+        "clock": clock,
+    }
     return templated("plan.rich", values)
 
 

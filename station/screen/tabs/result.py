@@ -11,16 +11,19 @@ from typing import Any, ClassVar, cast
 from rich.console import Group, RenderableType
 from rich.text import Text
 from textual.app import ComposeResult
-from textual.containers import Horizontal
+from textual.binding import Binding
+from textual.containers import Container, Horizontal, VerticalScroll
 from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
 from station.screen.archive.entries import INVESTIGATION, Entry, Whole, last_before
 from station.screen.base import StationScreen
+from station.screen.charts import Charts
 from station.screen.dialogs import AskDialog, ChooseDialog
+from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
 from station.screen.figures import columns, headed, state_heads, state_lines, templated, titled
-from station.screen.plots import gyro_plots
 from station.screen.sessions.programs import ask
+from station.screen.tabs.giving_out import give_out
 from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
 
 _MANY_SIGMAS = 3.0
@@ -30,6 +33,7 @@ _LOOKING = "looking for what the model lacks"
 _NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
 _NAMED = {"operator": "operator", "script": "script", "station": "bench"}
 """What identifies a run beside its device, and what it is called."""
+_BLOCKS = ("verdict", "states", "change", "model", "record")
 _BUTTONS = (
     ("accept", "Accept  A"),
     ("investigate", "Investigate  I"),
@@ -43,12 +47,11 @@ class ResultScreen(StationScreen):
 
     MODE = "result"
     BINDINGS: ClassVar = [
-        ("a", "accept", "Accept"),
-        ("i", "investigate", "Investigate"),
-        ("r", "repeat", "Repeat"),
-        ("d", "next", "Drive next script"),
-        ("right", "gyro(1)", "Next gyro"),
-        ("left", "gyro(-1)", "Previous gyro"),
+        *(Binding(words[-1].lower(), name, words[:-3], show=False) for name, words in _BUTTONS),
+        ("g", "gyro(1)", "Gyro"),
+        ("e", "give_out", "Give out"),
+        Binding("right", "gyro(1)", "Next gyro", show=False),
+        Binding("left", "gyro(-1)", "Previous gyro", show=False),
     ]
 
     def __init__(self) -> None:
@@ -62,8 +65,11 @@ class ResultScreen(StationScreen):
         self._said = ""
 
     def body(self) -> ComposeResult:
-        for name in ("verdict", "states", "change", "model", "curves", "record"):
-            yield Static(id=name, markup=False, classes="block")
+        with Container(id="columns"):
+            with VerticalScroll(id="figures", can_focus=False):
+                for name in _BLOCKS:
+                    yield Static(id=name, markup=False, classes="block")
+            yield Charts(STATE_CHARTS, self._drawing)
 
     def row_below(self) -> ComposeResult:
         with Horizontal(id="actions", classes="buttons"):
@@ -94,6 +100,11 @@ class ResultScreen(StationScreen):
         self._found = found
         self._model = await asyncio.to_thread(_investigation, found) if found.get("verdict") else ()
         self.redraw()
+
+    def action_give_out(self) -> None:
+        """Offer what can be made of the recording."""
+        if self._path is not None:
+            give_out(self.station, self._path)
 
     def action_investigate(self) -> None:
         """Look for what the model lacks; ask by which run that is to be judged, if there are others of the device."""
@@ -218,14 +229,15 @@ class ResultScreen(StationScreen):
         self.redraw()
 
     def redraw(self) -> None:
-        if not self.is_mounted:
+        if not self.query(Charts):
             return
         for name, _ in _BUTTONS:
             self.query_one(f"#{name}", Button).disabled = bool(self._obstacle(name))
-        whole = self._whole
+        whole, charts = self._whole, self.query_one(Charts)
+        charts.display = bool(whole and whole.curves)
         self._block("verdict", _verdict(self._path, whole, self._busy, self._said))
         if whole is None or whole.entry.wrong:
-            for name in ("states", "change", "model", "curves", "record"):
+            for name in _BLOCKS[1:]:
                 self._block(name, None)
             return
         gyros = whole.entry.gyros
@@ -233,20 +245,21 @@ class ResultScreen(StationScreen):
         self._block("change", _change(whole.entry, last_before(whole.entry, self._same)) if gyros else None)
         lines = self._model or [Text("I looks for what the four states lack", "dim")]
         self._block("model", Group(Text("Investigation", "bold underline"), *lines) if gyros else None)
-        self._block("curves", self._curves(whole))
         self._block("record", _record(whole))
+        charts.draw()
 
     def _block(self, name: str, shown: RenderableType | None) -> None:
         block = self.query_one(f"#{name}", Static)
         block.display = shown is not None
         block.update("" if shown is None else shown)
 
-    def _curves(self, whole: Whole) -> Text | None:
-        if not whole.curves:
+    def _drawing(self, name: str) -> Drawing | None:
+        whole = self._whole
+        if whole is None or not whole.curves:
             return None
-        name = list(whole.curves)[self.gyro % len(whole.curves)]
-        width = max(self.query_one("#body").size.width - 2, 76)
-        return Text("\n").join(gyro_plots(name, whole.curves[name], width))
+        index = STATE_CHARTS.index(name)
+        curve = list(whole.curves.values())[self.gyro % len(whole.curves)]
+        return state_drawing(index, curve, whole.sizes[index])
 
 
 def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:

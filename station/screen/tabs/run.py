@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import math
 import textwrap
-import time
 from typing import ClassVar
 
 from rich.text import Text
 from textual.app import ComposeResult
+from textual.binding import Binding
 from textual.containers import Container, Vertical
 
 from station.run.snapshot import PAUSED, Snapshot, SourceSnapshot
 from station.screen.bars import SILENCE_S, Lines
 from station.screen.base import StationScreen
+from station.screen.charts import Charts
 from station.screen.dialogs import AskTextDialog
-from station.screen.figures import columns, headed, state_lines
-from station.screen.plots import bar, gyro_plots
-from station.screen.sessions.live_run import LiveRun, Stage, Trend
+from station.screen.drawings import RUN_CHARTS, Drawing, run_drawing
+from station.screen.figures import bar, columns, headed, state_lines
+from station.screen.sessions.live_run import LiveRun, Stage
 from station.views.figures import OUTCOME_STYLES, clock, number
 
-PLOT_PERIOD_S = 1.0
-_BLOCKS = ("axes", "sources", "innovations", "estimates", "plots", "events")
-_EVENTS = 8
+_FIGURES, _EVENTS = ("axes", "sources", "innovations", "estimates"), ("events", "latest")
+_MOST_EVENTS = 24
 _REASON_ROWS = 4
 _NIS_OFF = 0.25
 _WHITE_OFF = 0.2
@@ -35,36 +35,34 @@ class RunScreen(StationScreen):
     """The run, live."""
 
     MODE = "run"
-    WIDE = 146
     BINDINGS: ClassVar = [
-        ("p", "pause", "Pause after step / go on"),
+        ("p", "pause", "Pause/go on"),
         ("n", "note", "Note"),
-        ("o", "others", "Other session"),
-        ("right", "gyro(1)", "Next gyro"),
-        ("left", "gyro(-1)", "Previous gyro"),
+        ("o", "others", "Sessions"),
+        ("g", "gyro(1)", "Gyro"),
+        Binding("right", "gyro(1)", "Next gyro", show=False),
+        Binding("left", "gyro(-1)", "Previous gyro", show=False),
     ]
-
-    _drawn_s = -math.inf
 
     def body(self) -> ComposeResult:
         yield Lines(id="progress")
         with Container(id="columns"):
             with Vertical(id="figures"):
-                for name in _BLOCKS[:4]:
+                for name in _FIGURES:
                     yield Lines(id=name, classes="block")
-            with Vertical(id="pictures"):
-                for name in _BLOCKS[4:]:
-                    yield Lines(id=name, classes="block")
+            yield Lines(id="events", classes="block")
+        yield Charts(RUN_CHARTS, self._drawing)
+        yield Lines(id="latest", classes="block")
 
     def redraw(self) -> None:
-        """Draw all at once, the plots too."""
-        self._drawn_s = -math.inf
+        """Draw all at once, the charts too."""
         self.tick()
+        self.query_one(Charts).draw()
 
     on_screen_resume = redraw
 
     def tick(self) -> None:
-        """Show figures at each tick, plots once a second; what has not changed costs nothing."""
+        """Show figures at each tick, one of the charts, too; what has not changed costs nothing."""
         run = self.station.shown
         if run is None:
             others = self.station.others
@@ -74,32 +72,30 @@ class RunScreen(StationScreen):
         self._show("progress", _progress(run, self.size.width - 4))
         snapshot = run.snapshot
         if snapshot is None:  # what is there is of the run before
-            for name in _BLOCKS:
+            for name in (*_FIGURES, *_EVENTS):
                 self._show(name, [])
             return
+        large = self.has_class("-large")
         for name, rows in (
             ("axes", axis_lines(snapshot, run)),
-            ("sources", source_lines(snapshot)),
+            ("sources", source_lines(snapshot) if large else source_summary(snapshot)),
             ("innovations", innovation_lines(snapshot)),
             ("estimates", state_lines(snapshot.gyros, nis=True)),
         ):
             self._show(name, rows)
-        self._show("events", _event_lines(run))
-        now_s = time.monotonic()
-        if now_s - self._drawn_s >= PLOT_PERIOD_S:
-            self._drawn_s = now_s
-            self._show("plots", self._plots(run, snapshot))
+        for name in _EVENTS:
+            self._show(name, _event_lines(run, max(self.query_one(f"#{name}").size.width, 30)))
+        self.query_one(Charts).draw_next((id(run), snapshot.elapsed_s, self.gyro))
 
     def _show(self, name: str, rows: list[Text]) -> None:
         self.query_one(f"#{name}", Lines).show(Text("\n").join(rows), len(rows))
 
-    def _plots(self, run: LiveRun, snapshot: Snapshot) -> list[Text]:
-        if not snapshot.gyros:
-            return []
-        gyro = snapshot.gyros[self.gyro % len(snapshot.gyros)]
-        room = self.query_one("#pictures").size.width or self.size.width
-        name = gyro.name if gyro.name == gyro.source else f"{gyro.name} of {gyro.source}"
-        return gyro_plots(name, run.trends.get(gyro.name) or Trend(), room)
+    def _drawing(self, name: str) -> Drawing | None:
+        run = self.station.shown
+        if run is None or not run.seen or not run.seen[-1].gyros:
+            return None
+        gyros = run.seen[-1].gyros
+        return run_drawing(name, run, gyros[self.gyro % len(gyros)])
 
     def action_pause(self) -> None:
         """Hold after the step under way, or go on."""
@@ -205,6 +201,16 @@ def _link_words(source: SourceSnapshot) -> str:
     return "losses" if source.link == "ok" and (source.lost or source.corrupt) else source.link
 
 
+def source_summary(snapshot: Snapshot) -> list[Text]:
+    """Return in a line how sources and filter are; sources that are not ok have lines of their own."""
+    sources, lines = snapshot.sources, source_lines(snapshot)
+    bad = [line for line, source in zip(lines[1:], sources, strict=True) if _link_words(source) != "ok"]
+    rate_hz = max((source.rate_hz for source in sources if math.isfinite(source.rate_hz)), default=math.nan)
+    words = f"{len(sources)} source{'s' * (len(sources) != 1)} at {number(rate_hz, 0)} Hz, "
+    words += f"{sum(source.lost for source in sources)} lost   NIS {number(snapshot.nis_recent, 2)}  "
+    return [*([lines[0], *bad] if bad else []), Text.assemble(words, _judgement(snapshot))]
+
+
 def innovation_lines(snapshot: Snapshot) -> list[Text]:
     """Return how the innovations of the live filter look, and what that means."""
     figures = Text(
@@ -225,7 +231,10 @@ def _judgement(snapshot: Snapshot) -> Text:
     return Text("good: near 1, and white", "green")
 
 
-def _event_lines(run: LiveRun) -> list[Text]:
-    latest = list(run.events)[-_EVENTS:]
-    lines = [Text.assemble((f"{t_s:8.1f} s  ", "dim"), text) for t_s, text in latest]
-    return [Text("events", "bold"), *lines, *(Text("") for _ in range(_EVENTS + 1 - len(lines)))]
+def _event_lines(run: LiveRun, width: int) -> list[Text]:
+    lines: list[Text] = []
+    for t_s, text in list(run.events)[-_MOST_EVENTS:]:
+        at = f"{t_s:8.1f} s  "
+        first, *more = textwrap.wrap(text, width - len(at)) or [""]
+        lines += [Text.assemble((at, "dim"), first), *(Text(" " * len(at) + line) for line in more)]
+    return [Text("events", "bold"), *lines]
