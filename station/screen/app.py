@@ -26,7 +26,7 @@ from station.screen.archive.archive import Archive
 from station.screen.bars import SCREENS, STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
-from station.screen.dialogs import AskDialog, ChooseDialog, StationDialog, help_words
+from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
 from station.screen.memory import HIGH_CONTRAST, REMEMBERED, Remembered, load_remembered, save_remembered
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
@@ -142,8 +142,8 @@ class StationApp(App[None]):
     def action_help(self) -> None:
         """Show all keys of the screen."""
         if not isinstance(self.screen, StationDialog):
-            keys = (binding for _, binding, enabled, _ in self.screen.active_bindings.values() if enabled)
-            self.push_screen(StationDialog(help_words(keys)))
+            keys = (active.binding for active in self.screen.active_bindings.values() if active.enabled)
+            self.push_screen(HelpDialog(keys))
 
     async def action_quit(self) -> None:
         """Leave; if a session runs, ask what is to become of it."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from pathlib import Path
-from typing import ClassVar, cast
+from glob import escape, glob
+from typing import Any, ClassVar, cast
 
 from textual import events
 from textual.app import ComposeResult
@@ -97,37 +97,16 @@ class StationScreen(Screen[None]):
 class PathSuggester(Suggester):
     """Completes what is in a field to a file or folder that begins so; the right arrow takes it over."""
 
-    def __init__(self) -> None:
-        super().__init__(use_cache=False, case_sensitive=True)
-
     async def get_suggestion(self, value: str) -> str | None:
-        """Return the first that fits."""
-        return await asyncio.to_thread(self._first, value)
-
-    def _first(self, value: str) -> str | None:
-        folder, _, begun = value.rpartition("/")
-        try:
-            names = sorted(Path(f"{folder}/" if "/" in value else ".").expanduser().iterdir())
-        except OSError:
-            return None
-        found = (path for path in names if path.name.startswith(begun) and (path.is_dir() or path.suffix == ".toml"))
-        path = next(found, None) if begun else None
-        return None if path is None else f"{value}{path.name[len(begun) :]}{'/' if path.is_dir() else ''}"
+        """Return the first that fits, None if there is none."""
+        found = await asyncio.to_thread(lambda: sorted(glob(f"{escape(value)}*.toml") + glob(f"{escape(value)}*/")))
+        return found[0] if value and found else None
 
 
 class Field(Input):
     """A line of input, one row high, whose cursor stands still: nothing but news is to move on these screens."""
 
-    def __init__(
-        self, *, id: str | None = None, placeholder: str = "", max_length: int = 0, suggester: Suggester | None = None
-    ) -> None:
-        """``max_length`` in characters, 0 for any."""
-        super().__init__(
-            id=id,
-            placeholder=placeholder,
-            max_length=max_length,
-            suggester=suggester,
-            compact=True,
-            select_on_focus=False,
-        )
+    def __init__(self, **options: Any) -> None:
+        """``options`` are those of ``Input``."""
+        super().__init__(compact=True, select_on_focus=False, **options)
         self.cursor_blink = False

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
 
-from textual import events
 from textual.containers import Grid
 
 from station.screen.drawings import Drawing
@@ -15,8 +15,7 @@ from station.screen.seen_app import SeenApp
 if TYPE_CHECKING:
     from station.screen.chart import Chart
 
-_WIDE_TO_HIGH = 3.0
-_LEAST_ROWS = 8.0
+_WIDE_TO_HIGH, _LEAST_ROWS = 3.0, 8.0
 _TURNS = 10
 """Every chart is drawn anew once in so many ticks, one at a tick, so that no key waits for several."""
 
@@ -29,8 +28,6 @@ class Charts(Grid):
         self._names, self._draw = names, draw
         self._charts: list[Chart] = []
         self._first = self._turn = 0
-        self._all = True
-        self._stamps: dict[str, object] = {}
         self._window: tuple[float, float] | None = None
 
     def on_mount(self) -> None:
@@ -38,83 +35,59 @@ class Charts(Grid):
         self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._bring, f"charts {id(self)}"))
 
     async def _bring(self) -> None:
-        def load() -> type[Chart]:
-            from station.screen.chart import Chart
-
-            return Chart
-
-        kind = await asyncio.to_thread(load)
+        kind = (await asyncio.to_thread(import_module, "station.screen.chart")).Chart
         if self.is_attached:
             charts = [kind() for _ in self._names]
             await self.mount(*charts)
             self._charts = charts
-            self._arrange()
-            self.call_after_refresh(self.draw)
+            self.on_resize()
 
-    def on_resize(self, event: events.Resize) -> None:
-        """Lay the charts out anew."""
-        self._arrange()
-        self.call_after_refresh(self.draw)
-
-    def _arrange(self) -> None:
+    def on_resize(self) -> None:
         """Choose the columns that leave each chart the most room; if that is too little for all, show one."""
         count, size = len(self._names), self.size
         room = {n: min(size.width / n / _WIDE_TO_HIGH, size.height / -(-count // n)) for n in range(1, count + 1)}
         across = max(room, key=room.__getitem__)
-        self._all = room[across] >= _LEAST_ROWS
-        self.styles.grid_size_columns = across if self._all else 1
+        fits = room[across] >= _LEAST_ROWS
+        self.styles.grid_size_columns = across if fits else 1
         for number, chart in enumerate(self._charts):
-            chart.display = self._all or number == self._first
+            chart.display = fits or number == self._first
+        self.call_after_refresh(self.draw)
 
-    def draw(self) -> None:
-        """Draw all that are in sight."""
-        for name, chart in zip(self._names, self._charts, strict=False):
-            self._draw_one(name, chart)
+    def draw(self, only: Sequence[int] | None = None) -> None:
+        """Draw all that are in sight, or ``only`` some of them."""
+        for at, chart in enumerate(self._charts):
+            if chart.display and chart.size.area and (only is None or at in only):
+                drawing = self._draw(self._names[at])
+                chart.visible = drawing is not None
+                if drawing is not None:
+                    chart.show(drawing, self._window)
 
-    def draw_next(self, stamp: object) -> None:
-        """Draw the chart whose turn it is, unless it was drawn with this stamp."""
+    def draw_next(self) -> None:
+        """Draw the chart whose turn it is."""
         self._turn = (self._turn + 1) % max(_TURNS, len(self._names))
-        for name, chart in list(zip(self._names, self._charts, strict=False))[self._turn :][:1]:
-            if self._stamps.get(name) != stamp:
-                self._stamps[name] = stamp
-                self._draw_one(name, chart)
-
-    def _draw_one(self, name: str, chart: Chart) -> None:
-        if chart.display and chart.size.area:
-            drawing = self._draw(name)
-            chart.visible = drawing is not None
-            if drawing is not None:
-                chart.show(drawing, self._window)
+        self.draw([self._turn])
 
     def next(self) -> None:
         """Give the next chart the focus, and show it if there is room for one."""
-        if not self._charts:
-            return
-        focused = self.screen.focused
-        at = self._charts.index(cast(Any, focused)) if focused in self._charts else self._first if not self._all else -1
-        self._first = (at + 1) % len(self._charts)
-        self._arrange()
-        chart = self._charts[self._first]
-        if self.screen.maximized is not None:
-            chart.display = True
-            self.screen.maximize(chart, container=False)
-        self.screen.set_focus(chart)
-        self.call_after_refresh(self.draw)
+        self.screen.minimize()
+        focused = [chart.has_focus for chart in self._charts]
+        at = focused.index(True) if any(focused) else -1 if all(c.display for c in self._charts) else self._first
+        self._first = (at + 1) % len(self._names)
+        self.on_resize()
+        self.screen.set_focus(self._charts[self._first] if self._charts else None)
 
     def enlarge(self) -> None:
         """Give the chart that has the focus, or the first, all the room; or put it back."""
-        if self.screen.maximized is not None:
+        if self.screen.maximized is not None or not self._charts:
             self.screen.minimize()
-        elif self._charts:
-            focused = self.screen.focused
-            chart = focused if focused in self._charts else self._charts[self._first]
+        else:
+            chart = next((chart for chart in self._charts if chart.has_focus), self._charts[self._first])
             self.screen.set_focus(chart)
-            self.screen.maximize(cast(Any, chart), container=False)
+            self.screen.maximize(chart, container=False)
         self.call_after_refresh(self.draw)
 
     def on_plot_widget_scale_changed(self, event: Any) -> None:
         """Show in all charts the time that one was moved to."""
-        event.stop()
         self._window = event.x_min, event.x_max
         self.draw()
 

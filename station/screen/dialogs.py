@@ -14,6 +14,9 @@ from textual.widgets.option_list import Option
 from station.screen.bars import StopBar
 from station.screen.base import Field
 
+_FRAME = ("scroll", "page", "app.focus", "screen.", "command_palette", "help_quit")
+"""Actions of every textual screen, which need no help."""
+
 
 class StationDialog(ModalScreen[str | None]):
     """A question over a screen, with STOP below it as everywhere.
@@ -38,19 +41,15 @@ class StationDialog(ModalScreen[str | None]):
         yield from ()
 
 
-def help_words(bindings: Iterable[Binding]) -> str:
-    """Return the keys that do something, and what, in two columns."""
-    keys: dict[str, list[str]] = {}
-    for binding in bindings:
-        if binding.description and not binding.system:
-            keys.setdefault(binding.description, []).append(binding.key_display or binding.key.replace("plus", "+"))
-    cells = [
-        f"{' '.join(names).upper() if len(names[0]) > 1 else ' '.join(names):12} {words}"[:34]
-        for words, names in keys.items()
-    ]
-    half = -(-len(cells) // 2)
-    rows = [f"{left:36}{right}" for left, right in zip_longest(cells[:half], cells[half:], fillvalue="")]
-    return "\n".join([*rows, "", "Tab moves on, Ctrl+P has all commands and themes, Escape goes back."])
+class HelpDialog(StationDialog):
+    """All keys that do something on a screen."""
+
+    def __init__(self, bindings: Iterable[Binding]) -> None:
+        super().__init__("")
+        own = (b for b in bindings if b.description and not b.action.startswith(_FRAME))
+        told = [f"{b.key_display or b.key.upper():7} {b.description:26}" for b in own]
+        rows = zip_longest(told[::2], [*told[1::2], "CTRL+P  Commands, themes"], fillvalue="")
+        self._question = "\n".join(map("".join, rows))
 
 
 class AskDialog(StationDialog):

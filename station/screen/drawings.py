@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from station.run.snapshot import GyroSnapshot
 from station.screen.sessions.live_run import LiveRun, Trend
@@ -13,99 +12,73 @@ from station.views.figures import STATE_FIGURES, number
 
 STATE_CHARTS = tuple(state.name for state in STATE_FIGURES)
 RUN_CHARTS = ("rate", "residual", "NIS", "temperature", *STATE_CHARTS)
-AXIS_STYLES = ("first", "second", "third")
-"""Styles of curves that are of one axis each."""
+_AXIS_STYLES = ("first", "second", "third")
 _LIMITS = ("k", "b_rps", "sigma_rad", "sigma_rad")
 _RECENT, _LEAST_SIGMAS, _MARGIN = 0.2, 3.0, 1.15
 _SHOWN_BY_MOTION = 0.5  # of the sigma that a state begins with
 _SIGMAS = 2.0
-_LEAST_DEGREES = 0.25
-_DEG = math.degrees(1)
+_DEG, _DAY_S = math.degrees(1), 86400.0
+_EVER = (-1e12, 1e12)
+
+Words = list[tuple[str, str]]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Curve:
+class Curve(NamedTuple):
     """Values over time, in a style of the charts; with ``sds`` they are points with bars."""
 
-    times_s: Sequence[float]
+    times: Sequence[float]
     values: Sequence[float]
     style: str = "line"
     sds: Sequence[float] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Drawing:
-    """One chart: words and their styles for its title, curves, levels with a style, instants that are marked.
+class Drawing(NamedTuple):
+    """One chart: words of its title with their styles, curves, the range of values (None: that of the curves).
 
-    ``low`` and ``high`` are the range of values, NaN for that of the curves; ``span`` that of times.
+    ``span`` is the range of times, ``marks`` are instants.
     """
 
-    words: Sequence[tuple[str, str]]
-    curves: Sequence[Curve] = ()
-    levels: Sequence[tuple[float, str]] = ()
-    marks: Sequence[float] = ()
-    low: float = math.nan
-    high: float = math.nan
+    words: Words
+    curves: Sequence[Curve]
+    low: float | None = None
+    high: float | None = None
     span: tuple[float, float] = (0.0, 1.0)
-    whole: bool = False
-    """Whether times are numbers of calibrations."""
+    marks: Sequence[float] = ()
 
 
 def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
-    """Return a chart of a run; ``name`` is one of ``RUN_CHARTS``."""
+    """Return a chart of a run, one of ``RUN_CHARTS``, with its steps marked."""
     marks = [float(step["start_s"]) for step in run.hello.get("script", {}).get("steps", [])]
-    return replace(_of_run(name, run, gyro), marks=marks, span=(0.0, run.seen[-1].elapsed_s))
+    found = _figures(name, run, gyro)
+    return found._replace(marks=marks, span=(0.0, run.seen[-1].elapsed_s))
 
 
-def _of_run(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
+def _figures(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
+    limits, last, times = run.hello.get("limits") or {}, run.seen[-1], [s.elapsed_s for s in run.seen]
     if name in STATE_CHARTS:
         index = STATE_CHARTS.index(name)
-        limit = (run.hello.get("limits") or {}).get(_LIMITS[index])
+        limit = limits.get(_LIMITS[index])
         return state_drawing(index, run.trends.get(gyro.name) or Trend(), math.inf if limit is None else limit)
-    times_s = [snapshot.elapsed_s for snapshot in run.seen]
-    if name == "rate":
-        return _rates(run, gyro, times_s)
     if name == "NIS":
-        return _nis(run, times_s)
+        reach = [_SIGMAS * math.sqrt(2 / s.recent) if s.recent else math.nan for s in run.seen]
+        curves = [Curve(times, [1 + sign * r for r in reach], "band") for sign in (1, -1)]
+        curves += [_level(limits[key], "limit") for key in ("nis_low", "nis_high") if limits.get(key)]
+        words = [("NIS (30 s)", ""), (number(last.nis_recent, 2), "line"), ("95 % band", "band"), ("limits", "limit")]
+        return Drawing(words, [*curves, Curve(times, [s.nis_recent for s in run.seen])], 0.5, 1.5)
     if name == "temperature":
-        values = [source.temperature_c for s in run.seen for source in s.sources if source.name == gyro.source]
-        known = [value for value in values if math.isfinite(value)] or [0.0]
-        low, high = min(known) - _LEAST_DEGREES, max(known) + _LEAST_DEGREES
-        words = [("temperature (degC)", ""), (number(values[-1] if values else None, 1), "line"), (gyro.source, "")]
-        return Drawing(words, [Curve(times_s, values)], low=low, high=high)
-    values = [found.residual for found in _of(run, gyro)]
-    levels = [(_SIGMAS, "band"), (-_SIGMAS, "band")]
-    words = [("residual (sigmas)", ""), (gyro.name, "line"), ("95 % within 2", "band")]
-    known = [value for value in values if math.isfinite(value)]
-    return Drawing(words, [Curve(times_s, values)], levels, low=min([-3, *known]), high=max([3, *known]))
-
-
-def _of(run: LiveRun, gyro: GyroSnapshot) -> list[GyroSnapshot]:
-    """Return one gyro in all snapshots; one that holds nothing where it was not there yet."""
-    nothing = GyroSnapshot(gyro.name, gyro.source, (), ())
-    return [next((found for found in s.gyros if found.name == gyro.name), nothing) for s in run.seen]
-
-
-def _rates(run: LiveRun, gyro: GyroSnapshot, times_s: list[float]) -> Drawing:
+        values = [next((u.temperature_c for u in s.sources if u.name == gyro.source), math.nan) for s in run.seen]
+        words = [("temperature (degC)", ""), (number(values[-1], 1), "line"), (gyro.source, "")]
+        return Drawing(words, [Curve(times, values)])
+    of_gyro = [next((g for g in s.gyros if g.name == gyro.name), GyroSnapshot("", "", (), ())) for s in run.seen]
+    if name == "residual":
+        words = [("residual (sigmas)", ""), (gyro.name, "line"), ("95 % within 2", "band")]
+        band = [_level(level, "band") for level in (_SIGMAS, -_SIGMAS)]
+        return Drawing(words, [*band, Curve(times, [g.residual for g in of_gyro])], -2 * _SIGMAS, 2 * _SIGMAS)
     words, curves = [("rate (deg/s)", ""), (gyro.name, "line"), ("table", "")], []
-    axes = {axis.name: axis for snapshot in run.seen for axis in snapshot.axes}
-    for name, style in zip(sorted(axes), AXIS_STYLES, strict=False):
-        rates = [next((a.rate_rps * _DEG for a in s.axes if a.name == name), math.nan) for s in run.seen]
-        curves.append(Curve(times_s, rates, style))
-        words.append((name, style))
-    curves.append(Curve(times_s, [found.rate_rps * _DEG for found in _of(run, gyro)]))
-    return Drawing(words, curves)
-
-
-def _nis(run: LiveRun, times_s: list[float]) -> Drawing:
-    last, limits = run.seen[-1], run.hello.get("limits") or {}
-    reach = [_SIGMAS * math.sqrt(2 / s.recent) if s.recent else math.nan for s in run.seen]
-    curves = [Curve(times_s, [1 + sign * r for r in reach], "band") for sign in (1, -1)]
-    curves.append(Curve(times_s, [s.nis_recent for s in run.seen]))
-    levels = [(float(limits[key]), "limit") for key in ("nis_low", "nis_high") if limits.get(key)]
-    words = [("NIS (30 s)", ""), (number(last.nis_recent, 2), "line"), ("95 % band", "band"), ("limits", "limit")]
-    edges = [0.5, 1.5, *(level for level, _ in levels)]
-    return Drawing(words, curves, levels, low=min(edges), high=max(edges))
+    for axis, style in zip(sorted(axis.name for axis in last.axes), _AXIS_STYLES, strict=False):
+        curves.append(Curve(times, [_DEG * a.rate_rps for s in run.seen for a in s.axes if a.name == axis], style))
+        words.append((axis, style))
+    return Drawing(words, [*curves, Curve(times, [g.rate_rps * _DEG for g in of_gyro])])
 
 
 def state_drawing(index: int, trend: Trend, limit: float) -> Drawing:
@@ -115,60 +88,51 @@ def state_drawing(index: int, trend: Trend, limit: float) -> Drawing:
     so that a band which narrows is seen to; a limit is drawn where it is near, and else said.
     """
     state = STATE_FIGURES[index]
-    name = (f"{state.name} ({state.unit})", "")
-    times_s, values = trend.times_s, [row[index] * state.factor for row in trend.values]
-    sds = [row[index] * state.factor for row in trend.sds]
-    span = (times_s[0], times_s[-1]) if times_s else (0.0, 1.0)
-    if len(times_s) < 2 or sds[-1] > _SHOWN_BY_MOTION * sds[0]:
-        return Drawing([name, ("no motion has shown it yet", "band")], span=span, low=-1, high=1)
-    late = times_s[-1] - _RECENT * (times_s[-1] - times_s[0])
-    centre, sd = values[-1], sds[-1]
-    recent = [abs(v - centre) + s for t, v, s in zip(times_s, values, sds, strict=True) if t >= late]
+    words = [(f"{state.name} ({state.unit})", "")]
+    rows = list(zip(trend.times_s, trend.values, trend.sds, strict=True))
+    scaled = [(t, value[index] * state.factor, sd[index] * state.factor) for t, value, sd in rows]
+    if not scaled or scaled[-1][2] > _SHOWN_BY_MOTION * scaled[0][2]:
+        return Drawing([*words, ("no motion has shown it yet", "band")], [])
+    start, (end, centre, sd) = scaled[0][0], scaled[-1]
+    recent = [abs(value - centre) + s for t, value, s in scaled if t >= end - _RECENT * (end - start)]
     reach = max(*recent, _LEAST_SIGMAS * sd) * _MARGIN or 1.0
-    known = [at for at, s in enumerate(sds) if s < reach]
-    times_s, values, sds = ([series[at] for at in known] for series in (times_s, values, sds))
-    curves = [Curve(times_s, [v + sign * s for v, s in zip(values, sds, strict=True)], "band") for sign in (1, -1)]
-    words = [name, (f"{number(centre, state.digits)} ± {number(sd, state.digits)}", "line")]
-    drawn, low, high = _with_limit(words, limit * state.factor, centre - reach, centre + reach)
-    return Drawing(words, [*curves, Curve(times_s, values)], drawn, (), low, high, span)
+    times, values, sds = zip(*(row for row in scaled if row[2] < reach), strict=True)
+    edges = [Curve(times, [v + sign * s for v, s in zip(values, sds, strict=True)], "band") for sign in (1, -1)]
+    words.append((f"{number(centre, state.digits)} ± {number(sd, state.digits)}", "line"))
+    curves = [*edges, Curve(times, values)]
+    return _limited(Drawing(words, curves, centre - reach, centre + reach, (start, end)), limit * state.factor)
 
 
-def trend_drawing(index: int, gyros: Sequence[GyroSnapshot], limit: float) -> Drawing:
-    """Return a state of a gyro over calibrations, the oldest first, each with its sigma; ``limit`` in SI."""
+def trend_drawing(index: int, points: Sequence[tuple[float, GyroSnapshot]], limit: float) -> Drawing:
+    """Return a state of a gyro over calibrations, by when each began (s), with its sigma; ``limit`` in SI."""
     state = STATE_FIGURES[index]
-    values, sds = ([part[index] * state.factor for part in parts] for parts in _pairs(gyros))
-    low = min(v - sd for v, sd in zip(values, sds, strict=True))
-    high = max(v + sd for v, sd in zip(values, sds, strict=True))
-    margin = 0.08 * max(high - low, abs(high) * 1e-9, 1e-12)
-    words = [(f"{state.name} ({state.unit})", ""), (f"{number(values[-1], state.digits)}", "line")]
-    levels, low, high = _with_limit(words, limit * state.factor, low - margin, high + margin)
-    numbers = range(1, len(values) + 1)
-    span = (0.5, len(values) + 0.5)
-    return Drawing(words, [Curve(numbers, values, sds=sds)], levels, (), low, high, span, whole=True)
+    days = [(when_s - points[0][0]) / _DAY_S for when_s, _ in points]
+    values = [gyro.values[index] * state.factor for _, gyro in points]
+    sds = [gyro.sds[index] * state.factor for _, gyro in points]
+    reach = max(abs(v - values[-1]) + sd for v, sd in zip(values, sds, strict=True)) * _MARGIN or 1.0
+    words = [(f"{state.name} ({state.unit})", ""), (number(values[-1], state.digits), "line"), ("over days", "")]
+    margin = 0.05 * days[-1] or 1.0
+    curve, span = Curve(days, values, sds=sds), (-margin, days[-1] + margin)
+    return _limited(Drawing(words, [curve], values[-1] - reach, values[-1] + reach, span), limit * state.factor)
 
 
 def motion_drawing(axes: Sequence[str], t_s: Any, rates_rps: Any) -> Drawing:
     """Return the rates (N, axes) that a script asks of the axes of a table."""
-    order = sorted(range(len(axes)), key=lambda column: axes[column])
-    styled = list(zip(order, AXIS_STYLES, strict=False))
-    curves = [Curve(t_s, rates_rps[:, at] * _DEG, style) for at, style in styled]
+    styled = list(zip(sorted(range(len(axes)), key=axes.__getitem__), _AXIS_STYLES, strict=False))
     words = [("rate (deg/s) that the script asks for", ""), *((axes[at], style) for at, style in styled)]
-    most = 1.1 * max(float(abs(rates_rps).max()) * _DEG, 1.0)
-    return Drawing(words, curves, low=-most, high=most, span=(0.0, float(t_s[-1])))
+    return Drawing(words, [Curve(t_s, rates_rps[:, at] * _DEG, style) for at, style in styled], span=(0.0, t_s[-1]))
 
 
-def _pairs(gyros: Sequence[GyroSnapshot]) -> tuple[list[tuple[float, ...]], list[tuple[float, ...]]]:
-    return [gyro.values for gyro in gyros], [gyro.sds for gyro in gyros]
+def _level(value: float, style: str) -> Curve:
+    return Curve(_EVER, (value, value), style)
 
 
-def _with_limit(
-    words: list[tuple[str, str]], limit: float, low: float, high: float
-) -> tuple[list[tuple[float, str]], float, float]:
-    """Return the limits that are near a range, and the range with them; say in the title what they are."""
+def _limited(drawing: Drawing, limit: float) -> Drawing:
+    """Say in the title what the limits are, and draw those that are near."""
+    low, high = drawing.low or 0.0, drawing.high or 0.0
     if not math.isfinite(limit):
-        return [], low, high
-    reach = high - low
-    near = [at for at in (limit, -limit) if low - 2 * reach < at < high + 2 * reach]
-    words.append((f"limit ±{limit:g}{'' if near else ', off the chart'}", "limit"))
-    margin = 0.08 * reach if near else 0.0
-    return [(at, "limit") for at in near], min([low, *near]) - margin, max([high, *near]) + margin
+        return drawing
+    near = [at for at in (limit, -limit) if 2 * low - high < at < 2 * high - low]
+    drawing.words.append((f"limit ±{limit:g}{'' if near else ', off the chart'}", "limit"))
+    curves = [*(_level(at, "limit") for at in near), *drawing.curves]
+    return drawing._replace(curves=curves, low=min([low, *near]), high=max([high, *near]))

@@ -9,6 +9,7 @@ from typing import Any
 
 from textual.theme import Theme
 
+from drivers.packaged import packaged_toml
 from station.atomic_write import write_whole
 from station.errors import UsageError
 
@@ -16,19 +17,7 @@ _FOLDER = "turntable-station"
 _FILE = "screen.json"
 REMEMBERED = ("operator", "bench", "script")
 """What is remembered of the fields: the number of a device is not, the next device has another."""
-HIGH_CONTRAST = Theme(
-    name="high-contrast",
-    primary="#00d7ff",
-    secondary="#ffffff",
-    accent="#ffff00",
-    warning="#ffff00",
-    error="#ff5f5f",
-    success="#5fff5f",
-    foreground="#ffffff",
-    background="#000000",
-    surface="#000000",
-    panel="#303030",
-)
+HIGH_CONTRAST = Theme(**packaged_toml("station.screen", "themes.toml"))
 """Beside the themes of textual, dark and light."""
 
 

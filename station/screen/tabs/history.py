@@ -156,16 +156,17 @@ class HistoryScreen(StationScreen):
         elif chosen is not None:
             points = self._points(chosen)
             count = f"{len(points)} calibration{'s' * (len(points) != 1)}"
-            said = Text(f"{points[-1].name} of {chosen.device or 'this device'}, {count};  {chosen.path.name}", "bold")
+            said = Text(f"{points[-1][1].name} of {chosen.device or 'device'}, {count};  {chosen.path.name}", "bold")
         charts.display = chosen is not None and bool(chosen.gyros)
         self.query_one("#trend", Static).update(said)
         charts.draw()
 
-    def _points(self, chosen: Entry) -> list[GyroSnapshot]:
+    def _points(self, chosen: Entry) -> list[tuple[float, GyroSnapshot]]:
         """Return what the calibrations of the chosen device say of the gyro that is shown, the oldest first."""
         gyro = chosen.gyros[self.gyro % len(chosen.gyros)]
         alike = sorted(filter(chosen.same_device, self._entries), key=lambda entry: entry.when_utc_s)
-        return [g for entry in alike for g in entry.gyros if (g.source, g.name) == (gyro.source, gyro.name)]
+        named = (gyro.source, gyro.name)
+        return [(entry.when_utc_s, g) for entry in alike for g in entry.gyros if (g.source, g.name) == named]
 
     def _drawing(self, name: str) -> Drawing | None:
         row = self.query_one(DataTable).cursor_row

@@ -65,7 +65,7 @@ class PrepareScreen(StationScreen):
                 for name, words, placeholder in _FIELDS:
                     with Horizontal(classes="field"):
                         yield Label(words)
-                        paths = PathSuggester() if name in ("bench", "script") else None
+                        paths = PathSuggester(use_cache=False) if name in ("bench", "script") else None
                         yield Field(id=name, placeholder=placeholder, suggester=paths)
                 yield Static(id="ready", markup=False, classes="block")
                 yield Static(id="limits", markup=False, classes="block")
@@ -284,8 +284,7 @@ class PrepareScreen(StationScreen):
             "checking": self._checking,
         }
         self.query_one("#check", Static).update(templated("check.rich", {**values, "degrees": _degrees}))
-        width = max(self.query_one("#plan").size.width, 40)
-        self.query_one("#plan", Static).update(_plan(prospect, self._plan, width, self.has_class("-tall")))
+        self.query_one("#plan", Static).update(_plan(prospect, self._plan))
         self.query_one(Charts).draw()
 
     def _drawing(self, name: str) -> Drawing | None:
@@ -311,28 +310,16 @@ def _degrees(angle_rad: float) -> str:
     return number(math.degrees(angle_rad), 3)
 
 
-def _plan(prospect: Prospect | None, plan: Answer | None, width: int, drawn: bool) -> Text:
-    profile: list[str] = []
+def _plan(prospect: Prospect | None, plan: Answer | None) -> Text:
     rows: list[list[str]] = []
     gyros = plan.found.get("gyros") or [] if plan is not None else []
-    if prospect is not None and prospect.motion is not None and not drawn:
-        from station.scripts.axis_profile import profile_lines  # loaded by now, in the thread that read the script
-
-        profile = profile_lines(prospect.motion, width)
     if plan is not None and gyros:
         required = plan.found.get("required") or {}
         asked = any(value is not None for value in required.values())
         rows = [["predicted", *(f"{name} {unit}" for name, unit, _ in STATE_UNITS)]]
         rows += [_sizes(g["name"], g["sd"]) for g in gyros] + ([_sizes("required", required)] if asked else [])
     table = columns(rows, gap=" ") if rows else []
-    values = {
-        "prospect": prospect,
-        "plan": plan,
-        "profile": profile,
-        "table": table,
-        "gyros": gyros,
-        "clock": clock,
-    }
+    values = {"prospect": prospect, "plan": plan, "table": table, "gyros": gyros, "clock": clock}
     return templated("plan.rich", values)
 
 

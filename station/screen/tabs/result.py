@@ -48,9 +48,8 @@ class ResultScreen(StationScreen):
     MODE = "result"
     BINDINGS: ClassVar = [
         *(Binding(words[-1].lower(), name, words[:-3], show=False) for name, words in _BUTTONS),
-        ("g", "gyro(1)", "Gyro"),
+        ("g,right", "gyro(1)", "Gyro"),
         ("e", "give_out", "Give out"),
-        Binding("right", "gyro(1)", "Next gyro", show=False),
         Binding("left", "gyro(-1)", "Previous gyro", show=False),
     ]
 

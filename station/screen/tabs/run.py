@@ -39,8 +39,7 @@ class RunScreen(StationScreen):
         ("p", "pause", "Pause/go on"),
         ("n", "note", "Note"),
         ("o", "others", "Sessions"),
-        ("g", "gyro(1)", "Gyro"),
-        Binding("right", "gyro(1)", "Next gyro", show=False),
+        ("g,right", "gyro(1)", "Gyro"),
         Binding("left", "gyro(-1)", "Previous gyro", show=False),
     ]
 
@@ -85,7 +84,7 @@ class RunScreen(StationScreen):
             self._show(name, rows)
         for name in _EVENTS:
             self._show(name, _event_lines(run, max(self.query_one(f"#{name}").size.width, 30)))
-        self.query_one(Charts).draw_next((id(run), snapshot.elapsed_s, self.gyro))
+        self.query_one(Charts).draw_next()
 
     def _show(self, name: str, rows: list[Text]) -> None:
         self.query_one(f"#{name}", Lines).show(Text("\n").join(rows), len(rows))
