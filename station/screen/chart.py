@@ -5,15 +5,28 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from typing import ClassVar
 
+from textual.app import ComposeResult
 from textual.binding import Binding
+from textual.containers import Grid
 from textual.content import Content
+from textual.strip import Strip
+from textual_hires_canvas import Canvas
 from textual_plot import HiResMode, PlotWidget
 from textual_plot.axis_formatter import NumericAxisFormatter
+from textual_plot.plot_widget import Legend
 
 from station.screen.drawings import Drawing
 
 _DOTS, _DOTS_WIDE = HiResMode.BRAILLE, 2
 _LABEL_WIDTH, _TICK_WIDTH = 9, 5
+
+
+class _Canvas(Canvas):
+    """A canvas whose lines always have a style: those without one end the app where colours are taken away."""
+
+    def render_line(self, y: int) -> Strip:
+        strip = super().render_line(y)
+        return strip if strip.cell_length else Strip.blank(0, self.rich_style)
 
 
 class Chart(PlotWidget, inherit_bindings=False):
@@ -36,6 +49,13 @@ class Chart(PlotWidget, inherit_bindings=False):
         self.set_reactive(PlotWidget.margin_top, 0)
         self.set_reactive(PlotWidget.margin_bottom, 1)
         self.set_reactive(PlotWidget.margin_left, _LABEL_WIDTH)
+
+    def compose(self) -> ComposeResult:
+        """Lay out what ``PlotWidget`` draws on."""
+        with Grid():
+            for name in ("margin-top", "margin-left", "plot", "margin-bottom"):
+                yield _Canvas(1, 1, id=name)
+        yield Legend(id="legend")
 
     def show(self, drawing: Drawing, window: tuple[float, float] | None) -> None:
         """Show a drawing, all of its time or a window of it; its title has the words that there is room for."""
