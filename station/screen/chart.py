@@ -36,10 +36,10 @@ class Chart(PlotWidget, inherit_bindings=False):
         f"chart--{style}" for style in ("line", "band", "limit", "mark", "first", "second", "third")
     }
     BINDINGS: ClassVar = [
-        Binding("left", "pan_left", "Earlier"),
-        Binding("right", "pan_right", "Later"),
-        Binding("plus", "zoom_x_in", "Shorter", key_display="+"),
-        Binding("minus", "zoom_x_out", "Longer", key_display="-"),
+        Binding("left", "pan_left", "Earlier", show=False),
+        Binding("right", "pan_right", "Later", show=False),
+        Binding("plus", "zoom_x_in", "Shorter", key_display="+", show=False),
+        Binding("minus", "zoom_x_out", "Longer", key_display="-", show=False),
     ]
     KEYBOARD_PAN_FACTOR = 8.0
     KEYBOARD_ZOOM_FACTOR = 1.0

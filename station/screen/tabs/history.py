@@ -27,7 +27,7 @@ class HistoryScreen(StationScreen):
 
     MODE = "history"
     BINDINGS: ClassVar = [
-        Binding("f6", "read_again", "Read again", key_display="F6"),
+        Binding("f6", "read_again", "Reread", key_display="F6"),
         Binding("slash", "filter", "Filter", key_display="/"),
         ("s", "sort", "Sort"),
         ("g", "gyro(1)", "Gyro"),
