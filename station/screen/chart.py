@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Callable
 from typing import ClassVar
 
 from textual.app import ComposeResult
@@ -44,11 +45,17 @@ class Chart(PlotWidget, inherit_bindings=False):
     KEYBOARD_PAN_FACTOR = 8.0
     KEYBOARD_ZOOM_FACTOR = 1.0
 
-    def __init__(self) -> None:
+    def __init__(self, draw: Callable[[], None]) -> None:
+        """``draw`` has this chart drawn: it gets its size late, in a part that is scrolled to."""
         super().__init__()
+        self._draw_again = draw
         self.set_reactive(PlotWidget.margin_top, 0)
         self.set_reactive(PlotWidget.margin_bottom, 1)
         self.set_reactive(PlotWidget.margin_left, _LABEL_WIDTH)
+
+    def on_resize(self) -> None:
+        """Draw anew once the size is there."""
+        self.call_after_refresh(self._draw_again)
 
     def compose(self) -> ComposeResult:
         """Lay out what ``PlotWidget`` draws on."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
 
@@ -37,7 +38,9 @@ class Charts(Grid):
     async def _bring(self) -> None:
         kind = (await asyncio.to_thread(import_module, "station.screen.chart")).Chart
         if self.is_attached:
-            charts = [kind() for _ in self._names]
+            charts = [kind(partial(self.draw, [at])) for at in range(len(self._names))]
+            for chart in charts:
+                chart.visible = False  # until there is something to show
             await self.mount(*charts)
             self._charts = charts
             self.on_resize()

@@ -38,8 +38,12 @@ def attached(app: StationApp, elapsed_s: float, *pressed: str) -> Before:
 
 async def drawn(pilot: Pilot[None], app: StationApp) -> None:
     """Wait until the charts are there."""
-    await until(pilot, lambda: app.screen.query("Chart"))
-    await pilot.pause(0.1)
+
+    def done() -> bool:
+        charts = [chart for chart in app.screen.query("Chart") if chart.display and chart.size.area]
+        return bool(app.screen.query("Chart")) and all(chart.border_title for chart in charts)
+
+    await until(pilot, done)
 
 
 def test_prepare_says_what_is_not_green(place: Path, snap_compare: Compare) -> None:
@@ -172,8 +176,8 @@ def test_history(recordings: Path, snap_compare: Compare, size: tuple[int, int])
 
     async def before(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: "4 recordings in recordings   (" in str(app.screen.query_one("#folder").render()))
-        await drawn(pilot, app)
         await pilot.press("down", "down")
+        await drawn(pilot, app)
         await until(pilot, lambda: "2 calibrations" in str(app.screen.query_one("#trend").render()))
 
     assert snap_compare(app, terminal_size=size, run_before=before)
