@@ -40,7 +40,7 @@ class Charts(Grid):
         if self.is_attached:
             charts = [kind(partial(self.draw, [at])) for at in range(len(self._names))]
             for chart in charts:
-                chart.visible = False  # until there is something to show
+                chart.styles.opacity = 0.0  # until there is something to show; what is not visible gets no size
             await self.mount(*charts)
             self._charts = charts
             self.on_resize()
@@ -61,7 +61,7 @@ class Charts(Grid):
         for at, chart in enumerate(self._charts):
             if chart.display and chart.size.area and (only is None or at in only):
                 drawing = self._draw(self._names[at])
-                chart.visible = drawing is not None
+                chart.styles.opacity = 0.0 if drawing is None else 1.0
                 if drawing is not None:
                     chart.show(drawing, self._window)
 
