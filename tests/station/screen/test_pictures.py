@@ -118,6 +118,7 @@ def test_a_run_that_is_stopped(place: Path, snap_compare: Compare) -> None:
             await attached(app, 29.0)(pilot)
             await pilot.press("f9")
             await until(pilot, lambda: app.shown and app.shown.stage is Stage.ENDED)
+            await pilot.press("right", "left")
 
         assert snap_compare(app, terminal_size=SMALL, run_before=before)
         assert session.heard == [{"do": "stop"}]
