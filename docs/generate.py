@@ -553,7 +553,7 @@ def _devices(kind: str, heads: Sequence[str], more: Callable[[Any], Sequence[str
     return table(
         ("`protocol`", "what it is", "link, for instance", *heads),
         (
-            (f"`{spec.name}`", spec.what, ", ".join(f"`{link}`" for link in spec.link.split(" or ")), *more(spec))
+            (f"`{spec.name}`", spec.said, ", ".join(f"`{link}`" for link in spec.link.split(" or ")), *more(spec))
             for spec in _built_in(kind)
         ),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from drivers.types import (
     Alignment,
@@ -11,10 +11,12 @@ from drivers.types import (
     AxisState,
     AxisStatus,
     ByteChunk,
+    Floats,
     Frame,
     Identity,
     ImuBlock,
     SourceCounts,
+    Stamps,
 )
 
 
@@ -132,3 +134,14 @@ class ImuSource(Protocol):
 
     def close(self) -> None:
         """Close the link."""
+
+
+@runtime_checkable
+class EarlySource(Protocol):
+    """An IMU source that holds samples back until it can time them, and tells before what has arrived."""
+
+    def arrived(self) -> list[tuple[str, Stamps, Floats]]:
+        """Return source name, arrivals (n,) in ns and rates (n, m) of samples that came since the last call.
+
+        Once called it is to be called every few milliseconds.
+        """

@@ -73,6 +73,10 @@ class ImuSetup:
     signals: Any = None
 
 
+def _said(spec: Any) -> str:
+    return f"{'' if spec.checked_against else 'EXPERIMENTAL: '}{spec.what}"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuSpec:
     """A protocol of devices under test.
@@ -85,7 +89,7 @@ class ImuSpec:
     each sample has one. ``make`` gives the driver on a link, for CAN on a FrameLink, else on a ByteLink.
 
     ``twin`` makes the twin of a device from outside the station; those of its own are in ``sims.imus.registry``, by
-    ``family`` if that is not the name.
+    ``family`` if that is not the name. ``checked_against`` names what others made that driver and twin have met.
     """
 
     name: str
@@ -105,7 +109,9 @@ class ImuSpec:
     keys: tuple[Key, ...] = ()
     twin: Callable[[Any, Any], Any] | None = None
     family: str = ""
+    checked_against: str = ""
     opens_links: ClassVar[bool] = False
+    said = property(_said, doc="What it is; EXPERIMENTAL first, where it has met nothing that somebody else made.")
 
     def refused_rate(self, rate_hz: float, options: Mapping[str, Any]) -> str:
         """Return which rates a device with these options has, if this is none of them, else nothing."""
@@ -156,7 +162,7 @@ class TableSpec:
     axis may have one of its own, at an Address: (host, port) or SerialPort. ``refused`` says what else cannot be.
 
     Of its twin: ``limits_trip`` says whether drives know a limit switch only as a reason to trip; ``twin`` makes one
-    from outside the station, those of its own are in ``sims.tables.registry``.
+    from outside the station, those of its own are in ``sims.tables.registry``. ``checked_against`` is as of an ImuSpec.
     """
 
     name: str
@@ -175,7 +181,9 @@ class TableSpec:
     opens_links: bool = False
     refused: Callable[[AxisSetup, str], str] = lambda axis, link: ""
     limits_trip: bool = False
+    checked_against: str = ""
     on_can: ClassVar[bool] = False
+    said = property(_said, doc="As of an ImuSpec.")
     twin: Callable[[Any, Any], Any] | None = None
 
 

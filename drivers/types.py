@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,11 +112,16 @@ class ImuBlock:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What a device says it is; empty where its protocol does not say."""
+    """What a device says it is; empty where its protocol does not say.
+
+    ``settings`` is how it is set, in whatever form it says that, where its samples depend on it and the driver does not
+    set it. It is no part of who the device is.
+    """
 
     model: str = ""
     serial: str = ""
     firmware: str = ""
+    settings: str = field(default="", compare=False)
 
 
 @dataclass(slots=True)
@@ -128,6 +133,32 @@ class SourceCounts:
     repeated: int = 0
     late: int = 0
     corrupt: int = 0
+
+
+@dataclass(slots=True)
+class LinkCounts:
+    """What went over a link since its device was built, bytes or CAN frames, and what went wrong: only that compares.
+
+    Answers that did not come in time, came too late, damaged, malformed or with a number that was not asked; bytes that
+    were ``discarded`` as they answered nothing; error frames of CAN, and those of them that tell of a bus that is off.
+    """
+
+    opened: int = field(default=0, compare=False)
+    received: int = field(default=0, compare=False)
+    sent: int = field(default=0, compare=False)
+    timeouts: int = 0
+    late: int = 0
+    corrupt: int = 0
+    malformed: int = 0
+    foreign: int = 0
+    discarded: int = 0
+    error_frames: int = 0
+    bus_off: int = 0
+
+    @property
+    def text(self) -> str:
+        """All that is not zero, in words."""
+        return ", ".join(f"{count} {what.replace('_', ' ')}" for what, count in asdict(self).items() if count)
 
 
 @dataclass(slots=True)

@@ -16,18 +16,21 @@ _UNITS: dict[str, tuple[float, Powers]] = {
     for unit, size in known["units"].items()
 }
 _QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+_LONGEST = 100  # characters of a number and its unit
 _WORD = re.compile(r"\s*([A-Za-z%]+|\d|[()/*])")
 
 
 def split_quantity(text: str) -> tuple[float, str] | None:
     """Return the number and the unit of a text such as "0.1 deg/s", None if it does not begin with a number."""
-    match = _QUANTITY.match(text)
+    match = _QUANTITY.match(text) if len(text) <= _LONGEST else None
     return (float(match[1]), match[2]) if match else None
 
 
 @cache
 def unit_size(text: str) -> tuple[float, Powers]:
     """Return the factor to SI of a unit, and its powers; ValueError if it is none."""
+    if len(text) > _LONGEST:  # brackets within brackets
+        raise ValueError(text[:_LONGEST])
     words, at = [], 0
     while at < len(text.rstrip()):
         match = _WORD.match(text, at)

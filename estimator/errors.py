@@ -10,6 +10,10 @@ def first_line(error: BaseException) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
+MISSHAPEN = (OSError, AttributeError, TypeError, ValueError, LookupError, ArithmeticError, RuntimeError, MemoryError)
+"""What reading a file can raise that was made by hand, or to do harm."""
+
+
 class GeometryError(EstimatorError):
     """A sensor array that is no array: singular, not of unit axes, or with skewed triads."""
 

@@ -9,11 +9,16 @@ from contextlib import suppress
 from functools import reduce
 from math import inf, isfinite, radians
 from operator import getitem
+from pathlib import Path
 from typing import Any, Self, TypeVar, cast
+
+from estimator.untrusted import harmless, read_text
 
 T = TypeVar("T")
 
 _DEEPEST = 100
+_LONGEST = 1000  # characters of a complaint
+_KEY_ENDS, _STEP = re.compile(r"[=\n,{]"), re.compile(r"""[\w"'-]\.(?=[\w"'-])""")
 _STRINGS = r"""\"{3}(?:[^\\]|\\.)*?\"{3,5}|'{3}.*?'{3,5}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'"""
 _TOKEN = re.compile(_STRINGS + r"|#[^\n]*|[][{}\n]", re.DOTALL)
 _DEPTH = {"[": 1, "{": 1, "]": -1, "}": -1}
@@ -37,12 +42,19 @@ class StrictTable:
     def parse(cls, text: str, file: str, error: type[Exception]) -> Self:
         """Read a text; ``file`` names it in complaints. The given error if it is no TOML, or nested beyond reason."""
         try:
+            if any(len(_STEP.findall(key)) > _DEEPEST for key in _KEY_ENDS.split("".join(text.split(" ")))):
+                raise RecursionError  # the parser would take hours over such a key
             _check_depth(data := tomllib.loads(text))
-        except tomllib.TOMLDecodeError as reason:
-            raise error(f"{file}: not valid TOML: {reason}") from None
+        except ValueError as reason:  # an integer of 5000 digits is no TOMLDecodeError
+            raise error(f"{file}: not valid TOML: {harmless(str(reason))}") from None
         except RecursionError:
             raise error(f"{file}: tables and lists are nested more than {_DEEPEST} deep: write them flat") from None
         return cls(data, (), text, file, error)
+
+    @classmethod
+    def load(cls, path: Path, error: type[Exception]) -> Self:
+        """Read a file; the given error if it cannot be read or is no TOML."""
+        return cls.parse(read_text(path, error), str(path), error)
 
     def again(self) -> Self:
         """Return this table as it is now, for somebody else to take from."""
@@ -52,6 +64,7 @@ class StrictTable:
         """Return an error that names file, line and key."""
         line = self._line(key)
         where = f"{self._file}, line {line}" if line else self._file
+        message = message if len(message) <= _LONGEST else f"{message[:_LONGEST]} ..."
         name = ".".join(str(p) for p in (*self._path, *([key] if key else [])))
         return self._error(f"{where}: {name}: {message}" if name else f"{where}: {message}")
 
@@ -174,7 +187,7 @@ class StrictTable:
             return default
         try:
             return convert(self._data.pop(key))
-        except ValueError as error:
+        except (ValueError, ArithmeticError) as error:  # a float of 400 digits is no ValueError
             raise self.fail(key, str(error)) from None
 
     def _line(self, key: str | None) -> int | None:
@@ -190,10 +203,12 @@ class StrictTable:
 
 
 def _check_depth(value: object, left: int = _DEEPEST) -> None:
-    """Raise RecursionError if tables and lists are nested deeper than anybody would."""
+    """Raise RecursionError if tables and lists are nested deeper than anybody would; ValueError for texts that harm."""
     if not left:
         raise RecursionError
-    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+    if isinstance(value, str) and "\N{REPLACEMENT CHARACTER}" in harmless(value.replace("\r", "")):
+        raise ValueError(f"{value[:60]!r} has characters that steer a terminal; bytes of a device are written in hex")
+    for inner in (*value, *value.values()) if isinstance(value, dict) else value if isinstance(value, list) else ():
         _check_depth(inner, left - 1)
 
 

@@ -11,7 +11,7 @@ from sims.physics.body import Body
 from sims.physics.geometry import Mounting
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.hidden.effects import Hidden
-from sims.physics.hidden.table import TableFaults
+from sims.physics.hidden.table import Motion, TableFaults
 from sims.physics.motion import AxisMotion
 
 _NO_LIMIT = 1e3
@@ -70,9 +70,10 @@ def direct_run(
         motion.keep_all()
     for move in moves:
         motions[move.axis].move(move.start_s, move.angle_rad, move.rate_rps, move.acceleration_rps2)
+    true = {axis: table.true_angles(axis, motion.angles, started_s) for axis, motion in motions.items()}
     body = Body(
         gimbals,
-        lambda axis, t: table.true_angle(axis, motions[axis].angles(t)),
+        lambda axis, t: true[axis](t),
         lambda: 0,
         latitude_rad,
         heading_rad,
@@ -84,10 +85,19 @@ def direct_run(
     output = gyros.sample_all(t_s)
     table_s = np.arange(round(duration_s * table_rate_hz) + 2) / table_rate_hz
     count = 2 * math.pi / counts_per_turn
-    angle = np.column_stack([np.round(motions[g].angles(table_s) / count) * count for g in gimbals])
-    rate = np.column_stack([motions[g].rates(table_s) for g in gimbals])
+    read = [_read(motions[g], table.read(g, motions[g].at, started_s), table_s) for g in gimbals]
+    angle = np.column_stack([np.round(angle / count) * count for angle, _ in read])
+    rate = np.column_stack([rate for _, rate in read])
     temperature = _read_temperature(gyros, t_s, (*seed, _OF_TEMPERATURE))
     return DirectRun(_ns(table_s), angle, rate, _ns(t_s), output, temperature)
+
+
+def _read(motion: AxisMotion, read: Motion, t_s: Floats) -> tuple[Floats, Floats]:
+    """Return angles and rates (n,) of an axis as they are read; the short way where they are read as they are."""
+    if read == motion.at:
+        return motion.angles(t_s), motion.rates(t_s)
+    angle, rate = np.array([*map(read, t_s.tolist())]).T
+    return angle, rate
 
 
 def _read_temperature(gyros: GyroArray, t_s: Floats, seed: tuple[int, ...]) -> Floats:

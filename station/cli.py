@@ -18,6 +18,7 @@ from drivers.errors import DeviceError
 from drivers.packaged import packaged_toml
 from drivers.plugins import PluginError
 from estimator.errors import EstimatorError
+from estimator.untrusted import harmless
 from station.bench.plugins import use_effects
 from station.campaigns import ONE_BLAS_THREAD
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
@@ -86,6 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Before any command imports numpy. Matrices here are small: threads of the linear algebra library gain nothing,
     # and on a busy machine they wait for each other for seconds.
     os.environ.update(ONE_BLAS_THREAD)
+    os.environ["PYTHONSAFEPATH"] = "1"  # no process that is started, of a pool or a screen, imports from its folder
     command = "ui" if getattr(arguments, "ui", False) else arguments.command
     module = None
     try:
@@ -123,7 +125,7 @@ def _refuse(error: Exception, module: ModuleType | None, arguments: argparse.Nam
 
     A command whose result has other keys than a calibration's has ``refused(reason, arguments)``, which makes it.
     """
-    print(f"station: {error}", file=sys.stderr)
+    print(f"station: {harmless(str(error))}", file=sys.stderr)
     fault = isinstance(error, DeviceError)
     if getattr(arguments, "json", False):
         from station.render.printing import empty_object

@@ -1,4 +1,4 @@
-"""What drivers of devices that are one source have in common."""
+"""What drivers of devices with a link of their own have in common."""
 
 from typing import Generic, Protocol, TypeVar
 
@@ -13,7 +13,7 @@ L = TypeVar("L", bound=_Link)
 
 
 class OneSource(Generic[L]):
-    """One source, of the name of its device, on a link of its own."""
+    """A device on a link of its own: one source of its name, unless it says that it has more."""
 
     def __init__(self, device: str, link: L) -> None:
         """Take the link, which is not open yet."""
@@ -21,7 +21,7 @@ class OneSource(Generic[L]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of the one source."""
+        """Names of its sources."""
         return (self._device,)
 
     async def open(self) -> None:

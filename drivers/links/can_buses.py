@@ -2,9 +2,11 @@
 
 python-can's own slcan reads one byte a call, half a core for four gyros at 1 kHz, and breaks off at a damaged line;
 its socketcand takes a server that has hung up for one that is silent, and tries a refused connection for ten
-seconds at full speed. These two are put right here; all other interfaces are python-can's as they are.
+seconds at full speed. These two are put right here, and an interface of the kernel that is down is refused; all
+others are python-can's as they are.
 """
 
+import os
 import select
 import socket
 import time
@@ -30,7 +32,13 @@ def open_bus(interface: str, channel: str, options: dict[str, Any]) -> can.BusAB
         return SlcanBus(channel, **options)
     if interface == "socketcand":
         return SocketcandBus(channel, **options)
-    return can.Bus(interface=interface, channel=channel, **options)
+    bus = can.Bus(interface=interface, channel=channel, **options)
+    # Linux binds a socket to an interface that is down, and says so afterwards, once.
+    kernel: Any = bus
+    if interface == "socketcan" and (code := kernel.socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)):
+        bus.shutdown()
+        raise OSError(code, os.strerror(code))
+    return bus
 
 
 class SlcanBus(slcanBus):
@@ -61,7 +69,7 @@ class SlcanBus(slcanBus):
         *lines, rest = bytes(self._buffer).replace(self._ERROR, self._OK).split(self._OK)
         self._buffer = bytearray(rest[-_LONGEST_LINE:])
         found = []
-        for line in (line.decode("ascii", "replace") for line in lines):
+        for line in (line.decode("ascii", "replace").lstrip("\n") for line in lines):
             digits = {"t": 3, "T": 8}.get(line[:1])
             if digits is None:
                 continue

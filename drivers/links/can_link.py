@@ -13,7 +13,7 @@ from drivers.clocks.loop_scale import call_from_thread, loop_scale, settle
 from drivers.errors import LinkLost
 from drivers.links.can_buses import SlcanBus, SocketcandBus, open_bus
 from drivers.links.can_memory import MemoryBus
-from drivers.types import Frame
+from drivers.types import Frame, LinkCounts
 
 # Interfaces whose stamps are the host's time of day, taken by the kernel before any program gets to see the frame.
 _STAMPED_BY_KERNEL = ("socketcan", "udp_multicast")
@@ -22,6 +22,7 @@ _OPEN_LIMIT_S = 5.0
 _WAIT_S = 0.1
 _SEND_LIMIT_S = 0.1
 _MOST_AT_ONCE = 500
+_BUS_OFF = 0x40  # in the identifier of an error frame (linux/can/error.h)
 _MOST_WAITING = 100_000  # ten seconds of a full bus; what is older and nobody has asked for is missed as lost samples
 
 
@@ -42,6 +43,7 @@ class CanLink:
         self._wake = asyncio.Event()
         self._waiting = False
         self._ended = ""
+        self.counts = LinkCounts()
 
     @property
     def malformed(self) -> int:
@@ -63,7 +65,7 @@ class CanLink:
         )
         self._thread.start()
         try:
-            async with asyncio.timeout(_OPEN_LIMIT_S * loop_scale(loop)):
+            async with asyncio.timeout(_OPEN_LIMIT_S * max(loop_scale(loop), 1.0)):
                 self._bus = await opened
         except TimeoutError:
             self._give_up()
@@ -129,8 +131,7 @@ class CanLink:
         return thread
 
     def _take_from_memory(self, message: can.Message) -> None:
-        loop = asyncio.get_running_loop()
-        if (frame := _frame(message, round(loop.time() * 1e9))) is not None:
+        if (frame := _frame(message, round(asyncio.get_running_loop().time() * 1e9))) is not None:
             self._frames.append(frame)
             self._wake.set()
 
@@ -149,7 +150,8 @@ class CanLink:
         except Exception as error:  # as above
             call_from_thread(loop, self._end_if_read, closing, f"{self._named} failed ({_plain(error)})")
         finally:
-            _leave(bus)
+            with suppress(Exception):  # an adapter that is gone cannot be told to close
+                bus.shutdown()
 
     def _read(self, loop: asyncio.AbstractEventLoop, bus: can.BusABC, closing: threading.Event) -> None:
         scale = loop_scale(loop)
@@ -168,6 +170,8 @@ class CanLink:
                 age_s = min(max(time.time() - message.timestamp, 0.0), _OLDEST_S) if by_kernel else 0.0
                 if (frame := _frame(message, round((loop.time() - age_s * scale) * 1e9))) is not None:
                     self._frames.append(frame)
+                self.counts.error_frames += message.is_error_frame
+                self.counts.bus_off += message.is_error_frame and bool(message.arbitration_id & _BUS_OFF)
                 room -= 1
                 message = bus.recv(0) if room else None
             self._wake_reader(loop)
@@ -190,8 +194,3 @@ def _plain(error: BaseException) -> str:
     cause = error.__cause__ or error
     lines = str(cause).strip().splitlines()
     return lines[0] if lines else type(cause).__name__
-
-
-def _leave(bus: can.BusABC) -> None:
-    with suppress(Exception):  # an adapter that is gone cannot be told to close
-        bus.shutdown()

@@ -28,7 +28,9 @@ class Inbox:
         self.ended = ""
 
     def put(self, chunk: ByteChunk) -> None:
-        """Add a chunk."""
+        """Add a chunk; after the end nothing comes, until the link is opened again."""
+        if self.ended:
+            return
         self._chunks.append(chunk)
         self._bytes += len(chunk.data)
         while self._bytes > _MOST_BYTES:

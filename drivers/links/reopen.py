@@ -1,7 +1,7 @@
 """Opening again what was lost, with more and more patience."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -28,12 +28,16 @@ class BackOff:
 
 
 async def reopen(
-    lost: Openable, back_off: BackOff | None = None, on_failure: Callable[[LinkLost, float], None] | None = None
+    lost: Openable,
+    back_off: BackOff | None = None,
+    on_failure: Callable[[LinkLost, float], None] | None = None,
+    seen: Callable[[], Awaitable[object]] | None = None,
 ) -> int:
     """Close and open until it opens; return how many tries it took, LinkLost when the limit is over.
 
-    ``on_failure(error, pause_s)`` is told of each try that failed, and of the pause before the next. What a device
-    answers otherwise (a fault, a refusal) is raised at once: it is back, and says so.
+    ``on_failure(error, pause_s)`` is told of each try that failed, and of the pause before the next; ``seen`` looks at
+    what was opened, and may find it lost again. What a device answers otherwise (a fault, a refusal) is raised at once:
+    it is back, and says so.
     """
     limits = back_off or BackOff()
     loop = asyncio.get_running_loop()
@@ -45,6 +49,8 @@ async def reopen(
         tries += 1
         try:
             await lost.open()
+            if seen is not None:
+                await seen()
         except LinkLost as error:
             pause_s = min(2 * pause_s, limits.longest_s)
             if loop.time() + pause_s > deadline_s:

@@ -55,7 +55,7 @@ class SerialLink:
         reader = _Reader(self._url, self._settings, self._gather_s, loop, self._inbox)
         self._reader = reader
         try:
-            async with asyncio.timeout(_OPEN_LIMIT_S * loop_scale(loop)):
+            async with asyncio.timeout(_OPEN_LIMIT_S * max(loop_scale(loop), 1.0)):
                 await reader.opened
         except asyncio.CancelledError:
             self.close()

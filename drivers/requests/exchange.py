@@ -17,6 +17,7 @@ from typing import Protocol
 from drivers.errors import BadReply, LinkLost
 from drivers.protocols import ByteLink
 from drivers.requests.turn import Turn
+from drivers.types import LinkCounts
 
 _LONGEST_ANSWER = 4096  # bytes; what is longer is no answer
 _ATTEMPTS = 2
@@ -73,15 +74,6 @@ class Framing(Protocol):
         """Return a token that differs from those before."""
 
 
-@dataclass(slots=True)
-class ExchangeCounts:
-    """What went wrong on the way; ``discarded`` are bytes that answered nothing."""
-
-    timeouts: int = 0
-    malformed: int = 0
-    discarded: int = 0
-
-
 class UnexpectedReply(BadReply):
     """An answer that its request cannot have, several times over; ``text`` is what the controller said."""
 
@@ -114,7 +106,7 @@ class Exchange:
         self._silence_s = float("-inf")  # when the controller was last found silent
         self._failed = False  # since the link was opened, and not answered since
         self._heard = b""  # last
-        self.counts = ExchangeCounts()
+        self.counts: LinkCounts = getattr(link, "counts", LinkCounts())
 
     async def open(self) -> None:
         """Open the link and get in step; LinkLost if the controller does not answer."""

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from estimator.calibration.budget import Contribution
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration, EffectValue, GyroCalibration
-from estimator.errors import RecordingError
+from estimator.errors import MISSHAPEN, RecordingError
 from estimator.geometry.model import STATES
 from estimator.geometry.noise import NoiseFound, NoiseModel
 from estimator.observations.health import Excluded
+from estimator.recordings.recovery import recover
 from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain, write_results
 from estimator.types import Floats
@@ -86,6 +87,7 @@ def read_calibration(path: Path, *, trusted: bool = False) -> Calibration:
     model in it is of another version.
     """
     if not trusted:
+        recover(path)
         probe(path)
     try:
         with h5py.File(path, "r") as file:
@@ -97,7 +99,7 @@ def read_calibration(path: Path, *, trusted: bool = False) -> Calibration:
             return _read(path, file, group)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error}") from None
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+    except MISSHAPEN as error:
         raise RecordingError(
             f"{path} holds a damaged calibration ({type(error).__name__}: {error}): `station calibrate --write {path}` "
             "estimates it again"

@@ -20,15 +20,15 @@ import numpy as np
 from estimator.effects.catalogue import record_of
 from estimator.effects.effect import Effect, Record, Value, positive
 from estimator.effects.law import axes_of
-from estimator.errors import EstimatorError
+from estimator.errors import MISSHAPEN, EstimatorError
 from estimator.recordings.safe_open import probe
 from estimator.types import Floats
+from estimator.untrusted import harmless, read_text
 
 FORMAT = "turntable-error-model"
 FORMAT_VERSION = 1
 WHERE = "investigation/error_model"
 """Where the file of an investigation (HDF5) holds the text of the model."""
-_MOST_CHARACTERS = 1_000_000
 
 
 class ModelError(EstimatorError):
@@ -157,7 +157,7 @@ class ErrorModel:
     def parse(cls, text: str, where: str) -> ErrorModel:
         """Return the model that a text holds; ModelError, with what is wrong, if there is none."""
         try:
-            whole = json.loads(text)
+            whole = json.loads(harmless(text))
         except (ValueError, RecursionError):
             raise ModelError(f"{where} is no error model: {_GIVE}") from None
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
@@ -170,7 +170,7 @@ class ErrorModel:
         try:
             effects = tuple(_read_effect(entry, where) for entry in whole["effects"])
             left_out = {str(name): str(reason) for name, reason in whole.get("left_out", {}).items()}
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except MISSHAPEN as error:
             raise ModelError(f"{where} is a damaged error model ({type(error).__name__}: {error}): {_GIVE}") from None
         if len({known.called for known in effects}) < len(effects):
             raise ModelError(f"{where} is a damaged error model: it has an effect twice")
@@ -184,12 +184,9 @@ class ErrorModel:
                 raise ModelError(f"{path} is not a file: {_GIVE}")
             if h5py.is_hdf5(path):
                 return cls.parse(_text_in(path), str(path))
-            text = path.read_text(encoding="utf-8") if path.stat().st_size <= _MOST_CHARACTERS else ""
-        except UnicodeDecodeError:
-            text = ""
-        except OSError as error:
+        except (OSError, ValueError) as error:
             raise ModelError(f"{path} cannot be read: {error}") from None
-        return cls.parse(text, str(path))
+        return cls.parse(read_text(path, ModelError), str(path))
 
 
 _GIVE = "give the file that `station investigate ... -o FILE` wrote"

@@ -87,8 +87,9 @@ class Calibration:
 
     ``excluded`` are gyros that could not be estimated; ``parity`` is what the gyros of redundant devices say of
     each other. ``model`` is the text of the error model that the estimate began with, if one was given. ``doubts`` are
-    those of the notes that speak against the sigmas, ``holds_for`` the conditions that the states are of. ``offsets``
-    are those between the reference and the samples of each source, where they were estimated.
+    those of the notes that speak against the sigmas, ``spoilt`` those of them that no sigma can hold: what was measured
+    changed in mid-run, or the table's readings contradict each other. ``holds_for`` are the conditions that the states
+    are of, ``offsets`` those between the reference and the samples of each source, where they were estimated.
     """
 
     gyros: tuple[GyroCalibration, ...]
@@ -102,6 +103,7 @@ class Calibration:
     doubts: tuple[str, ...] = ()
     holds_for: str = ""
     offsets: Mapping[str, TimeOffset] = field(default_factory=dict)
+    spoilt: tuple[str, ...] = ()
 
     def to_frame(self) -> Any:
         """Return a pandas.DataFrame with a row a gyro: its device, states and sigmas, in SI. Needs pandas."""

@@ -18,6 +18,7 @@ from estimator.observations.defects.reading_doubts import reading_doubts
 from estimator.observations.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
 from estimator.observations.health import Excluded, usable
 from estimator.observations.rests import RestNoise, motion_notes, rest_noise
+from estimator.recordings.memory import check_estimating
 from estimator.recordings.recording import Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
 
@@ -41,8 +42,8 @@ def calibrate(
     Without one ``excluded`` names the effects of the catalogue that device and table do not have: what the others could
     do to the states unseen is in the sigmas then; None leaves that out.
 
-    Raises RecordingError if a source has no samples that the reference covers, or no gyro can be estimated; ModelError
-    if the recording lacks what the model needs.
+    Raises RecordingError if a source has no samples that the reference covers, no gyro can be estimated, or memory does
+    not suffice; ModelError if the recording lacks what the model needs.
     """
     if model is not None:
         check_model(model, recording)
@@ -54,23 +55,20 @@ def calibrate(
         _device(recording, [pair for pair in sources if pair[1].device == device], model, excluded) for device in names
     ]
     estimates = [one for device in devices for one in device.sources]
-    gyros: list[GyroCalibration] = []
-    checks: list[GyroParity] = []
+    gyros, checks = [], []
     for device in devices:
         its_gyros = [(one, gyro) for one in device.sources for gyro in _gyros(recording, one)]
+        gyros += [gyro for _, gyro in its_gyros]
         checks += _parity(device.sources, [gyro for _, gyro in its_gyros])
-        notes += device.notes
-        doubts += device.doubts
-        for one, gyro in its_gyros:
-            if not at_rest(recording.reference):  # else the body rests, and that was told
-                notes += unseen_notes(gyro.name, gyro.type_a, one.data.prior)
-                notes += factor_notes(gyro.name, float(gyro.states[0]), float(gyro.sd[0]))
-            gyros.append(gyro)
+        notes += [*device.notes, *_gyro_notes(recording, its_gyros)]
+        doubts += [*device.doubts, *device.spoilt]
+    spoilt = [one for device in devices for one in device.spoilt]
     squares, dof = sum(one.squares for one in estimates), sum(one.dof for one in estimates)
     nis = squares / dof if dof and innovations else float("nan")
     doubts += _nis_doubts(nis, estimates)
     if isinstance(recording.reference, TableReadings):
-        doubts += reading_doubts(recording.reference)
+        spoilt += (of_table := reading_doubts(recording.reference))
+        doubts += of_table
     order = [name for data in recording.sources.values() for name in data.array.names]
     return Calibration(
         tuple(sorted(gyros, key=lambda gyro: order.index(gyro.name))),
@@ -84,11 +82,22 @@ def calibrate(
         tuple(doubts),
         holds_for(recording),
         {one.source: one.offset for one in estimates if one.offset is not None},
+        tuple(spoilt),
     )
+
+
+def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, GyroCalibration]]) -> list[str]:
+    """Return, in words, what a recording did not show of its gyros; of a body at rest that was told."""
+    notes: list[str] = []
+    for one, gyro in gyros if not at_rest(recording.reference) else ():
+        notes += unseen_notes(gyro.name, gyro.type_a, one.data.prior)
+        notes += factor_notes(gyro.name, float(gyro.states[0]), float(gyro.sd[0]))
+    return notes
 
 
 def _usable(recording: Recording) -> tuple[Sources, list[str], tuple[Excluded, ...]]:
     """Return the sources with what can be used of each, notes on them and their motion, and gyros left out."""
+    check_estimating(recording)
     fine = isinstance(recording.reference, TableReadings)
     found = {source: usable(data, fine=fine) for source, data in recording.sources.items()}
     sources = [(source, part) for source, its in found.items() for part in its.parts]

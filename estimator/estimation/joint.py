@@ -7,16 +7,18 @@ motion does not show stays as wide as it typically is, and the sigmas of the sta
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from statistics import NormalDist
 
 import numpy as np
 
 from estimator.calibration.budget import UNSEEN, Contribution
 from estimator.calibration.error_model import ErrorModel, KnownEffect, ModelError
 from estimator.calibration.values import EffectValue, GyroCalibration
+from estimator.effects.catalogue import records
 from estimator.effects.constructed import readable
 from estimator.effects.dynamics import LATENCY
 from estimator.effects.effect import Acts
+from estimator.effects.site import EARTH_RATE
+from estimator.estimation.constancy import changes, halves
 from estimator.estimation.noise_evidence import Joint, Law, TooShort, expected_of, joint_estimate
 from estimator.estimation.runs.making import run_of
 from estimator.estimation.runs.run import FEWEST_TURNS, Run, growth_notes
@@ -25,6 +27,7 @@ from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate,
 from estimator.estimation.spectra import Z
 from estimator.estimation.undeclared import undeclared_laws
 from estimator.geometry.model import regressor_maps
+from estimator.geometry.noise import NoiseModel
 from estimator.observations.blocks import Blocks
 from estimator.observations.foreign import CLUSTER_S, COLOURED, FEWEST_CLUSTERS, at_rest
 from estimator.observations.rows import BLOCK_S, row_length_s, sample_noise, source_blocks
@@ -35,7 +38,6 @@ from estimator.types import Floats
 
 EFFECTS = "effects"
 """Line of the budget that holds what the data do not show of the effects of an error model."""
-_STATES = ("k", "b", "sigma_j", "sigma_k")
 _DELAY = "delay of the reference"
 _TIMING = "timing"
 _SETTLED_S = 2e-4
@@ -44,7 +46,6 @@ _MOST_STEPS = 12
 _KNOWN = 0.2  # sigma of k below which the sign of an output is known
 _TOLD = 3.0  # sigmas from which on a delay is told
 _UNSEEN = 0.7  # of what is expected of a parameter: a larger sigma says that the run did not show it
-_BY_CHANCE = 1e-4  # probability that one of all states differs so between halves
 _MOST_NAMED, _NAMED = 3, 0.1
 _BLOCK_ROWS = 4  # fewer samples do not tell their scatter
 
@@ -113,7 +114,21 @@ def estimate_device(
     for number, (name, data) in enumerate(moved):
         doubt = covariances, unseen
         found.append(_estimated(recording, joint, number, data, doubt, block_s, offsets.get(name)))
-    return DeviceEstimate(found, notes, _halves(plain, external))
+    if external:
+        return DeviceEstimate(found, notes, halves(plain, CLUSTER_S))
+    return DeviceEstimate(found, notes, spoilt=changes(_beside_earth(plain, stated)))
+
+
+def _beside_earth(joint: Joint, stated: NoiseModel | None) -> Joint:
+    """Return an estimate that knows of Earth rate on a table of no stated site: turning the body changes what is seen.
+
+    It is that of the recording itself where a site is stated.
+    """
+    grid = joint.runs[0].grid
+    if grid.site is not None or not grid.gimbals or any(law.effect.record is EARTH_RATE for law in joint.laws):
+        return joint
+    earth, runs = undeclared_laws(joint.runs, frozenset(record.name for record in records()) - {EARTH_RATE.name})
+    return joint_estimate(runs, [*joint.laws, *earth], stated) if earth else joint
 
 
 def _aligned(
@@ -237,26 +252,6 @@ def _offset_notes(recording: Recording, offsets: dict[str, TimeOffset], external
             "their stamps: the states are those without this delay"
         )
     return list(dict.fromkeys(notes))
-
-
-def _halves(joint: Joint, clustered: bool) -> list[str]:
-    """Return, in words, what of the states differs between the halves of a recording by more than chance."""
-    try:
-        early, late = joint.halves()
-    except TooShort:
-        return []
-    names = [name.partition(" ")[2] for run in joint.runs for name in run.array.names]
-    spread = [_clustered(half)[0] if clustered else half.covariances for half in (early, late)]
-    limit = NormalDist().inv_cdf(1 - _BY_CHANCE / (8 * len(names)))
-    found = []
-    for name, a, b, ca, cb in zip(names, early.means, late.means, *spread, strict=True):
-        sigmas = np.abs(a[:4] - b[:4]) / np.sqrt(np.diag(ca)[:4] + np.diag(cb)[:4])
-        found += [(float(s), f"{state} of {name}") for s, state in zip(sigmas, _STATES, strict=True) if s > limit]
-    if not found:
-        return []
-    size, worst = max(found)
-    others = f", and {len(found) - 1} other states of {4 * len(names)}" if len(found) > 1 else ""
-    return [f"the two halves of this recording disagree: {worst} by {size:.0f} sigma{others}"]
 
 
 def _estimated(

@@ -11,11 +11,9 @@ states.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.effects.conditions import Conditions
 from estimator.effects.effect import Effect
@@ -86,6 +84,10 @@ class Joint:
         first = sum(len(r.array) for r in self.runs[:run])
         return range(first, first + len(self.runs[run].array))
 
+    def run_of(self, gyro: int) -> tuple[Run, int]:
+        """Return the run that a gyro is of, and its number there."""
+        return next((r, gyro - its.start) for n, r in enumerate(self.runs) if gyro in (its := self.gyros_of(n)))
+
     def slice_of(self, law: int) -> slice:
         """Return where the parameters of a law are."""
         first = 4 + sum(len(one.sd) for one in self.laws[:law])
@@ -103,25 +105,6 @@ class Joint:
         t_s = [self.runs[stretch.run].t_s[stretch.blocks] for stretch in spectra.stretches]
         return np.concatenate(t_s), np.vstack(parts)
 
-    def halves(self) -> list[Joint]:
-        """Return the estimates from the first and from the second half, under the noise of the whole.
-
-        TooShort if a half has too few blocks.
-        """
-        begin = min(float(run.t_s[0]) for run in self.runs)
-        middle_s = 0.5 * (begin + max(float(run.t_s[-1]) for run in self.runs))
-        found = []
-        for early in (True, False):
-            keeps = [(run.t_s < middle_s) == early for run in self.runs]
-            runs = [_some(run, keep) for run, keep in zip(self.runs, keeps, strict=True)]
-            columns = [c[:, keep] for c, keep in zip(self.columns, keeps, strict=True)]
-            arw = {gyro.name: gyro.arw for gyro in self.evidence.gyros}
-            evidence = Evidence(_spectra(runs, columns, arw), self.evidence.shapes, self.evidence.excess)
-            own = evidence.posterior(_terms(self.laws), self.weight)
-            parts: dict[str, Any] = {"means": own.means, "covariances": own.covariances, "evidence": evidence}
-            found.append(replace(self, runs=runs, columns=columns, **parts))
-        return found
-
 
 def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseModel | None = None) -> Joint:
     """Return the estimate of the gyros of one device, each name once; ``stated`` is its data sheet's noise.
@@ -138,10 +121,7 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
     if not all(len(run.t_s) for run in moved):
         raise TooShort("no block holds samples")
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in moved)
-    evidence = Evidence(_spectra(moved, columns), NoiseShapes.over(span_s, stated))
-    terms = _terms(ordered)
-    least = np.concatenate([np.full(len(run.array), run.stated_rps * np.sqrt(run.length_s)) for run in moved])
-    evidence.settle(terms, least)
+    evidence, terms = settled(moved, _spectra(moved, columns), NoiseShapes.over(span_s, stated), ordered)
     white = np.array([gyro.arw for gyro in evidence.gyros])
     arw = np.maximum(white * np.sqrt(evidence.level), _LEAST_ARW)
     weight = evidence.noise_weights(terms)
@@ -150,6 +130,15 @@ def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseM
     white, chance = np.maximum(white, 1e-3 * arw), _expected_nis(evidence, weight)
     found = posterior.means, posterior.covariances
     return Joint(list(moved), ordered, columns, *found, noise, arw, white, chance, weight, evidence)
+
+
+def settled(
+    runs: Sequence[Run], spectra: Sequence[GyroSpectra], shapes: NoiseShapes, laws: Sequence[Law]
+) -> tuple[Evidence, list[Term]]:
+    """Return the evidence of runs beside ordered laws, its noise taken from all that they leave, and their terms."""
+    evidence, terms = Evidence(spectra, shapes), _terms(laws)
+    evidence.settle(terms, np.concatenate([np.full(len(r.array), r.stated_rps * np.sqrt(r.length_s)) for r in runs]))
+    return evidence, terms
 
 
 def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableReadings) -> Run:
@@ -198,13 +187,6 @@ def columns_of(run: Run, laws: Sequence[Law]) -> Floats:
 def expected_of(laws: Sequence[Law]) -> Floats:
     """Return what is expected of each parameter of some laws (p,), in its sigmas."""
     return np.concatenate([np.zeros(0), *(law.mean / law.sd for law in laws)])
-
-
-def _some(run: Run, keep: NDArray[np.bool_]) -> Run:
-    """Return a run with some of its blocks only; its conditions stay those of all."""
-    values: dict[str, Any] = {f.name: getattr(run, f.name) for f in fields(run)}
-    parts: dict[str, Any] = {k: v[keep] for k, v in values.items() if isinstance(v, np.ndarray) and len(v) == len(keep)}
-    return replace(run, **parts)
 
 
 def _steadied(run: Run, columns: Floats) -> Run:

@@ -51,11 +51,15 @@ class SourceEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceEstimate:
-    """What a recording says of one device: by source, what a person should know, and what speaks against it."""
+    """What a recording says of one device: by source, what a person should know, and what speaks against it.
+
+    ``spoilt`` is what changed in mid-run.
+    """
 
     sources: Sequence[SourceEstimate]
     notes: Sequence[str] = ()
     doubts: Sequence[str] = ()
+    spoilt: Sequence[str] = ()
 
 
 def estimate_white(recording: Recording, source: str, data: ImuData) -> SourceEstimate:

@@ -58,7 +58,7 @@ def sensor_array(
         raise GeometryError(f"{n} sense axes need {n} different names, got {list(labels)}")
     if (j is None) != (k is None):
         raise GeometryError("give both tilt axes j and k of each gyro, or neither")
-    lengths = np.linalg.norm(p, axis=1)
+    lengths = np.linalg.norm(np.clip(p, -1e9, 1e9), axis=1)
     for label, length in zip(labels, lengths, strict=True):
         if abs(length - 1) > TOLERANCE:
             raise GeometryError(f"sense axis of {label} has length {length:.4g}, not 1: give a unit vector")

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.errors import RecordingError
+from estimator.errors import MISSHAPEN, RecordingError, first_line
 from estimator.importing.mapping.mapping import FileFormat
 from estimator.importing.table import HUGE, Table, Wanted, no_column
 from estimator.importing.text_rows import read_rows
+from estimator.recordings.safe_open import probe
+from estimator.untrusted import read_bytes
 
 _ABSURD_SHARE = 0.1
 _LOOKED_AT, _BINARY = 4000, 0.05  # bytes at the beginning, and how many of them may be no text
@@ -26,15 +28,18 @@ def read_table(path: Path, file_format: FileFormat, wanted: Wanted) -> Table:
     try:
         if path.stat().st_size == 0:
             raise RecordingError(f"{path.name} is empty")
-        if file_format.kind == "mat":
-            return _read_mat(path, wanted.all)
-        raw = path.read_bytes()
     except OSError as error:
         raise RecordingError(f"{path.name} cannot be read: {error.strerror or error}") from None
+    if file_format.kind == "mat":
+        return _read_mat(path, wanted.all)
+    raw = read_bytes(path, RecordingError, name=path.name)
     if file_format.record is not None:
         return _read_binary(path.name, raw, file_format.record, file_format.header_bytes, wanted.all)
     if file_format.capture is not None:
-        columns, notes = file_format.capture(raw, (*wanted.may_be_blank, *wanted.needed))
+        try:
+            columns, notes = file_format.capture(raw, (*wanted.may_be_blank, *wanted.needed))
+        except MISSHAPEN as error:
+            raise RecordingError(f"{path.name} cannot be read: it is damaged ({first_line(error)})") from None
         if not columns:
             raise RecordingError(f"{path.name} holds no message of {file_format.kind}: check [file]")
         _check_present(path.name, wanted.all, list(columns), "the capture")
@@ -89,11 +94,10 @@ def _read_mat(path: Path, wanted: Sequence[str]) -> Table:
     from scipy.io import loadmat  # only where a .mat file is read
 
     try:
-        found = loadmat(str(path), squeeze_me=False)
-    except NotImplementedError:
-        raise RecordingError(f"{path.name} is a MATLAB 7.3 file: save it with -v7") from None
-    except Exception as error:  # of a damaged file scipy raises whatever its decoders do: zlib.error, IndexError, ...
-        raise RecordingError(f"{path.name} is no MATLAB file, or a damaged one: {error}") from None
+        probe(path, "MATLAB")
+    except RecordingError as error:
+        raise RecordingError(str(error).replace(f"{path} cannot be read: it", path.name)) from None
+    found = loadmat(str(path), squeeze_me=False)  # as the process that reads files first has done
     present = {key: value for key, value in found.items() if not key.startswith("__")}
     _check_present(path.name, wanted, list(present), "it")
     columns: dict[str, NDArray[Any]] = {}

@@ -9,12 +9,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from estimator.errors import RecordingError
+from estimator.errors import MISSHAPEN, RecordingError
 from estimator.importing.log import Log
-from estimator.importing.mapping.mapping import Mapping
+from estimator.importing.mapping.mapping import Mapping, beside
 from estimator.importing.mapping.reference import Rests, StatedTurns, Turn, turn_about
 from estimator.importing.table import Table
 from estimator.types import Floats
+from estimator.untrusted import read_text
 
 T = TypeVar("T")
 
@@ -100,7 +101,7 @@ def _section_rows(mapping: Mapping, stated: StatedTurns | Rests, log: Log) -> li
     if cuts.column is not None:
         limits = _labelled(log.table.labels[cuts.column], once=all_named)
     elif cuts.list_name is not None:
-        limits = _listed(path.parent / cuts.list_name.replace("{stem}", path.stem), log.table)
+        limits = _listed(beside(path, cuts.list_name), log.table)
     present = dict.fromkeys(name for name, _, _ in limits)
     unknown = [name for name in present if name not in names]
     if unknown and all_named:
@@ -133,12 +134,12 @@ def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
         raise RecordingError(
             f"{table.name}: {table.skipped_lines} lines are broken, and the section list counts rows: repair the file"
         )
+    if not path.is_file():
+        raise RecordingError(f"{table.name}: its section list {path.name} is not beside it")
     try:
-        values: Any = json.loads(path.read_text(encoding="utf-8"))
+        values: Any = json.loads(read_text(path, RecordingError))
         limits = {str(name): (int(value["start"]), int(value["end"])) for name, value in values.items()}
-    except OSError:
-        raise RecordingError(f"{table.name}: its section list {path.name} is not beside it") from None
-    except (ValueError, TypeError, KeyError, AttributeError):
+    except MISSHAPEN:
         raise RecordingError(f'{path.name} is no section list: write {{"name": {{"start": 0, "end": 100}}}}') from None
     rows = len(next(iter(table.columns.values())))
     for name, (start, end) in limits.items():

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.recordings.growing_rows import GrowingRows
 from estimator.types import Floats
 
 
@@ -65,8 +66,8 @@ class BlockSums:
         """Start empty; blocks are counted from ``origin_ns``."""
         self._origin_ns, self._length_s, self._period_s = origin_ns, length_s, period_s
         width = 3 + channels
-        self._index, self._rows = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
-        self._sums, self._products, self._shift = [np.empty((0, width))], np.zeros((width, width)), np.zeros(width)
+        self._parts = GrowingRows(index=np.int64, rows=np.int64, sums=(width,))
+        self._products, self._shift = np.zeros((width, width)), np.zeros(width)
 
     def add(self, t_ns: NDArray[np.int64], w_rps: Floats, z_rps: Floats) -> None:
         """Take in instants (rows,), body rates (rows, 3) and output errors (rows, m), later than all before."""
@@ -74,19 +75,18 @@ class BlockSums:
             return
         columns = np.empty((len(t_ns), self._products.shape[0]))
         columns[:, :3], columns[:, 3:] = w_rps, z_rps
-        if len(self._index) == 1:
+        if not len(self._parts):
             self._shift[3:] = columns[0, 3:]
         columns -= self._shift  # constant errors dwarf the noise: without them the products keep its digits
         number = (t_ns - self._origin_ns) // round(self._length_s * 1e9)
         first = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
-        self._index.append(number[first])
-        self._rows.append(np.diff(np.append(first, len(number))))
-        self._sums.append(np.add.reduceat(columns, first, axis=0))
+        rows = np.diff(np.append(first, len(number)))
+        self._parts.append(number[first], rows, np.add.reduceat(columns, first, axis=0))
         self._products += columns.T @ columns
 
     def blocks(self) -> Blocks:
         """Return the blocks so far."""
-        index, rows, sums = np.concatenate(self._index), np.concatenate(self._rows), np.vstack(self._sums)
+        index, rows, sums = (self._parts[name] for name in ("index", "rows", "sums"))
         first = np.flatnonzero(np.diff(index, prepend=index[:1] - 1))  # a block may come in two parts
         index, rows, sums = index[first], np.add.reduceat(rows, first), np.add.reduceat(sums, first, axis=0)
         means = sums / rows[:, None]

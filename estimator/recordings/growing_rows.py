@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.types import Floats, Stamps
+
 
 class GrowingRows:
-    """Rows of named columns that grow at the end without being copied each time."""
+    """Rows of named columns that grow at the end without being copied each time, and are forgotten at the beginning."""
 
     def __init__(self, **columns: Any) -> None:
         """Start empty; a column is the shape of its rows, or their type if they are no numbers in floating point."""
@@ -17,22 +19,51 @@ class GrowingRows:
             name: np.empty((256, *what)) if isinstance(what, tuple) else np.empty(256, what)
             for name, what in columns.items()
         }
-        self._length, self._room = 0, 256
+        self._first, self._end, self._room = 0, 0, 256
 
     def __len__(self) -> int:
-        return self._length
+        return self._end - self._first
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        return self._stores[name][: self._length]
+        return self._stores[name][self._first : self._end]
 
     def append(self, *rows: NDArray[Any]) -> None:
         """Append rows, those of every column in the order of the columns."""
-        total = self._length + len(rows[0])
-        if total > self._room:
-            more = max(total - self._room, self._room)
+        count = len(rows[0])
+        if self._end + count > self._room:  # to new stores, without what is forgotten: who looks at the old may go on
+            self._room = 2 * (len(self) + count)
             for name, store in self._stores.items():
-                self._stores[name] = np.concatenate([store, np.empty((more, *store.shape[1:]), store.dtype)])
-            self._room += more
+                self._stores[name] = np.empty((self._room, *store.shape[1:]), store.dtype)
+                self._stores[name][: len(self)] = store[self._first : self._end]
+            self._first, self._end = 0, len(self)
         for store, own in zip(self._stores.values(), rows, strict=True):
-            store[self._length : total] = own
-        self._length = total
+            store[self._end : self._end + count] = own
+        self._end += count
+
+    def forget(self, count: int) -> None:
+        """Drop so many rows at the beginning."""
+        self._first += count
+
+    def take(self) -> dict[str, NDArray[Any]]:
+        """Return all columns by name, and drop their rows."""
+        taken = {name: self[name].copy() for name in self._stores}
+        self.forget(len(self))
+        return taken
+
+
+def integrated(before: GrowingRows, t_ns: Stamps, rate_rps: Floats) -> tuple[Stamps, Floats, Floats]:
+    """Return steps (k,) in ns from the row before, rates (k + 1, gimbals) from it on, and their integral (k, gimbals).
+
+    Where there is no row before it is the first of these.
+    """
+    last_ns, last_rps, start = t_ns[:1], rate_rps[:1], np.zeros((1, rate_rps.shape[1]))
+    if len(before):
+        last_ns, last_rps, start = (before[name][-1:] for name in ("t_ns", "rate", "summed"))
+    step_ns, rates = np.diff(np.concatenate([last_ns, t_ns])), np.vstack([last_rps, rate_rps])
+    area = 0.5 * (rates[1:] + rates[:-1]) * (step_ns * 1e-9)[:, None]
+    return step_ns, rates, np.cumsum(np.vstack([start, area]), axis=0)[1:]
+
+
+def drift_of(before: GrowingRows, drift: Floats) -> Floats:
+    """Return by how much the angle is beyond the summed rate in the row before, or where that begins."""
+    return before["angle"][-1:] - before["summed"][-1:] if len(before) else drift[:1]

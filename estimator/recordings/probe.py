@@ -1,37 +1,90 @@
-"""Child process that reads every dataset of HDF5 files, so that a damaged one harms nobody else.
+"""Child process that reads files through, so that a damaged one harms nobody else.
 
-A line of JSON for each file: its path comes in, and why it cannot be read goes out, null if it can. Ends with its
+A line of JSON for each: its kind and path come in, and why it cannot be read goes out, null if it can. Ends with its
 input.
 """
 
 import json
+import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
+
+_MOST_MEMORY_BYTES = 1 << 30
+_FREE_BYTES, _MOST_TIMES = 1 << 26, 30
+"""What datasets may hold in all: so much, and beside it so many times what the file takes on its disk."""
+_ROWS = 65536  # read at once
 
 
-def read_all(path: Path) -> str | None:
+def read_hdf5(path: Path) -> str | None:
     """Return why the file cannot be read, or None."""
-    try:
-        if path.stat().st_size == 0:
-            return "it is empty"
-        if not h5py.is_hdf5(path):
-            return "it is not an HDF5 file; bring foreign data in with `station import`"
-        with h5py.File(path, "r") as file:
-
-            def visit(_name: str, item: Any) -> None:
-                if isinstance(item, h5py.Dataset):
-                    for start in range(0, len(item) if item.shape else 0, 65536):
-                        item[start : start + 65536]
-
-            file.visititems(visit)
-    except (OSError, RuntimeError, ValueError, KeyError) as error:
-        return f"it is damaged or cut short ({str(error).splitlines()[0] if str(error) else 'no detail'})"
+    if path.stat().st_size == 0:
+        return "it is empty"
+    if not h5py.is_hdf5(path):
+        return "it is not an HDF5 file; bring foreign data in with `station import`"
+    with h5py.File(path, "r") as file:
+        for dataset in objects(path, file):
+            for start in range(0, len(dataset) if dataset.shape else 0, _ROWS):
+                dataset[start : start + _ROWS]
     return None
 
 
+def objects(path: Path, file: Any) -> Iterator[Any]:
+    """Yield the datasets of a file, each once; ValueError for what is kept in other files, or claims too much."""
+    disk = path.stat()
+    left = _FREE_BYTES + _MOST_TIMES * getattr(disk, "st_blocks", disk.st_size // 512 + 1) * 512  # a hole is no data
+    links: dict[bytes, int] = {b".": h5py.h5l.TYPE_HARD}
+    file.id.links.visit(lambda name, link: links.update({name: link.type}), info=True)
+    for name, kind in links.items():
+        item = file[name] if kind == h5py.h5l.TYPE_HARD else None  # what a soft one leads to has a name of its own
+        elsewhere = isinstance(item, h5py.Dataset) and (item.is_virtual or item.external)
+        if elsewhere or kind not in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT):
+            raise ValueError(f"{name.decode(errors='replace')} is in another file; only what stands in it is read")
+        if item is None:
+            continue
+        for held in (*map(item.attrs.get_id, item.attrs), *([item.id] if isinstance(item, h5py.Dataset) else [])):
+            left -= _claimed(held)
+        if left < 0:
+            raise ValueError(f"it claims to hold far more than it has, in {name.decode(errors='replace')}")
+        dict(item.attrs)
+        if isinstance(item, h5py.Dataset):
+            yield item
+
+
+def _claimed(held: Any) -> int:
+    """Return how many bytes a dataset or an attribute takes when it is read."""
+    return int(np.prod([float(n) for n in held.shape or ()])) * max(int(held.get_type().get_size()), 1)
+
+
+def read_mat(path: Path) -> str | None:
+    """Likewise, of a MATLAB file."""
+    from scipy.io import loadmat
+
+    try:
+        loadmat(str(path), squeeze_me=False)
+    except NotImplementedError:
+        return "it is a MATLAB 7.3 file: save it with -v7"
+    return None
+
+
+def read_all(kind: str, path: Path) -> str | None:
+    """Return why a file of this kind cannot be read, or None."""
+    try:
+        return {"HDF5": read_hdf5, "MATLAB": read_mat}[kind](path)
+    except Exception as error:  # of a damaged file libraries raise whatever their decoders do: zlib.error, ...
+        said = str(error).splitlines()[0] if str(error) else "no detail"
+        return f"it is {'' if kind == 'HDF5' else f'no {kind} file, or '}damaged or cut short ({said})"
+
+
 if __name__ == "__main__":
+    if os.name == "posix":
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_DATA, (_MOST_MEMORY_BYTES, _MOST_MEMORY_BYTES))
     for line in sys.stdin:
-        print(json.dumps(read_all(Path(json.loads(line)))), flush=True)
+        kind, path = json.loads(line)
+        print(json.dumps(read_all(kind, Path(path))), flush=True)

@@ -10,12 +10,14 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.errors import GeometryError, RecordingError, first_line
+from estimator.errors import MISSHAPEN, GeometryError, RecordingError, first_line
 from estimator.geometry.array import sensor_array
 from estimator.geometry.kinematics import Site, check_gimbals
 from estimator.geometry.model import Prior
 from estimator.geometry.noise import NoiseModel
-from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording
+from estimator.recordings.memory import READING, check_memory
+from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording, possible
+from estimator.recordings.recovery import recover
 from estimator.recordings.reference import (
     AttitudeReadings,
     Poses,
@@ -34,18 +36,19 @@ _REFERENCES: dict[str, Any] = {"turn_rad": Turns, "up": Poses, "rate_rps": RateR
 
 
 def read_recording(path: Path, *, trusted: bool = False) -> Recording:
-    """Read a recording. ``trusted`` skips the probe, for a file that this process has just closed.
+    """Read a recording, made whole from its journal if its run died; ``trusted``: this process has just closed it.
 
     Raises RecordingError, with what is missing or wrong, for a file that is not of the format.
     """
     if not trusted:
+        recover(path)
         probe(path)
     try:
         with h5py.File(path, "r") as file:
             return _read(path, file)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {first_line(error)}") from None
-    except (AttributeError, TypeError, ValueError, KeyError) as error:  # a file made by hand can hold anything
+    except MISSHAPEN as error:  # a file made by hand can hold anything
         raise RecordingError(f"{path} is not laid out as a recording: {first_line(error)}") from None
 
 
@@ -61,6 +64,9 @@ def _read(path: Path, file: Any) -> Recording:
         raise RecordingError(
             f"{path} is of format version {version}, this program reads up to {FORMAT_VERSION}: update it"
         )
+    groups = (*file.get("imu", {}).values(), file.get("table", {}))
+    columns = [group[key] for group in groups for key in group if "dimensions" in LAYOUT.get(key, {})]
+    check_memory(path, sum(8 * int(column.size or 0) for column in columns), READING)
     site = None
     if "site_latitude_rad" in attributes:
         site = Site(float(attributes["site_latitude_rad"]), float(attributes.get("site_heading_rad", 0.0)))
@@ -91,7 +97,8 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
     prior = Prior(*(float(v) for v in group.attrs["prior"])) if "prior" in group.attrs else Prior()
     noise = NoiseModel(*(float(v) for v in group.attrs["noise"])) if "noise" in group.attrs else None
     device, lost = str(plain(group.attrs.get("device", ""))), int(group.attrs.get("lost", 0))
-    return ImuData(array, lost=lost, prior=prior, noise=noise, device=device, **cast(Any, columns))
+    columns["rate_rps"], impossible = possible(columns["rate_rps"])
+    return ImuData(array, lost=lost + impossible, prior=prior, noise=noise, device=device, **cast(Any, columns))
 
 
 def _axes(group: Any, key: str) -> Floats | None:

@@ -9,6 +9,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import Site
 from estimator.geometry.model import Prior
@@ -22,9 +24,21 @@ LAYOUT = tomllib.loads(files("estimator.recordings").joinpath("layout.toml").rea
 """What each column of a recording is, in memory as in its file."""
 
 
+_IMPOSSIBLE_RPS = 1e8  # nor is it the count of a converter of 32 bits that was taken for deg/s
+
+
+def possible(rate_rps: Floats) -> tuple[Floats, int]:
+    """Return rates (n, m) with NaN for those that nothing can have, and how many samples (rows) have such."""
+    if max(np.fmax.reduce(rate_rps, None, initial=0.0), -np.fmin.reduce(rate_rps, None, initial=0.0)) < _IMPOSSIBLE_RPS:
+        return rate_rps, 0
+    none = np.asarray(np.abs(rate_rps) >= _IMPOSSIBLE_RPS)
+    return np.where(none, np.nan, rate_rps), int(none.any(axis=1).sum())
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuData:
-    """Samples of one source: instants (n,), rates (n, m), and what else it gave; ``lost`` counts what it lost.
+    """Samples of one source: instants (n,), rates (n, m), and what else it gave; ``lost`` counts what it lost,
+    and samples with rates that nothing can have.
 
     ``prior`` and ``noise`` are the data sheet's; ``device`` names what the source is a part of.
     """

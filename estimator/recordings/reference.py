@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.errors import RecordingError
 from estimator.geometry.kinematics import Site, body_rate, check_gimbals
-from estimator.recordings.growing_rows import GrowingRows
+from estimator.recordings.growing_rows import GrowingRows, drift_of, integrated
 from estimator.recordings.ramps import HOLD_S, LEAST_RPS2, LONGEST_S, WINDOW_S, Ramp, changing, ends, fitted, is_ramp
 from estimator.types import Flags, Floats, Stamps
 
@@ -25,7 +25,8 @@ _ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
 _RATE_SD_RPS = 3e-4  # what a rate reading is off by before the angles have told
 _SURE_RPS = float(np.radians(0.02))  # to which the doubt of its instant must leave a rate within a ramp known
 _NEAR_NS = 1_000_000  # so near on both sides a change of rate is looked for
-_TERMS = 8  # of the sums a gimbal
+_AT_ONCE = 1024  # readings: sums over more lose digits
+_KEPT_NS = 60_000_000_000  # rows and readings: more than windows, ramps and gaps between readings reach back
 _MADE: WeakKeyDictionary[TableReadings, dict[Site | None, BodyRates]] = WeakKeyDictionary()
 
 
@@ -136,16 +137,13 @@ class BodyRates:
         self._read = GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), summed=(n,), half_s=(), change=np.bool_)
         self._taken = self._window_ns = 0
         self._site = site
-        # ``corner_s``: doubt of a corner, NaN for none; ``known``: whether what happened since the row before is. Of a
-        # final row ``sure`` is the same.
+        # ``corner_s``: doubt of a corner, NaN for none; ``known``: whether what happened since the row before is. The
+        # first ``_done`` are final, too; there ``sure`` is the same. Rows and readings are kept only while needed.
         self._rows = GrowingRows(
-            t_ns=np.int64, angle=(n,), rate=(n,), summed=(n,), half_s=(), corner_s=(n,), known=np.bool_
+            t_ns=np.int64, angle=(n,), rate=(n,), summed=(n,), half_s=(), measured=(), corner_s=(n,), known=np.bool_
         )
-        self._final = GrowingRows(rate=(n,), sure=np.bool_)
-        # Running sums of w [1, s, s^2, d, s d, d^2, u] and [1] before each reading: s time, d angle less summed rate,
-        # u the variance that the doubt of the instant may give it, w its weight.
-        self._sums = GrowingRows(terms=(_TERMS, n))
-        self._sums.append(np.zeros((1, _TERMS, n)))
+        self._final = GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), sure=np.bool_)
+        self._done, self._starts_ns = 0, 2**62
 
     @classmethod
     def of(cls, readings: TableReadings, site: Site | None) -> BodyRates:
@@ -171,16 +169,25 @@ class BodyRates:
 
         Rates are means over the ``rate_window_ns`` that ends at their instants, the same in all readings.
         """
-        if not len(t_ns):
-            return
-        step_ns, rates, summed = _integrated(self._read, t_ns, rate_rps)
+        half_ns = np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns
+        for first in range(0, len(t_ns), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            self._add(
+                t_ns[part],
+                angle_rad[part],
+                rate_rps[part],
+                np.asarray(half_ns[part] * 1e-9, dtype=np.float64),
+                rate_window_ns,
+            )
+
+    def _add(self, t_ns: Stamps, angle_rad: Floats, rate_rps: Floats, half_s: Floats, rate_window_ns: int) -> None:
+        step_ns, rates, summed = integrated(self._read, t_ns, rate_rps)
         if np.any(step_ns[not len(self._read) :] <= 0):
             raise RecordingError("the times of the table readings do not increase: sort them, drop repeats")
         # Without whole-turn jumps: the summed rate says which turn it is.
         drift = angle_rad - summed
-        jumps = np.round(np.diff(np.vstack([_drift(self._read, drift), drift]), axis=0) / (2 * np.pi))
+        jumps = np.round(np.diff(np.vstack([drift_of(self._read, drift), drift]), axis=0) / (2 * np.pi))
         angle = angle_rad - 2 * np.pi * np.cumsum(jumps, axis=0)
-        half_s = np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns * 1e-9
         change = changing(np.concatenate([[0.0], np.cumsum(step_ns * 1e-9)]), rates)
         self._read.append(t_ns, angle, rate_rps, summed, half_s, change)
         self._window_ns = rate_window_ns
@@ -188,6 +195,7 @@ class BodyRates:
         if len(self._rows):
             latest = int(self._rows["t_ns"][-1]) - ANCHOR_HALF_WINDOW_NS
             self._refine_up_to(int(np.searchsorted(self._rows["t_ns"], latest, side="right")))
+            self._let_go()
 
     def _take(self, *, everything: bool) -> None:
         """Make rows of the readings, up to a ramp of which the end is still to come."""
@@ -285,9 +293,9 @@ class BodyRates:
     def _add_rows(
         self, t_ns: Stamps, angle: Floats, rate_rps: Floats, half_width_s: Floats, measured: Floats, corner_s: Floats
     ) -> None:
-        step_ns, rates, summed = _integrated(self._rows, t_ns, rate_rps)
+        step_ns, rates, summed = integrated(self._rows, t_ns, rate_rps)
         drift = angle - summed
-        unexplained = np.diff(np.vstack([_drift(self._rows, drift), drift]), axis=0)
+        unexplained = np.diff(np.vstack([drift_of(self._rows, drift), drift]), axis=0)
         widths = np.concatenate([half_width_s[:1] if not len(self._rows) else self._rows["half_s"][-1:], half_width_s])
         doubt = np.abs(rate_rps) * (widths[1:] + widths[:-1])[:, None]
         steady = np.abs(np.diff(rates, axis=0)) <= _STEADY_RPS + _STEADY_SHARE * np.abs(rate_rps)
@@ -296,14 +304,8 @@ class BodyRates:
         # What happened in a gap is no error of the rates beside it: there the angles alone count.
         hidden = np.cumsum(np.where(known_step[:, None], 0.0, unexplained), axis=0)
         summed, drift = summed + hidden, drift - hidden
-        s = ((t_ns - (self._rows["t_ns"] if len(self._rows) else t_ns)[0]) * 1e-9)[:, None]
-        may_scatter = (rate_rps * half_width_s[:, None]) ** 2 / 3
-        ones = np.ones_like(drift)
-        weight = measured[:, None] / (_ANGLE_SD_RAD**2 + may_scatter)
-        terms = np.stack([ones, s * ones, s * s * ones, drift, s * drift, drift**2, may_scatter], axis=1)
-        terms = np.concatenate([terms * weight[:, None], (measured[:, None] * ones)[:, None]], axis=1)
-        self._sums.append(np.cumsum(np.concatenate([self._sums["terms"][-1:], terms]), axis=0)[1:])
-        self._rows.append(t_ns, drift + summed, rate_rps, summed, half_width_s, corner_s, known_step)
+        self._starts_ns = min(self._starts_ns, int(t_ns[0]))
+        self._rows.append(t_ns, drift + summed, rate_rps, summed, half_width_s, measured, corner_s, known_step)
 
     def finish(self) -> None:
         """Make the last seconds final too, with windows that end with the readings."""
@@ -313,13 +315,19 @@ class BodyRates:
     @property
     def final_until_ns(self) -> int:
         """Latest instant at which ``at`` may be asked; before the first reading when there is none yet."""
-        n = len(self._final)
-        return int(self._rows["t_ns"][n - 1]) if n else -(2**62)
+        return int(self._final["t_ns"][-1]) if len(self._final) else -(2**62)
 
     @property
     def starts_ns(self) -> int:
         """Instant of the first reading."""
-        return int(self._rows["t_ns"][0]) if len(self._rows) else 2**62
+        return self._starts_ns
+
+    def forget(self, before_ns: int) -> None:
+        """Keep no rows from before this instant: where they were, the body rate is not known any more."""
+        gone = int(np.searchsorted(self._final["t_ns"][:-2], before_ns))
+        if gone:
+            self._final.forget(gone)
+            self._final["sure"][0] = False
 
     def at(self, t_ns: Stamps) -> Floats:
         """Return the body rate (rows, 3) in rad/s at instants between the first and the last final reading.
@@ -328,28 +336,26 @@ class BodyRates:
         """
         angle, rate = self.gimbals_at(t_ns)
         w = body_rate(angle, rate, self._gimbals, self._site)
-        ends = np.searchsorted(self._rows["t_ns"][: len(self._final) - 1], t_ns, side="left")
+        ends = np.searchsorted(self._final["t_ns"][:-1], t_ns, side="left")
         w[~self._final["sure"][ends]] = np.nan
         return w
 
     def gimbals_at(self, t_ns: Stamps) -> tuple[Floats, Floats]:
         """Return angles and rates (rows, gimbals) at instants in order; beyond the readings, those of the last one."""
-        n = len(self._final)
-        times = self._rows["t_ns"][:n]
+        n, times = len(self._final), self._final["t_ns"]
         first = min(max(int(np.searchsorted(times, t_ns[0], side="right")) - 1, 0), n - 1)
         last = max(min(int(np.searchsorted(times, t_ns[-1], side="left")) + 1, n), first + 1)
         known = times[first:last]
         origin = int(known[0])
         at_s, known_s = (t_ns - origin) * 1e-9, (known - origin) * 1e-9
         columns = range(len(self._gimbals))
-        angle = np.column_stack([np.interp(at_s, known_s, self._rows["angle"][first:last, c]) for c in columns])
+        angle = np.column_stack([np.interp(at_s, known_s, self._final["angle"][first:last, c]) for c in columns])
         rate = np.column_stack([np.interp(at_s, known_s, self._final["rate"][first:last, c]) for c in columns])
         return angle, rate
 
     def accelerations_at(self, t_ns: Stamps) -> Floats:
         """Return the slopes (rows, gimbals) of the rates between readings, rad/s2, at instants as for ``at``."""
-        n = len(self._final)
-        times, rates = self._rows["t_ns"][:n], self._final["rate"]
+        n, times, rates = len(self._final), self._final["t_ns"], self._final["rate"]
         ends = np.clip(np.searchsorted(times, t_ns, side="left"), 1, max(n - 1, 1))
         if n < 2:
             return np.zeros((len(t_ns), len(self._gimbals)))
@@ -367,14 +373,40 @@ class BodyRates:
         """Return instants so much earlier, where there are final readings."""
         return np.clip(t_ns - round(delay_s * 1e9), self.starts_ns, self.final_until_ns)
 
+    def _let_go(self) -> None:
+        """Forget rows and readings that no window reaches any more."""
+        gone = int(np.searchsorted(self._rows["t_ns"][: max(self._done - 1, 0)], self._rows["t_ns"][-1] - _KEPT_NS))
+        self._rows.forget(gone)
+        self._done -= gone
+        read_ns = self._read["t_ns"]
+        gone = int(np.searchsorted(read_ns[: max(self._taken - 1, 0)], read_ns[self._taken - 1] - _KEPT_NS))
+        self._read.forget(gone)
+        self._taken -= gone
+
+    def _terms(self, part: slice, origin: int) -> Floats:
+        """Return sums (k + 1, 8, gimbals) of w [1, s, s^2, d, s d, d^2, u] and [1] before each row, in that order.
+
+        s is time, d angle less summed rate, both from those of the row ``origin``; u the variance that the doubt of the
+        instant may give d, w its weight.
+        """
+        rows = {name: self._rows[name] for name in ("t_ns", "angle", "rate", "summed", "half_s", "measured")}
+        s, drift = ((rows["t_ns"] - rows["t_ns"][origin]) * 1e-9)[part, None], (rows["angle"] - rows["summed"])
+        drift, measured = (drift - drift[origin])[part], rows["measured"][part, None]
+        may_scatter = (rows["rate"][part] * rows["half_s"][part, None]) ** 2 / 3
+        ones = np.ones_like(drift)
+        weight = measured / (_ANGLE_SD_RAD**2 + may_scatter)
+        terms = np.stack([ones, s * ones, s * s * ones, drift, s * drift, drift**2, may_scatter], axis=1)
+        terms = np.concatenate([terms * weight[:, None], (measured * ones)[:, None]], axis=1)
+        return np.concatenate([np.zeros_like(terms[:1]), np.cumsum(terms, axis=0)])
+
     def _refine_up_to(self, stop: int) -> None:
-        start = len(self._final)
+        start, times = self._done, self._rows["t_ns"]
         if stop <= start:
             return
-        times, sums = self._rows["t_ns"], self._sums["terms"]
         low = np.searchsorted(times, times[start:stop] - ANCHOR_HALF_WINDOW_NS, side="left")
         high = np.searchsorted(times, times[start:stop] + ANCHOR_HALF_WINDOW_NS, side="right")
-        weight, s, ss, d, sd, dd, u, count = (sums[high] - sums[low]).transpose(1, 0, 2)
+        sums = self._terms(slice(low[0], high[-1]), start)
+        weight, s, ss, d, sd, dd, u, count = (sums[high - low[0]] - sums[low - low[0]]).transpose(1, 0, 2)
         spread = ss - s * s / weight
         across = sd - s * d / weight
         enough = (count >= 5) & (spread > 0)
@@ -383,7 +415,9 @@ class BodyRates:
         share = np.minimum(scatter / np.where(u > 0, u, np.inf) * count / np.maximum(count - 2, 1), 1.0)
         slope = np.where(enough, across / (spread + share / _RATE_SD_RPS**2), 0.0)
         sure = self._rows["known"][start:stop] & self._timed(start, stop, share)
-        self._final.append(self._rows["rate"][start:stop] + slope, sure)
+        part = slice(start, stop)
+        self._final.append(times[part], self._rows["angle"][part], self._rows["rate"][part] + slope, sure)
+        self._done = stop
 
     def _timed(self, start: int, stop: int, share: Floats) -> Flags:
         """Return whether rates since the reading before are known for all the doubt (share) of its instant."""
@@ -394,24 +428,6 @@ class BodyRates:
         corner_s = self._rows["corner_s"][start:stop]
         doubt_s = np.where(np.isfinite(corner_s), corner_s, doubt_s * np.sqrt(share / 3))
         return np.asarray((change / step_s * doubt_s <= _SURE_RPS).all(axis=1))
-
-
-def _integrated(before: GrowingRows, t_ns: Stamps, rate_rps: Floats) -> tuple[Stamps, Floats, Floats]:
-    """Return steps (k,) in ns from the row before, rates (k + 1, gimbals) from it on, and their integral (k, gimbals).
-
-    Where there is no row before it is the first of these.
-    """
-    last_ns, last_rps, start = t_ns[:1], rate_rps[:1], np.zeros((1, rate_rps.shape[1]))
-    if len(before):
-        last_ns, last_rps, start = (before[name][-1:] for name in ("t_ns", "rate", "summed"))
-    step_ns, rates = np.diff(np.concatenate([last_ns, t_ns])), np.vstack([last_rps, rate_rps])
-    area = 0.5 * (rates[1:] + rates[:-1]) * (step_ns * 1e-9)[:, None]
-    return step_ns, rates, np.cumsum(np.vstack([start, area]), axis=0)[1:]
-
-
-def _drift(before: GrowingRows, drift: Floats) -> Floats:
-    """Return by how much the angle is beyond the summed rate in the row before, or where that begins."""
-    return before["angle"][-1:] - before["summed"][-1:] if len(before) else drift[:1]
 
 
 def rates_from_attitude(readings: AttitudeReadings) -> RateReadings:

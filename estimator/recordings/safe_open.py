@@ -13,11 +13,14 @@ from estimator.errors import RecordingError
 PROBE_LIMIT_S = 60.0
 
 
-def probe(path: Path, limit_s: float = PROBE_LIMIT_S) -> None:
-    """Have the whole file read in another process; RecordingError if that process fails on it, dies or hangs."""
+def probe(path: Path, kind: str = "HDF5", limit_s: float = PROBE_LIMIT_S) -> None:
+    """Have the whole file read in another process; RecordingError if that process fails on it, dies or hangs.
+
+    Also if it is of another ``kind``, leads to other files, or claims far more data than it has.
+    """
     if not path.is_file():
         raise RecordingError(f"{path} is not a file: give the path of a recording (.h5)")
-    reason = _prober.ask(path, limit_s)
+    reason = _prober.ask(path, kind, limit_s)
     if reason is not None:
         raise RecordingError(f"{path} {reason}")
 
@@ -30,7 +33,7 @@ class _Prober:
         self._one_at_a_time = threading.Lock()
         atexit.register(self._end)
 
-    def ask(self, path: Path, limit_s: float) -> str | None:
+    def ask(self, path: Path, kind: str, limit_s: float) -> str | None:
         """Return what is wrong with a file, None if it can be read."""
         with self._one_at_a_time:
             child = self._ready()
@@ -42,11 +45,11 @@ class _Prober:
 
             timer = threading.Timer(limit_s, give_up)
             timer.start()
-            wrong: str | None = "cannot be read: it is damaged: the HDF5 library failed on it"
+            wrong: str | None = f"cannot be read: it is damaged: the {kind} library failed on it"
             try:
                 assert child.stdin is not None
                 assert child.stdout is not None
-                print(json.dumps(str(path.absolute())), file=child.stdin, flush=True)
+                print(json.dumps([kind, str(path.absolute())]), file=child.stdin, flush=True)
                 if answer := child.stdout.readline():
                     reason = json.loads(answer)
                     wrong = None if reason is None else f"cannot be read: {reason}"
@@ -64,7 +67,7 @@ class _Prober:
         if self._child is None or self._child.poll() is not None:
             self._end()
             self._child = subprocess.Popen(
-                [sys.executable, str(Path(__file__).with_name("probe.py"))],
+                [sys.executable, "-P", str(Path(__file__).with_name("probe.py"))],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,

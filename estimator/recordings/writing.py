@@ -10,7 +10,7 @@ import math
 import os
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, astuple, fields
 from pathlib import Path
@@ -23,27 +23,34 @@ from numpy.typing import NDArray
 from estimator.errors import RecordingError, first_line
 from estimator.geometry.array import SensorArray
 from estimator.geometry.model import Prior
+from estimator.recordings.journal import ARRIVED, ATTRIBUTES, ROWS, Entry, Journal, journal_of, sync
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION, LAYOUT, ImuData, Recording
 from estimator.recordings.reference import Reference, TableReadings, TableUncertainty
 from estimator.recordings.reserved_space import Ballast
+from estimator.untrusted import harmless
 
 _RESERVE_BYTES = 2_000_000  # kept back on the disk: what is pending, and what HDF5 needs to close a file whole
 _CLOSING_BYTES = 300_000  # of them, HDF5's own
 _ATTRIBUTES_BYTES = 100_000  # and what attributes need, whatever was left for them
 _PLENTY_BYTES = 100_000_000  # more than another program takes while one block is written
+_CACHE_BYTES = 131_072  # of each dataset: rows go to its end
 TEXT_BYTES = 240
 
 
 class RecordingWriter:
     """Writes a recording as the run goes.
 
-    Rows are kept until ``flush``, then appended in blocks and handed to the operating system, so a killed
-    process loses what came after the last flush and nothing else. ``descriptor`` is for an fsync by the caller.
+    Rows are kept until ``flush``, then appended in blocks. With a journal beside it nothing is lost but what has not
+    been written into that: only a file that is closed whole can do without.
     """
 
-    def __init__(self, path: Path, attributes: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, attributes: Mapping[str, Any], *, journal: bool = False) -> None:
         """Create the file; RecordingError if it exists or cannot be created."""
         self.path = path
+        self.whole = False
+        """Whether it has been closed with all that was taken."""
+        self.journal: Journal | None = None
+        self._unwritten: list[Entry] = []
         with ExitStack() as undone:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -51,7 +58,16 @@ class RecordingWriter:
                 undone.callback(self._ballast.close)
                 if not self._ballast.hold():
                     raise self._full()
-                self._file = h5py.File(path, "x")
+                if journal:
+                    self.journal = Journal(path)
+                    undone.callback(self.journal.close, remove=True)
+                self._file = h5py.File(path, "x", rdcc_nbytes=_CACHE_BYTES)
+            except FileExistsError as error:
+                if error.filename != str(journal_of(path)):
+                    raise RecordingError(f"cannot create {path}: {first_line(error)}") from None
+                raise RecordingError(
+                    f"{error.filename} is the journal of a run that did not end: `station report {path}` recovers it"
+                ) from None
             except (OSError, ValueError) as error:
                 raise RecordingError(f"cannot create {path}: {first_line(error)}") from None
             undone.pop_all()
@@ -61,35 +77,51 @@ class RecordingWriter:
         self._file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
         self.set_attributes(attributes)
         self.flush()
+        self.write_journal()
 
     def set_attributes(self, attributes: Mapping[str, Any]) -> None:
         """Set attributes of the file."""
-        self._file.attrs.update(attributes)
+        self.set_group("/", attributes)
+
+    def set_group(self, group: str, attributes: Mapping[str, Any]) -> None:
+        """Set attributes of a group, which is made if it is not there."""
+        self._file.require_group(group).attrs.update(attributes)
+        self._note(ATTRIBUTES, group, attributes)
 
     def add_table(
         self, gimbals: tuple[str, ...], uncertainty: TableUncertainty | None = None, rate_window_ns: int = 0
     ) -> None:
         """Declare the table: its columns are its gimbals, outermost first, its rates means over the window."""
-        group = self._file.require_group("table")
-        if uncertainty is not None:
-            group.attrs.update({f"u_{key}": value for key, value in asdict(uncertainty).items()})
-        group.attrs["axes"] = list(gimbals)
-        group.attrs["gimbals"] = list(gimbals)
-        group.attrs["rate_window_ns"] = rate_window_ns
+        stated = asdict(uncertainty) if uncertainty is not None else {}
+        attributes = {f"u_{key}": value for key, value in stated.items()}
+        named = {"axes": gimbals, "gimbals": gimbals, "rate_window_ns": rate_window_ns}
+        self.set_group("table", {**attributes, **named})
 
     def add_source(self, name: str, array: SensorArray, prior: Prior, attributes: Mapping[str, Any]) -> None:
         """Declare a source with the axes of its channels and what its data sheet promises."""
-        group = self._file.require_group(f"imu/{name}")
-        group.attrs["prior"] = astuple(prior)
-        group.attrs.update({"names": list(array.names), "p": array.p, "j": array.j, "k": array.k, **attributes})
+        axes = {"p": array.p, "j": array.j, "k": array.k}
+        self.set_group(f"imu/{name}", {"prior": astuple(prior), "names": list(array.names), **axes, **attributes})
 
     def set_source(self, name: str, attributes: Mapping[str, Any]) -> None:
         """Set attributes of a source, for instance its counts of lost samples."""
-        self._file[f"imu/{name}"].attrs.update(attributes)
+        self.set_group(f"imu/{name}", attributes)
+
+    def note_source(self, name: str, attributes: Mapping[str, Any]) -> None:
+        """Keep in the journal what the attributes of a source would be if the run ended now."""
+        self._note(ATTRIBUTES, f"imu/{name}", attributes)
 
     def append_rows(self, group: str, columns: Mapping[str, NDArray[Any]]) -> None:
         """Append rows to datasets of a group, which their first rows create: all of them or, if interrupted, none."""
         self._pending.setdefault(group, []).append(columns)
+        self._note(ROWS, group, columns)
+
+    def arrived(self, group: str, arrival_ns: NDArray[Any], rate_rps: NDArray[Any]) -> None:
+        """Keep in the journal samples that have no time yet: lost with the process they would be, and were here."""
+        self._note(ARRIVED, group, {"arrival_ns": arrival_ns, "rate_rps": rate_rps})
+
+    def _note(self, kind: int, group: str, values: Mapping[str, Any]) -> None:
+        if self.journal is not None:
+            self._unwritten.append((kind, group, values))
 
     def append_text(
         self, group: str, t_ns: Mapping[str, int], field_name: str, text: str, **more: NDArray[Any]
@@ -98,6 +130,20 @@ class RecordingWriter:
         raw = text.encode()[:TEXT_BYTES].decode(errors="ignore").encode()
         stamps = {key: np.array([value], dtype=np.int64) for key, value in t_ns.items()}
         self.append_rows(group, {**stamps, field_name: np.array([raw], dtype=f"S{TEXT_BYTES}"), **more})
+
+    def write_journal(self) -> None:
+        """Hand to the operating system what the journal lacks, in whatever thread; RecordingError if that fails."""
+        entries, self._unwritten = self._unwritten, []
+        if self.journal is None or not entries:
+            return
+        attributes = [entry for entry in entries if entry[0] == ATTRIBUTES]
+        rows: dict[tuple[int, str], list[Mapping[str, Any]]] = {}
+        for kind, group, values in entries:
+            if kind != ATTRIBUTES:
+                rows.setdefault((kind, group), []).append(values)
+        joined = [(*key, _joined(blocks)) for key, blocks in rows.items()]
+        with _told_of(self.path):
+            self.journal.write([*attributes, *joined])
 
     def flush(self) -> None:
         """Append what is pending and hand it to the operating system.
@@ -144,8 +190,8 @@ class RecordingWriter:
         with _told_of(self.path):
             for group, blocks in self._pending.items():
                 lengths = {}
-                for name in dict.fromkeys(name for block in blocks for name in block):
-                    path, rows = f"{group}/{name}", np.concatenate([block[name] for block in blocks if name in block])
+                for name, rows in _joined(blocks).items():
+                    path = f"{group}/{name}"
                     if path not in self._datasets:
                         self._datasets[path], lengths[path] = _create(self._file, path, rows, growing=True), len(rows)
                     else:
@@ -154,11 +200,6 @@ class RecordingWriter:
                 self._lengths, self._pending[group] = {**self._lengths, **lengths}, []
             self._pending = {}
             self._file.flush()
-
-    @property
-    def descriptor(self) -> int:
-        """File descriptor, for os.fsync: HDF5's own flush issues none."""
-        return int(self._file.id.get_vfd_handle())
 
     def close(self) -> None:
         """Flush and close; twice is once. What cannot be written any more shows when the file is read."""
@@ -170,6 +211,26 @@ class RecordingWriter:
                     self._write()
             with suppress(RecordingError), _told_of(self.path):
                 self._file.close()
+                self.whole = not self._pending
+
+    def finish(self, *, synced: bool = True) -> None:
+        """Remove the journal of a file that is whole, once the disk has that; RecordingError if it does not take it."""
+        if self.journal is not None:
+            try:
+                with _told_of(self.path):
+                    if self.whole and synced:
+                        sync(self.path)
+            except RecordingError:
+                self.whole = False
+                raise
+            finally:
+                self.journal.close(remove=self.whole)
+
+
+def _joined(blocks: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Return the columns of blocks of rows, of which not all need to have each."""
+    names = dict.fromkeys(name for block in blocks for name in block)
+    return {name: np.concatenate([block[name] for block in blocks if name in block]) for name in names}
 
 
 def write_recording(path: Path, recording: Recording) -> None:
@@ -276,5 +337,6 @@ def _create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> Any:
 def plain(value: Any) -> Any:
     """Return a value from an HDF5 file as Python's own: text, number, or array."""
     if isinstance(value, bytes):
-        return value.decode(errors="replace")
-    return value.item() if isinstance(value, np.generic) else value
+        value = value.decode(errors="replace")
+    value = value.item() if isinstance(value, np.generic) else value
+    return harmless(value) if isinstance(value, str) else value

@@ -37,7 +37,9 @@ class AceinnaDevice:
         """How often it was told to save its configuration."""
         self._held = {
             aceinna.SOFTWARE_VERSION: version,
-            aceinna.ADDRESS_CLAIM: (name or aceinna.Name(identity=305_001, manufacturer=823, function=131)).encode(),
+            aceinna.ADDRESS_CLAIM: (
+                name or aceinna.Name(identity=305_001 + ride.number, manufacturer=823, function=131)
+            ).encode(),
             aceinna.RATE_DIVIDER: bytes([address, round(aceinna.INTERNAL_RATE_HZ / ride.rate_hz)]),
             aceinna.PACKET_TYPES: bytes([address, sum(aceinna.PACKETS.values()), 0]),
             aceinna.FILTERS: bytes([address, 25, 5]),
@@ -55,6 +57,10 @@ class AceinnaDevice:
         elif group in (aceinna.RESET_ALGORITHM, aceinna.SAVE) and data[:2] == bytes([0, self._address]):
             self.saved += group == aceinna.SAVE
             self._send(group, bytes([1, self._address, 1]))
+        elif group == aceinna.ADDRESS_CLAIM:
+            # A higher NAME must leave the address (SAE J1939-81); to a lower one it is not left here either.
+            if msg.arbitration_id & 0xFF == self._address and data[::-1] > self._held[group][::-1]:
+                self._send(group, self._held[group])
         elif data[:1] == bytes([self._address]):
             self._set(group, data[1:])
 

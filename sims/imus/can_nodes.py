@@ -48,7 +48,8 @@ class CanNodes:
             device_s += step_s
             await asyncio.sleep(max(start - loop.time(), 0.0))
             at = np.array([start])
-            rates = self.faults.rates(self._ride.gyros.sample(at)[0])
+            rates = self.faults.rates(self._ride.gyros.sample(at)[0]).clip(-_RANGE_RPS, _RANGE_RPS)
+            rates = self.faults.spoilt(rates[None])[0]
             force = self._ride.force_mps2(at)[0] if self._feels else np.zeros(3)
             with_temperature = sample % every == 0 or not self._rarely
             temperature_c = self._ride.gyros.temperature_c(start) if with_temperature else math.nan
@@ -87,7 +88,7 @@ class _Node:
 
     def messages(self, rates_rps: Floats, told: _Told, *, with_temperature: bool) -> list[can.Message]:
         signals = self._signals
-        for signal, rate in zip(signals.rates, rates_rps.clip(-_RANGE_RPS, _RANGE_RPS).tolist(), strict=True):
+        for signal, rate in zip(signals.rates, rates_rps.tolist(), strict=True):
             self._put(signal, rate)
         for signal, force in zip(signals.acceleration, told.force_mps2.tolist(), strict=False):
             self._put(signal, force)
@@ -109,7 +110,13 @@ class _Node:
     def _put(self, signal: SignalReader, value: float) -> None:
         """Keep a value in SI for sending, within the converter's range."""
         field = self._fields[id(signal)]
+        if math.isnan(value) and not field.is_float:
+            return  # it has no word for that
         scaled = signal.unscaled(value)
+        if not field.is_float:
+            least, steps = -(2 ** (field.length - 1)) if field.is_signed else 0, 2**field.length - 1
+            ends = sorted(raw * field.scale + field.offset for raw in (least, least + steps))
+            scaled = min(max(scaled, ends[0]), ends[1])
         low, high = field.minimum, field.maximum
         if low is not None and high is not None and low < high:
             scaled = min(max(scaled, low), high)

@@ -1,21 +1,22 @@
 """Twin of a STIM300: its gyros as normal datagrams on a byte link, and its answers to commands."""
 
 import asyncio
+import math
 from collections.abc import Callable
 
 import numpy as np
 
 from drivers.imus.stim300 import codec as stim300
 from drivers.imus.stim300.special import BiasTrim, ExtendedError, PartNumber, SerialNumber, Special
-from drivers.imus.stim300.units import ACCEL_LSB_G, GYRO_LSB_DEG, GYRO_LSB_DPS, UNITS
+from drivers.imus.stim300.units import ACCEL_LSB_G, UNITS
 from drivers.imus.stim300.utility import UtilityMessage, encode_message
 from drivers.types import Flags, Floats, Ints
 from sims.imus.stim300_output import GyroOutput
-from sims.imus.stim300_settings import SERVICE_ERRORS, Settings, banner, service_lines, utility_reply
+from sims.imus.stim300_settings import Settings, utility_reply
 from sims.physics.geometry import upright
 from sims.wires.burst import burst_of, copies_sent
 from sims.wires.frames import Ride
-from sims.wires.line_controller import LineDevice, Refused
+from sims.wires.line_controller import LineDevice
 
 _START_UP_TICKS = stim300.INTERNAL_RATE_HZ // 2
 _LONGEST_LATENCY_US = 65_535
@@ -57,7 +58,7 @@ class Stim300Device(LineDevice):
             next(code for code, name in UNITS.items() if name == gyro_unit),
             accel_range_g,
             line_termination,
-            serial,
+            serial[:-4] + f"{int(serial[-4:]) + ride.number:04d}",
         )
         super().__init__(write)
         self.faults = ride.faults
@@ -76,7 +77,7 @@ class Stim300Device(LineDevice):
         self.overload_gyro: int | None = None
         """Gyro that the status calls overloaded."""
         self.dropped = self.doubled = 0
-        if cold:
+        if cold or ride.number:
             self.reset()
 
     def reset(self) -> None:
@@ -90,10 +91,8 @@ class Stim300Device(LineDevice):
     def _take(self, line: bytes) -> None:
         if self._mode == "normal":
             self._command(line + b"\r")
-        elif self._mode == "utility":
-            self._utility(line)
         else:
-            self._service(line)
+            self._utility(line)
 
     async def serve(self) -> None:
         """Send until cancelled."""
@@ -154,14 +153,16 @@ class Stim300Device(LineDevice):
         own = self.settings
         n = len(raw)
         start_up = status & stim300.STATUS_START_UP
-        temperature = np.full((n, 3), round(self._temperature_c(t_s) / stim300.TEMPERATURE_LSB_C))
+        temperature_c = self._temperature_c(t_s)
+        unknown = start_up if math.isfinite(temperature_c) else np.full(n, stim300.STATUS_INTEGRITY)
+        temperature = np.full((n, 3), round(np.nan_to_num(temperature_c) / stim300.TEMPERATURE_LSB_C))
         since_pps = (ticks % stim300.INTERNAL_RATE_HZ) * (1_000_000 // stim300.INTERNAL_RATE_HZ)
         groups: dict[str, tuple[Ints, Ints]] = {
             "gyro": (raw, status),
             "accelerometer": (np.round(force_g / ACCEL_LSB_G[own.accel_range_g]).astype(np.int64), start_up),
             "inclinometer": (np.round(force_g / stim300.INCLINOMETER_LSB_G).astype(np.int64), start_up),
         }
-        groups |= {f"{name}_temperature": (temperature, start_up) for name in groups}
+        groups |= {f"{name}_temperature": (temperature, unknown) for name in groups}
         groups["extra"] = since_pps[:, None], start_up
         latency_us = np.full(n, min(round(late_s * 1e6), _LONGEST_LATENCY_US))
         return stim300.encode(
@@ -188,9 +189,6 @@ class Stim300Device(LineDevice):
             self._errors = 0
         elif line == stim300.RESET:
             self.reset()
-        elif line == stim300.SERVICE_MODE:
-            self._mode = "service"
-            self._print(banner(own))
         elif line == stim300.UTILITY_MODE:
             self._mode = "utility"
             self._write(encode_message(UtilityMessage(True, ("UTILITYMODE",))))
@@ -201,31 +199,3 @@ class Stim300Device(LineDevice):
             self._write(encode_message(reply))
             if reply.fields[:2] == ("xn", "0"):
                 self._mode = "normal"
-
-    def _service(self, line: bytes) -> None:
-        self._write(line + b"\r")
-        try:
-            command = line.decode("latin-1").strip()
-            lines = service_lines(self.settings, command, self._readings()) if command else []
-        except Refused as refusal:
-            lines = [SERVICE_ERRORS[refusal.code]]
-        if lines and lines[0].startswith("SYSTEM RETURNING"):
-            self._write(lines[0].encode("ascii") + b"\r")
-            self._mode = "normal"
-            if "INIT" in lines[0]:
-                self.reset()
-        else:
-            self._print(lines)
-
-    def _readings(self) -> dict[str, list[str]]:
-        """Return what a single shot, the bias trim and the diagnostics of service mode print, in the twin's words."""
-        angle = self.settings.gyro_unit & 1
-        shot = self._held * (GYRO_LSB_DEG if angle else GYRO_LSB_DPS)
-        return {
-            "a": [f"GYRO [{'deg' if angle else 'deg/s'}] = {', '.join(f'{value:.5f}' for value in shot)}"],
-            "b": ["BIAS TRIM OFFSET GYRO [deg/s] = 0.00000, 0.00000, 0.00000"],
-            "c": list(ExtendedError(self._errors).texts) or ["NO ERRORS"],
-        }
-
-    def _print(self, lines: list[str]) -> None:
-        self._write("\r".join([*lines, ">"]).encode("ascii") if lines else b"\r>")

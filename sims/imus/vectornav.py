@@ -69,7 +69,7 @@ class VectorNavDevice:
         self._random = np.random.default_rng(list(serial.encode()))
         self._ticks_per_sample = vectornav.IMU_RATE_HZ // round(rate_hz)
         self._tick_s = 1 / (vectornav.IMU_RATE_HZ * (1 + self.faults.clock_ppm * 1e-6))
-        self._identity = {1: ("VN-100S-CR",), 2: ("7",), 3: (serial,), 4: ("2.1.0.0",)}
+        self._identity = {1: ("VN-100S-CR",), 2: ("7",), 3: (f"{int(serial) + ride.number:010d}",), 4: ("2.1.0.0",)}
         off = ("0", "1", "01", "0001")
         self._factory = {5: (str(baud),), 6: ("14",), 7: ("40",), **dict.fromkeys(_BINARY, off)}
         self._factory |= {register: tuple(values.split(",")) for register, values in _MORE.items()}
@@ -123,6 +123,7 @@ class VectorNavDevice:
         rows[:, _RAW_GYRO] = np.clip(self._gyros.sample(at), -range_rps, range_rps)
         for gyro in self.faults.stuck:
             rows[:, _RAW_GYRO.start + gyro] = self._last[_RAW_GYRO.start + gyro]
+        rows[:, _RAW_GYRO] = self.faults.spoilt(rows[:, _RAW_GYRO], float(np.finfo(np.float32).max))
         *matrix, bx, by, bz = map(float, self._registers[_GYRO_COMPENSATION])
         rows[:, _GYRO] = (rows[:, _RAW_GYRO] - (bx, by, bz)) @ np.reshape(matrix, (3, 3)).T
         rows[:, _TEMPERATURE] = self._gyros.temperatures_c(at)

@@ -68,7 +68,7 @@ class XsensDevice:
         )
         """Output configuration, which it keeps when it is switched off."""
         self.measuring = True
-        own, period = bytes.fromhex(serial), _CLOCK_HZ // rate_hz
+        own, period = (int(serial, 16) + ride.number).to_bytes(4), _CLOCK_HZ // rate_hz
         self._answers: dict[int, bytes] = {
             **_MORE_ANSWERS,
             Mid.REQ_DEVICE_ID: own,
@@ -132,6 +132,8 @@ class XsensDevice:
             self._write(encode(mid + 1))
         elif mid == Mid.OUTPUT_CONFIGURATION:
             self._configure(data)
+        elif mid == Mid.REQ_FACTORY_PAGE:
+            self._write(encode(mid + 1, data))  # which page, and nothing of it
         elif data and mid in _MORE_ANSWERS:
             self._answers[mid] = data
             self._write(encode(mid + 1))
@@ -141,13 +143,14 @@ class XsensDevice:
             self.report(_INVALID_MESSAGE)
 
     def _configure(self, data: bytes) -> None:
-        """Take over an output configuration as far as it can be granted; without data, only say what it is."""
+        """Take over what it has of an output configuration, if it knows any of it; without data, say what it is."""
         wanted = mtdata2.decode_outputs(data)
-        if wanted is None or any(mtdata2.kind_of(o.data_id) not in _COUNTS_AND_STATUS + _VALUES for o in wanted):
+        known = [o for o in wanted or () if mtdata2.kind_of(o.data_id) in _COUNTS_AND_STATUS + _VALUES]
+        if wanted is None or (wanted and not known):
             self.report(_INVALID_PARAMETER)
             return
-        if wanted:
-            self.outputs = tuple(self._granted(o) for o in wanted if self._has(o))
+        if known:
+            self.outputs = tuple(self._granted(o) for o in known if self._has(o))
         self._write(encode(Mid.OUTPUT_CONFIGURATION + 1, mtdata2.encode_outputs(self.outputs)))
 
     def _has(self, output: mtdata2.Output) -> bool:
@@ -169,7 +172,7 @@ class XsensDevice:
         for gyro in self.faults.stuck:
             rate[:, gyro] = self._last[gyro]
         self._last = rate[-1]
-        return rate
+        return self.faults.spoilt(rate, float(np.finfo(np.float32).max))
 
     def _stream(self, at: Floats, index: Ints, rate: Floats) -> bytes:
         """Return the messages of these samples (n,)."""

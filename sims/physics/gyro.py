@@ -67,6 +67,8 @@ class GyroArray:
         self._walk_rps = np.zeros(m)
         self._period_s = 1 / rate_hz
         self._started_s = started_s
+        self.thermometer = True
+        """Whether it has one that works."""
         self._temperature = (hidden and hidden.temperature) or Temperature(
             truth.temperature_c, truth.warming_c, truth.warming_time_s
         )
@@ -152,4 +154,4 @@ class GyroArray:
 
     def temperatures_c(self, t_s: Floats) -> Floats:
         """Return the temperature of the gyros at instants (n,)."""
-        return self._temperature.at(t_s + self._started_s)
+        return self._temperature.at(t_s + self._started_s) if self.thermometer else np.full(len(t_s), np.nan)

@@ -30,16 +30,23 @@ class TableModel:
     """
 
     def __init__(
-        self, axes: Mapping[str, AxisData], clock: Callable[[], float], faults: TableFaults | None = None
+        self,
+        axes: Mapping[str, AxisData],
+        clock: Callable[[], float],
+        faults: TableFaults | None = None,
+        started_s: float = 0.0,
     ) -> None:
-        """Start at rest, each axis where it stands; ``clock`` gives seconds."""
-        self._faults = faults or TableFaults()
+        """Start at rest, each axis where it stands; ``clock`` gives seconds, ``started_s`` is the bench clock at 0."""
+        faults = faults or TableFaults()
         self.clock = clock
         self.data = dict(axes)
         self.motion = {
             name: AxisMotion(data.start_angle_rad, data.max_rate_rps, data.max_acceleration_rps2)
             for name, data in axes.items()
         }
+        self._true = {name: faults.true_angles(name, motion.angles, started_s) for name, motion in self.motion.items()}
+        self.read = {name: faults.read(name, motion.at, started_s) for name, motion in self.motion.items()}
+        """Angle from the mechanical home position (rad) and rate (rad/s) as they are read, by axis, at an instant."""
         self.tripped: dict[str, str] = {}
         self.pressed: dict[str, int] = {}  # limit switches: 1 forward, -1 reverse
         # Encoders count from where they were switched on until a homing run zeroes them at home.
@@ -47,8 +54,7 @@ class TableModel:
 
     def angles(self, axis: str, t_s: Floats) -> Floats:
         """Return the true angles of an axis; an axis that the table lacks stays at zero."""
-        motion = self.motion.get(axis)
-        return np.zeros(len(t_s)) if motion is None else self._faults.true_angle(axis, motion.angles(t_s))
+        return self._true[axis](t_s) if axis in self._true else np.zeros(len(t_s))
 
     def revision(self) -> int:
         """Return a number that changes whenever an axis has been told something."""
@@ -57,8 +63,12 @@ class TableModel:
     def encoder_turns(self, axis: str) -> float:
         """Return what the encoder reads now, a whole number of counts, in turns."""
         counts = self.data[axis].counts_per_turn
-        angle = self.motion[axis].at(self.clock())[0] - self._zero[axis]
+        angle = self.read[axis](self.clock())[0] - self._zero[axis]
         return math.floor(angle / (2 * math.pi) * counts + 0.5) / counts
+
+    def read_rate_rps(self, axis: str) -> float:
+        """Return what the drive of an axis says of its rate now."""
+        return self.read[axis](self.clock())[1]
 
     def rate_rps(self, axis: str) -> float:
         """Return the rate of an axis now."""

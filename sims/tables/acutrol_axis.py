@@ -96,7 +96,7 @@ class AcutrolAxisTwin:
     def angle_deg(self) -> float:
         """Return what the encoder says of the angle, which is absolute."""
         counts = self._table.data[self._axis].counts_per_turn
-        angle = self._table.motion[self._axis].at(self._table.clock())[0]
+        angle = self._table.read[self._axis](self._table.clock())[0]
         return math.floor(angle / TURN * counts + 0.5) / counts * 360.0
 
     def read(self, what: str) -> float:
@@ -104,7 +104,7 @@ class AcutrolAxisTwin:
         if what == "position":
             return self.angle_deg() % 360.0 if self._wrapped else self.angle_deg()
         if what == "rate":
-            return math.degrees(self._table.rate_rps(self._axis))
+            return math.degrees(self._table.read_rate_rps(self._axis))
         motion, now = self._table.motion[self._axis], self._table.clock()
         return math.degrees(motion.at(now + 1e-6)[1] - motion.at(now)[1]) * 1e6
 

@@ -29,11 +29,12 @@ class AcutrolController(LineController):
         write: Callable[[bytes], None],
         *,
         wrapped: bool = True,
-        identity: str = "Acutronic,ACUTROL3000,3117,2.4",
+        identity: str = "Acutronic,ACUTROL3000,{serial},2.4",
     ) -> None:
         """Axes have numbers as addresses; ``reply_prefix`` of the options is the length of what is before an answer."""
         super().__init__(seat, write)
-        self._prefix_length, self._identity = seat.options["reply_prefix"], identity
+        self._prefix_length = seat.options["reply_prefix"]
+        self._identity = identity.format(serial=3117 + seat.number)
         self._axes = {number: AcutrolAxisTwin(seat.table, axis, wrapped) for axis, number in seat.addresses.items()}
         self._answers = 0
 

@@ -49,7 +49,7 @@ class AerosmithController(LineController):
         if word == "PPO":
             return f"{self._table.encoder_turns(self._axis) * 360.0:.4f}"
         if word == "PVE":
-            return f"{math.degrees(self._table.rate_rps(self._axis)):.4f}"
+            return f"{math.degrees(self._table.read_rate_rps(self._axis)):.4f}"
         if word == "STA":
             return str(self._status())
         if word in ("VEL", "ACL"):

@@ -49,7 +49,7 @@ class Drive:
         if register == "position":
             return self._table.encoder_turns(self._axis)
         if register == "rate":
-            return self._table.rate_rps(self._axis) / TURN
+            return self._table.read_rate_rps(self._axis) / TURN
         if register == "error_code":
             return self._error_code()
         return self.values[register]

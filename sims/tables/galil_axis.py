@@ -21,6 +21,7 @@ class GalilAxisTwin:
         self._per_turn = table.data[axis].counts_per_turn
         self._offset = 0
         self._mode = "PA"
+        self._stood = 0  # where the last motion stopped, which PA tells
         self._way = 0  # direction of the motion under way
         self._end = galil.AT_TARGET  # stop code when the motion under way has ended
         self._stop_code = galil.AT_TARGET
@@ -52,8 +53,9 @@ class GalilAxisTwin:
             return self._position()
         if word == "TV":
             now = self._table.clock()
-            motion = self._table.motion[self._axis]
-            return self._to_counts((motion.at(now)[0] - motion.at(now - self._window_s)[0]) / self._window_s)
+            motion, rate_rps = self._table.motion[self._axis], self._table.rate_rps(self._axis)
+            mean_rps = (motion.at(now)[0] - motion.at(now - self._window_s)[0]) / self._window_s
+            return self._to_counts(mean_rps + self._table.read_rate_rps(self._axis) - rate_rps)
         if word == "TE":
             lost = self._table.tripped.get(self._axis) == FOLLOWING_ERROR
             return self._settings["ER"] + 1 if lost else 0
@@ -62,6 +64,7 @@ class GalilAxisTwin:
             "SC": self._stop_code,
             "BG": int(self._moving),
             "MO": int(self.motor_off),
+            "PA": self._stood if self._moving else self._position(),
         }
         state |= {"TD": 0, "TT": 0.0}  # no dual encoders; torque is not simulated
         if word in state:
@@ -123,6 +126,7 @@ class GalilAxisTwin:
 
     def begin(self) -> None:
         """Start the motion that was set up."""
+        self._stood = self._position()
         self._way, self._moving, self._stop_code, self._end = self._direction(), True, 0, galil.AT_TARGET
         acceleration = self._to_rad(self._settings["AC"])
         motion, now = self._table.motion[self._axis], self._table.clock()

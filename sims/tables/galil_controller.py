@@ -44,7 +44,7 @@ class GalilController(LineController):
         by_letter = sorted(seat.addresses.items(), key=lambda a: str(a[1]))
         window_s = seat.options["velocity_window"]
         self._axes = {letter: GalilAxisTwin(seat.table, axis, window_s) for axis, letter in by_letter}
-        self._echo, self._revision, self._serial = echo, revision, serial
+        self._echo, self._revision, self._serial = echo, revision, serial + seat.number
         self._error = 0
         self._leading_zeros = False
         self._own: dict[str, list[float]] = {word: list(values) for word, values in _KNOWN["setting"].items()}

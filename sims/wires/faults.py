@@ -11,6 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
+from types import SimpleNamespace
 from typing import Any, Generic, TypeVar
 
 import can
@@ -37,7 +38,11 @@ class WireFaults:
     of what the device sends the share ``late`` comes ``late_by_s`` later still.
     ``loss`` and ``doubled`` are shares of what is sent at once, or of frames; ``byte_loss`` and ``bit_flips`` shares
     of bytes. With ``one_byte`` bytes come one at a time. Nothing comes through from ``silent_from_s`` to
-    ``silent_until_s``; the plug is pulled at ``unplug_s`` and put back at ``replug_s``.
+    ``silent_until_s``; the plug is pulled at ``unplug_s`` and put back at ``replug_s``. From ``another_s`` on another
+    device of the same kind is at the far end, just switched on.
+
+    Of what the device sends the share ``swapped`` changes places with what follows; from ``repeats_s`` on the same
+    comes for ever; the second from ``backwards_s`` on is that of before, the newest first.
     """
 
     latency_s: float = field(default=0.0, metadata=given("s", least=0))
@@ -53,10 +58,19 @@ class WireFaults:
     silent_until_s: float = field(default=math.inf, metadata=given("s", least=0))
     unplug_s: float = field(default=math.inf, metadata=given("s", least=0))
     replug_s: float = field(default=math.inf, metadata=given("s", least=0))
+    another_s: float = field(default=math.inf, metadata=given("s", least=0))
+    swapped: float = field(default=0.0, metadata=share())
+    repeats_s: float = field(default=math.inf, metadata=given("s", least=0))
+    backwards_s: float = field(default=math.inf, metadata=given("s", least=0))
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
         check(self)
+
+    @property
+    def to_device(self) -> WireFaults:
+        """Those that also act on what the host sends."""
+        return replace(self, late=0.0, swapped=0.0, repeats_s=math.inf, backwards_s=math.inf)
 
     @property
     def any(self) -> bool:
@@ -74,8 +88,9 @@ class DeviceFaults:
     """What is wrong with a device under test.
 
     Gyro ``stuck`` (from 1; 0 is none) keeps its output and gyro ``saturated`` shows the end of its range, from
-    ``from_s`` to ``until_s``. ``dropped`` and ``doubled`` are shares of samples; ``clock`` is how much too fast its
-    clock runs.
+    ``from_s`` to ``until_s``. ``dropped`` and ``doubled`` are shares of samples, ``huge`` of those with impossible
+    rates, where its language has numbers for such; ``clock`` is how much too fast its clock runs. With
+    ``no_temperature`` its temperature is no number.
     """
 
     stuck: int = field(default=0, metadata=whole())
@@ -84,6 +99,8 @@ class DeviceFaults:
     until_s: float = field(default=math.inf, metadata=given("s", least=0))
     dropped: float = field(default=0.0, metadata=share())
     doubled: float = field(default=0.0, metadata=share())
+    huge: float = field(default=0.0, metadata=share())
+    no_temperature: bool = field(default=False, metadata=flag())
     clock: float = field(default=0.0, metadata=given("ppm"))
 
     def __post_init__(self) -> None:
@@ -164,13 +181,40 @@ class FaultyWay(Generic[T]):
         spans = [(faults.silent_from_s, faults.silent_until_s), (faults.unplug_s, faults.replug_s)]
         self._spans = [span for span in spans[: 1 + silent_unplugged] if span[0] < math.inf]
         self._began_s = asyncio.get_running_loop().time()
+        self._sent: deque[tuple[float, T]] = deque()  # in the last second
+        self._repeated: dict[object, T] = {}
+        self._held: T | None = None
 
     def __call__(self, item: T) -> None:
         """Send."""
-        if self.silent or _share(self._random, self._faults.loss):
-            return
-        for _ in range(2 if _share(self._random, self._faults.doubled) else 1):
-            self._put(self._damaged(item))
+        for each in self._disordered(item):
+            if self.silent or _share(self._random, self._faults.loss):
+                continue
+            for _ in range(2 if _share(self._random, self._faults.doubled) else 1):
+                self._put(self._damaged(each))
+
+    def _disordered(self, item: T) -> list[T]:
+        """Return what is sent in place of an item."""
+        faults, at_s = self._faults, asyncio.get_running_loop().time() - self._began_s
+        if at_s >= faults.repeats_s:
+            return [self._repeated.setdefault(self._kind(item), item)]
+        if at_s >= faults.backwards_s and self._sent:
+            return [self._sent.pop()[1]]
+        if faults.backwards_s < math.inf and at_s < faults.backwards_s:
+            self._sent.append((at_s, item))
+            while self._sent[0][0] < at_s - 1.0:
+                self._sent.popleft()
+        if self._held is not None:
+            held, self._held = self._held, None
+            return [item, held]
+        if _share(self._random, faults.swapped):
+            self._held = item
+            return []
+        return [item]
+
+    def _kind(self, item: T) -> object:
+        """Return what messages have in common that stand for one another."""
+        return None
 
     @property
     def silent(self) -> bool:
@@ -234,6 +278,9 @@ class FaultyFrames(FaultyWay[can.Message]):
         """Send a frame."""
         self(msg)
 
+    def _kind(self, item: can.Message) -> object:
+        return item.arbitration_id
+
 
 def faulty_device(
     make: Callable[[Write], ByteDevice], faults: WireFaults, seed: int | tuple[int, ...], plug: Plug
@@ -246,17 +293,26 @@ def faulty_device(
     def made(write: Write) -> ByteDevice:
         device = make(FaultyBytes(write, faults, int(seeds[0])))
         plug.schedule(faults.unplug_s, faults.replug_s)
-        hear = FaultyBytes(device.received, replace(faults, late=0.0), int(seeds[1]))
-        return _Behind(hear, getattr(device, "hung_up", lambda: None))
+        hear = FaultyBytes(device.received, faults.to_device, int(seeds[1]))
+        return SimpleNamespace(received=hear, hung_up=getattr(device, "hung_up", lambda: None))
 
     return made
 
 
-class _Behind:
-    """A device as it is heard through a faulty wire."""
+class Exchanged:
+    """The device at the end of a wire, which may be exchanged for another."""
 
-    def __init__(self, received: Write, hung_up: Callable[[], None]) -> None:
-        self.received, self.hung_up = received, hung_up
+    def __init__(self, device: Any) -> None:
+        """Put a device there; one that hears nothing is no harm."""
+        self.device = device
+
+    def received(self, data: Any) -> None:
+        """Take bytes, or a frame, from the host."""
+        getattr(self.device, "received", lambda data: None)(data)
+
+    def hung_up(self) -> None:
+        """Tell it that its connection has ended."""
+        getattr(self.device, "hung_up", lambda: None)()
 
 
 def _share(random: np.random.Generator, share: float) -> bool:

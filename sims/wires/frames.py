@@ -25,8 +25,8 @@ class NodeFaults:
     """Knobs of a twin; they may be turned while it runs.
 
     ``dropped`` and ``doubled`` are the shares of samples that are left out and sent twice; ``stuck`` gyros keep
-    their last rate, ``saturated`` ones show the end of their range; ``silent`` sends nothing. ``clock_ppm`` is how
-    much too fast the device's clock runs.
+    their last rate, ``saturated`` ones show the end of their range; ``silent`` sends nothing. ``huge`` is the share of
+    samples with impossible rates; ``clock_ppm`` is how much too fast the device's clock runs.
     """
 
     dropped: float = 0.0
@@ -34,6 +34,7 @@ class NodeFaults:
     stuck: set[int] = field(default_factory=set)
     saturated: set[int] = field(default_factory=set)
     silent: bool = False
+    huge: float = 0.0
     clock_ppm: float = 0.0
     seed: int = 0
     _random: np.random.Generator | None = None
@@ -49,6 +50,13 @@ class NodeFaults:
             self._random = np.random.default_rng(self.seed)
         draw = float(self._random.random())
         return 0 if draw < self.dropped else 2 if draw < self.dropped + self.doubled else 1
+
+    def spoilt(self, rates_rps: Floats, most_rps: float = 1e300) -> Floats:
+        """Return rates (n, m), some of them impossible: ``most_rps`` is what the wire has a number for."""
+        if not self.huge:
+            return rates_rps
+        self._random = self._random or np.random.default_rng(self.seed)
+        return np.where(self._random.random((len(rates_rps), 1)) < self.huge, most_rps, rates_rps)
 
     def rates(self, rates_rps: Floats) -> Floats:
         """Return what the gyros (m,) put out instead of these rates; infinite is the end of the range."""
@@ -70,7 +78,7 @@ class Ride:
 
     ``gyros`` were made for ``rate_hz``; ``up`` gives what its accelerometers sense (n, 3), in g, at instants (n,), if
     the table tells. ``options`` are the protocol's keys in the bench file, ``signals`` those of a DBC or a description;
-    the knobs of ``faults`` may be turned at any time.
+    the knobs of ``faults`` may be turned at any time. ``number`` is which of several of its kind it is.
     """
 
     gyros: GyroArray
@@ -79,6 +87,7 @@ class Ride:
     faults: NodeFaults = field(default_factory=NodeFaults)
     options: Mapping[str, Any] = field(default_factory=dict)
     signals: Any = None
+    number: int = 0
 
     def force_mps2(self, t_s: Floats) -> Floats:
         """Return what its accelerometers sense (n, 3), in m/s2, at instants (n,); 0 if nobody tells."""

@@ -54,13 +54,14 @@ class Seat:
     """A controller as it stands before the simulated table.
 
     ``addresses`` are those of its axes, outermost first, ``options`` the protocol's keys in the bench file.
-    ``watchdog_s`` of silence stops the axes (0: never).
+    ``watchdog_s`` of silence stops the axes (0: never). ``number`` is which of several of its kind it is.
     """
 
     table: TableModel
     addresses: Mapping[str, Any]
     options: Mapping[str, Any]
     watchdog_s: float
+    number: int = 0
 
 
 class LineController(LineDevice):

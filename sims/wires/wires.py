@@ -199,7 +199,7 @@ class _PtyEnd:
             return True
         if self._holds_some:
             self._holds_some = False
-            with suppress(OSError), self._other_end() as port:
+            with suppress(OSError, termios.error), self._other_end() as port:  # the latter while slcand has it
                 termios.tcflush(port, termios.TCIFLUSH)
         return False
 

@@ -16,6 +16,7 @@ from drivers.tables.registry import TABLES
 from estimator.effects.catalogue import records, register
 from estimator.effects.effect import EffectError, Kind, Record
 from estimator.geometry.kinematics import Site
+from estimator.untrusted import read_text
 from station.bench.imu import ImuConfig, read_imu
 from station.bench.table import TableConfig, read_table
 from station.errors import BenchError, UsageError
@@ -75,8 +76,8 @@ class Bench:
 
     ``station`` is the name of the place; the patterns say what names of operators and serial numbers of devices look
     like there (regular expressions for the whole of it), empty for anything; the screen asks anew who operates it after
-    ``shift_s``. ``excluded`` are effects of the catalogue
-    that devices and table do not have; None for all of them. ``plugins`` are files and packages from outside.
+    ``shift_s``. ``excluded`` are effects of the catalogue that devices and table do not have; None for all of them.
+    ``plugins`` are files and packages from outside.
     """
 
     name: str
@@ -111,11 +112,9 @@ def load_bench(path: Path | None) -> Bench:
     """Read a bench file, or the built-in one; BenchError with line and key for what is wrong."""
     if path is None:
         return read_bench(default_bench_text(), "built-in bench")
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"cannot read bench file {path}: {error}") from None
-    return read_bench(text, str(path), path.stem, path.parent, sorted((path.parent / "plugins").glob("*.py")))
+    return read_bench(
+        read_text(path, BenchError), str(path), path.stem, path.parent, sorted((path.parent / "plugins").glob("*.py"))
+    )
 
 
 def read_bench(

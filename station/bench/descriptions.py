@@ -7,7 +7,7 @@ from typing import Any
 
 import drivers.imus.described.shipped
 from drivers.imus.can.imu import CanChannel
-from drivers.imus.described.checks import Check
+from drivers.imus.checks import Check
 from drivers.imus.described.framing import MESSAGE, RESOLUTION, TIME_TICK_S, Frames, Lines, signal
 from drivers.imus.described.imu import Description
 from drivers.imus.signals import UNITS, plain_unit

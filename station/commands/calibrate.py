@@ -136,7 +136,7 @@ def _print(ends: Sequence[tuple[str, Estimated | str]]) -> int:
         print(f"{len(ends)} recordings: " + ", ".join(f"{count} {what}" for what, count in counts.items() if count))
     else:
         for name, end in judged:
-            print_calibration(end.calibration)
+            print_calibration(end.calibration, end.verdict)
             print_verdict(end.verdict, Path(name))
     devices = _devices(ends)
     for runs in devices:

@@ -7,7 +7,7 @@ import signal
 import sys
 from collections.abc import Mapping
 from contextlib import AsyncExitStack, nullcontext, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from drivers.errors import DeviceError
 from estimator.calibration.error_model import ErrorModel
 from estimator.errors import EstimatorError
 from estimator.recordings.writing import write_recording
+from estimator.untrusted import harmless
 from station.atomic_write import new_recording
 from station.bench.bench import Bench, load_bench
 from station.errors import EXIT_USAGE, UsageError
@@ -75,7 +76,7 @@ def _run(arguments: argparse.Namespace) -> int:
         if result.ended_early:
             print(f"ended early {result.ended_early}")
         if result.calibration is not None:
-            print_calibration(result.calibration)
+            print_calibration(result.calibration, result.verdict)
         for report in result.sources:
             print(report.text())
         print_verdict(result.verdict, result.recording)
@@ -86,7 +87,8 @@ def _run_object(result: Result) -> Mapping[str, Any]:
     """Return what --json prints of a run."""
     found = result_object(result.verdict, str(result.recording), result.calibration)
     sources = {report.name: report.as_object() for report in result.sources}
-    return {**found, "ended_early": result.ended_early or None, "sources": sources}
+    links = {device: asdict(counts) for device, counts in result.links.items()}
+    return {**found, "ended_early": result.ended_early or None, "sources": sources, "links": links}
 
 
 def _model_of(arguments: argparse.Namespace, bench: Bench) -> ErrorModel | None:
@@ -152,10 +154,10 @@ def command_import(arguments: argparse.Namespace) -> int:
         print(json.dumps({"recording": str(output), "samples": samples, "refused": refused, "notes": notes}))
     else:
         for note in imported.notes:
-            print(f"note: {note}")
+            print(f"note: {harmless(note)}")
         print(f"{output}: {', '.join(f'{n} samples of {name}' for name, n in samples.items())}", flush=True)
         for entry in refused:
-            print(f"refused {entry['name']}: {entry['reason']}", file=sys.stderr)
+            print(harmless(f"refused {entry['name']}: {entry['reason']}"), file=sys.stderr)
     return EXIT_USAGE if imported.lost_files else 0
 
 

@@ -5,14 +5,10 @@ import json
 from dataclasses import asdict, replace
 from typing import Any
 
-from rich.markup import escape
-
 from estimator.effects.catalogue import everything
-from estimator.effects.constructed import readable as words
 from estimator.effects.effect import Effect, Kind
-from station.render.terminal import rich_table, stdout
+from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome
-from station.views.figures import human
 
 
 def command_effects(arguments: argparse.Namespace) -> int:
@@ -21,32 +17,8 @@ def command_effects(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(listed))
         return Outcome.PASS.exit_code
-    heads = ("effect", "parameters, up to", "shown by", "looks like")
-    table = rich_table("Effects that an investigation looks for", heads, fold=True)
-    for one in listed:
-        kind = "" if one["kind"] == Kind.LAW else f"\n[dim]{one['kind']}[/]"
-        shared = "\n[dim]shared by all gyros[/]" if one["shared"] else ""
-        needs = f"; needs {' and '.join(one['needs'])}" if one["needs"] else ""
-        table.add_row(
-            escape(words(one["effect"])) + kind + shared,
-            escape("\n".join(_parameters(one))),
-            escape(one["shown_by"] + needs),
-            escape(", ".join(map(words, one["confused_with"]))),
-        )
-        table.add_section()
-    stdout().print(table)
+    print_rendered(stdout(), "station.render", "effects.rich", {"listed": listed, "law": Kind.LAW})
     return Outcome.PASS.exit_code
-
-
-def _parameters(one: dict[str, Any]) -> list[str]:
-    largest = [(p["largest"], p["unit"]) for p in one["parameters"]]
-    sizes = ["all of it" if (size, unit) == (1, "1") else human(size, 0.0, unit) for size, unit in largest]
-    lines = [f"{p['name']} {size}" for p, size in zip(one["parameters"], sizes, strict=True)]
-    if len(lines) > 2 and len(set(sizes)) == 1:
-        lines = [f"{len(lines)} of {sizes[0]} each"]
-    if one["non_linear"]:
-        lines.append(", ".join(free["name"] for free in one["non_linear"]) + ": found from the data")
-    return lines
 
 
 def _object(effect: Effect) -> dict[str, Any]:

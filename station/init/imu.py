@@ -25,7 +25,7 @@ def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link:
         read_data({"imu": [made]}, lambda top: read_imu(top.tables("imu")[0], folder))
 
     dialogue.say("\nA device under test. What is it?")
-    choices = {name: getattr(spec, "what", str(spec)) for name, spec in IMUS.tried().items()}
+    choices = {name: getattr(spec, "said", str(spec)) for name, spec in IMUS.tried().items()}
     protocol = dialogue.choose("device", choices, protocol or USUAL_IMU)
     spec = IMUS[protocol]
     usual = spec.proposed

@@ -33,7 +33,7 @@ def ask_rest(dialogue: Dialogue, bench: Data) -> Data:
             proposed = f"{size * _noise_factor(bench['imu'])} {unit[0]}" if unit else size
             limits = ask_key(dialogue, limits, key, proposed=proposed)
     dialogue.say("\nFor the record: a regular expression that names must match; - for anything.")
-    _, operator, serial = keys_of("bench.station")
+    _, operator, serial, *_ = keys_of("bench.station")
     place = ask_key(dialogue, {}, operator, "names of operators")
     place = ask_key(dialogue, place, serial, "serial numbers of devices")
     stated = {"station": place, "site": site, "table": bench["table"], "imu": bench["imu"]}

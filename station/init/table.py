@@ -22,7 +22,7 @@ def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, lin
         read_data({"table": made}, lambda top: read_table(top.table("table"), folder))
 
     dialogue.say("\nThe table. Which controller turns it?")
-    choices = {name: getattr(spec, "what", str(spec)) for name, spec in TABLES.tried().items()}
+    choices = {name: getattr(spec, "said", str(spec)) for name, spec in TABLES.tried().items()}
     protocol = dialogue.choose("controller", choices, protocol or USUAL_TABLE)
     spec = TABLES[protocol]
     table: Data = {"protocol": protocol, "link": links.ask(dialogue, spec, "table", link)}

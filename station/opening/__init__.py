@@ -10,9 +10,11 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
+from drivers.links.counted import CountedLink
 from drivers.links.lock import held
 from drivers.protocols import ImuSource, Turntable
 from drivers.specs import ImuSetup, TableSetup
+from drivers.types import LinkCounts
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
 from station.bench.table import TWIN
@@ -47,6 +49,8 @@ class OpenImu:
 
     config: ImuConfig
     source: ImuSource
+    counts: LinkCounts
+    """Of its link."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +62,12 @@ class OpenBench:
     imus: tuple[OpenImu, ...]
     at_rest: Callable[[], bool] = lambda: True
     """Whether the table of the twins is at rest, for trying what the station leaves behind."""
+
+    def link_counts(self) -> dict[str, LinkCounts]:
+        """Return by device what went over its link; none of a table from outside that opens its links itself."""
+        of_table = getattr(self.table, "counts", None)
+        found = {"table": of_table} if isinstance(of_table, LinkCounts) else {}
+        return found | {imu.config.name: imu.counts for imu in self.imus}
 
 
 def with_links(bench: Bench, links: dict[str, str], devices: Sequence[str]) -> Bench:
@@ -105,7 +115,7 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
         for link in bench.table.links:
             if link != TWIN:
                 await stack.enter_async_context(held("table", link, bench.table.spec.tcp_port, f"bench {bench.name}"))
-        imus = tuple([OpenImu(imu, await _source(imu, twins, time_scale)) for imu in used])
+        imus = tuple([await _imu(imu, twins, time_scale) for imu in used])
         yield OpenBench(bench, table, imus, twins.table.at_rest)
 
 
@@ -118,14 +128,17 @@ async def _table(bench: Bench, twins: Twins, time_scale: float) -> Turntable:
     }
     twin = config.link == TWIN
     link = await twins.table_in_memory() if twin else driver_link(spec, config.link, "table", time_scale)
+    link = link if spec.opens_links else CountedLink(link)
     return spec.make(TableSetup(axes, config.timeout_s * time_scale, config.options), link)
 
 
-async def _source(imu: ImuConfig, twins: Twins, time_scale: float) -> ImuSource:
+async def _imu(imu: ImuConfig, twins: Twins, time_scale: float) -> OpenImu:
     spec = imu.spec
     link: Any
     if imu.link == TWIN:
         link = twins.bus_in_memory(imu) if spec.on_can else twins.imu_in_memory(imu)
     else:
         link = driver_link(spec, imu.link, imu.name, time_scale, gather_s=_GATHER_S)
-    return spec.make(ImuSetup(imu.name, imu.rate_hz, _ANSWER_S * time_scale, imu.options, imu.can), link)
+    counted = CountedLink(link)
+    source = spec.make(ImuSetup(imu.name, imu.rate_hz, _ANSWER_S * time_scale, imu.options, imu.can), counted)
+    return OpenImu(imu, source, counted.counts)

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.errors import BadReply, DeviceError, LinkLost
 from drivers.protocols import ImuSource
-from drivers.types import Floats, Identity, ImuBlock, SourceCounts, Stamps
+from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts, Stamps
 from station.bench.imu import ImuConfig
 from station.opening import OpenBench, OpenImu
 
@@ -57,7 +57,10 @@ class SourceCheck:
 
 @dataclass(slots=True)
 class DeviceCheck:
-    """What one device answered. ``wrong`` says what is wrong and what to do, empty if nothing is."""
+    """What one device answered. ``wrong`` says what is wrong and what to do, empty if nothing is.
+
+    Its protocol is ``experimental`` where driver and twin have met nothing that others made.
+    """
 
     device: str
     kind: str
@@ -66,6 +69,8 @@ class DeviceCheck:
     axes: list[AxisCheck] = field(default_factory=list)
     sources: list[SourceCheck] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
+    experimental: bool = False
+    counts: LinkCounts | None = None
 
     @property
     def answered_nothing(self) -> bool:
@@ -89,6 +94,8 @@ async def check_bench(
             found.append(await _check_imu(imu, time_scale))
         finally:
             imu.source.close()
+    for check in found:
+        check.counts = opened.link_counts().get(check.device)
     dumb = [check for check in found if check.answered_nothing]
     for check in dumb if len(dumb) > 1 else ():
         others = " and ".join(other.device for other in dumb if other is not check)
@@ -107,11 +114,14 @@ def _heard(check: DeviceCheck, look_at: str) -> Iterator[None]:
         check.wrong += [error.message, look_at]
     except DeviceError as error:
         check.wrong.append(error.message)
+    except Exception as error:  # a driver of somebody else's
+        check.wrong.append(f"its driver failed ({type(error).__name__}: {error}); `station conformance` tries drivers")
 
 
 async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
     bench, table = opened.bench, opened.table
     check = DeviceCheck("table", bench.table.protocol, ", ".join(bench.table.links))
+    check.experimental = not bench.table.spec.checked_against
     loop = asyncio.get_running_loop()
     with _heard(check, _LOOK_AT_TABLE):
         async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):
@@ -155,7 +165,7 @@ async def _check_table(opened: OpenBench, time_scale: float) -> DeviceCheck:
 
 async def _check_imu(imu: OpenImu, time_scale: float) -> DeviceCheck:
     config, source = imu.config, imu.source
-    check = DeviceCheck(config.name, config.protocol, config.link)
+    check = DeviceCheck(config.name, config.protocol, config.link, experimental=not config.spec.checked_against)
     blocks: dict[str, list[ImuBlock]] = {}
     with _heard(check, _LOOK_AT_IMU):
         async with asyncio.timeout(_OPEN_S * max(time_scale, 1.0)):

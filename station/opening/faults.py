@@ -37,4 +37,5 @@ def turn_knobs(knobs: NodeFaults, faults: DeviceFaults, on: bool) -> None:
     """Turn the knobs of a device."""
     knobs.stuck = {faults.stuck - 1} if on and faults.stuck else set()
     knobs.saturated = {faults.saturated - 1} if on and faults.saturated else set()
-    knobs.dropped, knobs.doubled = (share if on else 0.0 for share in (faults.dropped, faults.doubled))
+    shares = (faults.dropped, faults.doubled, faults.huge)
+    knobs.dropped, knobs.doubled, knobs.huge = (share if on else 0.0 for share in shares)

@@ -26,7 +26,7 @@ def driver_link(
     ``gather_s`` is for streams, whose bytes may come in handfuls.
     """
     if spec.on_can:
-        return CanLink(device, *_can_address(link, device))
+        return CanLink(device, *can_address(link, device))
     try:
         url = urlsplit(link_of(link))
     except ValueError as error:
@@ -44,8 +44,8 @@ def driver_link(
     return (url.hostname, port) if spec.opens_links else TcpLink(device, url.hostname, port, _TCP_LIMIT_S * time_scale)
 
 
-def _can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
-    """Split can:INTERFACE:CHANNEL?option=value; numbers among the options become numbers."""
+def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
+    """Split can:INTERFACE:CHANNEL?option=value, numbers among the options as such; BenchError if it is no such link."""
     address, _, query = link.partition("?")
     parts = address.split(":", 2)
     if len(parts) != 3 or parts[0] != "can" or not parts[1]:

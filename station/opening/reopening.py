@@ -1,12 +1,25 @@
-"""Links that drop while nothing turns are opened again; in a motion, or if one begins meanwhile, the run ends."""
+"""Links that drop while nothing turns are opened again; in a motion, or if one begins meanwhile, the run ends.
+
+Whatever answers then is asked who it is, and how it is set: another device ends the run.
+"""
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import astuple
+from typing import Protocol
 
-from drivers.errors import LinkLost
+from drivers.errors import BadReply, DeviceFault, DeviceRefused, LinkLost
 from drivers.links.reopen import BackOff, Openable, reopen
+from drivers.types import Identity
 
 _LOOK_S = 0.02
+
+
+class Device(Openable, Protocol):
+    """A source or a table: what can be opened again, and says what it is."""
+
+    async def identify(self) -> Identity:
+        """Ask what it is, after ``open``; empty where it cannot be asked."""
 
 
 class Reopening:
@@ -15,18 +28,53 @@ class Reopening:
     def __init__(self, moving: Callable[[], bool], tell: Callable[[str], None], time_scale: float) -> None:
         """``moving`` says whether the table turns or is about to; ``tell`` keeps what happened in the record."""
         self._moving, self._tell, self._scale = moving, tell, time_scale
+        self._known: dict[str, Identity] = {}
         self.under_way: set[str] = set()
         """Devices whose links are being opened again."""
         self.times: dict[str, int] = {}
         """How often each device's link was opened again."""
 
-    async def restore(self, lost: Openable, error: LinkLost) -> None:
-        """Open again; LinkLost if the table turns, begins to turn before it is open, or a minute is over."""
+    async def identify(self, name: str, device: Device) -> Identity:
+        """Ask an open device of this name what it is: the same from now on. DeviceFault if it is another by now.
+
+        LinkLost if it does not say any more what it has said before.
+        """
+        known = self._known.get(name)
+        try:
+            now = await device.identify()
+        except DeviceRefused as error:
+            if known is None:
+                raise
+            raise DeviceFault(name, f"{error.message}; when the run began it was {_said(known)}") from None
+        before, after = (astuple(one) for one in (self._known.setdefault(name, now), now))
+        if any(old != new for old, new in zip(before, after, strict=True) if old and new):
+            other = "another device" if before[:-1] != after[:-1] else "the same device, set otherwise,"
+            told = [
+                f"{_said(Identity(*one))}{f', set to {one[-1]}' * (before[:-1] == after[:-1])}"
+                for one in (before, after)
+            ]
+            raise DeviceFault(name, f"{other} answers than when the run began: it was {told[0]}, it is {told[1]}")
+        if any(old and not new for old, new in zip(before, after, strict=True)):
+            raise LinkLost(name, "it does not answer any more what it is")
+        return now
+
+    async def restore(self, name: str, lost: Device, error: LinkLost) -> None:
+        """Open again; LinkLost if the table turns, begins to turn before it is open, or a minute is over.
+
+        DeviceFault if another device is there.
+        """
         if self._moving():
             raise error
         self._tell(f"{error}; nothing turns, so it is opened again")
         limits = BackOff(0.1 * self._scale, 5.0 * self._scale, 60.0 * self._scale)
-        tries = asyncio.get_running_loop().create_task(reopen(lost, limits))
+
+        async def seen() -> None:
+            try:
+                await self.identify(name, lost)
+            except BadReply as error:  # what a plug leaves on a wire that is put back
+                raise LinkLost(error.device, error.message) from None
+
+        tries = asyncio.get_running_loop().create_task(reopen(lost, limits, seen=seen))
         self.under_way.add(error.device)
         try:
             while not tries.done():
@@ -39,3 +87,30 @@ class Reopening:
             self.under_way.discard(error.device)
         self.times[error.device] = self.times.get(error.device, 0) + 1
         self._tell(f"{error.device}: open again after {count} {'try' if count == 1 else 'tries'}")
+        for doubt in self.doubts(name):
+            self._tell(doubt)
+
+    async def ask_at_end(self, name: str, device: Device) -> None:
+        """Open a closed device, see that it is the same, and close it; what cannot be asked any more is told."""
+        if self._known[name] == Identity():
+            return
+        try:
+            await device.open()
+            await self.identify(name, device)
+        except (LinkLost, BadReply) as error:
+            self._tell(f"{name} could not be asked again at the end whether it is the same device: {error}")
+        finally:
+            device.close()
+
+    def doubts(self, name: str = "") -> list[str]:
+        """Return of which devices, or of this one, nobody knows whether they are still the same."""
+        return [
+            f"{lost} tells no serial number: whether it is the same device since its link was lost is not known"
+            for lost in self.times
+            if name in ("", lost) and not self._known[lost].serial
+        ]
+
+
+def _said(identity: Identity) -> str:
+    parts = [identity.model, f"serial {identity.serial}" if identity.serial else "", identity.firmware]
+    return ", ".join(part for part in parts if part) or "one that did not say what it is"

@@ -4,7 +4,7 @@ import asyncio
 import json
 import socket
 from collections.abc import Callable
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from functools import partial
 from typing import Any
 
@@ -16,6 +16,7 @@ from sims.wires.socketcand_server import SocketcandServer
 from sims.wires.wires import ByteDevice, Plug, Write, on_pty, on_tcp
 from station.bench.bench import Bench
 from station.bench.imu import ImuConfig
+from station.opening.links import can_address
 from station.opening.twins import Twins
 
 _MULTICAST = "239.74.163.2"
@@ -82,34 +83,30 @@ class _Serving:
         if wire == "socketcand":
             return await self._socketcand(imu)
         # A port of its own, so that two stations on one machine do not hear each other's arrays.
-        options = {"port": _free_port(), "hop_limit": 0}
-        heard = _Heard()
-        bus = can.Bus(_MULTICAST, "udp_multicast", port=options["port"], hop_limit=0)
+        link = f"can:udp_multicast:{_MULTICAST}?port={_free_port()}&hop_limit=0" if wire == "udp_multicast" else wire
+        interface, channel, options = can_address(link, imu.name)
+        try:
+            bus = can.Bus(channel, interface, **options)
+        except Exception as error:  # interfaces raise what their vendors' libraries raise
+            raise DeviceError(f"{imu.name} twin", f"cannot open {link} ({error})") from None
         self._stack.callback(bus.shutdown)
-        heard.by = self._twins.bus_device(imu, bus)
-        if heard.by is not None:
-            notifier = can.Notifier(bus, [heard], loop=asyncio.get_running_loop())
-            self._stack.callback(notifier.stop)
-        query = "&".join(f"{key}={value}" for key, value in options.items())
-        return f"can:udp_multicast:{_MULTICAST}?{query}"
+        node = self._twins.bus_device(imu, partial(_Node, bus))
+        asyncio.get_running_loop().add_reader(bus.fileno(), node.read)
+        self._stack.callback(asyncio.get_running_loop().remove_reader, bus.fileno())
+        return link
 
     async def _slcan(self, imu: ImuConfig) -> str:
-        heard = _Heard()
-
-        def adapter(write: Callable[[bytes], None]) -> SlcanAdapter:
-            made = SlcanAdapter(write, heard, clock=asyncio.get_running_loop().time)
-            heard.by = self._twins.bus_device(imu, made)
-            return made
+        def adapter(write: Write) -> SlcanAdapter:
+            made = partial(SlcanAdapter, write, clock=asyncio.get_running_loop().time)
+            return self._twins.bus_device(imu, made)
 
         name = await self._stack.enter_async_context(on_pty(adapter))
         return f"can:slcan:{name}"
 
     async def _socketcand(self, imu: ImuConfig) -> str:
-        heard = _Heard()
-        server = SocketcandServer(_BUS, heard)
+        server = self._twins.bus_device(imu, partial(SocketcandServer, _BUS))
         bound = await server.start(self._host)
         self._stack.push_async_callback(server.close)
-        heard.by = self._twins.bus_device(imu, server)
         return f"can:socketcand:{_BUS}?host={bound[0]}&port={bound[1]}"
 
     async def _pty(self, device: str, make: Callable[[Write], ByteDevice]) -> str:
@@ -127,15 +124,20 @@ class _Serving:
         return f"tcp://{bound[0]}:{bound[1]}"
 
 
-class _Heard:
-    """Hands on what a host says on a bus, to a device that is only put there afterwards."""
+class _Node:
+    """One end of a bus that may be down for a while: what cannot be sent meanwhile is lost."""
 
-    def __init__(self) -> None:
-        self.by: Callable[[can.Message], None] | None = None
+    def __init__(self, bus: can.BusABC, hear: Callable[[can.Message], None]) -> None:
+        self._bus, self._hear = bus, hear
 
-    def __call__(self, message: can.Message) -> None:
-        if self.by is not None:
-            self.by(message)
+    def send(self, msg: can.Message) -> None:
+        with suppress(can.CanError):
+            self._bus.send(msg)
+
+    def read(self) -> None:
+        with suppress(can.CanError):
+            while (message := self._bus.recv(0)) is not None:
+                self._hear(message)
 
 
 def _free_port() -> int:

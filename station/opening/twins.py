@@ -6,8 +6,9 @@ import logging
 import math
 from collections.abc import Callable, Coroutine
 from contextlib import AsyncExitStack
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pymodbus.transport import NULLMODEM_HOST
@@ -17,6 +18,7 @@ from drivers.links.can_link import CanLink
 from drivers.links.can_memory import MemoryBus
 from drivers.protocols import ByteLink, FrameLink
 from drivers.types import Floats
+from estimator.strict_toml import not_one_of
 from sims.imus.registry import Ride, twin_of
 from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, Mounting, along, mounted
@@ -27,7 +29,7 @@ from sims.physics.table import AxisData, TableModel
 from sims.tables.modbus import FaultyModbus, modbus_server, pull_plug
 from sims.tables.registry import Seat
 from sims.tables.registry import twin_of as twin_of_table
-from sims.wires.faults import DeviceFaults, FaultyFrames, faulty_device
+from sims.wires.faults import Exchanged, FaultyFrames, faulty_device
 from sims.wires.frames import FrameSink, NodeFaults
 from sims.wires.wires import ByteDevice, Plug, Write, in_memory
 from station.bench.bench import Bench
@@ -38,6 +40,8 @@ from station.schema.tables import Table
 
 _log = logging.getLogger(__name__)
 _wires = itertools.count(1)
+Bus = TypeVar("Bus", bound=FrameSink)
+_APART = 0.005  # scale factors of two devices of a kind
 
 
 class Twins:
@@ -55,7 +59,7 @@ class Twins:
         }
         self._hidden = hidden_of(bench)
         faults = self._hidden.table if self._hidden is not None else TableFaults()
-        self.table = TableModel(axes, loop.time, faults)
+        self.table = TableModel(axes, loop.time, faults, bench.twin.started_s)
         site = bench.site
         latitude, heading = (site.latitude_rad, site.heading_rad) if site else (math.pi / 4, 0.0)
         self._body = Body(
@@ -71,10 +75,7 @@ class Twins:
         self._truths = {imu.name: truth_of(truths, imu) for imu in bench.imus}
         truths.done()
         if (fault := self._faults.table) is not None:
-            strike = loop.call_later(
-                fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.spec.limits_trip)
-            )
-            stack.callback(strike.cancel)
+            self._later(fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.spec.limits_trip))
 
     async def serve_table(self, address: tuple[str, int]) -> Any:
         """Serve the controller of a driver that opens links itself at a host and port; return pymodbus's server."""
@@ -88,7 +89,11 @@ class Twins:
             raise DeviceError("table twin", f"cannot listen on {where}; is the port free?") from None
         self._stack.push_async_callback(server.shutdown)
         plug = Plug()
-        plug.attach(partial(pull_plug, server), lambda: self.run(server.listen()))
+
+        def put_back() -> None:
+            self.run(server.listen())
+
+        plug.attach(partial(pull_plug, server), put_back)
         self._stack.callback(plug.detach)
         plug.schedule(faults.unplug_s, faults.replug_s)
         return server
@@ -100,7 +105,16 @@ class Twins:
 
     def table_device(self, write: Write) -> ByteDevice:
         """Return the controller, or the drives on a serial line."""
-        return twin_of_table(self.bench.table.spec)(self._seat(), write)
+        put_there, seat = twin_of_table(self.bench.table.spec), self._seat()
+        end = Exchanged(put_there(seat, write))
+
+        def exchange() -> None:
+            for axis in self.bench.table.axes:
+                self.table.stop(axis)  # its brakes close while there is no controller
+            end.device = put_there(replace(seat, number=1), write)
+
+        self._later(self._faults.wires["table"].another_s, exchange)
+        return end
 
     async def table_in_memory(self) -> Any:
         """Return the near end of a wire to the controller, or where it is served in memory."""
@@ -114,51 +128,61 @@ class Twins:
         """Put a device on a wire, where it sends from now on; return it."""
         faults = self._faults.devices[imu.name]
         knobs = NodeFaults(clock_ppm=faults.clock_ppm, seed=self.bench.twin.seed)
-        self._turn(faults, partial(turn_knobs, knobs, faults))
-        ride = Ride(self.gyros(imu), imu.rate_hz, self._up(imu), knobs, imu.options, imu.can)
-        device = twin_of(imu.spec)(ride, out)
-        self.run(device.serve())
-        return device
+        self._later(faults.from_s, partial(turn_knobs, knobs, faults, True))
+        self._later(faults.until_s, partial(turn_knobs, knobs, faults, False))
+
+        def put_there(number: int) -> tuple[Any, asyncio.Task[Any]]:
+            ride = Ride(self.gyros(imu, number), imu.rate_hz, self._up(imu), knobs, imu.options, imu.can, number)
+            ride.gyros.thermometer = not faults.no_temperature
+            device = twin_of(imu.spec)(ride, out)
+            return device, self.run(device.serve())
+
+        device, serving = put_there(0)
+        end = Exchanged(device)
+
+        def exchange() -> None:
+            serving.cancel()
+            end.device = put_there(1)[0]
+
+        self._later(self._faults.wires[imu.name].another_s, exchange)
+        return end
 
     def imu_in_memory(self, imu: ImuConfig) -> ByteLink:
         """Return the near end of a wire to a device that speaks bytes."""
         return self._in_memory(imu.name, lambda write: self.imu_device(imu, write))
 
-    def bus_device(self, imu: ImuConfig, bus: FrameSink) -> Callable[[Any], None] | None:
-        """Put a device on a bus, where it sends from now on; return what hears the host's frames, if it listens."""
-        wire = self._faults.wires[imu.name]
+    def bus_device(self, imu: ImuConfig, make: Callable[[Callable[[Any], None]], Bus]) -> Bus:
+        """Put a device, which sends from now on, on the bus made with what hears the host's frames; return the bus."""
+        wire, bus = self._faults.wires[imu.name], make(lambda message: ear(message))
         device = self.imu_device(imu, FaultyFrames(bus, wire, self._seed(imu.name)) if wire.any else bus)
-        heard: Callable[[Any], None] | None = getattr(device, "received", None)
-        return FaultyFrames(heard, wire, (*self._seed(imu.name), 1)) if heard is not None and wire.any else heard
+        ear = FaultyFrames(device.received, wire.to_device, (*self._seed(imu.name), 1)) if wire.any else device.received
+        return bus
 
     def bus_in_memory(self, imu: ImuConfig) -> FrameLink:
         """Return the link to a bus in memory with the device on it."""
         channel = f"wire{next(_wires)}"
-        heard: list[Callable[[Any], None] | None] = [None]
-        bus = MemoryBus(channel, lambda message: heard[0](message) if heard[0] is not None else None)
-        self._stack.callback(bus.shutdown)
-        heard[0] = self.bus_device(imu, bus)
+        self._stack.callback(self.bus_device(imu, partial(MemoryBus, channel)).shutdown)
         return CanLink(imu.name, "memory", channel, {})
 
-    def gyros(self, imu: ImuConfig) -> GyroArray:
-        """Return the gyros of a device, on the table."""
+    def gyros(self, imu: ImuConfig, number: int = 0) -> GyroArray:
+        """Return the gyros of a device, on the table; each ``number`` of its kind has its own scale factors."""
         index = [other.name for other in self.bench.imus].index(imu.name)
-        twin = self.bench.twin
+        twin, truth = self.bench.twin, self._truths[imu.name]
         try:
             return GyroArray(
                 mounting_of(imu),
-                self._truths[imu.name],
+                replace(truth, k=truth.k + _APART * number),
                 self._body,
                 imu.rate_hz,
-                (twin.seed, index),
+                (twin.seed, index, number) if number else (twin.seed, index),
                 self._hidden.of_device(imu.name) if self._hidden is not None else None,
                 twin.started_s,
             )
         except HiddenError as error:
             raise BenchError(f"{twin.hidden}: {imu.name}: {error}") from None
 
-    def run(self, twin: Coroutine[Any, Any, Any]) -> None:
-        """Let a twin work until the bench is closed."""
+    def run(self, twin: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
+        """Let a twin work until the bench is closed, or its task is cancelled."""
         task = asyncio.get_running_loop().create_task(twin)
 
         async def end() -> None:
@@ -168,6 +192,7 @@ class Twins:
                 _log.error("a twin has ended by itself: %r", error)
 
         self._stack.push_async_callback(end)
+        return task
 
     def wire(self, device: str) -> str:
         """Return what a device is served on."""
@@ -177,7 +202,9 @@ class Twins:
         wires = {"table": table.string("table", "tcp", one_of=("tcp", "serial"))}
         for imu in self.bench.imus:
             known = ("udp_multicast", "slcan", "socketcand") if imu.spec.on_can else ("serial", "tcp")
-            wires[imu.name] = table.string(imu.name, known[0], one_of=known)
+            wires[imu.name] = wire = table.string(imu.name, known[0])
+            if wire not in known and not (imu.spec.on_can and wire.startswith("can:")):
+                raise table.fail(imu.name, not_one_of(wire, known))
         table.done()
         return wires
 
@@ -198,12 +225,10 @@ class Twins:
     def _seed(self, device: str) -> tuple[int, int]:
         return self.bench.twin.seed, 1000 + list(self._faults.wires).index(device)
 
-    def _turn(self, faults: DeviceFaults, knobs: Callable[[bool], None]) -> None:
-        """Turn a device's knobs when its faults begin, and back when they end."""
-        loop = asyncio.get_running_loop()
-        for at_s, on in ((faults.from_s, True), (faults.until_s, False)):
-            if math.isfinite(at_s):
-                self._stack.callback(loop.call_later(at_s, knobs, on).cancel)
+    def _later(self, at_s: float, act: Callable[[], None]) -> None:
+        """Let something happen at this time, infinite for never, unless the bench is closed before."""
+        if math.isfinite(at_s):
+            self._stack.callback(asyncio.get_running_loop().call_later(at_s, act).cancel)
 
 
 def hidden_of(bench: Bench) -> Hidden | None:
@@ -212,9 +237,13 @@ def hidden_of(bench: Bench) -> Hidden | None:
         return None
     top = Table.load(bench.twin.hidden, BenchError)
     try:
-        return Hidden.of({name: top.value(name) for name in top.remaining()})
+        hidden = Hidden.of({name: top.value(name) for name in top.remaining()})
     except HiddenError as error:
         raise top.fail_at(str(error)) from None
+    names = [imu.name for imu in bench.imus]
+    for unknown in set(hidden.devices or ()).difference(names):
+        raise top.fail_at(f"devices: {not_one_of(unknown, names)}")
+    return hidden
 
 
 def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:

@@ -10,6 +10,7 @@ import json
 import os
 import socket
 import stat
+import struct
 import tempfile
 from collections import deque
 from collections.abc import AsyncIterator, Mapping
@@ -70,6 +71,16 @@ def _objection(folder: Path) -> str:
     return ""
 
 
+def of_this_user(connection: socket.socket) -> bool:
+    """Return whether the process at the other end of a Unix socket is this user's or root's, as far as can be told."""
+    if not hasattr(socket, "SO_PEERCRED"):
+        return True
+    _, user, _ = struct.unpack(
+        "3i", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+    )
+    return user in (0, os.getuid())
+
+
 def running_sessions() -> list[Path]:
     """Return the sockets of this user's running sessions, the newest first; those of dead ones are removed."""
     found = []
@@ -115,6 +126,8 @@ class RemoteSession:
             async with asyncio.timeout(_CONNECT_S):
                 transport, inbox = await loop.create_unix_connection(_Inbox, str(path))
                 try:
+                    if not of_this_user(transport.get_extra_info("socket")):
+                        raise OSError("it is another user's")
                     hello = await inbox.next()
                 except BaseException:
                     transport.abort()
@@ -192,7 +205,7 @@ class _Inbox(asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         *lines, self._part = (self._part + data).split(b"\n")
         for line in lines:
-            with suppress(ValueError):  # what is no JSON is none of ours
+            with suppress(ValueError, RecursionError):  # what is no JSON is none of ours
                 self._take(json.loads(line))
         self._new.set()
 

@@ -26,7 +26,7 @@ from typing import Any, cast
 
 from station.bench.bench import Bench
 from station.errors import UsageError
-from station.remote.attaching import VERSION, socket_folder
+from station.remote.attaching import VERSION, of_this_user, socket_folder
 from station.run.session import Session
 from station.run.snapshot import EventKind, Snapshot
 from station.scripts.script import Script
@@ -213,6 +213,9 @@ class _Client(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = cast(asyncio.Transport, transport)
         connection = transport.get_extra_info("socket")
+        if not of_this_user(connection):
+            self.transport.abort()
+            return
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BYTES)
         self._host.welcome(self)
 

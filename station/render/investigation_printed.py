@@ -7,14 +7,13 @@ from typing import Any
 from markupsafe import Markup
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from estimator.effects.constructed import readable as words
 from estimator.tracing.investigation import Finding, Investigation
 from estimator.tracing.residuals.origin import Origin
 from estimator.tracing.residuals.residual import BY_CHANCE
 from station.render.template import rendered
-from station.render.terminal import Shown, print_all, print_rendered, rich_table, shown_of, stdout
+from station.render.terminal import Shown, print_all, print_rendered, shown_of, stdout
 from station.run.closed_loop import Loop, Round
 from station.scripts.next_script import NextScript
 from station.views.figures import FINDING_STYLES, human, number
@@ -69,7 +68,9 @@ def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> l
         "shown": shown,
         "others": ranked[len(shown) :],
         "figure": lambda value: "inf" if value is None else f"{value:.3g}",
-        "residuals": _residual_tables(what["residual"]),
+        "residuals": _residuals(what["residual"]),
+        "cells": _CELLS,
+        "origin_line": origin_line,
         "left_out": left_out,
     }
     return shown_of("station.render", "investigation.rich", values)
@@ -103,18 +104,17 @@ def _constructed_line(added: Mapping[str, Any]) -> str:
     return f"CONSTRUCTED: {said}; not in the catalogue"
 
 
-def _residual_tables(residual: Mapping[str, Any] | None) -> list[tuple[Table, str]]:
+def _residuals(residual: Mapping[str, Any] | None) -> list[tuple[str, ResidualView, ResidualView]]:
     """Return what is left, before and after: of the recordings fitted; of the verification run where it is not noise.
 
-    Below each stands whether that is common to all gyros. Nothing if the residual was not looked at.
+    Nothing if the residual was not looked at.
     """
     if residual is None:
         return []
-    tables = [_residual_table("recordings fitted", residual["before"], residual["after"])]
-    verified = residual["verification"]
+    shown, verified = [("recordings fitted", residual["before"], residual["after"])], residual["verification"]
     if verified is not None and not _is_noise(verified["after"]):
-        tables.append(_residual_table("verification run", verified["before"], verified["after"]))
-    return tables
+        shown.append(("verification run", verified["before"], verified["after"]))
+    return shown
 
 
 def _is_noise(residual: ResidualView) -> bool:
@@ -122,21 +122,6 @@ def _is_noise(residual: ResidualView) -> bool:
     split = residual["split"]
     clean = all(_is_white(gyro) and not gyro["beyond"] for gyro in residual["gyros"].values())
     return clean and (split is None or split["origin"] == Origin.NOISE)
-
-
-def _residual_table(runs: str, before: ResidualView, after: ResidualView) -> tuple[Table, str]:
-    both = (before,) if after == before else (before, after)
-    by_chance = max(gyro["nis_sd"] or 0 for gyro in before["gyros"].values())
-    heads = ["gyro"]
-    for heading in _CELLS:
-        heads += [heading] if len(both) == 1 else [f"{heading}\nbefore", "\nafter"]
-    align = "l" + "".join(side * len(both) for side in "rrrl")
-    rows = []
-    for name in before["gyros"]:
-        gyros = [residual["gyros"][name] for residual in both]
-        rows.append((escape(name), *(cell(gyro) for cell in _CELLS.values() for gyro in gyros)))
-    title = f"Residual, {runs} (NIS of noise: 1 ± {by_chance:.2f})"
-    return rich_table(title, heads, align, rows), origin_line(before, after)
 
 
 def origin_line(before: ResidualView, after: ResidualView) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from drivers.types import Flags, Floats
+from drivers.types import Floats
 from estimator.effects.conditions import REFERENCE_C
 from estimator.effects.constructed import readable as words
 from estimator.effects.disturbances import TONE
@@ -27,13 +27,11 @@ MARKED = 1.0
 def print_plan(plan: Plan, console: Console) -> None:
     """Print the plan: what moves, sigmas of the states, smallest effects, what looks alike, what was assumed."""
     found = plan.forecast
-    reached = zip(found.gyros, plan.reached, strict=True)
     values = {
         "plan": plan,
         "profile": profile_lines(plan.motion, console.width),
-        "states": _states(plan),
+        "size": _number,
         "is_required": bool(np.isfinite(plan.required).any()),
-        "missed": [gyro.name for gyro, of_gyro in reached if not of_gyro.all()],
         "combination": combination,
         "effects": _effects(found),
         "warnings": [*plan.rounded, *too_steep(plan.script, plan.bench.table.read_time_s)],
@@ -45,28 +43,6 @@ def print_plan(plan: Plan, console: Console) -> None:
         "tone_hz": TONE.listed(0.0)[0]["frequency_hz"],
     }
     print_rendered(console, "station.render", "plan.rich", values)
-
-
-def _states(plan: Plan) -> Table:
-    asked = bool(np.isfinite(plan.required).any())
-    several = len({gyro.source for gyro in plan.forecast.gyros}) > 1
-    shown = slice(0 if several else 1, None if asked else -1)
-    heads = ["device", "gyro", *(f"{name}\n{unit}" for name, unit, _ in STATE_UNITS), "required"]
-    table = rich_table("Predicted sigmas of the states", heads[shown], "llrrrrl"[shown])
-    for gyro, sd, reached in zip(plan.forecast.gyros, plan.sd, plan.reached, strict=True):
-        sizes = [_number(v * f) for v, (_, _, f) in zip(sd, STATE_UNITS, strict=True)]
-        cells = [gyro.source, gyro.name, *sizes, _reached(reached)]
-        table.add_row(*cells[shown], end_section=gyro is plan.forecast.gyros[-1])
-    if asked:
-        pairs = zip(plan.required, STATE_UNITS, strict=True)
-        limits = [_number(v * f) if np.isfinite(v) else "-" for v, (_, _, f) in pairs]
-        table.add_row(*["", "required", *limits, ""][shown], style="dim")
-    return table
-
-
-def _reached(reached: Flags) -> str:
-    missed = [name for (name, _, _), ok in zip(STATE_UNITS, reached, strict=True) if not ok]
-    return f"[bold red]NOT REACHED[/] {', '.join(missed)}" if missed else "[green]OK[/]"
 
 
 def combination(direction: Floats) -> str:

@@ -8,46 +8,48 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
 from drivers.packaged import packaged_toml
+from drivers.types import Floats
 from estimator.calibration.values import Calibration, GyroCalibration
 from estimator.estimation.repeatability import Repeatability
 from estimator.observations.rests import RestNoise
 from station.errors import EXIT_USAGE
-from station.render.terminal import print_rendered, rich_table, stdout
+from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome, Verdict
-from station.views.figures import OUTCOME_STYLES, STATE_UNITS
+from station.views.figures import OUTCOME_STYLES
 from station.views.json_values import budget_and_noise, by_state, json_object, named
 
 _BUDGET_WORDS = packaged_toml("station.views", "budget.toml")["terminal"]
-_SIGMA_HEADS = tuple(f"{name} ({unit})" for name, unit, _ in STATE_UNITS)
-_SCALES = np.array([factor for _, _, factor in STATE_UNITS])
 
 
-def print_calibration(calibration: Calibration) -> None:
-    """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from."""
+def print_calibration(calibration: Calibration, verdict: Verdict) -> None:
+    """Print the states of every gyro with their sigmas, in the units people use, and where the sigmas come from.
+
+    What breaks a limit is red.
+    """
     found = [gyro.noise for gyro in calibration.gyros if gyro.noise is not None]
     noises = [(noise.mean.arw, 3600 * noise.instability_below, 3600 * 60 * noise.walk_below) for noise in found]
     values = {
         "calibration": calibration,
+        "broken": {(line.row, line.state, line.of_u) for line in verdict.broken},
         "budget": _budget(calibration),
+        "size": _size,
         "noise": np.degrees(np.mean(noises, axis=0)).tolist() if noises else None,
         "rest": _rest([gyro.rest for gyro in calibration.gyros if gyro.rest is not None]),
     }
     print_rendered(stdout(), "station.render", "calibration.rich", values)
 
 
-def _budget(calibration: Calibration) -> Table | None:
-    """Return where the sigmas come from: noise and the table's own uncertainty, rms over the gyros."""
+def _budget(calibration: Calibration) -> Mapping[str, Floats]:
+    """Return where the sigmas come from, (4,) each: noise and the table's own uncertainty, rms over the gyros."""
     budgets = [{c.name: c.u for c in gyro.budget} for gyro in calibration.gyros]
     names = list(budgets[0]) if budgets else []
     if len(names) < 2 or any(list(budget) != names for budget in budgets):
-        return None
-    lines = {_BUDGET_WORDS.get(name, name): np.array([budget[name] for budget in budgets]) for name in names}
-    lines["combined"] = np.array([gyro.sd for gyro in calibration.gyros])
-    rows = [(name, *map(_size, np.sqrt(np.mean(u**2, axis=0)) * _SCALES)) for name, u in lines.items()]
-    return rich_table("Uncertainty budget, rms over the gyros", ("source", *_SIGMA_HEADS), "lr", rows)
+        return {}
+    lines = {_BUDGET_WORDS.get(name, name): [budget[name] for budget in budgets] for name in names}
+    lines["combined"] = [gyro.sd for gyro in calibration.gyros]
+    return {name: np.sqrt(np.mean(np.square(u), axis=0)) for name, u in lines.items()}
 
 
 def _rest(rests: Sequence[RestNoise]) -> Mapping[str, str] | None:
@@ -68,14 +70,7 @@ def print_repeatability(repeats: Sequence[Repeatability], device: str) -> None:
     """Print how the states of a device scatter over its runs, beside the scatter that their sigmas promise."""
     if not repeats:
         return
-    rows, differing = [], []
-    for gyro in repeats:
-        pairs = zip(gyro.scatter * _SCALES, gyro.expected * _SCALES, gyro.differs, strict=True)
-        rows.append((gyro.name, *(f"{_size(s)} ({_size(e)}){' !' if d else ''}" for s, e, d in pairs)))
-        between = zip(STATE_UNITS, map(_size, gyro.between * _SCALES), gyro.differs, strict=True)
-        differing += [(gyro.name, state, size) for state, size, differs in between if differs]
-    scatter = rich_table(None, ("gyro", *_SIGMA_HEADS), "lr", rows)
-    values = {"repeats": repeats, "device": device, "scatter": scatter, "differing": differing}
+    values = {"repeats": repeats, "device": device, "size": _size}
     print_rendered(stdout(), "station.render", "repeatability.rich", values)
 
 
@@ -96,10 +91,9 @@ def _size(value: float) -> str:
 
 
 def print_verdict(verdict: Verdict, recording: Path) -> None:
-    """Print how it ended, why, and where the recording is."""
-    console = stdout()
-    console.print(f"[{OUTCOME_STYLES[verdict.outcome]}]{verdict.outcome}[/]  {verdict.reason}", highlight=False)
-    console.print(f"recording: {recording}", highlight=False, soft_wrap=True)
+    """Print how it ended, why, and where the recording is; causes before what is broken, which is a table."""
+    values = {"verdict": verdict, "style": OUTCOME_STYLES[verdict.outcome], "recording": recording}
+    print_rendered(stdout(), "station.render", "verdict.rich", values)
 
 
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:

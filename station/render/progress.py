@@ -4,9 +4,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
 
+from station.render.terminal import HarmlessConsole
 from station.run.snapshot import Snapshot
 from station.views.figures import clock, number
 
@@ -33,7 +33,7 @@ class Bar(Progress):
         **fields: Any,
     ) -> None:
         """``begins`` describes the task at first, ``fields`` are what its columns show beside that."""
-        console = Console(stderr=True)
+        console = HarmlessConsole(stderr=True)
         self._quiet, self._at_once = quiet, not auto_refresh
         super().__init__(*columns, console=console, auto_refresh=auto_refresh, disable=quiet or not console.is_terminal)
         self._shown_share = 0.0

@@ -7,9 +7,11 @@ from markupsafe import Markup
 from rich.console import Console, ConsoleOptions, OverflowMethod, RenderableType, RenderResult
 from rich.markup import escape
 from rich.measure import Measurement
+from rich.segment import Segment
 from rich.table import Column, Table
 from rich.text import TextType
 
+from estimator.untrusted import harmless
 from station.render.template import rendered
 
 _PIPE_WIDTH = 120
@@ -21,8 +23,17 @@ Shown: TypeAlias = tuple[RenderableType, dict[str, Any]]
 
 def stdout() -> Console:
     """Return the console for results; a pipe has no width of its own, and a table of 80 columns loses its numbers."""
-    console = Console()
-    return console if console.is_terminal else Console(width=_PIPE_WIDTH)
+    console = HarmlessConsole()
+    return console if console.is_terminal else HarmlessConsole(width=_PIPE_WIDTH)
+
+
+class HarmlessConsole(Console):
+    """A console on which names out of files cannot steer the terminal."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Yield the segments of what is shown; only rich's own have control characters."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(harmless(segment.text), segment.style)
 
 
 def print_rendered(console: Console, package: str, name: str, values: Mapping[str, Any]) -> None:

@@ -15,13 +15,14 @@ from station.render.template import rendered
 from station.report import figures, pictures
 from station.report import traced as residual
 from station.report.chapters import correction, front, results, unseen
-from station.report.recorded import Recorded
-from station.report.standing import Standing, number_of, standing_of
+from station.report.recorded import Recorded, laid_out
+from station.report.standing import Standing, begun_utc, number_of, standing_of
 from station.report.traced import Traced
 from station.views.seen import seen_by
 
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
+    "begun_utc": begun_utc,
     "blind_spots": unseen,
     "correction": correction,
     "figures": figures,
@@ -73,7 +74,9 @@ def make_report(recorded: Recorded, traced: Traced | None) -> Report:
         "made_with": ", ".join([*versions, f"Python {platform.python_version()}"]),
         "next_number": count(1).__next__,
     }
-    return Report(rendered("station.report", "report.html", _MADE_OF | values), standing, number, hashes)
+    with laid_out(recorded.path, "what it or its investigation holds cannot be reported ({})"):
+        html = rendered("station.report", "report.html", _MADE_OF | values)
+    return Report(html, standing, number, hashes)
 
 
 def _sheet(head: str, number: str, foot: str) -> str:

@@ -255,7 +255,9 @@ def _drawn(
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(fname=_STYLE):
+    with mpl.rc_context():
+        mpl.rcdefaults()  # not what a matplotlibrc in the working folder says
+        mpl.rc_file(_STYLE)
         figure = Figure(figsize=size)
         wide, high = size[0] - left - _RIGHT_IN, size[1] - bottom - top
         across, down = ((side - between * (n - 1)) / n for side, n in ((wide, columns), (high, rows)))

@@ -13,10 +13,11 @@ import numpy as np
 from drivers.types import Floats, Stamps
 from estimator.calibration.calibration_file import read_calibration
 from estimator.calibration.values import Calibration
-from estimator.errors import RecordingError, first_line
+from estimator.errors import EstimatorError, RecordingError, first_line
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
 from estimator.recordings.writing import plain
+from station.errors import UsageError
 from station.run.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -157,7 +158,9 @@ def laid_out(path: Path, message: str) -> Iterator[None]:
     """Turn what a group made by hand, or cut short, can raise into a RecordingError; ``message`` has {} for it."""
     try:
         yield
-    except (OSError, AttributeError, TypeError, ValueError, KeyError, IndexError) as error:
+    except (EstimatorError, UsageError):
+        raise
+    except Exception as error:  # jinja has errors of its own for what is not there
         raise RecordingError(f"{path}: {message.format(first_line(error))}") from None
 
 

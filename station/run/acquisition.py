@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -13,8 +12,10 @@ import numpy as np
 
 from drivers.clocks.sampling import Alignment
 from drivers.errors import LinkLost
-from drivers.types import Floats, Identity, ImuBlock, SourceCounts
+from drivers.protocols import EarlySource
+from drivers.types import Floats, Identity, ImuBlock, LinkCounts, SourceCounts
 from estimator.calibration.error_model import ErrorModel
+from estimator.errors import EstimatorError
 from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.observations.timing import TimeOffset
 from estimator.recordings.writing import RecordingWriter
@@ -27,9 +28,10 @@ from station.run.snapshot import EventKind
 from station.run.table_watch import TableRow
 from station.views.json_values import named
 
-_FLUSH_S = 0.2  # what a killed station loses, at most, beyond what was on its way
-_FLUSH_SIMULATED_S = 2.0  # a simulated second lasts milliseconds
-_SYNC_S = 0.5
+_JOURNAL_S = 0.006  # what a killed station loses, at most, beyond what was on its way
+_LOOK_S = 0.2  # between looks at counts, which go into the journal
+_FLUSH_S = 2.0
+_HISTORY_BLOCKS = 50  # of the live filter, which are written together
 _SLOW_S = 0.02  # of the table, after which its answers may be why a run fails
 _LATE_S = 0.03  # of the host, after which a computer may be why a run fails
 _FIRST_SAMPLE_S = 3.0
@@ -103,7 +105,7 @@ class Acquisition:
         on_event: Callable[[float, EventKind, str], None] | None,
     ) -> None:
         """Describe table and sources in the recording; ``time_scale`` is how fast the loop's clock runs."""
-        self._imus, self._bench = opened.imus, opened.bench
+        self._opened, self._imus, self._bench = opened, opened.imus, opened.bench
         self.writer, self._model, self._reopening, self._on_event = writer, model, reopening, on_event
         self._host_scale, self._scale = time_scale, max(time_scale, 1.0)  # below 1 devices are slow, too
         self.live = LiveEstimate(self._bench.table.gimbals, self._bench.site)
@@ -112,6 +114,7 @@ class Acquisition:
         """What was had of each source, once all is closed."""
         self.closed = False
         self._last_seen_s: dict[str, float] = {}
+        self._noted: dict[str, dict[str, float | int]] = {}
         self._half_width_ns, self._rate_window_ns, self._late_s, self._late_at_s = 0, 0, 0.0, -np.inf
         self._sync: asyncio.Future[Any] | None = None
         writer.add_table(self._bench.table.gimbals, self._bench.table.uncertainty)
@@ -133,7 +136,7 @@ class Acquisition:
     async def open(self, imu: OpenImu) -> Identity:
         """Open a device under test, and record and return what it says it is."""
         await imu.source.open()
-        identity = await imu.source.identify()
+        identity = await self._reopening.identify(imu.config.name, imu.source)
         for name in imu.source.names:
             self.writer.set_source(name, identity_attributes("", identity))
         return identity
@@ -145,7 +148,7 @@ class Acquisition:
                 async for name, block in imu.source.blocks():
                     self._take_block(name, block)
             except LinkLost as error:
-                await self._reopening.restore(imu.source, error)
+                await self._reopening.restore(imu.config.name, imu.source, error)
                 now_s = asyncio.get_running_loop().time()
                 self._last_seen_s |= {name: now_s for name in imu.source.names if name in self._last_seen_s}
 
@@ -210,7 +213,8 @@ class Acquisition:
                 if now - seen > limit_s and self._device_of(name) not in self._reopening.under_way
             ]
             if silent:
-                late = f"; {self._late}" * (self._late_at_s > min(self._last_seen_s[name] for name in silent))
+                since_s = min(self._last_seen_s[name] for name in silent)
+                late = f"; {self._late}" if self._late_at_s > since_s else ""
                 raise LinkLost(self._device_of(silent[0]), f"{', '.join(silent)} fell silent for {limit_s:g} s{late}")
 
     def _device_of(self, source: str) -> str:
@@ -226,40 +230,86 @@ class Acquisition:
             self._late_s, self._late_at_s = max(self._late_s, late_s), loop.time()
 
     async def keep_flushing(self) -> None:
-        """Hand rows to the operating system five times a second, and have it write them out twice a second.
+        """Write what has come into the journal, some 150 times a second, and now and then into the recording, too.
 
-        By the host's time, however fast the loop's clock runs: it is the host that may die. A simulated run needs no
-        protection from a power cut and is flushed less often.
+        By the host's time, however fast the loop's clock runs: it is the host that may die. The disk keeps the journal
+        as soon as it can; nothing waits for that. A simulated run, whose seconds last milliseconds, needs no protection
+        from a power cut, and both are written together.
         """
         loop = asyncio.get_running_loop()
-        sync_due_s = loop.time()
-        every_s = _FLUSH_SIMULATED_S if is_virtual(loop) else _FLUSH_S * self._host_scale
+        virtual, journal = is_virtual(loop), self.writer.journal
+        every_s = _FLUSH_S if virtual else _JOURNAL_S * self._host_scale
+        look_due_s, flush_due_s = loop.time(), loop.time()
         while True:
             await self._sleep(every_s)
-            self.monitor.mark()
+            if loop.time() >= look_due_s:
+                look_due_s = loop.time() + _LOOK_S * self._host_scale
+                self.monitor.mark()
+                self._take_histories(_HISTORY_BLOCKS)
+                self._note_counts()
+            if not virtual:
+                self._note_arrived()
+            await loop.run_in_executor(None, self.writer.write_journal)
             if self._sync is not None and not self._sync.done():
-                continue  # a write now would wait for the disk, and everything for that write
-            self.writer.flush()
-            if not is_virtual(loop) and loop.time() >= sync_due_s:
-                sync_due_s = loop.time() + _SYNC_S * self._host_scale
-                self._sync = loop.run_in_executor(None, os.fsync, self.writer.descriptor)
+                continue  # a write into the recording now could wait for the disk, and everything for that write
+            if loop.time() >= flush_due_s:
+                flush_due_s = loop.time() + _FLUSH_S * self._host_scale
+                self.writer.flush()
+            if not virtual and journal is not None and journal.unsynced:
+                self._sync = loop.run_in_executor(None, journal.sync)
 
-    async def close(self, attributes: Mapping[str, str]) -> None:
-        """Close the links of all devices under test and, with these attributes, the recording."""
+    def _note_arrived(self) -> None:
+        """Keep in the journal the samples that a source holds back until it can time them."""
+        for imu in self._imus:
+            for name, arrival_ns, rate_rps in imu.source.arrived() if isinstance(imu.source, EarlySource) else ():
+                self.writer.arrived(f"imu/{name}", arrival_ns, rate_rps)
+
+    def _note_counts(self) -> None:
+        """Keep in the journal what has been lost so far: of a run that dies nothing else says it."""
+        for name, report in self._reports_now().items():
+            attributes = report.attributes()
+            if self._noted.get(name) != attributes:
+                self._noted[name] = attributes
+                self.writer.note_source(name, attributes)
+
+    def _reports_now(self) -> dict[str, SourceReport]:
+        about = [(imu.source, name) for imu in self._imus for name in imu.source.names]
+        return {name: SourceReport(name, source.counts(name), source.alignment(name)) for source, name in about}
+
+    async def close(self, attributes: Mapping[str, str], *, whole: bool) -> None:
+        """Close the links of all devices under test and, with these attributes, the recording.
+
+        Of a run that is ``whole`` the devices are first seen to be the same still (DeviceFault for another, and nothing
+        is closed), and the live estimate is finished.
+        """
         self.monitor.end()
         for imu in self._imus:
             imu.source.close()
             for name, block in imu.source.flush():
                 self._take_block(name, block)
+        self.reports = self._reports_now()
+        for imu in self._imus:
             for name in imu.source.names:
-                self.reports[name] = SourceReport(name, imu.source.counts(name), imu.source.alignment(name))
-                self.writer.set_source(name, self.reports[name].attributes())
+                self.writer.set_source(name, self.reports[name].attributes() | _link_attributes("", imu.counts))
+            if whole:
+                await self._reopening.ask_at_end(imu.config.name, imu.source)
+        if whole:
+            with suppress(EstimatorError):  # which the batch estimate tells
+                self.live.finish()
+        self._take_histories(1)
+        if counts := self._opened.link_counts().get("table"):
+            self.writer.set_attributes(_link_attributes("table_", counts))
         self.writer.set_attributes({"table_read_half_width_ns": self._half_width_ns, **attributes})
         if self._sync is not None:
             with suppress(OSError):
                 await self._sync
         self.writer.close()
         self.closed = True
+
+    def _take_histories(self, fewest: int) -> None:
+        for name, source in self.live.sources.items():
+            for group, columns in source.history.take(fewest).items():
+                self.writer.append_rows(f"{group}/{name}", columns)
 
     @property
     def _late(self) -> str:
@@ -272,6 +322,10 @@ class Acquisition:
         found = [report.mistimed for report in self.reports.values()]
         found += [slow] * (took_s > _SLOW_S) + [self._late] * (self._late_s > 0.0)
         return [cause for cause in found if cause]
+
+
+def _link_attributes(prefix: str, counts: LinkCounts) -> dict[str, Any]:
+    return {f"{prefix}link_{what}": count for what, count in asdict(counts).items()}
 
 
 def identity_attributes(prefix: str, identity: Identity) -> dict[str, Any]:

@@ -68,7 +68,7 @@ class EarlyEnd:
     def _seems_enough(self) -> bool:
         """Return whether the live filters, which know white noise only, have reached all, and the residual is clean."""
         sources = self._live.sources.values()
-        if not all(source.history.t_ns for source in sources):
+        if not all(source.history.blocks for source in sources):
             return False
         reached = all((source.decoded()[1] <= self._required).all() for source in sources)
         limits = self._bench.limits

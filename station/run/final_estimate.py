@@ -15,7 +15,7 @@ from estimator.estimation.calibrate import calibrate
 from estimator.estimation.live.sample_columns import white_solution
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
-from estimator.recordings.writing import write_results, write_source_attributes
+from estimator.recordings.writing import write_source_attributes
 from station.run.acquisition import SourceReport
 from station.run.live import LiveEstimate
 
@@ -29,7 +29,7 @@ def final_estimate(
 ) -> tuple[Calibration, float, dict[str, SourceReport]]:
     """Return the batch estimate from a closed recording, how far the live filter is from it, and fuller reports.
 
-    ``excluded`` as for ``calibrate``. Results are written into the recording, and the live estimate is finished.
+    ``excluded`` as for ``calibrate``. Results are written into the recording; the live estimate is finished before.
     EstimatorError if the samples do not suffice.
     """
     recording = read_recording(path, trusted=True)
@@ -39,12 +39,6 @@ def final_estimate(
     fuller = {name: replace(reports[name], offset=calibration.offsets.get(name)) for name in live.sources}
     write_source_attributes(path, {name: report.attributes() for name, report in fuller.items()})
     write_calibration(path, calibration, {"live_batch_difference_sigma": agreement})
-    for name, source in live.sources.items():
-        h = source.history
-        innovation = {"t_ns": h.t_ns, "nis": h.nis, "dof": h.dof, "normalised": h.normalised}
-        estimate = {"t_ns": h.state_t_ns, "states": h.states, "sd": h.sd}
-        write_results(path, f"innovation/{name}", {k: np.array(v) for k, v in innovation.items()}, {})
-        write_results(path, f"estimate/{name}", {k: np.array(v) for k, v in estimate.items()}, {})
     return calibration, agreement, fuller
 
 
@@ -52,8 +46,7 @@ def _agreement(recording: Recording, live: LiveEstimate) -> float:
     """Return the largest difference between live filter and batch estimate, in sigmas, under the same noise."""
     largest = 0.0
     for name, source in live.sources.items():
-        taken_off = source.history.t_ns, source.history.offset_s
-        about = source.effects, source.prior, source.noise_rps, source.offset_sd_s, taken_off
+        about = source.effects, source.prior, source.noise_rps, source.offset_sd_s, source.history.taken_off
         batch = white_solution(recording, recording.sources[name], *about)
         x, _ = source.filter.state()
         sd = np.sqrt(np.diagonal(batch.covariance, axis1=1, axis2=2))

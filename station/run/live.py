@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections import deque
+from typing import Any
 
 import numpy as np
 
 from drivers.types import Floats, ImuBlock, Stamps
-from estimator.estimation.live.filter import LiveFilter
+from estimator.estimation.live.filter import Innovation, LiveFilter
 from estimator.estimation.live.sample_columns import SampleColumns
 from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import Site
@@ -15,6 +16,8 @@ from estimator.geometry.model import Prior, decode
 from estimator.observations.blocks import Blocks, BlockSums
 from estimator.observations.rows import BLOCK_S
 from estimator.observations.timing import expected_sd_s
+from estimator.recordings.growing_rows import GrowingRows
+from estimator.recordings.recording import possible
 from estimator.recordings.reference import BodyRates, TableReadings, TableUncertainty
 from station.run.table_watch import TableRow
 
@@ -28,23 +31,50 @@ _MARGIN_NS = 100_000_000  # samples may turn out to be so much later than their 
 _LARGEST_S = 0.15  # of offsets that are taken off
 _SETTLED_S, _MOST_STEPS = 1e-4, 4
 _FEWEST_PAIRS = 20  # of blocks, for a correlation that says anything
+_HELD_NS = 60_000_000_000  # of body rates, for samples that come late
 
 
-@dataclass(slots=True, eq=False)
 class History:
-    """What one filter said as it went: innovations by block, states and sigmas once a second.
+    """What one filter says as it goes: innovations by block, states and sigmas once a second.
 
-    ``offset_s`` is what was taken off the stamps of each block, whose last is at ``t_ns``.
+    ``recent``: the innovations of the last half minute; ``blocks``: how many there were in all. ``taken_off``: offsets
+    that were taken off the stamps, s, and up to which instant each, ns.
     """
 
-    t_ns: list[int] = field(default_factory=list)
-    offset_s: list[float] = field(default_factory=list)
-    nis: list[float] = field(default_factory=list)
-    dof: list[int] = field(default_factory=list)
-    normalised: list[Floats] = field(default_factory=list)
-    state_t_ns: list[int] = field(default_factory=list)
-    states: list[Floats] = field(default_factory=list)
-    sd: list[Floats] = field(default_factory=list)
+    def __init__(self, gyros: int) -> None:
+        """Begin with nothing."""
+        self.recent: deque[Innovation] = deque(maxlen=_RECENT_BLOCKS)
+        self.blocks = 0
+        self.taken_off: tuple[list[int], list[float]] = ([], [])
+        self._kept = {
+            "innovation": GrowingRows(t_ns=np.int64, nis=(), dof=np.int64, normalised=(gyros,)),
+            "estimate": GrowingRows(t_ns=np.int64, states=(gyros, 4), sd=(gyros, 4)),
+        }
+
+    def add(self, t_ns: int, offset_s: float, innovation: Innovation) -> None:
+        """Keep what a block said whose last sample is of this instant."""
+        self.recent.append(innovation)
+        self.blocks += 1
+        ends_ns, offsets_s = self.taken_off
+        if offsets_s[-1:] == [offset_s]:
+            ends_ns[-1] = t_ns
+        else:
+            ends_ns.append(t_ns)
+            offsets_s.append(offset_s)
+        self._keep("innovation", t_ns, innovation.nis, innovation.dof, innovation.normalised)
+
+    def add_state(self, t_ns: int, states: Floats, sd: Floats) -> None:
+        """Keep the states and their sigmas after the last block."""
+        self._keep("estimate", t_ns, states, sd)
+
+    def _keep(self, group: str, *row: Any) -> None:
+        self._kept[group].append(*(np.array([value]) for value in row))
+
+    def take(self, fewest: int = 1) -> dict[str, dict[str, Any]]:
+        """Return as columns by group what was kept since it was taken last, if it is of so many blocks."""
+        if len(self._kept["innovation"]) < fewest:
+            return {}
+        return {group: rows.take() for group, rows in self._kept.items() if len(rows)}
 
 
 class LiveSource:
@@ -72,7 +102,7 @@ class LiveSource:
         further = self.effects.count if self.effects else 0
         self.filter = LiveFilter(array, self.noise_rps, prior, further, self.offset_sd_s)
         self._offset_s = 0.0  # what is taken off the stamps
-        self.history = History()
+        self.history = History(len(array))
         self._rows = max(round(BLOCK_S * rate_hz), 1)
         self._period_s = 1 / rate_hz
         self._keeps_blocks = False
@@ -112,9 +142,9 @@ class LiveSource:
 
         They are worked out once for each handful of blocks.
         """
-        if self._recent_at != len(self.history.t_ns):
-            x = np.array(self.history.normalised[-_RECENT_BLOCKS:]).reshape(-1, len(self.array))
-            self._recent, self._recent_at = (x, *self.decoded()), len(self.history.t_ns)
+        if self._recent_at != self.history.blocks:
+            x = np.array([one.normalised for one in self.history.recent]).reshape(-1, len(self.array))
+            self._recent, self._recent_at = (x, *self.decoded()), self.history.blocks
         return self._recent
 
     def keep_blocks(self) -> None:
@@ -133,11 +163,11 @@ class LiveSource:
         self._sums.add(t_ns[known], w[known], y[known] - w[known] @ self.array.p.T)
 
     def _take_new(self) -> None:
-        """Join what has come; samples that the device calls invalid (NaN) are left out."""
+        """Join what has come; samples that the device calls invalid (NaN), or that cannot be, are left out."""
         if not self._new:
             return
         t_ns = np.concatenate([block.t_ns for block in self._new])
-        rate = np.vstack([block.rate_rps for block in self._new])
+        rate, _ = possible(np.vstack([block.rate_rps for block in self._new]))
         good = np.isfinite(rate).all(axis=1)
         temperature = np.concatenate([block.temperature_c for block in self._new])
         self._temperature_c = np.concatenate([self._temperature_c, temperature[good]])
@@ -159,17 +189,10 @@ class LiveSource:
         if block is None:
             return
         innovation = self.filter.update(*block)
-        history = self.history
-        history.t_ns.append(int(self._t[part.stop - 1]))
-        history.offset_s.append(block[4])
-        history.nis.append(innovation.nis)
-        history.dof.append(innovation.dof)
-        history.normalised.append(innovation.normalised)
-        if len(history.t_ns) % _KEEP_EVERY == 0:
-            states, sd = self.decoded()
-            history.state_t_ns.append(history.t_ns[-1])
-            history.states.append(states)
-            history.sd.append(sd)
+        t_ns, history = int(self._t[part.stop - 1]), self.history
+        history.add(t_ns, block[4], innovation)
+        if history.blocks % _KEEP_EVERY == 0:
+            history.add_state(t_ns, *self.decoded())
         if self._keeps_blocks:
             self._sum(rates, part)
 
@@ -199,28 +222,30 @@ class LiveEstimate:
         self.sources: dict[str, LiveSource] = {}
         self._rows: list[TableRow] = []
         self._gimbals = gimbals
-        self._kept_rows: list[TableRow] | None = None
+        self._kept_rows: GrowingRows | None = None
+        self._window_ns = 0
 
     def keep_blocks(self) -> None:
         """Keep from now on what estimates under coloured noise need: sums of rows by block, readings of the table."""
-        self._kept_rows = []
+        n = len(self._gimbals)
+        self._kept_rows = GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), half_ns=np.int64)
         for source in self.sources.values():
             source.keep_blocks()
 
     def readings(self, uncertainty: TableUncertainty | None) -> TableReadings:
         """Return the readings of the table that have been kept."""
-        t_ns, angle_rad, rate_rps, half_width_ns, window_ns = _columns(self._kept_rows or [])
-        return TableReadings(t_ns, angle_rad, rate_rps, self._gimbals, uncertainty, half_width_ns, window_ns)
+        assert self._kept_rows is not None
+        t_ns, angle_rad, rate_rps, half_ns = (self._kept_rows[name] for name in ("t_ns", "angle", "rate", "half_ns"))
+        return TableReadings(t_ns, angle_rad, rate_rps, self._gimbals, uncertainty, half_ns, self._window_ns)
 
     def add_row(self, row: TableRow) -> None:
         """Take in one row of table readings; now and then use the samples that they cover."""
         self._rows.append(row)
-        if self._kept_rows is not None:
-            self._kept_rows.append(row)
         if len(self._rows) >= _ROWS_AT_ONCE:
             self._take_rows()
             for source in self.sources.values():
                 source.advance(self.rates)
+            self.rates.forget(self.rates.final_until_ns - _HELD_NS)
 
     def finish(self) -> None:
         """Use what is left."""
@@ -231,7 +256,11 @@ class LiveEstimate:
 
     def _take_rows(self) -> None:
         if self._rows:
-            self.rates.add(*_columns(self._rows))
+            columns = _columns(self._rows)
+            self.rates.add(*columns)
+            if self._kept_rows is not None:
+                self._kept_rows.append(*columns[:-1])
+            self._window_ns = columns[-1]
             self._rows.clear()
 
     @property
@@ -249,13 +278,13 @@ class LiveEstimate:
     @property
     def recent(self) -> int:
         """How many innovations the last half minute of all sources has."""
-        return sum(sum(source.history.dof[-_RECENT_BLOCKS:]) for source in self.sources.values())
+        return sum(one.dof for source in self.sources.values() for one in source.history.recent)
 
     @property
     def nis_recent(self) -> float:
         """Mean normalised innovation squared per degree of freedom over the last half minute of all sources."""
-        dof, sources = self.recent, self.sources.values()
-        return sum(sum(source.history.nis[-_RECENT_BLOCKS:]) for source in sources) / dof if dof else float("nan")
+        recent = [innovation for source in self.sources.values() for innovation in source.history.recent]
+        return sum(one.nis for one in recent) / self.recent if self.recent else float("nan")
 
     @property
     def whiteness(self) -> float:

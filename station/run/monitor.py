@@ -103,6 +103,7 @@ class Monitor:
             axes=tuple(self._axis_snapshots(now_s)),
             sources=tuple(self._source_snapshots(now_s)),
             gyros=tuple(self._gyro_snapshots()),
+            links=tuple(f"link of {name}: {counts.text}" for name, counts in self._open.link_counts().items()),
         )
 
     def _axis_snapshots(self, now_s: float) -> Iterator[AxisSnapshot]:

@@ -31,30 +31,34 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Outcome and reason of a run or of a calibration."""
+    """Outcome and reason of a run or of a calibration; the limits that are broken, and what may be behind that."""
 
     outcome: Outcome
     reason: str
+    broken: tuple[LimitLine, ...] = ()
+    because: tuple[str, ...] = ()
+
+
+_UNSEEN_HINT = (
+    "these sigmas are mostly effects that this script cannot show: the section undeclared of the bench file says which "
+    "are ruled out"
+)
 
 
 def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str] = ()) -> Verdict:
     """Compare a calibration with the limits of its bench; the reason names every limit that is broken.
 
-    Without limits it is neither good nor bad. What speaks against its sigmas is told in any case, ``causes``, what the
-    run itself may have done wrong, where a limit is broken.
+    Without limits it is neither good nor bad. What speaks against its sigmas is told in any case, and what no sigma can
+    hold fails it; ``causes``, what the run itself may have done wrong, are told where it fails.
     """
     if limits is None or not limits.stated:
         reasons = ("estimated; there are no limits to judge by", *calibration.doubts)
         return Verdict(Outcome.ESTIMATED, "; ".join(reasons))
     lines = [line for line in limit_lines(calibration, limits) if not line.within]
-    broken = [line.broken for line in lines]
-    if any(line.of_u and _mostly_unseen(calibration, line) for line in lines):
-        broken.append(
-            "these sigmas are mostly effects that this script cannot show: the section undeclared of the bench file "
-            "says which are ruled out"
-        )
-    if broken:
-        return Verdict(Outcome.FAIL, "; ".join([*broken, *causes, *calibration.doubts]))
+    if lines or calibration.spoilt:
+        because, broken = [*causes, *calibration.doubts], [line.broken for line in lines]
+        hints = [_UNSEEN_HINT] if any(line.of_u and _mostly_unseen(calibration, line) for line in lines) else []
+        return Verdict(Outcome.FAIL, "; ".join([*because, *broken, *hints]), tuple(lines), (*because, *hints))
     good = "every state, its sigma, the innovations and the losses are within limits"
     return Verdict(Outcome.PASS, "; but ".join([good, *calibration.doubts]))
 

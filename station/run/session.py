@@ -8,14 +8,15 @@ import importlib.metadata
 import logging
 import time
 import traceback
-from collections.abc import Callable, Coroutine, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Coroutine, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import DeviceError
 from drivers.tables.halting import first_look
+from drivers.types import LinkCounts
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.values import Calibration
 from estimator.errors import EstimatorError, RecordingError
@@ -58,6 +59,8 @@ class Result:
     """When and why the script was not run to its end."""
     sources: tuple[SourceReport, ...] = ()
     """What was had of each source."""
+    links: Mapping[str, LinkCounts] = field(default_factory=dict)
+    """What went over the link of each device."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +112,7 @@ class Session:
         self._reopening = Reopening(self._moving, lambda text: self._event(EventKind.LINK, text), self._time_scale)
         self._acquisition = Acquisition(
             bench,
-            RecordingWriter(path, _attributes(bench, script, options)),
+            RecordingWriter(path, _attributes(bench, script, options), journal=True),
             self._model,
             time_scale,
             self._reopening,
@@ -214,7 +217,7 @@ class Session:
             await table.open()  # the last: what is not there is known before the table is touched
             await first_look(table, take_over=self._options.reset_fault)
             self._connected = True  # from here on it is ours to stop
-            self._writer.set_attributes(identity_attributes("table_", await table.identify()))
+            self._writer.set_attributes(identity_attributes("table_", await self._reopening.identify("table", table)))
             await acquisition.first_samples()
             services.append(_serve(group, acquisition.watch_silence()))
             if self._options.reset_fault:
@@ -235,7 +238,7 @@ class Session:
                 self._event(EventKind.NOTE, text)
             sequencer = monitor.sequencer = Sequencer(table, self._script, acquisition.end_step, tell)
             monitor.phase = Phase.RUNNING
-            rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, table)
+            rate_hz, restore = self._bench.table.poll_rate_hz, partial(self._reopening.restore, "table", table)
             watch = watch_table(table, axes, rate_hz, sequencer, self._take_row, restore)
             services.append(_serve(group, watch))
             tell("script begins")
@@ -324,27 +327,33 @@ class Session:
         acquisition = self._acquisition
         if not acquisition.closed:
             self._open.table.close()
-            await acquisition.close({"ended_early": self._ended_early} if self._ended_early else {})
+            attributes = {"ended_early": self._ended_early} if self._ended_early else {}
+            await acquisition.close(attributes, whole=self._verdict is None)
         calibration, agreement = None, float("nan")
         verdict = self._verdict
         if verdict is None:
             self._monitor.phase = Phase.ESTIMATING
             try:
-                self._live.finish()
                 # In a thread: who looks on is not to think that the session hangs.
                 about = (self._writer.path, self._live, self._model, self._bench.excluded, dict(acquisition.reports))
                 work = partial(final_estimate, *about)
                 found = await asyncio.get_running_loop().run_in_executor(None, work)
                 calibration, agreement, acquisition.reports = found
                 verdict = judge(calibration, self._bench.limits, acquisition.causes())
+                doubts = self._reopening.doubts()
+                reason, because = "; but ".join((verdict.reason, *doubts)), (*verdict.because, *doubts)
+                verdict = replace(verdict, reason=reason, because=because)
             except EstimatorError as error:
                 verdict = Verdict(Outcome.FAIL, str(error))
         try:
             write_attributes(self._writer.path, {"outcome": str(verdict.outcome), "reason": verdict.reason})
+            loop = asyncio.get_running_loop()
+            await loop.run_in_executor(None, partial(self._writer.finish, synced=not is_virtual(loop)))
         except RecordingError as error:
             verdict = replace(verdict, reason=f"{verdict.reason}; the outcome is not in the recording: {error}")
         reports = tuple(acquisition.reports.values())
-        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports)
+        links = self._open.link_counts()
+        return Result(verdict, self._writer.path, calibration, agreement, self._ended_early, reports, links)
 
     def _verdict_of(self, error: BaseException) -> Verdict:
         """Return the verdict for what ended the run: a device's error first, a stop, else a defect of the station."""
@@ -361,11 +370,14 @@ class Session:
             return Verdict(Outcome.ABORTED, self._reason or self._stopped_by("Ctrl-C"))
         if isinstance(first, asyncio.CancelledError):
             return Verdict(Outcome.ABORTED, self._reason or "cancelled")
-        _log.debug("the run ended by a defect of the station", exc_info=first)
+        _log.debug("the run ended by what no device did", exc_info=first)
+        what = f"{type(first).__name__}: {first}"
+        if isinstance(first, MemoryError | OSError):
+            need = "more memory" if isinstance(first, MemoryError) else "its disk and its ports looked after"
+            return Verdict(Outcome.ABORTED, f"this computer failed, it needs {need} ({what})")
         at = traceback.extract_tb(first.__traceback__)[-1:]
         where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in at)
-        what = f"defect of the station, please report it: {type(first).__name__}: {first}{where}"
-        return Verdict(Outcome.ABORTED, what)
+        return Verdict(Outcome.ABORTED, f"defect of the station, please report it: {what}{where}")
 
     def _outlive(self) -> None:
         if not self._terminal_gone and not self._acquisition.closed:

@@ -99,7 +99,8 @@ class Snapshot:
 
     ``nis_mean`` per degree of freedom over the whole run, ``nis_recent`` over the last half minute; ``whiteness``:
     correlation of the innovations with those of the block before, 0 for a good filter; ``recent``: how many innovations
-    both are of. ``paused``: "", ``AFTER_THIS_STEP`` or ``PAUSED``.
+    both are of. ``paused``: "", ``AFTER_THIS_STEP`` or ``PAUSED``. ``links``: of each device what went over its
+    link and what went wrong, in words.
     """
 
     phase: Phase
@@ -116,6 +117,7 @@ class Snapshot:
     sources: tuple[SourceSnapshot, ...] = ()
     gyros: tuple[GyroSnapshot, ...] = ()
     recent: int = 0
+    links: tuple[str, ...] = ()
 
     @property
     def doing(self) -> str:

@@ -2,19 +2,10 @@
 
 import math
 
+from drivers.packaged import packaged_toml
 from drivers.units import split_quantity, unit_size
 
-UNITS: dict[str, tuple[str, ...]] = {
-    "angle": ("rad", "mrad", "urad", "deg", "arcmin", "arcsec", "turn"),
-    "rate": ("rad/s", "deg/s", "deg/h", "rpm"),
-    "acceleration": ("rad/s2", "deg/s2"),
-    "time": ("s", "ms", "us", "min", "h"),
-    "frequency": ("Hz", "kHz"),
-    "ratio": ("1", "ppm", "%"),
-    "angle random walk": ("rad/s/rtHz", "deg/s/rtHz", "deg/rth"),
-    "rate random walk": ("rad/s/rts", "deg/s/rts", "deg/h/rth"),
-    "temperature": ("degC",),
-}
+UNITS = {kind: tuple(units) for kind, units in packaged_toml("station.schema", "quantities.toml").items()}
 """Units that files may have, by what they measure."""
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from drivers.packaged import packaged_toml
@@ -18,6 +18,7 @@ from station.schema.quantities import UNITS, parse
 
 T = TypeVar("T")
 
+_LINKS = ("twin", "serial", "tcp", "rfc2217", "socket", "can")
 _WRONG = {"above_zero": "must be above zero", "not_negative": "must not be negative"}
 
 
@@ -30,14 +31,6 @@ def keys_of(section: str) -> tuple[Key, ...]:
 
 class Table(StrictTable):
     """One table of a file that a person writes."""
-
-    @classmethod
-    def load(cls, path: Path, error: type[UsageError]) -> Self:
-        """Read a file; the given error if it cannot be read or is no TOML."""
-        try:
-            return cls.parse(path.read_text(encoding="utf-8"), str(path), error)
-        except (OSError, UnicodeDecodeError) as reason:
-            raise error(f"cannot read {path}: {reason}") from None
 
     def fail_at(self, message: str) -> Exception:
         """Return an error of a message that begins with where it is in the file: "tone.1.size: ..."."""
@@ -178,7 +171,10 @@ def link_of(value: object) -> str:
     """Return a link; ValueError if it is no text, or its host or port cannot be told."""
     link = str(typed(value, (str,), "a text"))
     try:
-        _ = urlsplit(link).port
+        url = urlsplit(link)
+        if link and url.scheme not in _LINKS:
+            raise ValueError(not_one_of(url.scheme, _LINKS))
+        _ = url.port
     except ValueError as error:
         raise ValueError(f"{link!r} is no link it can use ({error}): write tcp://host:port, or twin:") from None
     return link

@@ -10,6 +10,8 @@ from typing import Any
 from textual.theme import Theme
 
 from drivers.packaged import packaged_toml
+from estimator.errors import MISSHAPEN
+from estimator.untrusted import harmless, read_text
 from station.atomic_write import write_whole
 from station.errors import UsageError
 
@@ -41,12 +43,12 @@ def state_folder() -> Path:
 def load_remembered() -> Remembered:
     """Return what is remembered; nothing if the file is missing or no such file."""
     try:
-        found: Any = json.loads((state_folder() / _FILE).read_text(encoding="utf-8"))
+        found: Any = json.loads(harmless(read_text(state_folder() / _FILE, UsageError)))
         texts = {key: str(found.get(key, "")) for key in REMEMBERED}
         return Remembered(
             **texts, operator_utc_s=float(found.get("operator_utc_s", 0.0)), theme=str(found.get("theme", ""))
         )
-    except (OSError, ValueError, TypeError, AttributeError):
+    except (UsageError, *MISSHAPEN):
         return Remembered()
 
 

@@ -1,18 +1,42 @@
 """The screen in a browser of this machine: textual-serve on the loopback, for who has the address with its key."""
 
+from __future__ import annotations
+
 import asyncio
 import logging
 import secrets
 import shlex
 import socket
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from station.errors import UsageError
 from station.screen.sessions.programs import command_line
 
+if TYPE_CHECKING:
+    from aiohttp import web
+
 _HOST = "127.0.0.1"
 _END_S = 2.0
+_HEADERS = {"Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY", "Cache-Control": "no-store"}
+
+
+def _guard(key: str, port: int) -> Any:
+    """Return what refuses pages of other sites: they reach the loopback by names of theirs, and open websockets."""
+    from aiohttp import web
+
+    own = [f"{name}:{port}" for name in (_HOST, "localhost")]
+
+    @web.middleware
+    async def guard(request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]) -> Any:
+        if request.host not in own or request.headers.get("Origin", f"http://{own[0]}")[7:] not in own:
+            raise web.HTTPForbidden
+        if not secrets.compare_digest(request.match_info.get("key", key).encode(), key.encode()):
+            raise web.HTTPNotFound
+        return await handler(request)
+
+    return guard
 
 
 def serve(port: int, words: Sequence[str]) -> int:
@@ -31,14 +55,16 @@ def serve(port: int, words: Sequence[str]) -> int:
     except OSError as error:
         raise UsageError(f"port {port} cannot be had ({error.strerror}): give another to --web") from None
     port = listening.getsockname()[1]
-    # Whoever can press keys here can turn the table: pages of other sites and other users do not know the path.
-    path = f"/{secrets.token_urlsafe(16)}"
+    # Whoever can press keys here can turn the table: pages of other sites and other users do not know the key.
+    # No cookie holds it: a browser shows cookies to the servers of all ports.
+    key = secrets.token_urlsafe(16)
+    path = f"/{key}"
     html = Path(__file__).with_name("page").joinpath("index.html").read_text(encoding="utf-8")
     html = html.replace("ADDRESS", f"{_HOST}:{port}{path}")
     server = Server(shlex.join(command_line(["ui", *words])), host=_HOST, port=port)
 
     async def show(request: web.Request) -> web.Response:
-        return web.Response(text=html, content_type="text/html", headers={"Referrer-Policy": "no-referrer"})
+        return web.Response(text=html, content_type="text/html", headers=_HEADERS)
 
     async def announce(app: web.Application) -> None:
         print(f"the screen is at http://{_HOST}:{port}{path}/   (Ctrl-C ends it; a session goes on)", flush=True)
@@ -60,8 +86,8 @@ def serve(port: int, words: Sequence[str]) -> int:
         if open_pages:
             await asyncio.wait(open_pages, timeout=_END_S)
 
-    app = web.Application()
-    app.add_routes([web.get(f"{path}/", show), web.get(f"{path}/ws", draw), web.static("/static", server.statics_path)])
+    app = web.Application(middlewares=[_guard(key, port)])
+    app.add_routes([web.get("/{key}/", show), web.get("/{key}/ws", draw), web.static("/static", server.statics_path)])
     app.on_startup.append(announce)
     app.on_shutdown.append(end_pages)
     logging.disable(logging.WARNING)

@@ -6,21 +6,10 @@ from dataclasses import dataclass
 from drivers.packaged import packaged_toml
 
 UNKNOWN = "-"
-OUTCOME_STYLES = {
-    "PASS": "bold green",
-    "ESTIMATED": "bold blue",
-    "FAIL": "bold red",
-    "ABORTED": "bold yellow",
-    "FAULT": "bold red",
-}
+_STYLES = packaged_toml("station.views", "styles.toml")
+OUTCOME_STYLES: dict[str, str] = _STYLES["outcomes"]
 """Colours of outcomes; the word always stands there too."""
-FINDING_STYLES = {
-    "nothing to add": "bold green",
-    "added": "bold green",
-    "added in part": "bold yellow",
-    "cannot tell": "bold yellow",
-    "unexplained": "bold red",
-}
+FINDING_STYLES: dict[str, str] = _STYLES["findings"]
 """Colours of what an investigation comes to."""
 
 

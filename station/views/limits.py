@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from estimator.calibration.values import Calibration
 from station.bench.bench import Limits
 from station.views.figures import STATE_FIGURES, STATE_UNITS
@@ -47,13 +49,50 @@ class LimitLine:
             if not self.of_u:
                 unit, factor = STATE_FIGURES[self.state].unit, STATE_FIGURES[self.state].factor
             what = f"{self.gyro} sigma of {name}" if self.of_u else f"{self.gyro} {name}"
-            return f"{what} {abs(self.value) * factor:.4g} {unit} > {self.high * factor:.4g} {unit}"
+            found, most = _apart(abs(self.value) * factor, self.high * factor)
+            return f"{what} {found} {unit} > {most} {unit}"
         if self.what == SAMPLES_LOST:
             return f"{self.value:.2%} of the samples lost > {self.high:.2%}"
         return (
             f"mean NIS {self.value:.3f} outside {self.low:g} to {self.high:g}: the noise or the model is not what was "
             "assumed"
         )
+
+    @property
+    def cells(self) -> tuple[str, str, str, str]:
+        """What it is of, the value found, the bound and by how much that is missed, in units of the states' table."""
+        if self.note or not math.isfinite(self.value):
+            return f"{self.gyro} {self.what}", self.note or "not known", "", ""
+        unit, factor, what = "", 1.0, self.what
+        if self.state is not None:
+            unit, factor = f" {STATE_FIGURES[self.state].unit}", STATE_FIGURES[self.state].factor
+            what = f"{self.gyro} {'± of ' * self.of_u}{self.what}"
+        elif what == SAMPLES_LOST:
+            unit, factor = " %", 100.0
+        bound = self.low if what == MEAN_NIS and self.value < self.low else self.high
+        found, most = _apart(abs(self.value) * factor, bound * factor)
+        ratio = abs(self.value) / bound if bound else math.inf
+        by = f"{ratio:.0f} times" if ratio > 2 else f"{abs(ratio - 1) * 100:.2g} %"
+        return what, found + unit, most + unit, by if math.isfinite(ratio) else ""
+
+    @property
+    def remedy(self) -> str:
+        """What usually helps where it is broken."""
+        if self.of_u:
+            return "± too wide: a longer or better script; station improve finds one, station plan foretells it"
+        return {
+            MEAN_NIS: "mean NIS: station investigate looks for what the model lacks",
+            SAMPLES_LOST: "losses: station check tells of each link",
+        }.get(self.what, "" if self.note else "a state: the device is beyond its tolerance, or mounted another way")
+
+
+def _apart(value: float, bound: float) -> tuple[str, str]:
+    """Return both with as many digits, four or more, as it takes to tell them apart."""
+    for digits in range(4, 17):
+        texts = tuple(np.format_float_positional(x, digits, fractional=False, trim="-") for x in (value, bound))
+        if texts[0] != texts[1]:
+            break
+    return texts[0], texts[1]
 
 
 MEAN_NIS, SAMPLES_LOST = "mean NIS", "samples lost"

@@ -1,4 +1,4 @@
-"""Clients of a STIM300's service and utility mode: identity and settings, while it sends no samples."""
+"""A client of a STIM300's utility mode: identity and settings, while it sends no samples."""
 
 from __future__ import annotations
 
@@ -6,10 +6,8 @@ import asyncio
 import re
 from types import TracebackType
 
-from stim300_service import ServiceReader, ServiceReply
-
 from drivers.errors import BadReply, DeviceRefused, LinkLost
-from drivers.imus.stim300.codec import DATAGRAM_CODES, SERVICE_MODE, UTILITY_MODE
+from drivers.imus.stim300.codec import DATAGRAM_CODES, UTILITY_MODE
 from drivers.imus.stim300.special import RATES_HZ
 from drivers.imus.stim300.units import UNITS
 from drivers.imus.stim300.utility import UtilityMessage, encode_message, parse_message
@@ -155,78 +153,3 @@ class Stim300Utility:
                             return message
         except TimeoutError:
             return None
-
-
-class Stim300Service:
-    """Service mode, for people; ``async with`` enters and leaves it. The link is open before and after."""
-
-    def __init__(self, device: str, link: ByteLink, *, timeout_s: float = 1.0) -> None:
-        """Wait ``timeout_s`` for each reply."""
-        self._device, self._link, self._timeout_s = device, link, timeout_s
-        self._reader = ServiceReader()
-
-    async def __aenter__(self) -> Stim300Service:
-        """Enter: samples stop; LinkLost if there is no prompt."""
-        self._reader.clear()
-        self._link.write(SERVICE_MODE)
-        try:
-            async with asyncio.timeout(self._timeout_s):
-                while not await self._quiet_at_prompt():
-                    self._reader.feed((await self._link.receive()).data)
-        except TimeoutError:
-            raise LinkLost(self._device, "no prompt after SERVICEMODE; is it powered, and sending samples?") from None
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
-    ) -> None:
-        """Leave: samples go on."""
-        if kind is None:
-            await self.ask("x N")
-        else:
-            self._link.write(b"x N\r")
-
-    async def ask(self, command: str) -> ServiceReply:
-        """Type a command and return what is printed; DeviceRefused with the device's error, LinkLost if nothing is."""
-        self._reader.clear()
-        self._link.write(command.encode("ascii") + b"\r")
-        reply = None
-        try:
-            async with asyncio.timeout(self._timeout_s):
-                while reply is None:
-                    self._reader.feed((await self._link.receive()).data)
-                    reply = self._reader.reply(command)
-        except TimeoutError:
-            raise LinkLost(self._device, f"no answer to {command!r} in service mode") from None
-        if reply.error:
-            raise DeviceRefused(self._device, f"{command!r} refused: {reply.error}")
-        return reply
-
-    async def identify(self) -> Identity:
-        """Ask for product, part number, serial number and firmware; empty where the device prints none."""
-        said = await self.ask("i")
-        model = f"{said.value('PRODUCT')} {said.value('PART NUMBER')}".strip()
-        return Identity(model, said.value("SERIAL NUMBER"), said.value("FW CONFIG"))
-
-    async def set_rate(self, rate_hz: int) -> None:
-        """Set the rate of normal datagrams, one of 125, 250, 500, 1000, 2000."""
-        await self.ask(f"m {RATES_HZ.index(rate_hz)}")
-
-    async def set_gyro_unit(self, unit: str) -> None:
-        """Set what the gyros put out, by a name of ``UNITS``."""
-        await self.ask(f"u g,{_UNIT_CODES[unit]}")
-
-    async def set_datagram(self, identifier: int, *, line_termination: bool = False) -> None:
-        """Set which normal datagram is sent, by its id, and whether CR LF ends it."""
-        await self.ask(f"d {_DATAGRAM_LETTERS[identifier]},{int(line_termination)}")
-
-    async def _quiet_at_prompt(self) -> bool:
-        """Return whether a prompt has come and nothing after it: within datagrams the same bytes mean nothing."""
-        if not self._reader.at_prompt:
-            return False
-        try:
-            async with asyncio.timeout(_QUIET_S):
-                self._reader.feed((await self._link.receive()).data)
-        except TimeoutError:
-            return True
-        return False

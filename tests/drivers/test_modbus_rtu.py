@@ -28,10 +28,10 @@ from setups import setup_of
 from drivers.errors import BadReply, DeviceRefused, LinkLost
 from drivers.specs import AxisSetup
 from drivers.tables.modbus.line import ModbusLine, SerialPort
-from drivers.tables.modbus.order import LineCounts, Request, RtuGate, rtu_frames
+from drivers.tables.modbus.order import Request, RtuGate, rtu_frames
 from drivers.tables.modbus.registers import load_profile
 from drivers.tables.modbus.table import ModbusTable
-from drivers.types import AxisLimits
+from drivers.types import AxisLimits, LinkCounts
 from sims.physics.table import AxisData, TableModel
 from sims.wires.line_controller import Seat
 from station.run.event_loop.loops import ScaledLoop, VirtualLoop
@@ -171,7 +171,7 @@ def some_request(rng: random.Random) -> Request:
     return read(unit, rng.choice((0x20, 0x22, 0x24)), 2)
 
 
-async def hostile_session(seed: int, requests: int, worst_s: float) -> tuple[int, LineCounts]:
+async def hostile_session(seed: int, requests: int, worst_s: float) -> tuple[int, LinkCounts]:
     rng = random.Random(seed)
     loop = asyncio.get_running_loop()
     believed = 0
@@ -262,7 +262,7 @@ def test_a_line_in_step_asks_nothing_but_what_it_is_asked() -> None:
             for _ in range(10):
                 await line.ask(read(1, 0x20, 2))
             assert devices[1].served == served + 10
-            assert line.counts == LineCounts()
+            assert line.counts == LinkCounts()
             line.close()
 
     virtually(main)
@@ -516,7 +516,7 @@ def test_the_awaited_frame_comes_through_once_however_the_input_is_cut(
 ) -> None:
     stream = b"".join(before) + AWAITED + b"".join(after)
     cuts = sorted(data.draw(st.sets(st.integers(1, len(stream)), max_size=8)))
-    gate = RtuGate(LineCounts())
+    gate = RtuGate(LinkCounts())
     gate.expect(AWAITED[:3])
     assert gate(True, b"request") == b"request"
     through = [passed for end in (*cuts, len(stream)) if (passed := gate(False, stream[:end]))]
@@ -532,7 +532,7 @@ def test_bytes_between_frames_do_not_hide_a_frame(before: bytes, after: bytes) -
 def test_every_cut_of_every_reply_gives_the_same() -> None:
     for awaited in (AWAITED, sealed(bytes((1, 6, 0x31, 0, 0, 0x0F))), vector("exception as the manual")):
         for cut in range(len(awaited)):
-            gate = RtuGate(LineCounts())
+            gate = RtuGate(LinkCounts())
             gate.expect(awaited[:2])
             gate(True, b"")
             assert gate(False, awaited[:cut]) == b""
@@ -540,7 +540,7 @@ def test_every_cut_of_every_reply_gives_the_same() -> None:
 
 
 def test_a_reply_with_a_wrong_crc_is_dropped_and_counted() -> None:
-    counts = LineCounts()
+    counts = LinkCounts()
     gate = RtuGate(counts)
     gate.expect(AWAITED[:3])
     gate(True, b"")
@@ -548,13 +548,13 @@ def test_a_reply_with_a_wrong_crc_is_dropped_and_counted() -> None:
     damaged[4] ^= 0x10
     assert gate(False, bytes(damaged)) == b""
     gate(True, b"")
-    assert counts == LineCounts(corrupt=1)
+    assert counts == LinkCounts(corrupt=1)
 
 
 @settings(max_examples=50)
 @given(st.binary(min_size=2000, max_size=4000))
 def test_random_bytes_never_raise_and_never_come_through(noise: bytes) -> None:
-    gate = RtuGate(LineCounts())
+    gate = RtuGate(LinkCounts())
     gate.expect(bytes((1, 3, 4)))
     gate(True, b"")
     for at in range(0, len(noise), 250):
@@ -564,7 +564,7 @@ def test_random_bytes_never_raise_and_never_come_through(noise: bytes) -> None:
 @pytest.mark.full
 def test_ten_million_random_bytes_never_raise() -> None:
     rng = random.Random(1)
-    gate = RtuGate(LineCounts())
+    gate = RtuGate(LinkCounts())
     for _ in range(10_000_000 // 250):
         gate.expect(bytes((1, 3, 4)))
         gate(True, b"")

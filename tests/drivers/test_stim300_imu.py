@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from setups import imu_setup
-from stim300_console import Stim300Service, Stim300Utility
+from stim300_console import Stim300Utility
 from wire_pair import pair
 
 from drivers.errors import DeviceRefused, LinkLost
@@ -321,33 +321,12 @@ def test_utility_mode_identifies_sets_and_refuses() -> None:
     virtually(scene)
 
 
-def test_service_mode_identifies_sets_and_refuses() -> None:
-    async def scene() -> None:
-        async with wired(500) as wire:
-            async with Stim300Service("imu", wire.near) as service:
-                who = await service.identify()
-                assert (who.serial, who.model) == ("N25582405002002", "STIM300 84167-440000-3321 REV K")
-                with pytest.raises(DeviceRefused, match="E003 INVALID PARAMETER: a parameter is outside"):
-                    await service.ask("m 9")
-                await service.set_rate(1000)
-                await service.set_gyro_unit("average")
-                await service.set_datagram(0x91, line_termination=True)
-            imu = Stim300Imu(imu_setup("stim300", "imu", 1000, gyro_unit="average"), wire.near)
-            assert (await imu.identify()).serial == who.serial
-            blocks = await gathered(imu, 0.5)
-            assert len(joined(blocks, "counter")) == pytest.approx(500, abs=30)
-            assert imu.counts("imu").corrupt == 0
-
-    virtually(scene)
-
-
-@pytest.mark.parametrize("mode", [Stim300Utility, Stim300Service])
-def test_a_device_without_a_voice_is_a_lost_link(mode: type[Stim300Utility] | type[Stim300Service]) -> None:
+def test_a_device_without_a_voice_is_a_lost_link() -> None:
     async def scene() -> None:
         near, far = pair("imu")
         task = asyncio.ensure_future(Stim300Device(Ride(on_a_table(500)[0], 500), far.write).serve())
         with pytest.raises(LinkLost, match="is it powered, and sending samples"):
-            async with mode("imu", near):
+            async with Stim300Utility("imu", near):
                 pass
         task.cancel()
 

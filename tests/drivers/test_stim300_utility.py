@@ -1,4 +1,4 @@
-"""The STIM300's utility-mode codec against the datasheet's own strings, and its service-mode reader."""
+"""The STIM300's utility-mode codec against the datasheet's own strings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from stim300_console import UtilityDecoder, data_of, status_of
-from stim300_service import ServiceReader
 
 from drivers.imus.stim300.utility import UtilityMessage, crc8, encode_message
 
@@ -88,12 +87,10 @@ def test_foreign_bytes_are_counted_and_the_messages_between_them_found(junk: lis
 
 def feed_noise(size: int) -> None:
     noise = np.random.default_rng(3).bytes(size)
-    decoder, reader = UtilityDecoder(), ServiceReader()
+    decoder = UtilityDecoder()
     for start in range(0, size, 4096):
         decoder.feed(noise[start : start + 4096])
         assert min(start + 4096, size) - decoder.dropped_bytes < 200
-        reader.feed(noise[start : start + 4096])
-        assert sum(len(line) for line in reader.banner.lines) <= 1 << 16
     assert decoder.feed(b"\r" + STREAM[1])[-1] == stated(VECTORS[1])
 
 
@@ -110,32 +107,3 @@ def test_ten_million_random_bytes_are_dropped_and_counted() -> None:
 def test_what_cannot_be_a_message_is_not_made_into_one(fields: tuple[str, ...]) -> None:
     with pytest.raises(ValueError, match="is no message|can't encode"):
         encode_message(UtilityMessage(False, fields))
-
-
-def printed(text: bytes, command: str) -> ServiceReader:
-    reader = ServiceReader()
-    for byte in text:
-        assert reader.reply(command) is None
-        reader.feed(bytes([byte]))
-    return reader
-
-
-def test_a_service_reply_is_what_stands_between_echo_and_prompt() -> None:
-    reply = printed(b"late\r>i\rSERIAL NUMBER = N25582405002002\rPRODUCT = STIM300\r>", "i").reply("i")
-    assert reply is not None
-    assert reply.lines == ("SERIAL NUMBER = N25582405002002", "PRODUCT = STIM300")
-    assert (reply.value("PRODUCT"), reply.value("REV"), reply.error) == ("STIM300", "", "")
-
-
-def test_a_service_error_is_told_in_the_devices_words_and_in_plain_ones() -> None:
-    reply = printed(b"m 9\rE003 INVALID PARAMETER\r>", "m 9").reply("m 9")
-    assert reply is not None
-    assert reply.error == "E003 INVALID PARAMETER: a parameter is outside of what the device takes"
-
-
-def test_leaving_service_mode_ends_without_a_prompt() -> None:
-    reader = printed(b"x N\rSYSTEM RETURNING TO NORMAL MODE.\r", "x N")
-    reader.feed(b"\x94\x00\x0d>\x12")
-    reply = reader.reply("x N")
-    assert reply is not None
-    assert reply.lines == ("SYSTEM RETURNING TO NORMAL MODE.",)

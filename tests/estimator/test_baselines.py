@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from estimator.errors import EstimatorError
-from estimator.estimation.baselines import (
+from baselines import (
     BaselineEstimate,
     augmented_observation,
-    bound,
-    covariance_filter,
     direct_observation,
     least_squares,
+    rotation_script,
+    run_study,
     six_position,
+    static_script,
     table_rates,
     unseen_directions,
 )
+from paper_study.filter import bound, covariance_filter
+
+from estimator.errors import EstimatorError
 from estimator.estimation.gram import Gram, solve
 from estimator.geometry.array import SensorArray, cone, tetrahedron, tetrahedron_as_printed
 from estimator.geometry.model import Prior, decode, predicted_output, regressor_maps
@@ -136,7 +138,7 @@ def test_the_filter_on_every_sample_ends_where_the_batch_estimate_does() -> None
     assert list(run.rows) == [499, 999, 1499, 1999]
     assert np.abs((run.x[-1] - batch.x) / sd).max() < 1e-6
     np.testing.assert_allclose(run.covariance[-1], batch.covariance, rtol=1e-6, atol=1e-16)
-    assert run.final().operations == 2000 * 26496
+    assert run.operations == 2000 * 26496
 
 
 def test_the_bound_is_the_sigma_of_the_batch_estimate_in_white_noise_and_grows_with_the_bias() -> None:
@@ -148,3 +150,23 @@ def test_the_bound_is_the_sigma_of_the_batch_estimate_in_white_noise_and_grows_w
     np.testing.assert_allclose(white[:, :2], np.sqrt(np.diagonal(batch.covariance, axis1=1, axis2=2))[:, :2], rtol=1e-6)
     wandering = bound(w, array, states, Prior(), row_s, arw, ((2 * DEG / 3600, 100.0),))
     assert (wandering > white).all()
+
+
+def test_methods_agree_where_they_must_and_are_silent_where_they_should() -> None:
+    compared = run_study(1)
+    static, rotating, direct, augmented, squares, kalman, ours = compared.methods
+    assert np.isnan(direct.rms).all()
+    assert len(compared.unseen) == 4
+    assert static.rms[1] > 2e4  # ppm of k, where 5000 is the set value
+    assert rotating.rms[1] < 200
+    np.testing.assert_allclose(augmented.rms, squares.rms, rtol=1e-6)
+    np.testing.assert_allclose(kalman.rms, squares.rms, rtol=0.01)
+    assert (ours.rms < 3 * ours.stated).all()
+    assert kalman.operations_a_sample > 100 * ours.operations_a_sample
+
+
+def test_the_scripts_of_the_six_positions_take_as_long_as_the_papers() -> None:
+    for script in (static_script(), rotation_script()):
+        assert script.duration_s == pytest.approx(360.0)
+    turned = [step.turn_rad / (2 * np.pi) for step in rotation_script().steps]
+    np.testing.assert_allclose(np.abs(turned), 3.0)

@@ -15,9 +15,9 @@ from sims.physics.body import Body
 from sims.physics.geometry import MOUNTS_DEG, mounted
 from sims.physics.gyro import GyroArray, GyroTruth
 from sims.physics.hidden import KINDS, Hidden, HiddenError, Temperature
-from sims.physics.hidden.biases import BiasStep, ThermalBias, WalkPath
+from sims.physics.hidden.fields import quantity
+from sims.physics.hidden.outputs import BiasStep, ThermalBias, WalkPath
 from sims.physics.hidden.timing import Latency
-from sims.physics.hidden.units import quantity
 from sims.physics.motion import AxisMotion
 from sims.physics.table import AxisData, TableModel
 from station.bench.bench import default_bench_text, load_bench
@@ -150,6 +150,18 @@ CASES: dict[str, tuple[dict[str, object], Callable[[], np.ndarray]]] = {
     "scale asymmetry": ({"scale_asymmetry": {"size": "500 ppm"}}, lambda: 500e-6 * np.abs(U)),
     "scale, quadratic": ({"scale_quadratic": {"size": "10 ppm/(deg/s)"}}, lambda: 10e-6 / DEG * U**2),
     "scale, cubic": ({"scale_cubic": {"size": "0.5 ppm/(deg/s)2"}}, lambda: 0.5e-6 / DEG**2 * U**3),
+    "scale step": (
+        {"scale_step": {"size": ["500 ppm", "0 ppm", "-1 %", "1 ppm"], "at": "50.003 s"}},
+        lambda: np.array([500e-6, 0.0, -0.01, 1e-6]) * U * (T > 50.003)[:, None],
+    ),
+    "alignment step": (
+        {"alignment_step": {"sigma_j": "0.1 deg", "sigma_k": ["0 deg", "1 deg", "0 deg", "0 deg"], "at": "50.003 s"}},
+        lambda: (
+            ((T > 50.003) * turn_rate())[:, None]
+            * DEG
+            * (0.1 * MOUNTING.k[:, 2] - np.array([0, 1, 0, 0]) * MOUNTING.j[:, 2])
+        ),
+    ),
     "acceleration sensitivity": (
         {"acceleration_sensitivity": {"j": "2 ms", "k": "-0.003 deg/s/(deg/s2)"}},
         lambda: ACCELERATION[:, None] * (0.002 * MOUNTING.j[:, 2] - 0.003 * MOUNTING.k[:, 2]),
@@ -189,7 +201,51 @@ def test_an_effect_adds_what_it_comes_to_by_hand(case: str) -> None:
 def test_every_kind_of_effect_is_tried_here() -> None:
     tried = {name for tables, _ in CASES.values() for name in tables}
     apart = {"bandwidth", "bias_walk", "encoder_eccentricity", "g_sensitivity", "hysteresis", "sample_hold"}
-    assert set(KINDS) == (tried - {"temperature"}) | apart | {"saturation", "stuck", "table_axes"}
+    assert set(KINDS) == (tried - {"temperature"}) | apart | {"saturation", "stuck", "table_axes", "table_reading"}
+
+
+AT_S = np.arange(1602) / 20
+DURING = (AT_S >= 15) & (AT_S < 50)
+RATE_READ = turn_rate(AT_S)
+ANGLE_READ = np.interp(AT_S, np.append(0.0, T), np.append(0.0, ANGLE))
+AT_15, PASSED = ANGLE_READ[300], np.clip(np.arange(1602), 300, 1000)
+
+
+@pytest.mark.parametrize(
+    ("said", "angle_off", "rate_off"),
+    [
+        ({"angle": "1 %"}, 0.01 * (ANGLE_READ[PASSED] - AT_15), 0.0),
+        ({"rate": "-200 %"}, 0.0, -2 * RATE_READ * DURING),
+        ({"jump": "3 deg"}, 3 * DEG * DURING, 0.0),
+        ({"creep": "0.01 deg/s"}, 0.01 * DEG * (AT_S[PASSED] - 15), 0.0),
+        ({"frozen": True}, (AT_15 - ANGLE_READ) * DURING, 0.0),
+        ({"stale": True}, 0.0, (30 * DEG - RATE_READ) * DURING),
+    ],
+)
+def test_readings_of_an_axis_are_off_while_its_motion_is_not(
+    said: dict[str, object], angle_off: np.ndarray, rate_off: np.ndarray
+) -> None:
+    found = run({"table_reading": {"axis": "z", "from": "15 s", "until": "50 s"} | said})
+    plain = run()
+    np.testing.assert_array_equal(found.output_rps, plain.output_rps)
+    for ours, its, off in ((found.angle_rad, plain.angle_rad, angle_off), (found.rate_rps, plain.rate_rps, rate_off)):
+        np.testing.assert_allclose((ours - its)[:, 0], np.zeros(1602) + off, atol=2e-4)
+        np.testing.assert_array_equal(ours[:, 1:], its[:, 1:])
+
+
+def test_a_servo_that_follows_wrong_readings_turns_the_body_less() -> None:
+    reading = {
+        "axis": "z",
+        "from": "15.003 s",
+        "until": "50.003 s",
+        "angle": "1 %",
+        "creep": "0.01 deg/s",
+        "followed": True,
+    }
+    found, plain = run({"table_reading": reading}), run()
+    np.testing.assert_array_equal(found.angle_rad, plain.angle_rad)
+    off = -(0.01 * turn_rate() + 0.01 * DEG) * ((T > 15.003) & (T < 50.003))
+    np.testing.assert_allclose((found.output_rps - plain.output_rps)[AWAY], np.outer(off, P_Z)[AWAY], atol=2e-4)
 
 
 @pytest.mark.parametrize("stated", [{"cutoff": "2 Hz"}, {"time_constant": f"{1e3 / (4 * np.pi)} ms"}])
@@ -493,7 +549,7 @@ TONE = '[[tone]]\nfrequency = "7 Hz"\nsize = "1 deg/s"\n'
         ('# nothing\n[latency]\ndealy = "1 ms"\n', ", line 2: latency: unknown key 'dealy'; did you mean delay"),
         (TONE + TONE.replace("1 deg/s", "1 K"), ", line 6: tone.1.size: '1 K': there is no unit 'K'"),
         ("[latency", "not valid TOML"),
-        (None, "cannot read"),
+        (None, "cannot be read"),
     ],
 )
 def test_a_wrong_file_is_a_wrong_bench(tmp_path: Path, hidden: str | None, told: str) -> None:

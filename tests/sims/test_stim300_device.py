@@ -235,68 +235,6 @@ def test_utility_mode_refuses_with_the_status_of_what_is_wrong() -> None:
     assert b"#,2,139\r#,3,158\r" in raw
 
 
-def test_service_mode_echoes_answers_and_refuses() -> None:
-    raw = typed(b"SERVICEMODE\r", b"m 1\r", b"m 9\r", b"m\r", b"hello\r", b"d 7,1\r", b"m 4\r", b"x N\r").raw
-    text = raw[raw.index(b"SERIAL NUMBER") :]
-    assert b"PRODUCT = STIM300\r" in text
-    assert b"\r>m 1\rSAMPLE RATE [samples/s] = 250\r>m 9\rE003 INVALID PARAMETER\r>" in text
-    assert b"m\rE002 INCORRECT NUMBER OF PARAMETERS\r>hello\rE001 UNKNOWN COMMAND\r>" in text
-    assert b"m 4\rE007 DATAGRAM WILL BE TOO LONG TO TRANSMIT\r>x N\rSYSTEM RETURNING TO NORMAL MODE.\r" in text
-    found = Stim300Decoder().feed(text)
-    assert {part.identifier for part in found if isinstance(part, Datagrams)} == {0xA7}
-    steps = np.diff(np.concatenate([part.counter for part in found if isinstance(part, Datagrams)])) % 256
-    assert set(steps.tolist()) == {8}
-
-
-def serviced(*lines: str) -> list[str]:
-    """Return what is printed to each of these lines of service mode, without echo and prompt."""
-    raw = typed(b"SERVICEMODE\r", *(line.encode() + b"\r" for line in lines), b"x N\r").raw
-    printed = raw[raw.index(b"SERIAL NUMBER") :].partition(b"x N\r")[0].decode().split("\r>")[1:]
-    return [text.partition("\r")[2] for text in printed[: len(lines)]]
-
-
-def test_service_mode_tells_each_of_its_settings() -> None:
-    assert serviced("i s", "i n", "i m", "i f", "i t", "i r") == [
-        "SERIAL NUMBER = N25582405002002",
-        "PART NUMBER = 84167-440000-3321 REV K",
-        "SAMPLE RATE [samples/s] = 2000",
-        "GYRO LP FILTER -3dB FREQUENCY [Hz] = 262",
-        "BIT-RATE [bits/s] = 921600",
-        "LINE TERMINATION = OFF",
-    ]
-    assert serviced("i q", "i s,n") == ["E003 INVALID PARAMETER", "E002 INCORRECT NUMBER OF PARAMETERS"]
-
-
-def test_service_mode_sets_filter_termination_and_transmission() -> None:
-    assert serviced("f g,3", "f g,5", "r 1", "r 2", "t 3", "t 1,2,e", "t f,500000", "t 9", "t 0") == [
-        "GYRO LP FILTER -3dB FREQUENCY [Hz] = 131",
-        "E003 INVALID PARAMETER",
-        "LINE TERMINATION = ON",
-        "E003 INVALID PARAMETER",
-        "BIT-RATE [bits/s] = 1843200",
-        "E007 DATAGRAM WILL BE TOO LONG TO TRANSMIT",
-        "E007 DATAGRAM WILL BE TOO LONG TO TRANSMIT",
-        "E003 INVALID PARAMETER",
-        "E007 DATAGRAM WILL BE TOO LONG TO TRANSMIT",
-    ]
-
-
-def test_what_was_set_is_told_in_the_configuration() -> None:
-    lines = (b"SERVICEMODE\r", b"f g,1\r", b"r 1\r", b"t 3,2,o\r", b"x N\r", b"C\r")
-    (found,) = run(0.4, act=lambda device: [device.received(line) for line in lines]).specials
-    assert isinstance(found, Configuration)
-    assert found.data[3] == 0b0011_1101  # 1843200 bit/s, two stop bits, odd parity, terminated
-    assert (found.data[5], found.data[6] & 0xF0) == (0x11, 0x10)  # 33 Hz, each gyro
-
-
-def test_service_mode_measures_once_and_tells_trim_errors_and_help() -> None:
-    shot, trim, errors, help_text = serviced("a", "b", "c", "?")
-    assert shot.startswith("GYRO [deg/s] = 20.00")
-    assert trim.startswith("BIAS TRIM OFFSET")
-    assert errors == "NO ERRORS"
-    assert {line[0] for line in help_text.split("\r")} == set("abcdfimrtux?")
-
-
 def test_utility_mode_tells_part_number_gyro_and_transmission() -> None:
     asked = [encode_message(UtilityMessage(False, fields)) for fields in (("ipn",), ("ig", "x"), ("ig", "w"), ("it",))]
     raw = typed(b"UTILITYMODE\r", *asked).raw

@@ -161,7 +161,7 @@ def test_every_effect_that_can_be_live_gives_the_batch_estimate_however_the_samp
     source.add(ImuBlock(data.t_ns[rest], data.t_ns[rest], data.rate_rps[rest], warm[rest]))
     live.finish()
     held = ImuBlock(data.t_ns, data.t_ns, data.rate_rps, warm)
-    assert len(source.history.t_ns) > 200
+    assert source.history.blocks > 200
     batch = white_solution(
         recording,
         type(data)(data.array, held.t_ns, held.rate_rps, temperature_c=warm, prior=data.prior),

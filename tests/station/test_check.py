@@ -71,6 +71,9 @@ def test_a_bench_in_order_answers_with_identity_limits_and_rates(
     table = devices["table"]
     assert table["kind"] == bench.table.protocol
     assert table["identity"]["model"]
+    assert table["counts"]["opened"] >= 1
+    assert min(table["counts"][way] for way in ("received", "sent")) > 100
+    assert table["counts"]["timeouts"] == 0
     assert [axis["name"] for axis in table["axes"]] == list(bench.table.gimbals)
     for axis in table["axes"]:
         limits = bench.table.limits[axis["name"]]
@@ -80,7 +83,10 @@ def test_a_bench_in_order_answers_with_identity_limits_and_rates(
         if not imu.used:
             assert imu.name not in devices
             continue
-        sources = devices[imu.name]["sources"]
+        sources, counts = devices[imu.name]["sources"], devices[imu.name]["counts"]
+        assert counts["opened"] == 1
+        assert counts["received"] > 2 * imu.rate_hz
+        assert not any(n for what, n in counts.items() if what not in ("opened", "received", "sent"))
         assert sum(len(source["mean_rps"]) for source in sources) == len(imu.array)
         for source in sources:
             assert source["rate_hz"] == pytest.approx(imu.rate_hz, rel=2e-4)
@@ -96,6 +102,7 @@ def test_a_person_reads_a_table_with_a_line_for_each_device(capsys: pytest.Captu
     for text in (
         "STIM300 84167-440000-3321 rev K",
         "stim300: 500.0 Hz, 0 lost",
+        "link: 1 opened, ",
         "up to 100 deg/s",
         "everything answers",
     ):

@@ -95,7 +95,7 @@ def test_every_shell_gets_every_command(shell: str, capsys: pytest.CaptureFixtur
         ("run --bench be", ["bench.toml"]),
         ("completion z", ["zsh"]),
         ("loop --output re", ["recordings"]),
-        ("study ba", ["baselines"]),
+        ("study de", ["detection"]),
     ],
 )
 def test_bash_completes_commands_options_and_files(tmp_path: Path, typed: str, offered: list[str]) -> None:

@@ -531,7 +531,7 @@ def test_a_snapshot_comes_through_json_as_it_was() -> None:
     text = json.dumps(json_object(snapshot), allow_nan=False)
     assert '"nis_mean": null' in text
     assert repr(snapshot_of(json.loads(text))) == repr(snapshot)
-    with pytest.raises(KeyError):
+    with pytest.raises((KeyError, TypeError)):
         snapshot_of({"phase": "homing"})
 
 

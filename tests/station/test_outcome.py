@@ -47,7 +47,7 @@ def test_everything_within_its_limits_passes() -> None:
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(
     ("state", "told"),
-    [(0, "x k 2e+04 ppm > 1e+04 ppm"), (1, "x b 0.2292 deg/s > 0.1146 deg/s"),
+    [(0, "x k 20000 ppm > 10000 ppm"), (1, "x b 0.2292 deg/s > 0.1146 deg/s"),
      (2, "x sigma_j 0.3438 deg > 0.1719 deg"), (3, "x sigma_k 0.3438 deg > 0.1719 deg")],
 )  # fmt: skip
 def test_a_state_beyond_its_limit_is_named_with_its_unit(state: int, told: str, sign: int) -> None:
@@ -67,6 +67,15 @@ def test_a_sigma_beyond_its_limit_is_named_with_its_unit(state: int, told: str) 
     sd = SIGMAS_AT_THE_LIMITS * 0.5
     sd[state] *= 4
     assert judge(calibration(AT_THE_LIMITS * 0.5, sd), LIMITS).reason == told
+
+
+def test_what_is_just_beyond_its_limit_is_told_with_digits_that_show_it() -> None:
+    sd = SIGMAS_AT_THE_LIMITS * np.array([0.5, 1.00001, 0.5, 0.5])
+    verdict = judge(calibration(AT_THE_LIMITS * 0.5, sd), LIMITS)
+    found, limit = verdict.reason.removeprefix("x sigma of b ").split(" > ")
+    assert found != limit
+    (line,) = verdict.broken
+    assert line.cells == ("x ± of b", "0.000572964 deg/s", "0.000572958 deg/s", "0.001 %")
 
 
 def test_what_is_at_its_limit_is_within() -> None:
@@ -106,7 +115,8 @@ def test_a_gyro_that_could_not_be_estimated_fails_with_its_reason() -> None:
 def test_a_failure_tells_what_may_be_behind_it_and_what_speaks_against_the_sigmas() -> None:
     doubtful = replace(GOOD, lost=200, doubts=("the table was read late",))
     reason = judge(doubtful, LIMITS, ("the encoder jumped",)).reason
-    assert reason.endswith("lost > 10.00%; the encoder jumped; the table was read late")
+    assert reason.startswith("the encoder jumped; the table was read late; ")
+    assert reason.endswith("lost > 10.00%")
     passed = judge(replace(GOOD, doubts=("the table was read late",)), LIMITS)
     assert passed.reason.endswith("within limits; but the table was read late")
 
@@ -128,8 +138,9 @@ def test_a_sigma_that_is_mostly_what_the_script_cannot_show_is_told_so(share: fl
     sd = SIGMAS_AT_THE_LIMITS * np.array([2.0, 0.5, 0.5, 0.5])
     (gyro,) = calibration(AT_THE_LIMITS * 0.5, sd).gyros
     lines = (Contribution("noise", np.diag(sd**2) * (1 - share)), Contribution(UNSEEN, np.diag(sd**2) * share))
-    reason = judge(replace(GOOD, gyros=(replace(gyro, budget=lines),)), LIMITS).reason
-    assert ("effects that this script cannot show" in reason) is told
+    verdict = judge(replace(GOOD, gyros=(replace(gyro, budget=lines),)), LIMITS)
+    assert ("effects that this script cannot show" in verdict.reason) is told
+    assert any("effects that this script cannot show" in cause for cause in verdict.because) is told
 
 
 def test_exit_codes_tell_outcomes_apart() -> None:
@@ -140,3 +151,9 @@ def test_exit_codes_tell_outcomes_apart() -> None:
         "ABORTED": 3,
         "FAULT": 4,
     }
+
+
+def test_what_no_sigma_can_hold_fails_a_run_that_is_within_all_limits() -> None:
+    said = "what was measured changed in mid-run: k of gyro2 by +2e+03 ppm from 105 s on (8 sigma)"
+    verdict = judge(replace(GOOD, doubts=(said,), spoilt=(said,)), LIMITS)
+    assert (verdict.outcome, verdict.reason) == (Outcome.FAIL, said)

@@ -72,9 +72,10 @@ def test_a_killed_station_leaves_its_samples_and_a_table_that_stops_by_itself(tm
     script = tmp_path / "script.toml"
     script.write_text(kill.SCRIPT)
     with TwinProcess("--bench", kill.watched_bench(tmp_path)) as twin:
-        left = kill.kill_once(twin, tmp_path / "r.h5", script, after_s=2.5)
+        left = kill.kill_once(twin, tmp_path / "r.h5", script, after_s=2.5, reach_s=0.25)  # of a machine that is busy
     assert left.turning
-    assert left.missing_s <= 0.5
+    assert left.sent > 1000
+    assert left.lost == 0, left.gaps_s
     assert left.at_rest
     assert left.outcome == "ABORTED"
 

@@ -123,3 +123,13 @@ def test_the_key_tables_have_every_protocol_its_baud_rate_and_its_keys() -> None
         assert spec.on_can or str(spec.baud) in row
         for key in spec.keys:
             assert any(row.startswith(f"| `{key.name}`") and spec.name in row for row in rows), key
+
+
+def test_what_has_met_nothing_of_others_is_called_experimental() -> None:
+    """In the README, and by its record wherever that is shown."""
+    readme = " ".join((Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8").split())
+    specs = [registry[name] for registry in (TABLES, IMUS) for name in registry]
+    for spec in specs:
+        assert (f"{spec.what} (experimental)" in readme) is not bool(spec.checked_against), spec.name
+        assert spec.said.startswith("EXPERIMENTAL") is not bool(spec.checked_against)
+    assert any(spec.checked_against for spec in specs)

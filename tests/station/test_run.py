@@ -105,6 +105,13 @@ def test_the_paper_script_passes_on_the_built_in_twins_and_finds_the_truth(
     with h5py.File(tmp_path / "run.h5") as file:
         assert file["calibration"].attrs["live_batch_difference_sigma"] < 1e-6
         assert not file["calibration"].attrs["notes"].size
+        for said, kept in (
+            (result["links"]["table"], {key.removeprefix("table_"): n for key, n in file.attrs.items()}),
+            (result["links"]["array"], file["imu/gyro1"].attrs),
+        ):
+            assert said == {key: kept[f"link_{key}"] for key in said}
+            assert said["received"] > 30_000
+            assert said["timeouts"] == said["error_frames"] == 0
         last = file["table/angle_rad"][-1]
         assert np.abs(last - 8 * np.pi).max() < 2 * np.pi / 65536  # four turns each, home to the count
 

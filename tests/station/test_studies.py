@@ -1,20 +1,22 @@
-"""The studies: what the paper prints against what its statement gives, other methods on the same data, the command."""
+"""What the paper prints against what its statement gives, and the benches and the command that tell it."""
 
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from paper import main as reproduce
+from paper_study import study as paper
+from paper_study import text as paper_text
+from paper_study.printed import print_paper
 
 from estimator.geometry.array import tetrahedron_as_printed
 from estimator.recordings.reading import read_recording
 from station.cli import main
-from station.studies import baselines, paper, paper_text
-from station.studies.printed import baselines_object, print_baselines, print_paper
+from station.errors import UsageError
 
 
 def relative(errors: np.ndarray) -> np.ndarray:
@@ -62,7 +64,7 @@ def test_the_bound_of_a_mems_gyro_lies_below_the_bars() -> None:
 def test_the_command_gives_json_a_picture_and_curves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture, curves = tmp_path / "c.png", tmp_path / "c.h5"
     options = ["--seeds", "1", "--jobs", "1", "--plot", str(picture), "-o", str(curves)]
-    assert main(["study", "paper", "--json", *options]) == 0
+    assert reproduce(["--json", *options]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["filter_apart_sd"] < 1e-4  # the filter on every sample against its batch form
     assert found["ours_at_mems_noise"]["seeds"] == 1
@@ -99,39 +101,6 @@ def test_the_tables_of_the_paper_are_printed(capsys: pytest.CaptureFixture[str])
     assert max(len(line) for line in printed.splitlines()) <= 120
 
 
-def test_methods_agree_where_they_must_and_are_silent_where_they_should(capsys: pytest.CaptureFixture[str]) -> None:
-    compared = baselines.run_study(1, quiet=True)
-    static, rotating, direct, augmented, squares, kalman, ours = compared.methods
-    assert np.isnan(direct.rms).all()
-    assert len(compared.unseen) == 4
-    assert static.rms[1] > 2e4  # ppm of k, where 5000 is the set value
-    assert rotating.rms[1] < 200
-    np.testing.assert_allclose(augmented.rms, squares.rms, rtol=1e-6)
-    np.testing.assert_allclose(kalman.rms, squares.rms, rtol=0.01)
-    assert (ours.rms < 3 * ours.stated).all()
-    assert kalman.operations_a_sample > 100 * ours.operations_a_sample
-    print_baselines(compared)
-    printed = capsys.readouterr().out
-    assert printed.count("not seen") == 4
-    assert "hopeless" in printed
-    methods = json.loads(json.dumps(baselines_object(compared), allow_nan=False))["methods"]
-    assert methods[2]["rms_error"] == [None] * 4
-
-
-def test_the_scripts_of_the_six_positions_take_as_long_as_the_papers() -> None:
-    for script in (baselines.static_script(), baselines.rotation_script()):
-        assert script.duration_s == pytest.approx(360.0)
-    turned = [step.turn_rad / (2 * math.pi) for step in baselines.rotation_script().steps]
-    np.testing.assert_allclose(np.abs(turned), 3.0)
-
-
-def test_the_command_compares_and_ends_well(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["study", "baselines", "--seeds", "1"]) == 0
-    captured = capsys.readouterr()
-    assert "six positions, rotation both ways" in captured.out
-    assert "1 of 1" in captured.err
-
-
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
@@ -141,19 +110,14 @@ def test_the_command_compares_and_ends_well(capsys: pytest.CaptureFixture[str]) 
         (["--output", "{here}/no/curves.h5"], "there is no directory"),
     ],
 )
-def test_wrong_input_is_told_in_a_line_before_the_long_work(
-    options: list[str], complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["study", "paper", *(option.format(here=tmp_path) for option in options)]) == 2
-    captured = capsys.readouterr()
-    assert complaint in captured.err
-    assert captured.err.count("\n") == 1
-    assert not captured.out
+def test_wrong_input_is_told_before_the_long_work(options: list[str], complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        reproduce([option.format(here=tmp_path) for option in options])
 
 
 def test_no_seeds_are_no_study(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["study", "baselines", "--seeds", "0"])
+        main(["study", "detection", "--seeds", "0"])
     assert ended.value.code == 2
     assert "must be 1 or more" in capsys.readouterr().err
 

@@ -14,6 +14,7 @@ from drivers.types import Identity
 _GATHER_S = 0.03
 _ANSWER_S = 0.2
 _TRIES = 3
+_KEPT = (aceinna.FILTERS, aceinna.ORIENTATION)  # which it keeps, and the bench file does not say
 _OWN_ADDRESS = 0  # of the station on J1939
 
 
@@ -53,10 +54,12 @@ class AceinnaImu(CanImu):
         version = await self._ask(aceinna.SOFTWARE_VERSION)
         claim = await self._ask(aceinna.ADDRESS_CLAIM)
         name = aceinna.Name.decode(claim or b"")
+        kept = [await self._ask(group) if claim else None for group in _KEPT]
         return Identity(
             model="" if name is None else f"J1939 manufacturer {name.manufacturer}, function {name.function}",
             serial="" if name is None else str(name.identity),
             firmware=aceinna.decode_version(version or b""),
+            settings="" if None in kept else " ".join(one.hex() for one in kept if one),
         )
 
     async def _set(self, group: int, values: bytes) -> None:
@@ -87,9 +90,8 @@ class AceinnaImu(CanImu):
         return None
 
     async def _answer(self, group: int) -> bytes | None:
-        scale = loop_scale(asyncio.get_running_loop())  # it is a host that is waited for
         try:
-            async with asyncio.timeout(_ANSWER_S * scale):
+            async with asyncio.timeout(_ANSWER_S * max(loop_scale(asyncio.get_running_loop()), 1.0)):  # of a host
                 while True:
                     for frame in await self._link.receive():
                         if aceinna.is_from(frame, group, self._peer):

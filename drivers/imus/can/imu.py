@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from drivers.clocks.loop_scale import loop_scale
 from drivers.clocks.sampling import Alignment, CounterClock, RegularClock
 from drivers.errors import DeviceError
+from drivers.imus.one_source import OneSource
 from drivers.imus.samples import Companion, Piece, block_of, regular_block
 from drivers.imus.signals import MessageKey, SignalReader, is_j1939, message_key, parameter_group
 from drivers.protocols import FrameLink
@@ -24,6 +26,7 @@ BUILT_IN_DBC = Path(__file__).with_name("gyro_nodes.dbc")
 
 
 _GATHERED, _LEAST_GATHER_S, _MOST_GATHER_S = 32, 0.05, 0.33  # samples taken in together, and how long that may take
+_LOOK_S = 0.008  # of the host, between looks at what has come, where somebody wants to know of it at once
 _COUNT_BITS = 32  # of longer counters the lower bits will do: they wrap, as all do
 
 
@@ -115,7 +118,7 @@ class ChannelSignals:
         return [*self.rates, *self.acceleration, *(signal for signal in single if signal is not None)]
 
 
-class CanImu:
+class CanImu(OneSource[FrameLink]):
     """Each channel is a source of its own: nodes on a bus share no clock."""
 
     def __init__(self, setup: ImuSetup, link: FrameLink) -> None:
@@ -124,11 +127,13 @@ class CanImu:
         J1939 messages are told by their parameter group, whoever sends them, unless a source address is meant.
         """
         device, source, rate_hz = setup.name, setup.signals, setup.rate_hz
-        self._device, self._link, self._address = device, link, source.source_address
+        super().__init__(device, link)
+        self._address = source.source_address
         dbc, channels = source.dbc, source.channels
         database = source.database or load_dbc(device, dbc)
         self._order = 0
         self._arrived: list[Frame] = []
+        self._fresh: list[Frame] | None = None  # of them, those that ``arrived`` has not told of
         self._timed: deque[tuple[str, ImuBlock]] = deque()
         self._timing = threading.Lock()
         self._sources = {
@@ -157,10 +162,6 @@ class CanImu:
         """Get how the clock of one channel lies to the loop's; None while that is not known."""
         return self._sources[name].alignment
 
-    async def open(self) -> None:
-        """Open the bus."""
-        await self._link.open()
-
     async def identify(self) -> Identity:
         """A DBC says how to read values, not how to ask: nothing is known."""
         return Identity()
@@ -172,15 +173,31 @@ class CanImu:
         for source in self._sources.values():
             source.restart()
         loop = asyncio.get_running_loop()
+        due_s, look_s = 0.0, _LOOK_S * loop_scale(loop)
         while True:
             frames = await self._link.receive()
             self._arrived += frames
-            # In a thread: whoever waits for an answer of the table should not wait for numbers.
-            await loop.run_in_executor(None, self._time)
-            while self._timed:
-                yield self._timed.popleft()
-            # Frames are stamped by the link: to take them in handfuls costs no accuracy and a tenth of the work.
-            await asyncio.sleep(self._gather_s)
+            if self._fresh is not None:
+                self._fresh += frames
+            if loop.time() >= due_s:
+                # In a thread: whoever waits for an answer of the table should not wait for numbers.
+                await loop.run_in_executor(None, self._time)
+                while self._timed:
+                    yield self._timed.popleft()
+                # Frames are stamped by the link: to time them in handfuls costs no accuracy and a tenth of the work.
+                due_s = loop.time() + self._gather_s
+            await asyncio.sleep(self._gather_s if self._fresh is None else min(self._gather_s, look_s))
+
+    def arrived(self) -> list[tuple[str, Stamps, Floats]]:
+        """Return source name, arrivals (n,) in ns and rates (n, m) of samples that came since the last call."""
+        frames, self._fresh = self._fresh or [], []
+        leading: dict[_Inlet, list[Frame]] = {}
+        for frame in frames:
+            for inlet in self._inlets(frame):
+                if inlet.companion is None and inlet.fits(frame.data):
+                    leading.setdefault(inlet, []).append(frame)
+        of_sources = [(name, source, leading.get(source.lead)) for name, source in self._sources.items()]
+        return [(name, *source.rates(came)) for name, source, came in of_sources if came]
 
     def flush(self) -> list[tuple[str, ImuBlock]]:
         """Return what is still held back for its timing, or for a part to come."""
@@ -188,10 +205,6 @@ class CanImu:
         last = list(self._timed)
         self._timed.clear()
         return last
-
-    def close(self) -> None:
-        """Leave the bus."""
-        self._link.close()
 
     def _time(self, *, everything: bool = False) -> None:
         """Put what can be timed of the frames that have arrived with the blocks to be given.
@@ -207,13 +220,14 @@ class CanImu:
 
     def _take(self, frames: Iterable[Frame]) -> None:
         for frame in frames:
-            inlets = self._exact.get((frame.identifier, frame.extended)) or self._group(frame)
             self._order += 1
-            for inlet in inlets:
+            for inlet in self._inlets(frame):
                 inlet.take(Piece(self._order, frame.t_ns, frame.data))
 
-    def _group(self, frame: Frame) -> Sequence[_Inlet]:
-        """Return who takes a frame by its J1939 parameter group."""
+    def _inlets(self, frame: Frame) -> Sequence[_Inlet]:
+        """Return who takes a frame, by its identifier or by its J1939 parameter group."""
+        if exact := self._exact.get((frame.identifier, frame.extended)):
+            return exact
         if not self._groups or not frame.extended:
             return ()
         if self._address is not None and frame.identifier & 0xFF != self._address:
@@ -229,8 +243,11 @@ class _Inlet:
         self.waiting: list[Piece] = []
         self._length, self._counts = int(message.length), counts
 
+    def fits(self, data: bytes) -> bool:
+        return len(data) == self._length
+
     def take(self, piece: Piece) -> None:
-        if len(piece.data) != self._length:
+        if not self.fits(piece.data):
             self._counts.corrupt += 1
         elif self.companion is not None:
             self.companion.add(piece)
@@ -248,7 +265,7 @@ class _Source:
         self.counts = SourceCounts()
         self._signals = signals
         lead = signals.rates[0]
-        self._lead = _Inlet(lead.message, self.counts, None)
+        self.lead = _Inlet(lead.message, self.counts, None)
         self._others: dict[MessageKey, _Inlet] = {}
         self._companions: dict[MessageKey, Companion] = {}
         of_a_sample = [*signals.acceleration, *(s for s in (signals.counter, signals.time) if s is not None)]
@@ -269,7 +286,7 @@ class _Source:
 
     @property
     def inlets(self) -> list[_Inlet]:
-        return [self._lead, *self._others.values()]
+        return [self.lead, *self._others.values()]
 
     @property
     def alignment(self) -> Alignment | None:
@@ -294,30 +311,37 @@ class _Source:
         new, t_ns = self._clock.stamp(count[counted], arrival_ns)
         return block_of(t_ns, arrival_ns[new], values[counted][new], gyros, count[counted][new]) if len(t_ns) else None
 
+    def rates(self, frames: Sequence[Frame]) -> tuple[Stamps, Floats]:
+        """Return arrivals and rates of leading frames."""
+        rows = self.lead.table([frame.data for frame in frames])
+        there = np.logical_and.reduce([signal.present(rows) for signal in self._signals.rates])
+        arrival_ns = np.array([frame.t_ns for frame in frames], dtype=np.int64)
+        return arrival_ns[there], np.column_stack([signal.values(rows) for signal in self._signals.rates])[there]
+
     def _whole(self, *, everything: bool) -> list[Piece]:
         """Take the leading frames whose companions have come, or will not come any more."""
-        waiting = self._lead.waiting
+        waiting = self.lead.waiting
         for signal in self._signals.rates:
             if waiting and signal.multiplexed:
-                present = signal.present(self._lead.table([piece.data for piece in waiting]))
+                present = signal.present(self.lead.table([piece.data for piece in waiting]))
                 waiting = [piece for piece, has in zip(waiting, present, strict=True) if has]
         if not waiting:
-            self._lead.waiting = waiting
+            self.lead.waiting = waiting
             for companion in self._companions.values():
                 companion.idle()
             return []
         order = waiting[-1].order
         open_end = any(c.follows and not c.reached(order) for c in self._companions.values())
         hold = 1 if open_end and not everything else 0
-        pieces, self._lead.waiting = waiting[: len(waiting) - hold], waiting[len(waiting) - hold :]
+        pieces, self.lead.waiting = waiting[: len(waiting) - hold], waiting[len(waiting) - hold :]
         return pieces
 
     def _rows(self, pieces: list[Piece]) -> tuple[Floats, Flags, Stamps]:
         """Return rates, temperature, accelerations of each leading frame, (n, k); which have a count, and it."""
         n = len(pieces)
         places = [piece.order for piece in pieces]
-        after = self._lead.waiting[0].order if self._lead.waiting else np.iinfo(np.int64).max
-        lead = self._lead.table([piece.data for piece in pieces])
+        after = self.lead.waiting[0].order if self.lead.waiting else np.iinfo(np.int64).max
+        lead = self.lead.table([piece.data for piece in pieces])
         found: dict[MessageKey, tuple[Flags, Octets]] = {self._signals.rates[0].key: (np.ones(n, dtype=np.bool_), lead)}
         for key, companion in self._companions.items():
             which, rows = companion.matched(self._before, places, after)

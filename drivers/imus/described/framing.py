@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.imus.described.checks import Check
+from drivers.imus.checks import Check
 
 MESSAGE = "frame"
 """Name of the message that is in each frame."""
@@ -102,8 +102,9 @@ class Lines:
             if start >= 0 and text and len(line) <= _LONGEST_LINE:
                 match = self._pattern.fullmatch(text)
                 body, _, digits = text.rpartition(b"*")
-                if match is not None and (self.check is None or digits.upper() == self._digits(body, self.check)):
-                    found.append(self._packed(match.groups()))
+                sound = match is not None and (self.check is None or digits.upper() == self._digits(body, self.check))
+                if match is not None and sound and (message := self._packed(match.groups())):
+                    found.append(message)
                 else:
                     damaged += 1
         kept = 0 if len(rest) > _LONGEST_LINE else len(rest) + (rest is not view)
@@ -121,8 +122,9 @@ class Lines:
         return b"%0*X" % (check.bits // 4, check.of(body[self.first :]))
 
     def _packed(self, texts: Sequence[bytes]) -> bytes:
+        """Return the message, empty if it has no place for a number."""
         numbers = np.array([float(text) * by for text, by in zip(texts, self._factors, strict=True)])
-        return bytes(np.rint(numbers.clip(-_MOST, _MOST)).astype("<i8"))
+        return bytes(np.rint(numbers).astype("<i8")) if (abs(numbers) <= _MOST).all() else b""
 
     @property
     def _factors(self) -> list[float]:

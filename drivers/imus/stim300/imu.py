@@ -91,9 +91,10 @@ class Stim300Imu(OneSource[ByteLink]):
         if isinstance(configuration, Configuration):
             self._accept(configuration)
         return Identity(
-            f"STIM300 {part.text} rev {part.revision}" if isinstance(part, PartNumber) else "STIM300",
+            f"STIM300 {part.text} rev {part.revision}" if isinstance(part, PartNumber) else "",
             serial.text if isinstance(serial, SerialNumber) else "",
             str(configuration.firmware) if isinstance(configuration, Configuration) else "",
+            configuration.data.hex() if isinstance(configuration, Configuration) else "",
         )
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:

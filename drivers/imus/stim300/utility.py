@@ -3,8 +3,13 @@
 import re
 from dataclasses import dataclass
 
+from drivers.imus.checks import Check
+
 _LONGEST = 100  # characters, without the CR
 _MESSAGE = re.compile(rb"[$#][ -~]*,[0-9]{1,3}\r")
+
+crc8 = Check("crc", 8, polynomial=0x07, init=0xFF).of
+"""CRC-8 (poly 07, init FF, not reflected, no final xor)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,16 +27,6 @@ def encode_message(message: UtilityMessage) -> bytes:
     if not _MESSAGE.fullmatch(raw) or len(raw) > _LONGEST + 1 or text.count(",") != len(message.fields):
         raise ValueError(f"{text!r} is no message of utility mode")
     return raw
-
-
-def crc8(data: bytes) -> int:
-    """Return CRC-8 (poly 07, init FF, not reflected, no final xor)."""
-    crc = 0xFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x07) & 0xFF if crc & 0x80 else crc << 1
-    return crc
 
 
 def parse_message(raw: bytes) -> UtilityMessage | None:

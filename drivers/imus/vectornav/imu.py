@@ -12,7 +12,7 @@ from drivers.imus.samples import regular_block
 from drivers.imus.vectornav import codec as vectornav
 from drivers.protocols import ByteLink
 from drivers.specs import ImuSetup, ImuSpec, described
-from drivers.types import ByteChunk, Flags, Identity, ImuBlock, SourceCounts, Stamps
+from drivers.types import ByteChunk, Flags, Floats, Identity, ImuBlock, SourceCounts, Stamps
 
 # The rates before the filter takes off the bias that it estimates: that bias moves, and would hide what is calibrated.
 LAYOUT = vectornav.layout_of({vectornav.COMMON: 1 << 0, vectornav.IMU: 1 << 2 | 1 << 3 | 1 << 4})
@@ -48,6 +48,7 @@ class VectorNavImu(OneSource[ByteLink]):
         self._decoder = vectornav.VectorNavDecoder()
         self._counts = SourceCounts()
         self._unreadable = 0
+        self._fresh: list[tuple[int, Floats]] | None = None
         self._start_clocks()
 
     def counts(self, name: str) -> SourceCounts:
@@ -108,6 +109,12 @@ class VectorNavImu(OneSource[ByteLink]):
         block = regular_block(self._regular, [], gyros=3, everything=True)
         return [] if block is None else [(self._device, block)]
 
+    def arrived(self) -> list[tuple[str, Stamps, Floats]]:
+        """Return arrivals (n,) in ns and rates (n, 3) of what came since the last call in ASCII, which holds back."""
+        fresh, self._fresh = self._fresh or [], []
+        t_ns, rates = np.array([t_ns for t_ns, _ in fresh], dtype=np.int64), [row[:3] for _, row in fresh]
+        return [(self._device, t_ns, np.array(rates))] if fresh else []
+
     def _start_clocks(self) -> None:
         """Begin the times anew: the device may have been off since."""
         period_ns = round(1e9 / self._rate_hz)
@@ -156,6 +163,8 @@ class VectorNavImu(OneSource[ByteLink]):
         if len(row) != _IMU_FIELDS:
             self._unreadable += 1
             return None
+        if self._fresh is not None:
+            self._fresh.append((chunk.t_ns, row[_SHOWN]))
         return regular_block(self._regular, [(chunk.t_ns, row[_SHOWN], sentence.text.encode("ascii"))], gyros=3)
 
     def _complain(self, sentence: vectornav.Sentence) -> None:

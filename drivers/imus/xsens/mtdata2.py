@@ -5,6 +5,7 @@ Facts from the maker's low-level communication protocol, as public drivers and r
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,10 @@ from drivers.types import Floats, Ints
 FLOAT32, FP12_20, FP16_32, FLOAT64 = range(4)
 FORMATS = ("Float32", "FP1220", "FP1632", "Float64")
 """The maker's names of the number formats, by the two lowest bits of a data identifier."""
-_WIDTH = (4, 4, 6, 8)
+# In FP1632 the fraction comes before the whole part: 32 bits of it, then 16 signed bits.
+_FRACTION_FIRST: np.dtype[Any] = np.dtype([("fraction", ">u4"), ("whole", ">i2")])
+_TYPES: tuple[np.dtype[Any], ...] = (np.dtype(">f4"), np.dtype(">i4"), _FRACTION_FIRST, np.dtype(">f8"))
+_POINTS = {FP12_20: 20, FP16_32: 32}  # bits behind the point
 
 TEMPERATURE = 0x0810
 UTC_TIME = 0x1010
@@ -53,7 +57,7 @@ class Kind:
     def fits(self, number_format: int, size: int) -> bool:
         """Return whether a packet of this kind can have this size."""
         if self.integers is None:
-            return size == len(self.fields) * _WIDTH[number_format]
+            return size == len(self.fields) * _TYPES[number_format].itemsize
         more = size - self.integers.itemsize
         return more == 0 or (self.repeated > 0 and more > 0 and more % self.repeated == 0)
 
@@ -195,26 +199,22 @@ def encode_mtdata2(packets: Sequence[tuple[int, Floats | Ints]]) -> bytes:
 
 def _decode(raw: Bytes, number_format: int) -> Floats:
     """Return numbers (n, m) from their bytes (n, m * width)."""
-    if number_format == FLOAT32:
-        with np.errstate(invalid="ignore"):  # noise may spell a signalling NaN
-            return np.ascontiguousarray(raw).view(">f4").astype(np.float64)
-    if number_format == FLOAT64:
-        return np.ascontiguousarray(raw).view(">f8").astype(np.float64)
-    if number_format == FP12_20:
-        return np.asarray(np.ascontiguousarray(raw).view(">i4") / 2.0**20)
-    # The fraction comes before the whole part: 32 bits of it, then 16 signed bits.
-    parts = np.ascontiguousarray(raw).view(np.dtype([("fraction", ">u4"), ("whole", ">i2")]))
-    return np.asarray(parts["whole"] + parts["fraction"] / 2.0**32)
+    numbers = np.ascontiguousarray(raw).view(_TYPES[number_format])
+    if number_format == FP16_32:
+        return np.asarray(numbers["whole"] + numbers["fraction"] / 2.0**32)
+    with np.errstate(invalid="ignore"):  # noise may spell a signalling NaN
+        return np.asarray(numbers.astype(np.float64) / 2.0 ** _POINTS.get(number_format, 0))
 
 
 def _encode(values: Floats | Ints, number_format: int) -> Bytes:
-    if number_format in (FLOAT32, FLOAT64):
-        return _bytes(values.astype(">f4" if number_format == FLOAT32 else ">f8"))
-    bits, point = (31, 20) if number_format == FP12_20 else (47, 32)
-    scaled = np.clip(np.round(values * 2.0**point), -(2.0**bits), 2.0**bits - 1).astype(np.int64)
+    kind = _TYPES[number_format]
+    if number_format not in _POINTS:
+        return _bytes(values.astype(kind))
+    most = 2.0 ** (8 * kind.itemsize - 1)
+    scaled = np.clip(np.round(values * 2.0 ** _POINTS[number_format]), -most, most - 1).astype(np.int64)
     if number_format == FP12_20:
-        return _bytes(scaled.astype(">i4"))
-    parts = np.empty(scaled.shape, dtype=np.dtype([("fraction", ">u4"), ("whole", ">i2")]))
+        return _bytes(scaled.astype(kind))
+    parts = np.empty(scaled.shape, dtype=kind)
     parts["fraction"], parts["whole"] = scaled & 0xFFFFFFFF, scaled >> 32
     return _bytes(parts)
 

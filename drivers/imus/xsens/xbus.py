@@ -35,6 +35,7 @@ class Mid(IntEnum):
     WAKE_UP = 0x3E
     RESET = 0x40
     ERROR = 0x42
+    REQ_FACTORY_PAGE = 0x90
     OUTPUT_CONFIGURATION = 0xC0
 
     @property

@@ -5,6 +5,7 @@ import logging
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
@@ -14,7 +15,8 @@ from pymodbus.transport import NULLMODEM_HOST
 from drivers.errors import BadReply, DeviceError, DeviceRefused, LinkLost
 from drivers.packaged import packaged_codes
 from drivers.requests.turn import Turn
-from drivers.tables.modbus.order import READ, WRITE_ONE, LineCounts, Pending, Request, RtuGate, TcpGate
+from drivers.tables.modbus.order import READ, WRITE_ONE, Pending, Request, RtuGate, TcpGate
+from drivers.types import LinkCounts
 
 # pymodbus dumps its recent frames at ERROR for every time-out; the station says it in one line of its own.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
@@ -76,7 +78,7 @@ class ModbusLine:
         """Name the peer; ``probes`` are harmless reads by unit id, whose RTU replies differ in length."""
         self._device, self._address, self._timeout_s = device, address, timeout_s
         self._probes = probes
-        self.counts = LineCounts()
+        self.counts = LinkCounts()
         self._client: Any = None
         self._lock = Turn()
         self._rtu, self._tcp = RtuGate(self.counts), TcpGate(self.counts)
@@ -85,6 +87,7 @@ class ModbusLine:
         self._quiet_until_s = 0.0
         self._failed = self._asking = False
         self._ended = ""
+        self._shown = 0  # bytes of the answer that is coming in
 
     @property
     def sound(self) -> bool:
@@ -107,14 +110,19 @@ class ModbusLine:
                 stopbits=line.stop_bits,
                 timeout=2 * self._timeout_s,
                 retries=0,
-                trace_packet=self._rtu,
+                trace_packet=partial(self._trace, self._rtu),
                 reconnect_delay=0,
             )
         else:
             host, port = self._address
             reason = f"nothing answers at {_text(self._address)}; is the table's controller on, and the address right?"
             self._client = AsyncModbusTcpClient(
-                host, port=port, timeout=self._timeout_s, retries=1, trace_packet=self._tcp, reconnect_delay=0
+                host,
+                port=port,
+                timeout=self._timeout_s,
+                retries=1,
+                trace_packet=partial(self._trace, self._tcp),
+                reconnect_delay=0,
             )
         self._client.set_max_no_responses(1 << 30)  # it is ours to close
         self._client.ctx.callback_disconnected = self._disconnected
@@ -126,6 +134,16 @@ class ModbusLine:
         _heed(cancels)
         if not connected:
             raise LinkLost(self._device, reason)
+        self.counts.opened += 1
+
+    def _trace(self, gate: RtuGate | TcpGate, sending: bool, data: bytes) -> bytes:
+        """Count bytes, and let a gate pass what it will; of an answer the client shows all there is with each byte."""
+        if sending:
+            self.counts.sent += len(data)
+        else:
+            self.counts.received += len(data) - (self._shown if len(data) >= self._shown else 0)
+        self._shown = 0 if sending else len(data)
+        return gate(sending, data)
 
     def close(self) -> None:
         """Close; twice is once."""

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 from pymodbus.framer import FramerRTU
 
+from drivers.types import LinkCounts
+
 READ, WRITE_ONE, WRITE_MORE = 3, 6, 16
 _KINCO_BAD_READ = 0x81  # what Kinco's manuals print where the standard has 0x83
 _TCP_HEADER = 6
@@ -60,16 +62,6 @@ class Request:
         return tuple(bytes((self.unit_id, code)) for code in codes)
 
 
-@dataclass(slots=True)
-class LineCounts:
-    """Requests not answered in time; replies dropped: too late, damaged, or with numbers that were not asked (TCP)."""
-
-    timeouts: int = 0
-    late: int = 0
-    corrupt: int = 0
-    foreign: int = 0
-
-
 class Pending:
     """Requests of one unit that may still be answered, oldest first, by the heads of their replies."""
 
@@ -108,7 +100,7 @@ class RtuGate:
     The client shows all that it has received since it last sent, again with each new byte.
     """
 
-    def __init__(self, counts: LineCounts) -> None:
+    def __init__(self, counts: LinkCounts) -> None:
         """Let nothing through; ``counts`` gets what is dropped."""
         self._counts = counts
         self._armed: tuple[bytes, ...] = ()
@@ -156,7 +148,7 @@ class TcpGate:
     (Modbus Messaging on TCP/IP V1.0b, 3.1.3; Application Protocol V1.1b3, 6).
     """
 
-    def __init__(self, counts: LineCounts) -> None:
+    def __init__(self, counts: LinkCounts) -> None:
         """Begin before the first request; ``counts`` gets what is dropped."""
         self._counts = counts
         self._heads: tuple[bytes, ...] = ()

@@ -108,11 +108,11 @@ def load_profile(name_or_path: str) -> DriveProfile:
     if path.suffix != ".toml":
         path = PROFILE_FOLDER / f"{name_or_path}.toml"
     try:
-        data = tomllib.loads(path.read_text())
+        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         known = ", ".join(sorted(p.stem for p in PROFILE_FOLDER.glob("*.toml")))
         raise ProfileError(f"no drive profile {name_or_path}: give one of {known}, or the path of a .toml") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ProfileError(f"drive profile {path} cannot be read: {error}") from None
     try:
         commands = {"abort": data["commands"]["quick_stop"], **data["commands"]}
@@ -125,7 +125,7 @@ def load_profile(name_or_path: str) -> DriveProfile:
             tuple((write["register"], write["value"]) for write in data.get("on_open", [])),
             {int(code, 0): text for code, text in data.get("errors", {}).items()},
         )
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         raise ProfileError(f"drive profile {path} lacks or misspells {error}") from None
     for name, _ in profile.on_open:
         if name not in profile.registers:

@@ -12,9 +12,9 @@ from drivers.tables.base import Table
 from drivers.tables.halting import kept
 from drivers.tables.modbus import cia402
 from drivers.tables.modbus.line import Address, ModbusLine, Reply
-from drivers.tables.modbus.order import LineCounts, Request
+from drivers.tables.modbus.order import Request
 from drivers.tables.modbus.registers import DriveProfile
-from drivers.types import AxisState, AxisStatus, Identity
+from drivers.types import AxisState, AxisStatus, Identity, LinkCounts
 
 TURN = 2 * math.pi
 _POLL_S = 0.02
@@ -40,10 +40,10 @@ class ModbusTable(Table):
         self._ready: set[str] = set()  # axes to which what the profile says was written since their line was opened
 
     @property
-    def counts(self) -> LineCounts:
+    def counts(self) -> LinkCounts:
         """Requests without an answer, and replies dropped, on all lines."""
         each = [astuple(line.counts) for line in set(self._lines.values())]
-        return LineCounts(*map(sum, zip(*each, strict=True)))
+        return LinkCounts(*map(sum, zip(*each, strict=True)))
 
     async def open(self) -> None:
         """Connect, read every drive's state and write what the profile says; LinkLost if one does not answer.

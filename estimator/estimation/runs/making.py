@@ -23,6 +23,7 @@ from estimator.observations.defects.faults import Fault, held_samples, saturatio
 from estimator.observations.health import usable
 from estimator.observations.rows import sample_noise, turn_rows
 from estimator.observations.turned import Turned, by_turns
+from estimator.recordings.memory import check_estimating
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import Poses, TableReadings, Turns
 from estimator.types import Floats
@@ -87,7 +88,11 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
 def runs_of_all(
     recordings: Sequence[Recording], first: int = 0, block_s: float = BLOCK_S
 ) -> tuple[list[Run], list[str], list[Fault]]:
-    """Return the same of several recordings, of which the ``first`` has this number among all."""
+    """Return the same of several recordings, of which the ``first`` has this number among all.
+
+    RecordingError beside if there is no memory for so many samples.
+    """
+    check_estimating(*recordings)
     runs, notes, faults = list[Run](), list[str](), list[Fault]()
     for order, recording in enumerate(recordings, first):
         its = runs_of(recording, block_s, order)

@@ -22,6 +22,7 @@ from estimator.importing.mapping.columns import KEYS, Columns, Vector, direction
 from estimator.importing.mapping.reference import ForeignReference, Measured, Rests, read_reference
 from estimator.strict_toml import StrictTable
 from estimator.types import Floats
+from estimator.untrusted import read_text
 
 _COLUMN = re.compile(r"(?P<name>\S+) (?P<many>\d*)(?P<kind>[iu][1248]|f[48]|V)")
 
@@ -66,6 +67,14 @@ class Timing:
     wraps_at: float = math.inf
 
 
+def beside(path: Path, name: str) -> Path:
+    """Return the file of this name beside another, whose stem stands for {stem}; RecordingError if it is elsewhere."""
+    try:
+        return path.with_name(name.replace("{stem}", path.stem))
+    except ValueError:
+        raise RecordingError(f"{name!r}: give the name of a file beside {path.name}, without folders") from None
+
+
 @dataclass(frozen=True, slots=True)
 class ReferenceFile:
     """A reference in a file of its own; in its ``name`` "{stem}" is that of the data file.
@@ -80,7 +89,7 @@ class ReferenceFile:
 
     def beside(self, path: Path) -> Path:
         """Return where it is for a data file."""
-        return path.with_name(self.name.replace("{stem}", path.stem))
+        return beside(path, self.name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,12 +138,7 @@ def read_mapping(path: Path, protocols: Protocols | None = None) -> Mapping:
 
     Raises RecordingError with file, line and what to write for anything unknown or wrong.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror}; give the path of a mapping (.toml)") from None
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"{path} is no text: {error}") from None
+    text = read_text(path, RecordingError)
     top = StrictTable.parse(text, path.name, RecordingError)
     for name in ("device", "file", "time", "gyro", "reference"):
         if not top.has(name):

@@ -3,14 +3,17 @@
 import numpy as np
 
 from estimator.recordings.reference import TableReadings
-from estimator.types import Floats
+from estimator.types import Floats, Stamps
 
 _JUMP_RAD = float(np.radians(0.3))
 _TURNING_RPS = float(np.radians(1.0))
 _GAP = 3.0  # times the usual step between readings
 _FEWEST = 20
 _WELL_S = 1e-3  # to which an instant needs to be known
-_SHARE, _SIGMAS = 0.003, 5.0  # by which, and by how many of its sigmas, a scale must be off
+_SIGMAS = 5.0  # of what is found and of what is stated, by which a scale must be off
+_UNSTATED = 1e-4  # standard uncertainty of rates of which none is stated: units of registers are rounded
+_STILL_RAD, _STILL_SHARE = float(np.radians(0.02)), 0.01  # by which angles and rates differ while one stands still
+_FEWEST_STILL = 5
 
 
 def reading_doubts(readings: TableReadings) -> tuple[str, ...]:
@@ -25,7 +28,9 @@ def reading_doubts(readings: TableReadings) -> tuple[str, ...]:
         turned = turned - 2 * np.pi * np.round((turned - summed) / (2 * np.pi))  # angles within one turn
         beyond = np.abs(turned) - most * (1.5 * step_s + width_s[1:] + width_s[:-1]) - _JUMP_RAD
         beyond[~near] = 0.0
-        if beyond.max(initial=0.0) > 0.0:
+        if stood := _still_doubts(axis, readings.t_ns, np.where(near, turned, np.nan), summed, rate):
+            doubts += stood
+        elif beyond.max(initial=0.0) > 0.0:
             at = int(beyond.argmax())
             off_deg, at_s = np.degrees(turned[at] - summed[at]), (readings.t_ns[at + 1] - readings.t_ns[0]) * 1e-9
             doubts.append(f"the encoder of axis {axis} jumped by {off_deg:+.2f} deg at {at_s:.1f} s")
@@ -34,18 +39,48 @@ def reading_doubts(readings: TableReadings) -> tuple[str, ...]:
         steady = (
             near & well[1:] & well[:-1] & (beyond <= 0.0) & (np.abs(np.diff(rate)) < 0.1 * most) & (most > _TURNING_RPS)
         )
-        doubts += _scale_doubts(axis, turned[steady], summed[steady])
+        stated = readings.uncertainty.rate if readings.uncertainty else _UNSTATED
+        coarse = _quantum(rate) / max(float(most.max(initial=0.0)), _TURNING_RPS)
+        doubts += _scale_doubts(axis, turned[steady], summed[steady], max(_SIGMAS * stated, coarse))
     return tuple(doubts)
 
 
-def _scale_doubts(axis: str, turned: Floats, summed: Floats) -> list[str]:
-    """Compare the ways (n,) that angles and rates say; the angles are the truth."""
+def _still_doubts(axis: str, t_ns: Stamps, turned: Floats, summed: Floats, rate: Floats) -> list[str]:
+    """Tell of angles (n + 1,) or rates that stand still while the other ones say that the axis goes on."""
+    worst, told = 0.0, []
+    fine_rad, fine_rps = _quantum(np.abs(turned[np.isfinite(turned)])), _quantum(rate)
+    for of_angle, still in ((True, turned == 0), (False, (np.diff(rate) == 0) & np.isfinite(turned))):
+        edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
+        for a, b in edges[np.diff(edges)[:, 0] >= _FEWEST_STILL].tolist():
+            way, ought = float(turned[a:b].sum()), float(summed[a:b].sum())
+            known = _STILL_RAD + 2 * fine_rad + _STILL_SHARE * max(abs(way), abs(ought))
+            known += _SIGMAS * float(np.std(np.diff(turned[a:b] - summed[a:b]))) * (b - a) ** 0.5
+            known += fine_rps * (t_ns[b] - t_ns[a]) * 1e-9
+            if abs(way - ought) - known <= worst:
+                continue
+            worst, since = abs(way - ought) - known, f"from {(t_ns[a] - t_ns[0]) * 1e-9:.1f} s on while its"
+            if of_angle:
+                told = [f"the angle of axis {axis} stood still {since} rates moved it by {np.degrees(ought):+.1f} deg"]
+            else:
+                stood = f"{since} rate stood at {np.degrees(rate[a]):.3g} deg/s"
+                told = [f"the angle of axis {axis} moved by {np.degrees(way):+.3f} deg {stood}"]
+    return told
+
+
+def _quantum(values: Floats) -> float:
+    """Return the step in which values come."""
+    steps = np.diff(np.unique(values))
+    return float(steps.min(initial=np.inf)) if len(steps) else 0.0
+
+
+def _scale_doubts(axis: str, turned: Floats, summed: Floats, known: float) -> list[str]:
+    """Compare the ways (n,) that angles and rates say; the angles are the truth, the rates ``known`` to a share."""
     if len(turned) < _FEWEST:
         return []
     share = float(turned @ summed / (turned @ turned))
     sd = float(np.sqrt(np.mean((summed - share * turned) ** 2) / (turned @ turned)))
     if share < 0.0:
         return [f"the rates of axis {axis} have the other sign than its angles"]
-    if abs(share - 1) > max(_SHARE, _SIGMAS * sd):
+    if abs(share - 1) > max(known, _SIGMAS * sd):
         return [f"the rates of axis {axis} are {share - 1:+.2%} off what its angles say".replace("%", " %")]
     return []

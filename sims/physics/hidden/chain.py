@@ -7,12 +7,11 @@ from typing import TypeVar
 import numpy as np
 
 from drivers.types import Floats
-from sims.physics.hidden.biases import Added, BiasWalk
 from sims.physics.hidden.converter import Converter, DeadBand, SampleHold, Saturation, Stuck
 from sims.physics.hidden.errors import HiddenError
 from sims.physics.hidden.fields import for_gyros
+from sims.physics.hidden.outputs import Added, BiasWalk, Sensed
 from sims.physics.hidden.scene import Scene, World
-from sims.physics.hidden.sensed import Sensed
 from sims.physics.hidden.timing import Bandwidth, Hysteresis, LastTurn, Latency, LowPass, RateDependentDelay
 
 T = TypeVar("T")

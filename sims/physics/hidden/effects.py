@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from sims.physics.hidden.biases import KINDS as BIASES
 from sims.physics.hidden.converter import KINDS as CONVERTER
 from sims.physics.hidden.errors import HiddenError
 from sims.physics.hidden.fields import check, read, refuse_unknown
-from sims.physics.hidden.sensed import KINDS as SENSED
+from sims.physics.hidden.outputs import KINDS as OUTPUTS
 from sims.physics.hidden.table import KINDS as TABLE
 from sims.physics.hidden.table import OfTable, TableFaults
 from sims.physics.hidden.temperature import Temperature
 from sims.physics.hidden.timing import KINDS as TIMING
 
-KINDS = BIASES | SENSED | TIMING | CONVERTER | TABLE
+KINDS = OUTPUTS | TIMING | CONVERTER | TABLE
 """Effects by the name of their table in the file."""
 
 

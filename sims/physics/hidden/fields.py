@@ -15,8 +15,8 @@ from typing import Any, TypeVar, dataclass_transform
 import numpy as np
 
 from drivers.types import Floats
+from drivers.units import split_quantity, unit_size
 from sims.physics.hidden.errors import HiddenError
-from sims.physics.hidden.units import quantity
 
 Each = float | Sequence[float] | Floats
 """A number for all gyros, or one for each."""
@@ -146,3 +146,20 @@ def _value(raw: object, what: Field[Any]) -> Any:
     if raw not in choices:
         raise HiddenError(f"{raw!r} is not one of {', '.join(choices)}")
     return raw
+
+
+def quantity(text: object, like: str) -> float:
+    """Return the SI value of a text whose unit measures the same as ``like``; HiddenError if it does not."""
+    if not isinstance(text, str):
+        raise HiddenError(f'{text!r} has no unit: write a text, for instance "1 {like}"')
+    if (found := split_quantity(text)) is None:
+        raise HiddenError(f'{text!r} is no number with a unit: write for instance "1 {like}"')
+    number, unit = found
+    try:
+        factor, powers = unit_size(unit)
+    except ValueError:
+        missing = "a unit is missing" if not unit else f"there is no unit {unit!r}"
+        raise HiddenError(f'{text!r}: {missing}; write for instance "1 {like}"') from None
+    if powers != unit_size(like)[1]:
+        raise HiddenError(f"{text!r}: unit {unit!r} does not measure the same as {like!r}")
+    return number * factor

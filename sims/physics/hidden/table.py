@@ -1,22 +1,29 @@
 """Effects of the table: what its encoders say is not where its axes are, and its axes are not at right angles.
 
-A servo follows its encoder, so what the drives report is what they were told, and the body is what is off.
+A servo follows its encoder, so what the drives report is what they were told, and the body is what is off. But for
+readings on their way to the host: there the body does what it was told, and what is reported is off.
 """
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from drivers.types import Floats
 from sims.physics.hidden.errors import HiddenError
-from sims.physics.hidden.fields import choice, given, hidden, whole
+from sims.physics.hidden.fields import choice, flag, given, hidden, whole
 
 KINDS: dict[str, type[Any]] = {}
 ALL = "all"
 _NEWTON_STEPS = 3
 _UNIT = dict(zip("xyz", np.eye(3), strict=True))
+Motion = Callable[[float], tuple[float, float]]
+"""Angle (rad) and rate (rad/s) of an axis at an instant (s) of the motion."""
+Angles = Callable[[Floats], Floats]
+"""Angles (n,) of an axis at instants (n,), rad and s."""
 
 
 class OfTable:
@@ -87,6 +94,59 @@ class EncoderEccentricity(OfTable):
         return np.asarray(true)
 
 
+@hidden(KINDS, "table_reading")
+class TableReading(OfTable):
+    """Readings of one axis that are wrong between two instants of the bench clock.
+
+    Of the way since ``from_s`` the angle gains the share ``angle``, and it creeps by ``creep_rps``, both of which stay;
+    it is off by ``jump_rad``, or ``frozen``. The rate gains the share ``rate`` (-200 %: of the other sign), or is
+    ``stale``. The axis does as it is told; ``followed`` by its servo, the readings do, and the body is off by the
+    share and by what creeps.
+    """
+
+    axis: str = field(metadata=choice(tuple(_UNIT)))
+    from_s: float = field(default=0.0, metadata=given("s"))
+    until_s: float = field(default=math.inf, metadata=given("s"))
+    angle: float = field(default=0.0, metadata=given("%"))
+    rate: float = field(default=0.0, metadata=given("%"))
+    jump_rad: float = field(default=0.0, metadata=given("deg"))
+    creep_rps: float = field(default=0.0, metadata=given("deg/s"))
+    frozen: bool = field(default=False, metadata=flag())
+    stale: bool = field(default=False, metadata=flag())
+    followed: bool = field(default=False, metadata=flag())
+
+    def shift(self, angles: Angles, started_s: float) -> Angles:
+        """Return by how much the angle gains and creeps; the bench clock stands at ``started_s`` at the instant 0."""
+        first_s, last_s = self.from_s - started_s, self.until_s - started_s
+        at = cache(lambda t_s: float(angles(np.array([t_s]))[0]))  # an axis forgets what has been
+
+        def shift(t_s: Floats) -> Floats:
+            if not (t_s >= first_s).any():
+                return np.zeros(len(t_s))
+            way = np.where(t_s < last_s, angles(t_s), at(last_s) if (t_s >= last_s).any() else 0.0) - at(first_s)
+            gained = self.angle * way + self.creep_rps * (np.minimum(t_s, last_s) - first_s)
+            return np.where(t_s >= first_s, gained, 0.0)
+
+        return shift
+
+    def read(self, motion: Motion, started_s: float) -> Motion:
+        """Return what is read of a motion."""
+        first_s, last_s = self.from_s - started_s, self.until_s - started_s
+        before = cache(motion)
+        shift = self.shift(lambda t_s: np.array([motion(t)[0] for t in t_s.tolist()]), started_s)
+
+        def read(t_s: float) -> tuple[float, float]:
+            angle, rate = motion(t_s)
+            if not self.followed:
+                angle += float(shift(np.array([t_s]))[0])
+            if not first_s <= t_s < last_s:
+                return angle, rate
+            angle = before(first_s)[0] if self.frozen else angle + self.jump_rad
+            return angle, before(first_s)[1] if self.stale else (1 + self.rate) * rate
+
+        return read
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TableFaults:
     """All effects of a table together."""
@@ -94,13 +154,33 @@ class TableFaults:
     effects: tuple[OfTable, ...] = ()
 
     def true_angle(self, axis: str, angle_rad: Floats) -> Floats:
-        """Return the true angle of an axis whose encoder stands at ``angle_rad`` (n,)."""
+        """Return the true angle of an axis whose encoder stands at ``angle_rad`` (n,), whenever that is."""
         for effect in self.effects:
             angle_rad = effect.true_angle(axis, angle_rad)
         return angle_rad
+
+    def true_angles(self, axis: str, angles: Angles, started_s: float) -> Angles:
+        """Return the true angles of an axis whose encoder stands at ``angles``."""
+        its = [e for e in self.effects if isinstance(e, TableReading) and e.axis == axis and e.followed]
+        shifts = [effect.shift(angles, started_s) for effect in its]
+
+        def true(t_s: Floats) -> Floats:
+            angle_rad = self.true_angle(axis, angles(t_s))
+            for shift in shifts:
+                angle_rad = angle_rad - shift(t_s)
+            return angle_rad
+
+        return true
 
     def directions(self, gimbals: Sequence[str]) -> Mapping[str, Floats]:
         """Return the unit vectors (3,) of the axes that are not where they should be, at home."""
         tilts = {axis: np.sum([effect.tilt(axis) for effect in self.effects], 0) for axis in gimbals if self.effects}
         tilted = {axis: _UNIT[axis] + tilt for axis, tilt in tilts.items() if np.any(tilt)}
         return {axis: direction / np.linalg.norm(direction) for axis, direction in tilted.items()}
+
+    def read(self, axis: str, motion: Motion, started_s: float) -> Motion:
+        """Return what is read of the motion of an axis, of which the instant 0 is this one of the bench clock."""
+        for effect in self.effects:
+            if isinstance(effect, TableReading) and effect.axis == axis:
+                motion = effect.read(motion, started_s)
+        return motion

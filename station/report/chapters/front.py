@@ -13,19 +13,11 @@ from estimator.observations.rows import observations
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import AttitudeReadings, RateReadings, TableReadings, Turns
 from station.report.chapters.unseen import driven_step
-from station.report.figures import CELSIUS, fixed
 from station.report.pictures import Picture, rates_picture
 from station.report.recorded import Recorded, Step
-from station.report.standing import begun_utc, is_simulated
 from station.scripts.script import Rotate
-from station.views.seen import seen_by
 
 _LOCAL = re.compile(r"//(?:127\.|localhost|\[::1\])|/dev/pts/|udp_multicast|can:virtual")
-
-
-def devices_of(recorded: Recorded) -> list[str]:
-    """Return the names of the devices under test."""
-    return [text.partition(" (")[0] for text in recorded.recording.attributes.get("devices", ())]
 
 
 def links_of(recorded: Recorded) -> dict[str, str]:
@@ -33,12 +25,6 @@ def links_of(recorded: Recorded) -> dict[str, str]:
     devices = (text.partition(" (") for text in recorded.recording.attributes.get("devices", ()))
     links = {name: rest.rstrip(")") for name, _, rest in devices}
     return links | ({"table": recorded.text("table_link")} if recorded.has("table_link") else {})
-
-
-def serial_words(recorded: Recorded) -> str:
-    """Return the serial number of the device under test, with what the device says if that is another."""
-    serial, told = recorded.text("device_serial") or "not stated", recorded.text("device_serial_told")
-    return f"{serial} (the device says {told}; confirmed: {recorded.text('serial_reason')})" if told else serial
 
 
 def local_links(links: Mapping[str, str]) -> list[str]:
@@ -77,24 +63,10 @@ def table_words(recorded: Recorded) -> str:
     return f"none: the reference are {kinds[type(reference)]} that were measured elsewhere"
 
 
-def date_words(recorded: Recorded) -> str:
-    """Return when the measurement began."""
-    begun = begun_utc(recorded)
-    if begun:
-        return f"{begun:%Y-%m-%d %H:%M:%S} UTC"
-    return "none: the run was in simulated time" if is_simulated(recorded) else "not stated"
-
-
 def rate_hz(data: ImuData) -> float:
     """Return the mean sampling rate, NaN if it is not known."""
     span_s = float(data.t_ns[-1] - data.t_ns[0]) * 1e-9 if len(data.t_ns) > 1 else math.nan
     return (len(data.t_ns) - 1) / span_s if span_s > 0 else math.nan
-
-
-def temperatures(data: ImuData) -> list[str | None]:
-    """Return the lowest, the mean and the highest temperature of a source."""
-    span_c = seen_by([data]).temperature_c
-    return ["not recorded", None, None] if math.isnan(span_c[1]) else [fixed(t, CELSIUS, 2) for t in span_c]
 
 
 def turns(recorded: Recorded) -> int:

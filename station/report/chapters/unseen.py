@@ -164,11 +164,6 @@ def hidden(unseen: Unseen) -> list[tuple[EffectForecast, list[tuple[Markup, floa
     return list(zip(effects, marked, strict=True))
 
 
-def visible(unseen: Unseen) -> list[EffectForecast]:
-    """Return the effects that the motion shows."""
-    return [effect for effect in unseen.forecast.effects if effect.seen.all()]
-
-
 def smallest(effect: EffectForecast) -> str:
     """Return the smallest size of an effect that is shown, of its parameters and the gyros the worst."""
     worst = float(effect.smallest.max())

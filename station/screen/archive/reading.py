@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ from typing import Any
 import h5py
 
 from estimator.errors import RecordingError, first_line
+from estimator.recordings.probe import objects
 from estimator.recordings.recording import FORMAT, FORMAT_VERSION
+from estimator.recordings.recovery import recover
 from estimator.recordings.writing import plain, write_attributes
 from station.errors import BenchError
 from station.run.snapshot import GyroSnapshot
@@ -47,9 +50,12 @@ def accept(path: Path, attributes: Mapping[str, str]) -> str:
 def read(path: Path, when_utc_s: float, everything: bool) -> Whole:
     """Return a recording that was changed last at ``when_utc_s``, or only its entry; the entry says what is wrong."""
     unread = Entry(path, when_utc_s)
+    with suppress(RecordingError):  # of a run that goes on, or where nothing can be written: it is shown as it is
+        recover(path)
     try:
         # Without HDF5's locks: a session that writes the same file must never find it locked by a reader.
         with h5py.File(path, "r", locking=False) as file:
+            list(objects(path, file))  # which leads nowhere else, and can be held
             if plain(file.attrs.get("format")) != FORMAT:
                 return Whole(replace(unread, wrong="an HDF5 file, but no recording", foreign=True))
             version = plain(file.attrs.get("format_version", 0))
@@ -119,8 +125,9 @@ def _investigation(recording: Path) -> dict[str, Any]:
     if newest is None:
         return {}
     with h5py.File(newest, "r", locking=False) as file:
+        list(objects(newest, file))
         found: dict[str, Any] = json.loads(plain(file["investigation"].attrs["json"]))
-        return found
+        return found if isinstance(found, dict) else {}
 
 
 def _sizes(bench: str) -> tuple[float, ...]:

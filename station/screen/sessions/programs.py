@@ -32,8 +32,8 @@ class Answer:
 
 
 def command_line(arguments: Sequence[str]) -> list[str]:
-    """Return what starts a command of this station."""
-    return [sys.executable, "-m", "station.cli", *arguments]
+    """Return what starts a command of this station, and nothing that stands in the working folder."""
+    return [sys.executable, "-P", "-m", "station.cli", *arguments]
 
 
 async def ask(arguments: Sequence[str], on_line: Callable[[str], None] = lambda line: None) -> Answer:

@@ -269,9 +269,12 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
     from station.render.investigation_printed import investigation_shown
     from station.views.investigation import InvestigationView, is_investigation
 
-    if not is_investigation(found):
-        return [Text("kept by another version of the station: I investigates again", "yellow")]
-    shown = investigation_shown(cast(InvestigationView, found), "d drives it")
+    try:
+        shown = investigation_shown(cast(InvestigationView, found), "d drives it") if is_investigation(found) else None
+    except Exception:  # a file made by hand
+        shown = None
+    if shown is None:
+        return [Text("damaged, or kept by another version of the station: I investigates again", "yellow")]
     return [Text.from_markup(what, emoji=False) if isinstance(what, str) else what for what, _ in shown]
 
 

@@ -172,7 +172,7 @@ def axis_lines(snapshot: Snapshot, run: LiveRun) -> list[Text]:
 
 
 def source_lines(snapshot: Snapshot) -> list[Text]:
-    """Return the sources, a line each below a heading; what is wrong in red."""
+    """Return the sources, a line each below a heading, what is wrong in red; then the counts of the links."""
     rows = [["source", "Hz", "samples", "lost", "late", "corrupt", "latency ms", "jitter ms", "degC", "link"]]
     rows += [
         [
@@ -193,7 +193,7 @@ def source_lines(snapshot: Snapshot) -> list[Text]:
     for line, source in zip(lines[1:], snapshot.sources, strict=True):
         if _link_words(source) != "ok":
             line.stylize("bold red")
-    return lines
+    return [*lines, *(Text(said, "dim") for said in snapshot.links)]
 
 
 def _link_words(source: SourceSnapshot) -> str:

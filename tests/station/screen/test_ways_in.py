@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import os
 import pty
 import socket
@@ -16,6 +17,7 @@ from station.cli import main
 from station.commands.ui import choices_of
 from station.screen.choices import Choices
 from station.screen.memory import Remembered, load_remembered, save_remembered
+from station.screen.web import _guard
 
 
 def in_terminal(arguments: list[str], **variables: str) -> tuple[int, str]:
@@ -63,6 +65,53 @@ def test_a_port_that_is_taken_is_told(place: Path, capsys: pytest.CaptureFixture
         taken.listen()
         assert main(["ui", "--web", str(taken.getsockname()[1])]) == 2
     assert "give another to --web" in capsys.readouterr().err
+
+
+async def asked_of(port: int) -> dict[str, int]:
+    """Return the statuses of requests to a page with the key "secret", by what is wrong with them."""
+    from aiohttp import ClientSession, web
+
+    app = web.Application(middlewares=[_guard("secret", port)])
+    app.add_routes([web.get("/{key}/", hello)])
+    runner = web.AppRunner(app)
+    await runner.setup()
+    await web.TCPSite(runner, "127.0.0.1", port).start()
+    page, own = f"http://127.0.0.1:{port}", {"Origin": f"http://127.0.0.1:{port}"}
+    asked: dict[str, tuple[str, dict[str, str]]] = {
+        "nothing": ("/secret/", {}),
+        "nothing, by a websocket": ("/secret/", own),
+        "key": ("/other/", own),
+        "no key": ("/", own),
+        "name": ("/secret/", {"Host": f"evil.example:{port}"}),
+        "origin": ("/secret/", {"Origin": "http://evil.example"}),
+        "opaque origin": ("/secret/", {"Origin": "null"}),
+        "other port": ("/secret/", {"Origin": "http://127.0.0.1:1"}),
+    }
+    try:
+        async with ClientSession() as session:
+            found = {}
+            for wrong, (path, headers) in asked.items():
+                async with session.get(page + path, headers=headers) as answer:
+                    found[wrong] = answer.status
+            return found
+    finally:
+        await runner.cleanup()
+
+
+async def hello(_request: object) -> object:
+    from aiohttp import web
+
+    return web.Response(text="the screen")
+
+
+def test_the_screen_in_a_browser_answers_to_its_key_name_and_origin_only() -> None:
+    pytest.importorskip("aiohttp")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    found = asyncio.run(asked_of(port))
+    assert found.pop("nothing") == found.pop("nothing, by a websocket") == 200
+    assert set(found.values()) <= {403, 404}
 
 
 def test_a_run_with_a_screen_keeps_the_options_of_the_run() -> None:

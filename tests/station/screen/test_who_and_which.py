@@ -10,6 +10,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
+import pytest
 from conftest import keys, until
 from textual.pilot import Pilot
 from textual.widgets import Button, Input
@@ -74,6 +75,7 @@ async def test_the_serial_number_is_what_the_device_says_and_another_needs_a_rea
         assert "the device says serial no." in shown(app, "ready")
 
 
+@pytest.mark.full
 @driven
 async def test_the_number_of_the_last_device_is_not_taken_for_that_of_the_next(place: Path) -> None:
     state = place / "state/turntable-station/screen.json"
@@ -127,6 +129,7 @@ async def test_what_follows_tab_goes_into_the_next_field(place: Path) -> None:
         assert (value(app, "operator"), value(app, "serial")) == ("someone", "SN7")
 
 
+@pytest.mark.full
 @driven
 async def test_a_script_that_is_set_while_the_last_is_looked_at_is_read(place: Path) -> None:
     app = app_on(place)

@@ -1,0 +1,44 @@
+"""Whether there is memory for what is to be done with a recording; said before it is begun."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+
+from estimator.errors import RecordingError
+from estimator.recordings.recording import Recording
+from estimator.recordings.writing import columns_of
+
+READING, ESTIMATING = 3, 13
+"""Memory that is needed at most, as a multiple of the columns of a recording (tests/bench/large.py)."""
+_SMALL_BYTES = 50_000_000  # of columns, for which there is memory wherever this runs
+_GROUP = Path("/sys/fs/cgroup")
+
+
+def check_memory(name: object, columns_bytes: int, times: int) -> None:
+    """Raise RecordingError, with what would be needed, if there is not ``times`` as much memory as columns take."""
+    needed_bytes = times * columns_bytes
+    if columns_bytes < _SMALL_BYTES or needed_bytes < (free_bytes := _free_bytes()):
+        return
+    raise RecordingError(
+        f"{name} holds {columns_bytes / 1e9:.2g} GB of samples and readings: this needs about {needed_bytes / 1e9:.2g} "
+        f"GB of memory, and {free_bytes / 1e9:.2g} GB are free; use a computer with more, or shorter recordings"
+    )
+
+
+def check_estimating(*recordings: Recording) -> None:
+    """Raise RecordingError, with what would be needed, if there is no memory to estimate from all of these at once."""
+    held = [part for r in recordings for part in (r.reference, *r.sources.values())]
+    columns_bytes = sum(column.nbytes for part in held for column in columns_of(part).values())
+    check_memory(", ".join(recording.name for recording in recordings), columns_bytes, ESTIMATING)
+
+
+def _free_bytes() -> int:
+    """Return what this process may still have: of the computer, and of the group that it is held in (Linux)."""
+    free_bytes = int(psutil.virtual_memory().available)
+    with suppress(OSError, ValueError):  # no group, or no limit
+        limit, used = (int((_GROUP / f"memory.{what}").read_text()) for what in ("max", "current"))
+        free_bytes = min(free_bytes, limit - used)
+    return free_bytes

@@ -1,0 +1,59 @@
+"""What strangers made: files read up to a size, texts made harmless."""
+
+import os
+import stat
+from pathlib import Path
+
+MOST_TEXT_BYTES = 1 << 20
+"""Of a file that people write."""
+MOST_DATA_BYTES = 1 << 29
+"""Of a file of foreign data, of which several copies are held while it is read."""
+
+_HARMFUL = dict.fromkeys(
+    {*range(32), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)}.union(
+        range(0xD800, 0xE000)
+    )
+    - {9, 10},
+    "\N{REPLACEMENT CHARACTER}",
+)
+
+
+def harmless(text: str) -> str:
+    """Return a text without what steers a terminal (C0, C1) or turns its direction, and what no encoding can say.
+
+    Line feeds and tabs are kept.
+    """
+    return text.replace("\r\n", "\n").translate(_HARMFUL)
+
+
+def read_bytes(path: Path, error: type[Exception], most_bytes: int = MOST_DATA_BYTES, name: str = "") -> bytes:
+    """Return a file's content; the error given if it is none, cannot be read, or is larger than anybody would make.
+
+    ``name`` is what errors call it; by default its path.
+    """
+    name = name or str(path)
+    try:
+        with open(path, "rb", opener=_at_once) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise error(f"{name} is a pipe or a device, not a file: save what it gives in a file")
+            content = file.read(most_bytes + 1)
+    except (OSError, ValueError) as reason:  # a name with a null character is a ValueError
+        raise error(f"{name} cannot be read: {getattr(reason, 'strerror', None) or reason}") from None
+    if len(content) > most_bytes:
+        raise error(f"{name} has more than {most_bytes >> 20} MB: that is no such file, or split it")
+    return content
+
+
+def read_text(path: Path, error: type[Exception]) -> str:
+    """Return a text file in UTF-8, with or without byte order mark; lines end with a line feed. As ``read_bytes``."""
+    content = read_bytes(path, error, MOST_TEXT_BYTES)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as reason:
+        line = content.count(b"\n", 0, reason.start) + 1
+        raise error(f"{path} cannot be read: line {line} is no text in UTF-8: save it in that encoding") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a pipe that nobody writes to makes nobody wait

@@ -1,0 +1,1 @@
+"""The paper's experiment run again, its filter, what it prints, and what it says against itself."""
