@@ -6,19 +6,21 @@ import os
 import select
 import sys
 import time
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, TextIO, cast
 
 from textual import events
-from textual.app import App, ScreenStackError
+from textual.app import App, ScreenStackError, SystemCommand
 from textual.binding import Binding
 from textual.css.query import NoMatches
 from textual.driver import Driver
 from textual.message import Message
+from textual.screen import Screen
 from textual.worker import WorkType
 
 from station.remote.attaching import running_sessions
@@ -31,6 +33,7 @@ from station.screen.memory import HIGH_CONTRAST, REMEMBERED, Remembered, load_re
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
+from station.screen.tabs.giving_out import offered
 from station.screen.tabs.history import HistoryScreen
 from station.screen.tabs.prepare import PrepareScreen
 from station.screen.tabs.prospects import Prospect
@@ -144,6 +147,11 @@ class StationApp(App[None]):
         if not isinstance(self.screen, StationDialog):
             keys = (active.binding for active in self.screen.active_bindings.values() if active.enabled)
             self.push_screen(HelpDialog(keys))
+
+    def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
+        """Offer what can be made of the recording that is on the screen, and what textual offers."""
+        recording = screen.recording if isinstance(screen, StationScreen) else None
+        return chain(offered(self, recording) if recording else (), super().get_system_commands(screen))
 
     async def action_quit(self) -> None:
         """Leave; if a session runs, ask what is to become of it."""

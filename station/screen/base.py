@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import asyncio
-from glob import escape, glob
+from pathlib import Path
 from typing import Any, ClassVar, cast
 
 from textual import events
 from textual.app import ComposeResult
-from textual.binding import Binding
 from textual.containers import VerticalScroll
 from textual.screen import Screen
-from textual.suggester import Suggester
 from textual.widgets import Footer, Input, Static
 
 from station.screen.bars import StopBar, TopBar
-from station.screen.charts import Charts
 from station.screen.seen_app import SeenApp
 
 LEAST_WIDTH, LEAST_HEIGHT = 80, 24
@@ -29,13 +25,11 @@ class StationScreen(Screen[None]):
     WIDE: ClassVar[int] = 120
     AUTO_FOCUS = None
     ALLOW_IN_MAXIMIZED_VIEW = "#top, #small, #start-row, #actions, Footer, StopBar"
-    BINDINGS: ClassVar = [
-        Binding("c", "charts('next')", "Chart"),
-        Binding("z", "charts('enlarge')", "Enlarge"),
-        Binding("0", "charts('show_all')", "All of the time", show=False),
-    ]
+    BINDINGS: ClassVar = [("c", "chart", "Chart")]
     gyro = 0
     """Number of the gyro whose pictures are shown, of as many as there are."""
+    recording: Path | None = None
+    """The recording that is shown, or chosen."""
 
     def compose(self) -> ComposeResult:
         """Lay out the frame; ``body`` is the screen's own."""
@@ -65,10 +59,9 @@ class StationScreen(Screen[None]):
     def redraw(self) -> None:
         """Draw what depends on the room there is, and on the gyro that is shown."""
 
-    def action_charts(self, what: str) -> None:
-        """Have the charts of the screen do something."""
-        for charts in self.query(Charts):
-            getattr(charts, what)()
+    def action_chart(self) -> None:
+        """Give the next chart the focus."""
+        self.focus_next("Chart")
 
     def action_gyro(self, step: int) -> None:
         """Show another gyro."""
@@ -92,15 +85,6 @@ class StationScreen(Screen[None]):
         self.set_class(size.height >= _TALL, "-tall")
         self.set_class(size.height >= _LARGE, "-large")
         self.call_after_refresh(self.redraw)
-
-
-class PathSuggester(Suggester):
-    """Completes what is in a field to a file or folder that begins so; the right arrow takes it over."""
-
-    async def get_suggestion(self, value: str) -> str | None:
-        """Return the first that fits, None if there is none."""
-        found = await asyncio.to_thread(lambda: sorted(glob(f"{escape(value)}*.toml") + glob(f"{escape(value)}*/")))
-        return found[0] if value and found else None
 
 
 class Field(Input):

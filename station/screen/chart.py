@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 from textual.app import ComposeResult
@@ -30,6 +30,16 @@ class _Canvas(Canvas):
         return strip if strip.cell_length else Strip.blank(0, self.rich_style)
 
 
+class _TimeFormatter(NumericAxisFormatter):
+    """Names the unit of time once, at the last tick."""
+
+    unit = "s"
+
+    def get_labels_for_ticks(self, ticks: Sequence[float]) -> list[str]:
+        *others, last = super().get_labels_for_ticks(ticks) or [""]
+        return [*others, f"{last} {self.unit}"]
+
+
 class Chart(PlotWidget, inherit_bindings=False):
     """A chart with a title; focused, it goes back and forth in time, and takes a shorter or a longer time."""
 
@@ -41,6 +51,7 @@ class Chart(PlotWidget, inherit_bindings=False):
         Binding("right", "pan_right", "Later", show=False),
         Binding("plus", "zoom_x_in", "Shorter", key_display="+", show=False),
         Binding("minus", "zoom_x_out", "Longer", key_display="-", show=False),
+        Binding("z", "enlarge", "Enlarge"),
     ]
     KEYBOARD_PAN_FACTOR = 8.0
     KEYBOARD_ZOOM_FACTOR = 1.0
@@ -49,6 +60,7 @@ class Chart(PlotWidget, inherit_bindings=False):
         """``draw`` has this chart drawn: it gets its size late, in a part that is scrolled to."""
         super().__init__()
         self._draw_again = draw
+        self._x_formatter: _TimeFormatter = _TimeFormatter()
         self.set_reactive(PlotWidget.margin_top, 0)
         self.set_reactive(PlotWidget.margin_bottom, 1)
         self.set_reactive(PlotWidget.margin_left, _LABEL_WIDTH)
@@ -56,6 +68,13 @@ class Chart(PlotWidget, inherit_bindings=False):
     def on_resize(self) -> None:
         """Draw anew once the size is there."""
         self.call_after_refresh(self._draw_again)
+
+    def action_enlarge(self) -> None:
+        """Take all the room, or go back."""
+        if self.is_maximized:
+            self.screen.minimize()
+        else:
+            self.screen.maximize(self, container=False)
 
     def compose(self) -> ComposeResult:
         """Lay out what ``PlotWidget`` draws on."""
@@ -71,8 +90,9 @@ class Chart(PlotWidget, inherit_bindings=False):
         self.clear()
         self.set_xlimits(low, high)
         self.set_ylimits(drawing.low, drawing.high)
-        ticks = NumericAxisFormatter().get_ticks(low, high)
+        ticks = self._x_formatter.get_ticks(low, high)
         self.set_xticks(ticks[:: -(-len(ticks) * _TICK_WIDTH // cells)])
+        self._x_formatter.unit = drawing.over
         for mark in drawing.marks:
             if low < mark < high:
                 self.add_v_line(mark, self._style("mark"))

@@ -10,16 +10,16 @@ from textual.binding import Binding
 from textual.containers import Horizontal
 from textual.widgets import DataTable, Input, Label, Static
 
-from station.run.snapshot import GyroSnapshot
 from station.screen.archive.entries import NO_LIMITS, Entry
 from station.screen.base import Field, StationScreen
 from station.screen.charts import Charts
-from station.screen.drawings import STATE_CHARTS, Drawing, trend_drawing
-from station.screen.tabs.giving_out import give_out
+from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
+from station.screen.sessions.live_run import Trend
 from station.views.figures import OUTCOME_STYLES
 
 _COLUMNS = ("when", "device", "script", "outcome", "operator", "accepted", "file")
 _SHOWN_EVERY = 25
+_DAY_S = 86400.0
 
 
 class HistoryScreen(StationScreen):
@@ -31,7 +31,6 @@ class HistoryScreen(StationScreen):
         Binding("slash", "filter", "Filter", key_display="/"),
         ("s", "sort", "Sort"),
         ("g", "gyro(1)", "Gyro"),
-        ("e", "give_out", "Give out"),
     ]
 
     def __init__(self) -> None:
@@ -41,6 +40,7 @@ class HistoryScreen(StationScreen):
         self._reading = False
         self._sorted = 0
         self._limits = NO_LIMITS
+        self._trend = Trend()
 
     def body(self) -> ComposeResult:
         with Horizontal(classes="field"):
@@ -81,12 +81,6 @@ class HistoryScreen(StationScreen):
     def on_data_table_row_highlighted(self, event: DataTable.RowHighlighted) -> None:
         self.redraw()
 
-    def action_give_out(self) -> None:
-        """Offer what can be made of the chosen recording."""
-        row = self.query_one(DataTable).cursor_row
-        if row < len(self._shown):
-            give_out(self.station, self._shown[row].path)
-
     def action_sort(self) -> None:
         """Sort by the next column; at first by date, the newest first."""
         self._sorted = (self._sorted + 1) % len(_COLUMNS)
@@ -118,21 +112,18 @@ class HistoryScreen(StationScreen):
     def _show(self) -> None:
         words = self.query_one("#device", Input).value.lower().split()
         date = self.query_one("#date", Input).value.strip()
-        self._shown = []
-        for entry in self._entries:
-            found = " ".join(map(str, _cells(entry))).lower()
-            if entry.when.startswith(date) and all(word in found for word in words):
-                self._shown.append(entry)
+        rows = [(entry, _cells(entry)) for entry in self._entries if entry.when.startswith(date)]
+        rows = [row for row in rows if all(word in " ".join(map(str, row[1])).lower() for word in words)]
+        if self._sorted:
+            rows.sort(key=lambda row: str(row[1][self._sorted]))
+        self._shown = [entry for entry, _ in rows]
         table = self.query_one(DataTable)
         row = table.cursor_row
         table.clear(columns=True)
         names = self._columns()
-        if self._sorted:
-            self._shown.sort(key=lambda entry: str(_cells(entry)[self._sorted]))
-        marks = {_COLUMNS[self._sorted]: " ↑" if self._sorted else ""}
-        table.add_columns(*(f"{name}{marks.get(name, '')}" for name in names))
-        for entry in self._shown:
-            table.add_row(*_cells(entry)[: len(names)])
+        table.add_columns(*(f"{name} ↑" if at and at == self._sorted else name for at, name in enumerate(names)))
+        for _, cells in rows:
+            table.add_row(*cells[: len(names)])
         if self._shown:
             table.move_cursor(row=min(row, len(self._shown) - 1))
         of = "" if len(self._shown) == len(self._entries) else f" of {len(self._entries)}"
@@ -144,36 +135,32 @@ class HistoryScreen(StationScreen):
     def redraw(self) -> None:
         if not self.query(Charts):
             return
-        table = self.query_one(DataTable)
+        table, self._trend, said = self.query_one(DataTable), Trend(), Text()
         if len(table.columns) not in (0, len(self._columns())):
             self._show()
         chosen = self._shown[table.cursor_row] if table.cursor_row < len(self._shown) else None
-        said, charts = Text(), self.query_one(Charts)
+        self.recording = chosen.path if chosen is not None else None
         if chosen is not None and chosen.wrong:
             said = Text(f"{chosen.path.name}: {chosen.wrong}", "red")
         elif chosen is not None and not chosen.gyros:
             said = Text(f"{chosen.path.name} came to no calibration", "dim")
         elif chosen is not None:
-            points = self._points(chosen)
-            count = f"{len(points)} calibration{'s' * (len(points) != 1)}"
-            said = Text(f"{points[-1][1].name} of {chosen.device or 'device'}, {count};  {chosen.path.name}", "bold")
-        charts.display = chosen is not None and bool(chosen.gyros)
+            gyro = chosen.gyros[self.gyro % len(chosen.gyros)]
+            alike = sorted(filter(chosen.same_device, self._entries), key=lambda entry: entry.when_utc_s)
+            for entry, own in (
+                (e, g) for e in alike for g in e.gyros if (g.source, g.name) == (gyro.source, gyro.name)
+            ):
+                self._trend.add((entry.when_utc_s - alike[0].when_utc_s) / _DAY_S, own.values, own.sds)
+            count = f"{len(self._trend.values)} calibration{'s' * (len(self._trend.values) != 1)}"
+            said = Text(f"{gyro.name} of {chosen.device or 'device'}, {count};  {chosen.path.name}", "bold")
         self.query_one("#trend", Static).update(said)
+        charts = self.query_one(Charts)
+        charts.display = bool(self._trend.values)
         charts.draw()
 
-    def _points(self, chosen: Entry) -> list[tuple[float, GyroSnapshot]]:
-        """Return what the calibrations of the chosen device say of the gyro that is shown, the oldest first."""
-        gyro = chosen.gyros[self.gyro % len(chosen.gyros)]
-        alike = sorted(filter(chosen.same_device, self._entries), key=lambda entry: entry.when_utc_s)
-        named = (gyro.source, gyro.name)
-        return [(entry.when_utc_s, g) for entry in alike for g in entry.gyros if (g.source, g.name) == named]
-
     def _drawing(self, name: str) -> Drawing | None:
-        row = self.query_one(DataTable).cursor_row
-        if row >= len(self._shown) or not self._shown[row].gyros:
-            return None
         index = STATE_CHARTS.index(name)
-        return trend_drawing(index, self._points(self._shown[row]), self._limits[index])
+        return state_drawing(index, self._trend, self._limits[index], "days") if self._trend.values else None
 
 
 def _cells(entry: Entry) -> list[Text]:

@@ -12,9 +12,10 @@ from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Container, Horizontal, Vertical
+from textual.suggester import SuggestFromList
 from textual.widgets import Button, Input, Label, Static
 
-from station.screen.base import Field, PathSuggester, StationScreen
+from station.screen.base import Field, StationScreen
 from station.screen.charts import Charts
 from station.screen.choices import Choices
 from station.screen.dialogs import AskTextDialog
@@ -65,8 +66,7 @@ class PrepareScreen(StationScreen):
                 for name, words, placeholder in _FIELDS:
                     with Horizontal(classes="field"):
                         yield Label(words)
-                        paths = PathSuggester(use_cache=False) if name in ("bench", "script") else None
-                        yield Field(id=name, placeholder=placeholder, suggester=paths)
+                        yield Field(id=name, placeholder=placeholder)
                 yield Static(id="ready", markup=False, classes="block")
                 yield Static(id="limits", markup=False, classes="block")
             with Vertical(id="answers"):
@@ -158,6 +158,8 @@ class PrepareScreen(StationScreen):
     async def _look(self, choices: Choices) -> None:
         found = await asyncio.to_thread(look_ahead, choices)
         self._prospect = found
+        for field in ("#bench", "#script"):
+            self.query_one(field, Input).suggester = SuggestFromList(found.files)
         self.redraw()
         if found.bench_wrong:
             return

@@ -26,7 +26,7 @@ ANYTHING = r".*\S.*"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prospect:
-    """A bench and a script that belong together, or what is wrong with either."""
+    """A bench and a script that belong together, or what is wrong with either; ``files`` are what may be named."""
 
     bench: str = ""
     bench_wrong: str = ""
@@ -40,12 +40,14 @@ class Prospect:
     duration_s: float = math.nan
     motion: PlannedMotion | None = None
     folder_wrong: str = ""
+    files: tuple[str, ...] = ()
 
 
 def look_ahead(choices: Choices) -> Prospect:
     """Read bench and script, and see to the folder; not for the thread that paints: it loads numpy, a disk may hang."""
     found = _read(choices.bench, choices.script, choices.device_options)
-    return replace(found, folder_wrong=folder_trouble(choices.folder))
+    files = sorted(str(path) for pattern in ("*.toml", "*/*.toml") for path in Path().glob(pattern))
+    return replace(found, folder_wrong=folder_trouble(choices.folder), files=tuple(files))
 
 
 def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) -> Prospect:

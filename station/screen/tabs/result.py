@@ -23,7 +23,6 @@ from station.screen.dialogs import AskDialog, ChooseDialog
 from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
 from station.screen.figures import columns, headed, state_heads, state_lines, templated, titled
 from station.screen.sessions.programs import ask
-from station.screen.tabs.giving_out import give_out
 from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
 
 _MANY_SIGMAS = 3.0
@@ -49,13 +48,11 @@ class ResultScreen(StationScreen):
     BINDINGS: ClassVar = [
         *(Binding(words[-1].lower(), name, words[:-3], show=False) for name, words in _BUTTONS),
         ("g,right", "gyro(1)", "Gyro"),
-        ("e", "give_out", "Give out"),
         Binding("left", "gyro(-1)", "Previous gyro", show=False),
     ]
 
     def __init__(self) -> None:
         super().__init__()
-        self._path: Path | None = None
         self._whole: Whole | None = None
         self._same: list[Entry] = []
         self._found: Mapping[str, Any] = {}
@@ -77,7 +74,7 @@ class ResultScreen(StationScreen):
 
     def _open(self, path: Path, fresh: bool) -> None:
         """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
-        self._path, self._whole, self._same, self._found = path, None, [], {}
+        self.recording, self._whole, self._same, self._found = path, None, [], {}
         self._busy, self._said, self.gyro = "reading", "", 0
         self.redraw()
         self.station.work(partial(self._read, path, fresh), "open")
@@ -100,11 +97,6 @@ class ResultScreen(StationScreen):
         self._model = await asyncio.to_thread(_investigation, found) if found.get("verdict") else ()
         self.redraw()
 
-    def action_give_out(self) -> None:
-        """Offer what can be made of the recording."""
-        if self._path is not None:
-            give_out(self.station, self._path)
-
     def action_investigate(self) -> None:
         """Look for what the model lacks; ask by which run that is to be judged, if there are others of the device."""
         if not self._may("investigate"):
@@ -125,9 +117,11 @@ class ResultScreen(StationScreen):
 
     def _look_for_cause(self, judging: Sequence[Entry]) -> None:
         """Investigate in a process of its own; ``judging`` are the runs that verify what is found."""
-        if self._path is not None:
+        if self.recording is not None:
             self._tell(_LOOKING)
-            self.station.work(partial(self._investigate, self._path, [entry.path for entry in judging]), "investigate")
+            self.station.work(
+                partial(self._investigate, self.recording, [entry.path for entry in judging]), "investigate"
+            )
 
     async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
         kept, script = await asyncio.to_thread(
@@ -140,7 +134,7 @@ class ResultScreen(StationScreen):
         files = ["--output", str(kept), "--next-script", str(script)]
         arguments = ["investigate", str(path), *verify, "--json", *files]
         answer = await ask(arguments, lambda line: self._tell(f"{_LOOKING}: {line}"))
-        if path != self._path:
+        if path != self.recording:
             return
         self._busy = ""
         self._said = "" if answer.found.get("verdict") else f"no verdict: {answer.reason}"
@@ -160,9 +154,9 @@ class ResultScreen(StationScreen):
         self.app.push_screen(AskDialog(question, answers), self._accepted)
 
     def _accepted(self, answer: str | None) -> None:
-        if answer == "yes" and self._path is not None:
+        if answer == "yes" and self.recording is not None:
             self._tell("writing the certificate")
-            self.station.work(partial(self._certify, self._path), "accept")
+            self.station.work(partial(self._certify, self.recording), "accept")
 
     async def _certify(self, path: Path) -> None:
         now = datetime.now(UTC).isoformat(timespec="seconds")
@@ -178,7 +172,7 @@ class ResultScreen(StationScreen):
             if answer.code:
                 said = f"accepted, but NO CERTIFICATE: {answer.reason}"
         whole = await self.station.archive.read(path)
-        if path == self._path:
+        if path == self.recording:
             self._busy, self._said, self._whole = "", said, whole
             self.redraw()
 
@@ -234,7 +228,7 @@ class ResultScreen(StationScreen):
             self.query_one(f"#{name}", Button).disabled = bool(self._obstacle(name))
         whole, charts = self._whole, self.query_one(Charts)
         charts.display = bool(whole and whole.curves)
-        self._block("verdict", _verdict(self._path, whole, self._busy, self._said))
+        self._block("verdict", _verdict(self.recording, whole, self._busy, self._said))
         if whole is None or whole.entry.wrong:
             for name in _BLOCKS[1:]:
                 self._block(name, None)

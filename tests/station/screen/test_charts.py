@@ -7,8 +7,9 @@ import math
 from pathlib import Path
 
 import pytest
-from conftest import HistoryFirst, driven, until
+from conftest import HistoryFirst, driven, keys, until
 from streams import STREAMS, Replay
+from textual.command import CommandList
 from textual.pilot import Pilot
 from textual.widget import Widget
 from textual.widgets import DataTable, Input
@@ -23,9 +24,8 @@ CHOICES = Choices(bench="bench.toml", script="short.toml", folder=Path("recordin
 
 def charts(app: StationApp) -> list[Widget]:
     """Return the charts that are in sight, whole."""
-    found = [chart for chart in app.screen.query("Chart") if chart.display]
-    room = app.screen.size.region
-    return [chart for chart in found if chart.region.area and chart.region in room]
+    found = [chart for chart in app.screen.query("Chart") if chart.visible and chart.region.area]
+    return [chart for chart in found if app.screen.find_widget(chart).visible_region == chart.region]
 
 
 def title(chart: Widget) -> str:
@@ -65,7 +65,7 @@ def test_a_chart_is_enlarged_and_scrolled_back_while_the_run_goes_on_with_stop_i
     async def drive(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: app.shown and app.shown.snapshot and charts(app) and title(charts(app)[0]) != "None")
         first = title(charts(app)[0])
-        await pilot.press("c")
+        await pilot.press("c", "c")
         assert len(charts(app)) == 1
         await until(pilot, lambda: title(charts(app)[0]) not in (first, "None"))
         size, small = charts(app)[0].size, charts(app)[0].region
@@ -130,9 +130,9 @@ def test_history_is_sorted_and_filtered_by_any_word_and_gives_out_what_is_asked_
         app.screen.query_one("#device", Input).value = "first"
         await until(pilot, lambda: files() == ["first.h5"])
         table.focus()
-        await pilot.press("e")
-        await until(pilot, lambda: app.screen.query("OptionList"))
-        await pilot.press("down", "down", "down", "enter")
+        await pilot.press("ctrl+p", *keys("as csv"))
+        await until(pilot, lambda: "CSV" in str(app.screen.query_one(CommandList).get_option_at_index(0).prompt))
+        await pilot.press("enter")
         await until(pilot, lambda: (recordings / "first.csv").exists())
 
     app = HistoryFirst(Choices(folder=Path("recordings")))
