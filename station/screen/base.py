@@ -24,7 +24,7 @@ class StationScreen(Screen[None]):
     MODE: ClassVar[str] = ""
     WIDE: ClassVar[int] = 120
     AUTO_FOCUS = None
-    ALLOW_IN_MAXIMIZED_VIEW = "#top, #small, #start-row, #actions, Footer, StopBar"
+    ALLOW_IN_MAXIMIZED_VIEW = "#small, #start-row, #actions, Footer, StopBar"
     BINDINGS: ClassVar = [("c", "chart", "Chart")]
     gyro = 0
     """Number of the gyro whose pictures are shown, of as many as there are."""

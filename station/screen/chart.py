@@ -6,6 +6,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from typing import ClassVar
 
+import numpy as np
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Grid
@@ -16,10 +17,11 @@ from textual_plot import HiResMode, PlotWidget
 from textual_plot.axis_formatter import NumericAxisFormatter
 from textual_plot.plot_widget import Legend
 
+from drivers.types import Floats
 from station.screen.drawings import Drawing
 
 _DOTS, _DOTS_WIDE = HiResMode.BRAILLE, 2
-_LABEL_WIDTH, _TICK_WIDTH = 9, 5
+_LABEL_WIDTH, _TICK_WIDTH, _MARGIN = 9, 6, 0.06
 
 
 class _Canvas(Canvas):
@@ -30,14 +32,18 @@ class _Canvas(Canvas):
         return strip if strip.cell_length else Strip.blank(0, self.rich_style)
 
 
-class _TimeFormatter(NumericAxisFormatter):
-    """Names the unit of time once, at the last tick."""
+class _Ticks(NumericAxisFormatter):
+    """As many ticks as there is room for, with the digits that they need; a unit stands at the first of them."""
 
-    unit = "s"
+    room, unit = 1, ""
+
+    def get_ticks(self, min_: float, max_: float, max_ticks: int = 8) -> list[float]:
+        ticks = super().get_ticks(min_, max_, max_ticks)
+        return ticks[:: -(-len(ticks) // max(self.room, 1)) or 1]
 
     def get_labels_for_ticks(self, ticks: Sequence[float]) -> list[str]:
-        *others, last = super().get_labels_for_ticks(ticks) or [""]
-        return [*others, f"{last} {self.unit}"]
+        digits = max((len(f"{tick:.7f}".rstrip("0").partition(".")[2]) for tick in ticks), default=0)
+        return [f"{round(tick, digits) + 0.0:.{digits}f}{'' if at else self.unit}" for at, tick in enumerate(ticks)]
 
 
 class Chart(PlotWidget, inherit_bindings=False):
@@ -54,13 +60,13 @@ class Chart(PlotWidget, inherit_bindings=False):
         Binding("z", "enlarge", "Enlarge"),
     ]
     KEYBOARD_PAN_FACTOR = 8.0
-    KEYBOARD_ZOOM_FACTOR = 1.0
+    KEYBOARD_ZOOM_FACTOR = 0.5
 
     def __init__(self, draw: Callable[[], None]) -> None:
         """``draw`` has this chart drawn: it gets its size late, in a part that is scrolled to."""
         super().__init__()
         self._draw_again = draw
-        self._x_formatter: _TimeFormatter = _TimeFormatter()
+        self._x_formatter, self._y_formatter = self._over, self._along = _Ticks(), _Ticks()
         self.set_reactive(PlotWidget.margin_top, 0)
         self.set_reactive(PlotWidget.margin_bottom, 1)
         self.set_reactive(PlotWidget.margin_left, _LABEL_WIDTH)
@@ -87,26 +93,34 @@ class Chart(PlotWidget, inherit_bindings=False):
         """Show a drawing, all of its time or a window of it; its title has the words that there is room for."""
         low, high = window or (drawing.span[0], max(drawing.span[1], drawing.span[0] + 1.0))
         cells = max(self.size.width - _LABEL_WIDTH, _TICK_WIDTH)
+        self._over.room, self._over.unit = cells // _TICK_WIDTH, f" {drawing.over}"
+        self._along.room = self.size.height // 2 - 1
         self.clear()
-        self.set_xlimits(low, high)
-        self.set_ylimits(drawing.low, drawing.high)
-        ticks = self._x_formatter.get_ticks(low, high)
-        self.set_xticks(ticks[:: -(-len(ticks) * _TICK_WIDTH // cells)])
-        self._x_formatter.unit = drawing.over
         for mark in drawing.marks:
             if low < mark < high:
                 self.add_v_line(mark, self._style("mark"))
+        shown = [np.array([0.0])]
         for times, values, style, sds in drawing.curves:
-            if sds:
-                self.errorbar(times, values, None, sds, "●", self._style(style))
-                continue
             first, last = max(bisect_left(times, low) - 1, 0), bisect_right(times, high) + 1
-            part = slice(first, last, max((last - first) // (cells * _DOTS_WIDE), 1))
-            self.plot(times[part], values[part], self._style(style), _DOTS)
-        room = self.size.width - 4
-        words = [*([("0 shows all", "limit")] if window else []), *drawing.words]
-        fitting = [word for at, word in enumerate(words) if sum(len(text) + 2 for text, _ in words[: at + 1]) <= room]
-        self.border_title = Content.assemble(*((f" {text} ", self._style(s) if s else "") for text, s in fitting))
+            part = slice(first, last, 1 if sds else max((last - first) // (cells * _DOTS_WIDE), 1))
+            shown.append(np.array(values[part]))
+            if sds:
+                self.errorbar(times[part], values[part], None, sds[part], "●", self._style(style))
+            else:
+                self.plot(times[part], values[part], self._style(style), _DOTS)
+        self.set_xlimits(low, high)
+        self.set_ylimits(*drawing.range or _around(np.concatenate(shown[1:] or shown)))
+        words, room = [*([("0 shows all", "limit")] if window else []), *drawing.words], self.size.width - 3
+        fitting = [word for at, word in enumerate(words) if sum(len(text) + 1 for text, _ in words[: at + 1]) <= room]
+        self.border_title = Content.assemble(" ", *((f"{text} ", self._style(s) if s else "") for text, s in fitting))
 
     def _style(self, name: str) -> str:
         return str(self.get_component_rich_style(f"chart--{name}"))
+
+
+def _around(values: Floats) -> tuple[float, float]:
+    """Return a range somewhat wider than that of values."""
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    margin = _MARGIN * (high - low) or 1.0
+    return low - margin, high + margin

@@ -38,8 +38,7 @@ class Drawing(NamedTuple):
 
     words: Sequence[tuple[str, str]]
     curves: Sequence[Curve]
-    low: float | None = None
-    high: float | None = None
+    range: tuple[float, float] | None = None
     span: tuple[float, float] = (0.0, 1.0)
     marks: Sequence[float] = ()
     over: str = "s"
@@ -65,8 +64,8 @@ def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[floa
         reach = [_SIGMAS * math.sqrt(2 / s.recent) if s.recent else math.nan for s in run.seen]
         curves = [Curve(times, [1 + sign * r for r in reach], "band") for sign in (1, -1)]
         curves += [*_levels(nis_limits, "limit"), Curve(times, [s.nis_recent for s in run.seen])]
-        words = [("NIS (30 s)", ""), (number(last.nis_recent, 2), "line"), ("95 % band", "band"), ("limits", "limit")]
-        return Drawing(words[: 3 + bool(nis_limits)], curves, 0.5, 1.5)
+        words = [("NIS (30 s)", ""), (number(last.nis_recent, 2), "line"), ("95 %", "band"), ("limits", "limit")]
+        return Drawing(words[: 3 + bool(nis_limits)], curves, (0.5, 1.5))
     if name == "temperature":
         degc = [next((u.temperature_c for u in s.sources if u.name == gyro.source), math.nan) for s in run.seen]
         return Drawing(
@@ -75,13 +74,13 @@ def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[floa
     of_gyro = [next((g for g in s.gyros if g.name == gyro.name), GyroSnapshot("", "", (), ())) for s in run.seen]
     if name == "residual":
         curves = [*_levels((_SIGMAS, -_SIGMAS), "band"), Curve(times, [g.residual for g in of_gyro])]
-        words = [("residual (sigmas)", ""), (gyro.name, "line"), ("95 % within 2", "band")]
-        return Drawing(words, curves, -2 * _SIGMAS, 2 * _SIGMAS)
+        words = [("residual (sigmas)", ""), (gyro.name, "line"), ("95 %", "band")]
+        return Drawing(words, curves, (-2 * _SIGMAS, 2 * _SIGMAS))
     axes = list(zip(sorted(axis.name for axis in last.axes), _AXIS_STYLES, strict=False))
     rates = [[a.rate_rps * _DEG for s in run.seen for a in s.axes if a.name == axis] for axis, _ in axes]
     curves = [Curve(times, rate, style) for rate, (_, style) in zip(rates, axes, strict=True)]
     curves.append(Curve(times, [g.rate_rps * _DEG for g in of_gyro]))
-    return Drawing([("rate (deg/s)", ""), (gyro.name, "line"), ("table", ""), *axes], curves)
+    return Drawing([("rate (deg/s)", ""), (gyro.name, "line"), *axes], curves)
 
 
 def state_drawing(index: int, trend: Trend, limit: float, over: str = "s") -> Drawing:
@@ -108,9 +107,9 @@ def state_drawing(index: int, trend: Trend, limit: float, over: str = "s") -> Dr
     near: list[float] = []
     if math.isfinite(limit := limit * state.factor):
         near = [at for at in (limit, -limit) if abs(at - centre) < 3 * reach]
-        words.append((f"limit ±{limit:g}{'' if near else ', off the chart'}", "limit"))
-    low, high = min([centre - reach, *near]), max([centre + reach, *near])
-    return Drawing(words, [*_levels(near, "limit"), *curves], low, high, (start - margin, end + margin), over=over)
+        words.append((f"limit ±{limit:.4g}", "limit"))
+    values_range = min([centre - reach, *near]), max([centre + reach, *near])
+    return Drawing(words, [*_levels(near, "limit"), *curves], values_range, (start - margin, end + margin), over=over)
 
 
 def motion_drawing(axes: Sequence[str], t_s: Any, rates_rps: Any) -> Drawing:

@@ -74,7 +74,7 @@ def test_a_chart_is_enlarged_and_scrolled_back_while_the_run_goes_on_with_stop_i
         bar = app.screen.query_one(StopBar).region
         assert bar.area
         assert not bar.overlaps(charts(app)[0].region)
-        await pilot.press("plus", "left")
+        await pilot.press("plus", "plus", "minus", "left")
         await until(pilot, lambda: "of 0:41" in str(app.screen.query_one("#progress").render()))
         await until(pilot, lambda: "0 shows all" in title(charts(app)[0]))
         await pilot.press("0", "escape")
