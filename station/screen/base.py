@@ -15,7 +15,7 @@ from station.screen.bars import StopBar, TopBar
 from station.screen.seen_app import SeenApp
 
 LEAST_WIDTH, LEAST_HEIGHT = 80, 24
-_TALL, _LARGE = 34, 52
+_TALL, _LARGE = 34, (200, 52)
 
 
 class StationScreen(Screen[None]):
@@ -83,7 +83,7 @@ class StationScreen(Screen[None]):
         self.set_class(self.small, "-small")
         self.set_class(size.width >= self.WIDE, "-wide")
         self.set_class(size.height >= _TALL, "-tall")
-        self.set_class(size.height >= _LARGE, "-large")
+        self.set_class(size.width >= _LARGE[0] and size.height >= _LARGE[1], "-large")
         self.call_after_refresh(self.redraw)
 
 

@@ -39,7 +39,8 @@ class _Ticks(NumericAxisFormatter):
 
     def get_ticks(self, min_: float, max_: float, max_ticks: int = 8) -> list[float]:
         ticks = super().get_ticks(min_, max_, max_ticks)
-        return ticks[:: -(-len(ticks) // max(self.room, 1)) or 1]
+        step = max(-(-len(ticks) // max(self.room, 1)), 1)
+        return ticks[min(range(len(ticks)), key=lambda at: abs(ticks[at]), default=0) % step :: step]
 
     def get_labels_for_ticks(self, ticks: Sequence[float]) -> list[str]:
         digits = max((len(f"{tick:.7f}".rstrip("0").partition(".")[2]) for tick in ticks), default=0)

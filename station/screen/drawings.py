@@ -100,14 +100,14 @@ def state_drawing(index: int, trend: Trend, limit: float, over: str = "s") -> Dr
     since = -math.inf if days else end - _RECENT * (end - start)
     reach = max(_LEAST_SIGMAS * sd, *(abs(value - centre) + s for t, value, s in scaled if t >= since)) * _MARGIN or 1.0
     times, values, sds = zip(*(row for row in scaled if row[2] < reach), strict=True)
-    words.append((f"{number(centre, state.digits)} ± {number(sd, state.digits)}", "line"))
+    words += [(number(centre, state.digits), "line"), (f"± {number(sd, state.digits)}", "line")]
     edges = [Curve(times, [v + sign * s for v, s in zip(values, sds, strict=True)], "band") for sign in (1, -1)]
     curves = [Curve(times, values, sds=sds)] if days else [*edges, Curve(times, values)]
     margin = (0.05 * (end - start) or 1.0) if days else 0.0
     near: list[float] = []
     if math.isfinite(limit := limit * state.factor):
         near = [at for at in (limit, -limit) if abs(at - centre) < 3 * reach]
-        words.append((f"limit ±{limit:.4g}", "limit"))
+        words.append((f"limit ±{limit:.5g}", "limit"))
     values_range = min([centre - reach, *near]), max([centre + reach, *near])
     return Drawing(words, [*_levels(near, "limit"), *curves], values_range, (start - margin, end + margin), over=over)
 

@@ -45,9 +45,7 @@ class HistoryScreen(StationScreen):
     def body(self) -> ComposeResult:
         with Horizontal(classes="field"):
             yield Label("Filter")
-            yield Field(id="device", placeholder="words of any column")
-            yield Label("Date")
-            yield Field(id="date", placeholder="any; 2026-11, 2026-11-21")
+            yield Field(id="device", placeholder="words of any column: SN-0042 2026-11 FAIL")
         yield Static(id="folder", markup=False)
         yield DataTable(id="recordings", cursor_type="row", zebra_stripes=True)
         yield Static(id="trend", markup=False)
@@ -111,8 +109,7 @@ class HistoryScreen(StationScreen):
 
     def _show(self) -> None:
         words = self.query_one("#device", Input).value.lower().split()
-        date = self.query_one("#date", Input).value.strip()
-        rows = [(entry, _cells(entry)) for entry in self._entries if entry.when.startswith(date)]
+        rows = [(entry, _cells(entry)) for entry in self._entries]
         rows = [row for row in rows if all(word in " ".join(map(str, row[1])).lower() for word in words)]
         if self._sorted:
             rows.sort(key=lambda row: str(row[1][self._sorted]))

@@ -3,7 +3,6 @@
 import asyncio
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
@@ -25,7 +24,7 @@ from station.screen.sessions.link import sessions_on
 from station.screen.sessions.live_run import LiveRun
 from station.screen.sessions.programs import Answer, ask
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
-from station.views.figures import STATE_UNITS, clock, number, three_digits
+from station.views.figures import clock, number, three_digits
 
 _FIELDS = (
     ("bench", "Bench file", "built-in twins"),
@@ -276,17 +275,16 @@ class PrepareScreen(StationScreen):
         lines += [Text.assemble(("NOTE  ", "bold yellow"), text) for text in self._warnings()]
         self.query_one("#ready", Static).update(titled("Before START", lines or [Text("nothing is missing", "green")]))
         prospect = self._prospect
-        limits: tuple[str, ...] = ()
-        if prospect is not None and not prospect.bench_wrong:
-            limits = prospect.limits or ("none: every run that comes to its end passes",)
-        self.query_one("#limits", Static).update(titled("Limits of the bench", [Text(line) for line in limits]))
+        limits = prospect.limits if prospect is not None else None
+        self.query_one("#limits", Static).update(templated("limits.rich", {"limits": limits}))
         values = {
             "bench": prospect.bench if prospect is not None else "",
             "check": self._check,
             "checking": self._checking,
         }
         self.query_one("#check", Static).update(templated("check.rich", {**values, "degrees": _degrees}))
-        self.query_one("#plan", Static).update(_plan(prospect, self._plan))
+        shown = {"prospect": prospect, "plan": self._plan, "columns": columns, "three_digits": three_digits}
+        self.query_one("#plan", Static).update(templated("plan.rich", {**shown, "clock": clock}))
         self.query_one(Charts).draw()
 
     def _drawing(self, name: str) -> Drawing | None:
@@ -310,22 +308,3 @@ def _summary(obstacles: list[tuple[str, str]]) -> Text:
 
 def _degrees(angle_rad: float) -> str:
     return number(math.degrees(angle_rad), 3)
-
-
-def _plan(prospect: Prospect | None, plan: Answer | None) -> Text:
-    rows: list[list[str]] = []
-    gyros = plan.found.get("gyros") or [] if plan is not None else []
-    if plan is not None and gyros:
-        required = plan.found.get("required") or {}
-        asked = any(value is not None for value in required.values())
-        rows = [["predicted", *(f"{name} {unit}" for name, unit, _ in STATE_UNITS)]]
-        rows += [_sizes(g["name"], g["sd"]) for g in gyros] + ([_sizes("required", required)] if asked else [])
-    table = columns(rows, gap=" ") if rows else []
-    values = {"prospect": prospect, "plan": plan, "table": table, "gyros": gyros, "clock": clock}
-    return templated("plan.rich", values)
-
-
-def _sizes(name: str, by_state: Mapping[str, float | None]) -> list[str]:
-    """Return a name and the sigmas of the four states, a dash for what is not there."""
-    pairs = zip(by_state.values(), STATE_UNITS, strict=True)
-    return [name, *(three_digits(None if v is None else v * factor) for v, (_, _, factor) in pairs)]

@@ -21,9 +21,9 @@ from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskDialog, ChooseDialog
 from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
-from station.screen.figures import columns, headed, state_heads, state_lines, templated, titled
+from station.screen.figures import columns, state_heads, state_lines, templated, titled
 from station.screen.sessions.programs import ask
-from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
+from station.views.figures import OUTCOME_STYLES
 
 _MANY_SIGMAS = 3.0
 _REASONS = 4
@@ -238,7 +238,7 @@ class ResultScreen(StationScreen):
         self._block("change", _change(whole.entry, last_before(whole.entry, self._same)) if gyros else None)
         lines = self._model or [Text("I looks for what the four states lack", "dim")]
         self._block("model", Group(Text("Investigation", "bold underline"), *lines) if gyros else None)
-        self._block("record", _record(whole))
+        self._block("record", templated("record.rich", {"whole": whole, "most": _REASONS}))
         charts.draw()
 
     def _block(self, name: str, shown: RenderableType | None) -> None:
@@ -273,36 +273,10 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
 
 
 def _change(entry: Entry, last: Entry | None) -> Text:
-    title = "Change since the last calibration of this device"
-    if last is None:
-        return titled(title, [Text("none of it in this folder", "dim")])
-    before = {(gyro.source, gyro.name): gyro for gyro in last.gyros}
-    rows = state_heads("gyro", "sigmas")
-    marked = []
-    for gyro in entry.gyros:
-        old = before.get((gyro.source, gyro.name))
-        if old is None:
-            continue
-        cells, far = [gyro.name], False
-        for state, new_value, new_sd, value, sd in zip(
-            STATE_FIGURES, gyro.values, gyro.sds, old.values, old.sds, strict=True
-        ):
-            delta, sigma = new_value - value, math.hypot(new_sd, sd)
-            ratio = delta / sigma if sigma > 0 else math.nan
-            far = far or abs(ratio) > _MANY_SIGMAS
-            cells += [state.text(delta, signed=True), number(ratio, 1, signed=True)]
-        rows.append(cells)
-        marked.append(far)
-    lines = headed(columns(rows, gap=" "), 2)
-    for line, far in zip(lines[2:], marked, strict=True):
-        if far:
-            line.stylize("yellow")
-    if any(marked):
-        lines.append(Text(f"yellow: a state moved by more than {_MANY_SIGMAS:g} of its sigmas", "dim"))
-    outcomes = {run.texts.get("outcome") or "no outcome" for run in (entry, last)} - {"PASS"}
-    if outcomes:
-        lines.append(Text(f"not both runs are a PASS ({', '.join(sorted(outcomes))}): this may be no change", "yellow"))
-    return titled(f"{title}, {last.when} ({last.path.name}, {last.texts.get('outcome', '')})", lines)
+    before = {(gyro.source, gyro.name): gyro for gyro in last.gyros} if last is not None else {}
+    pairs = [(gyro, before[gyro.source, gyro.name]) for gyro in entry.gyros if (gyro.source, gyro.name) in before]
+    tables = {"heads": state_heads("gyro", "sigmas"), "columns": columns, "hypot": math.hypot}
+    return templated("change.rich", {"entry": entry, "last": last, "pairs": pairs, "most": _MANY_SIGMAS, **tables})
 
 
 def _verdict(path: Path | None, whole: Whole | None, busy: str, said: str) -> Text:
@@ -316,7 +290,7 @@ def _verdict(path: Path | None, whole: Whole | None, busy: str, said: str) -> Te
         "busy": busy,
         "said": said,
         "style": OUTCOME_STYLES.get(entry.texts.get("outcome", ""), "bold") if entry is not None else "",
-        "short": _short,
+        "most": _REASONS,
         "named": [f"{_NAMED.get(key, key)} {text}" for key, text in known.items() if text],
     }
     return templated("verdict.rich", values)
@@ -324,20 +298,3 @@ def _verdict(path: Path | None, whole: Whole | None, busy: str, said: str) -> Te
 
 def _run_words(entry: Entry) -> str:
     return f"{entry.when}  {entry.texts.get('outcome', ''):7} {entry.texts.get('script', '')}  {entry.path.name}"
-
-
-def _short(reason: str) -> str:
-    """Return a reason cut to the first things it names; all of it is in the record below."""
-    parts = reason.split("; ")
-    more = len(parts) - _REASONS
-    return reason if more <= 0 else f"{'; '.join(parts[:_REASONS])}; and {more} more, see the record below"
-
-
-def _record(whole: Whole) -> Text:
-    reasons = whole.entry.texts.get("reason", "").split("; ")
-    values = {
-        "whole": whole,
-        "reasons": reasons if len(reasons) > _REASONS else [],
-        "nis": number(whole.nis_mean, 3),
-    }
-    return templated("record.rich", values)

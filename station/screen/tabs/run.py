@@ -22,7 +22,7 @@ from station.screen.figures import bar, columns, state_lines, templated
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.views.figures import clock
 
-_EVENTS = ("events", "latest")
+_SOURCES, _EVENTS = ("sources", "details"), ("events", "latest")  # beside the figures, or at the end of all
 _MOST_EVENTS = 24
 _REASON_ROWS = 4
 _NIS_OFF = 0.25
@@ -46,9 +46,11 @@ class RunScreen(StationScreen):
         yield Lines(id="progress")
         with Container(id="columns"):
             yield Lines(id="figures")
-            yield Lines(id="events", classes="block")
+            yield Lines(id="sources")
+            yield Lines(id="events")
         yield Charts(RUN_CHARTS, self._drawing)
-        yield Lines(id="latest", classes="block")
+        yield Lines(id="latest")
+        yield Lines(id="details")
 
     def redraw(self) -> None:
         """Draw all at once, the charts too."""
@@ -62,10 +64,13 @@ class RunScreen(StationScreen):
         run = self.station.shown
         self._show("progress", _progress(run, self.station.others, self.size.width - 4))
         if run is None or run.snapshot is None:  # what is there is of the run before
-            for name in ("figures", *_EVENTS):
+            for name in ("figures", *_SOURCES, *_EVENTS):
                 self._show(name, Text())
             return
-        self._show("figures", _figures(run, run.snapshot, self.has_class("-large")))
+        values = _values(run, run.snapshot, self.has_class("-large"))
+        self._show("figures", templated("figures.rich", values))
+        for name in _SOURCES:
+            self._show(name, templated("sources.rich", values))
         for name in _EVENTS:
             self._show(name, _event_lines(run, max(self.query_one(f"#{name}").size.width, 30)))
         self.query_one(Charts).draw_next()
@@ -103,10 +108,11 @@ def _progress(run: LiveRun | None, others: int, width: int) -> Text:
     return templated("progress.rich", {**values, "wrapped": wrapped})
 
 
-def _figures(run: LiveRun, snapshot: Snapshot, large: bool) -> Text:
-    """Return axes, sources, innovations and states; of a run that has gone the last that is known of them."""
+def _values(run: LiveRun, snapshot: Snapshot, large: bool) -> dict[str, Any]:
+    """Return what is shown of axes, sources, innovations, states; of a run that has gone the last that is known."""
     judged, style = _judgement(snapshot)
-    values = {
+    return {
+        "snapshot": snapshot,
         "old": run.stage is not Stage.RUNNING or run.silent_s > SILENCE_S,
         "moving": not run.at_rest,  # the last figures may be from before it came to rest
         "axes": sorted(snapshot.axes, key=lambda axis: axis.name),
@@ -114,9 +120,11 @@ def _figures(run: LiveRun, snapshot: Snapshot, large: bool) -> Text:
         "links": ["losses" if s.link == "ok" and (s.lost or s.corrupt) else s.link for s in snapshot.sources],
         "rate_hz": max((s.rate_hz for s in snapshot.sources if math.isfinite(s.rate_hz)), default=math.nan),
         "states": state_lines(snapshot.gyros, nis=True),
+        "judged": judged,
+        "style": style,
+        "large": large,
+        "columns": columns,
     }
-    shown = {"snapshot": snapshot, "judged": judged, "style": style, "large": large, "columns": columns}
-    return templated("figures.rich", values | shown)
 
 
 def _judgement(snapshot: Snapshot) -> tuple[str, str]:
