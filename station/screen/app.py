@@ -10,7 +10,6 @@ from collections.abc import Callable, Coroutine, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, TextIO, cast
 
@@ -149,9 +148,10 @@ class StationApp(App[None]):
             self.push_screen(HelpDialog(keys))
 
     def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
-        """Offer what can be made of the recording that is on the screen, and what textual offers."""
-        recording = screen.recording if isinstance(screen, StationScreen) else None
-        return chain(offered(self, recording) if recording else (), super().get_system_commands(screen))
+        """Offer what can be made of the recording on the screen, and what textual offers; keys are told by F1."""
+        if isinstance(screen, StationScreen) and screen.recording is not None:
+            yield from offered(self, screen.recording)
+        yield from (command for command in super().get_system_commands(screen) if command.title != "Keys")
 
     async def action_quit(self) -> None:
         """Leave; if a session runs, ask what is to become of it."""

@@ -95,7 +95,7 @@ class Chart(PlotWidget, inherit_bindings=False):
         low, high = window or (drawing.span[0], max(drawing.span[1], drawing.span[0] + 1.0))
         cells = max(self.size.width - _LABEL_WIDTH, _TICK_WIDTH)
         self._over.room, self._over.unit = cells // _TICK_WIDTH, f" {drawing.over}"
-        self._along.room = self.size.height // 2 - 1
+        self._along.room = (self.size.height - 1) // 2
         self.clear()
         for mark in drawing.marks:
             if low < mark < high:
@@ -110,10 +110,14 @@ class Chart(PlotWidget, inherit_bindings=False):
             else:
                 self.plot(times[part], values[part], self._style(style), _DOTS)
         self.set_xlimits(low, high)
+        self.set_yticks(None if drawing.curves else [])
         self.set_ylimits(*drawing.range or _around(np.concatenate(shown[1:] or shown)))
-        words, room = [*([("0 shows all", "limit")] if window else []), *drawing.words], self.size.width - 3
-        fitting = [word for at, word in enumerate(words) if sum(len(text) + 1 for text, _ in words[: at + 1]) <= room]
-        self.border_title = Content.assemble(" ", *((f"{text} ", self._style(s) if s else "") for text, s in fitting))
+        name, *others = drawing.words
+        room, title = self.size.width - 4, Content(" ")
+        for text, style in [name, *([("0 shows all", "limit")] if window else []), *others]:
+            if title.cell_length + len(text) < room:
+                title += Content.assemble((text, self._style(style) if style else ""), " ")
+        self.border_title = title
 
     def _style(self, name: str) -> str:
         return str(self.get_component_rich_style(f"chart--{name}"))
