@@ -40,6 +40,7 @@ from station.screen.tabs.result import ResultScreen
 from station.screen.tabs.run import RunScreen
 
 _TICK_S = 0.1
+_YIELD_S = 0.001  # after which a chart that is being drawn lets the thread go on that has read STOP
 _HANGUP_S = 0.5
 _OTHERS_S = 2.0
 _SETTLED_S = 2.0
@@ -100,6 +101,7 @@ class StationApp(App[None]):
         return type("StopFirstDriver", (_StopFirst, super().get_driver_class()), {})
 
     def on_mount(self) -> None:
+        sys.setswitchinterval(_YIELD_S)
         self.set_interval(_TICK_S, self._tick)
         self.set_interval(_HANGUP_S, self._watch_terminal)
         self.set_interval(_OTHERS_S, partial(self.work, self._count_others, "others"))

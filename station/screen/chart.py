@@ -118,6 +118,7 @@ class Chart(PlotWidget, inherit_bindings=False):
             if title.cell_length + len(text) < room:
                 title += Content.assemble((text, self._style(style) if style else ""), " ")
         self.border_title = title
+        self.render()  # now, so that the terminal is written to once for all that this tick has changed
 
     def _style(self, name: str) -> str:
         return str(self.get_component_rich_style(f"chart--{name}"))

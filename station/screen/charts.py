@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from station.screen.chart import Chart
 
 _WIDE_TO_HIGH, _LEAST_ROWS = 3.0, 7.0
-_TURNS = 10
-"""Every chart is drawn anew once in so many ticks, one at a tick, so that no key waits for several."""
+_TICKS = 3
+"""In so many ticks one chart is drawn anew, so that no key waits for several, and the session keeps its core."""
 
 
 class Charts(Grid):
@@ -65,8 +65,9 @@ class Charts(Grid):
 
     def draw_next(self) -> None:
         """Draw the chart whose turn it is."""
-        self._turn = (self._turn + 1) % _TURNS
-        self.draw(self._turn)
+        self._turn = (self._turn + 1) % (_TICKS * len(self._names))
+        if self._turn % _TICKS == 0:
+            self.draw(self._turn // _TICKS)
 
     def on_plot_widget_scale_changed(self, event: Any) -> None:
         """Show in all charts the time that one was moved to."""

@@ -69,8 +69,9 @@ class RunScreen(StationScreen):
             return
         values = _values(run, run.snapshot, self.has_class("-large"))
         self._show("figures", templated("figures.rich", values))
+        sources = templated("sources.rich", values)
         for name in _SOURCES:
-            self._show(name, templated("sources.rich", values))
+            self._show(name, sources)
         for name in _EVENTS:
             self._show(name, _event_lines(run, max(self.query_one(f"#{name}").size.width, 30)))
         self.query_one(Charts).draw_next()
