@@ -24,6 +24,7 @@ from station.campaigns import ONE_BLAS_THREAD
 from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError
 from station.exports import GROUP as EXPORTS
 
+_NO_ROOM = ("can't start new thread", "failed to map segment")
 _MODULES = dict.fromkeys(("run", "twin", "import"), "station.commands.common") | {"study": "station.studies.command"}
 """Where the function of a command is, if not in a module of its name: ``command_NAME(arguments) -> exit code``."""
 
@@ -98,6 +99,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(getattr(module, f"command_{command}")(arguments))
     except (UsageError, EstimatorError, DeviceError, PluginError) as error:
         return _refuse(error, module, arguments)
+    except (MemoryError, ImportError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and not any(words in str(error) for words in _NO_ROOM):
+            raise
+        return _refuse(
+            UsageError("this computer is short of memory: end other programs, or give it more"), module, arguments
+        )
     except KeyboardInterrupt:
         print("station: stopped by Ctrl-C", file=sys.stderr)
         return EXIT_ABORTED

@@ -15,6 +15,7 @@ from estimator.estimation.source_estimate import DeviceEstimate, SourceEstimate,
 from estimator.geometry.model import decode
 from estimator.observations.conditions_seen import holds_for
 from estimator.observations.defects.reading_doubts import reading_doubts
+from estimator.observations.defects.stuck import stuck_doubts
 from estimator.observations.foreign import at_rest, factor_notes, foreign_motion_notes, sparse_doubts
 from estimator.observations.health import Excluded, usable
 from estimator.observations.rests import RestNoise, motion_notes, rest_noise
@@ -67,8 +68,8 @@ def calibrate(
     nis = squares / dof if dof and innovations else float("nan")
     doubts += _nis_doubts(nis, estimates)
     if isinstance(recording.reference, TableReadings):
-        spoilt += (of_table := reading_doubts(recording.reference))
-        doubts += of_table
+        seen = [*reading_doubts(recording.reference), *stuck_doubts(recording)]
+        spoilt, doubts = [*seen, *spoilt], [*seen, *doubts]
     order = [name for data in recording.sources.values() for name in data.array.names]
     return Calibration(
         tuple(sorted(gyros, key=lambda gyro: order.index(gyro.name))),

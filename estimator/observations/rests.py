@@ -62,11 +62,11 @@ def motion_notes(recording: Recording) -> list[str]:
     reference = recording.reference
     if not isinstance(reference, TableReadings):
         return []
-    moving = [
-        axis
-        for axis, rate in zip(reference.gimbals, reference.rate_rps.T, strict=True)
-        if np.abs(rate).max(initial=0.0) > 10 * REST_RPS
-    ]
+    turning = np.abs(reference.rate_rps) > 10 * REST_RPS
+    starts = dict(
+        zip(reference.gimbals, (turning[1:] & ~turning[:-1]).sum(axis=0) + turning[:1].sum(axis=0), strict=True)
+    )
+    moving = sorted(axis for axis, count in starts.items() if count)
     notes = []
     if not moving:
         notes.append(
@@ -75,8 +75,14 @@ def motion_notes(recording: Recording) -> list[str]:
         )
     elif len(moving) < 3:
         notes.append(
-            f"the table turns about {' and '.join(sorted(moving))} only: of each gyro the bias and its sensitivity to "
+            f"the table turns about {' and '.join(moving)} only: of each gyro the bias and its sensitivity to "
             "such turns can be estimated, not k, sigma_j and sigma_k each by itself; turn about all three axes"
+        )
+    if once := [axis for axis in moving if starts[axis] == 1]:
+        notes.append(
+            f"turned only once: {', '.join(once)}: a scale factor, an alignment or the table's gearing that changed "
+            "before or after that turn passes for a constant and is in no sigma; a script that turns each axis early "
+            "and late shows it"
         )
     if moving and not rest_spans(reference):
         notes.append(

@@ -115,7 +115,8 @@ class _Node:
         scaled = signal.unscaled(value)
         if not field.is_float:
             least, steps = -(2 ** (field.length - 1)) if field.is_signed else 0, 2**field.length - 1
-            ends = sorted(raw * field.scale + field.offset for raw in (least, least + steps))
+            most = least + steps - (steps >> 50)  # the end of 64 bits is beyond the digits of a float
+            ends = sorted(raw * field.scale + field.offset for raw in (least, most))
             scaled = min(max(scaled, ends[0]), ends[1])
         low, high = field.minimum, field.maximum
         if low is not None and high is not None and low < high:

@@ -199,7 +199,7 @@ def _folder(name: str, bench: str, faults: Sequence[Fault], seed: int, *, lenien
     twin = f'[twin]\nseed = {seed}\nwatchdog = "1 s"\n' + 'hidden = "hidden.toml"\n' * bool(hidden)
     text = (BENCHES / f"{bench}.toml").read_text().replace("[twin]\n", twin, 1)
     if lenient:
-        text = re.sub(r"\[limits\]\n(?:[^\[].*\n|\n)*", LIMITS, text)
+        text = re.sub(r"\[limits\]\n(?:(?!\[).*\n)*", LIMITS + "\n", text)
     tables: dict[str, list[str]] = {}
     for fault in faults:
         if fault.section:
@@ -336,10 +336,8 @@ def _off(ran: _Run) -> str:
 
 def worst(found: Calibration, bench: Bench, faults: Sequence[Fault]) -> tuple[float, int, int]:
     """Return by how many of its sigmas the worst state is off from the nearest it was, its gyro and its column."""
-    candidates = []
-    for imu in bench.imus:
-        if not imu.used:
-            continue
+    rows: dict[str, Iterator[Any]] = {}
+    for imu in (imu for imu in bench.imus if imu.used):
         true = truth_of(bench.twin.truths.again(), imu)
         of_states = [
             np.broadcast_to(x, len(imu.array)) for x in (true.k, true.b_rps, true.sigma_j_rad, true.sigma_k_rad)
@@ -347,9 +345,9 @@ def worst(found: Calibration, bench: Bench, faults: Sequence[Fault]) -> tuple[fl
         shifts = [_shift(fault) for fault in faults if fault.device == imu.name]
         shifts += [-STEP_PPM * 1e-6] * any(fault.kind == "scale step" for fault in faults)
         of_k = np.array([0.0, *shifts, *(3 - len(shifts)) * [0.0]])[:, None, None] * [1.0, 0.0, 0.0, 0.0]
-        candidates.append(np.column_stack(of_states) + of_k)
-    was = np.concatenate(candidates, axis=1)  # (instant, gyro, state)
-    off = np.min([[abs(x - g.states) / g.sd for x, g in zip(one, found.gyros, strict=True)] for one in was], axis=0)
+        rows[imu.name] = iter(np.swapaxes(np.column_stack(of_states) + of_k, 0, 1))  # (gyro, instant, state)
+    # A calibration may name the gyros of several devices in turn; those of one device are in its order.
+    off = np.array([np.min(abs(next(rows[g.device]) - g.states) / g.sd, axis=0) for g in found.gyros])
     row, state = np.unravel_index(np.nanargmax(off), off.shape)
     return float(off[row, state]), int(row), int(state)
 

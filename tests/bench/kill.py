@@ -102,13 +102,14 @@ class Listener:
         for sent, rates_rps in zip(self.sent.values(), rates, strict=True):
             there = [round(value / RAW_RPS) for value in rates_rps]
             raw = [value for _, value in sent]
-            first = next(i for i in range(len(raw)) if raw[i : i + 20] == there[:20])
-            due = [value for at, value in sent[first:] if at <= killed_at - reach_s]
+            # Where the recording began on the bus; this listener may have missed a frame of the first twenty itself.
+            first = next(i - at for at in range(0, 200, 20) for i in range(len(raw)) if raw[i:][:20] == there[at:][:20])
+            due = [value for at, value in sent[max(first, 0) :] if at <= killed_at - reach_s]
             same = difflib.SequenceMatcher(None, due, there, autojunk=False).get_matching_blocks()
             sent_in_all += len(due)
             lost += len(due) - sum(block.size for block in same)
             kept = {i for block in same for i in range(block.a, block.a + block.size)}
-            gaps_s |= {round(killed_at - sent[first + i][0], 2) for i in range(len(due)) if i not in kept}
+            gaps_s |= {round(killed_at - sent[max(first, 0) + i][0], 2) for i in range(len(due)) if i not in kept}
             last_s = max(last_s, killed_at - sent[min(first + len(there), len(sent)) - 1][0])
         return sent_in_all, lost, sorted(gaps_s), last_s
 

@@ -174,6 +174,22 @@ def test_remote_frames_carry_no_data_and_are_left_out() -> None:
     run(main)
 
 
+def test_error_frames_of_a_bus_are_counted_and_left_out() -> None:
+    warning, bus_off = (can.Message(arbitration_id=code, is_error_frame=True, data=bytes(8)) for code in (0x04, 0x40))
+
+    async def main() -> None:
+        link = CanLink("imu", "virtual", "errors", {})
+        await link.open()
+        with can.Bus(interface="virtual", channel="errors") as other:
+            for message in (SENT[0], warning, bus_off, SENT[1]):
+                other.send(message)
+            assert values(await receive(link, 2)) == values_of(SENT[:2])
+            assert (link.counts.error_frames, link.counts.bus_off) == (2, 1)
+        link.close()
+
+    run(main)
+
+
 def test_an_adapter_that_is_unplugged_is_a_lost_link_in_plain_words() -> None:
     async def main() -> None:
         async with slcan_link() as (link, pty):

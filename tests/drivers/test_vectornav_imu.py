@@ -415,3 +415,20 @@ def test_a_noisy_line_costs_samples_and_nothing_else() -> None:
             assert counts.corrupt > 25
 
     virtually(main)
+
+
+def test_how_it_is_set_beside_its_output_is_told_as_far_as_its_firmware_knows() -> None:
+    async def main() -> None:
+        async with bench() as b:
+            before = await b.imu.identify()
+            b.device.received(encode_sentence(Sentence("VNWRG", ("85", *"0040003000"))))
+            after = await b.imu.identify()
+            assert after == before  # the same device
+            assert before.settings.endswith("register 85 at 0,4,4,4,0,0,3,3,3,0")
+            assert after.settings == before.settings.replace("0,4,4,4,0,0,3,3,3,0", "0,0,4,0,0,0,3,0,0,0")
+        unknown = encode_sentence(Sentence("VNRRG", ("99",)))
+        older = encode_sentence(Sentence("VNRRG", ("85",)))
+        async with bench(to_device=lambda data: data.replace(older, unknown)) as b:
+            assert (await b.imu.identify()).settings == before.settings.partition("; register 85")[0]
+
+    virtually(main)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from estimator.estimation.calibrate import calibrate
 from estimator.geometry.array import tetrahedron
 from sims.physics.hidden import Hidden
 from station.opening import DeviceTruth, simulate
-from station.scripts.loop_scripts import exploration_script
-from station.scripts.script import paper_script
+from station.scripts.loop_scripts import exploration_script, verification_script
+from station.scripts.script import Script, paper_script
 
 DEVICE = DeviceTruth(
     tetrahedron(), np.tile(TABLE_1, (4, 1)), float(np.radians(0.005)), float(np.radians(2 / 3600)), kind="tetrahedron"
@@ -67,3 +68,31 @@ def test_a_creep_that_would_pass_for_noise_is_told(seed: int) -> None:
 def test_earth_rate_on_a_table_of_no_stated_site_is_no_change() -> None:
     recording = simulate(paper_script(), {"array": DEVICE}, 1, site=None)
     assert calibrate(recording, innovations=False).spoilt == ()
+
+
+@pytest.mark.parametrize(("script", "once"), [(paper_script(), True), (verification_script(), False)])
+def test_what_turned_only_once_is_said_to_show_no_change_between_turns(script: Script, once: bool) -> None:
+    recording = simulate(script, {"array": DEVICE}, 1, site=SITE)
+    notes = [note for note in calibrate(recording, innovations=False).notes if "turned only once" in note]
+    assert len(notes) == once
+    assert not once or notes[0].startswith("turned only once: x, y, z:")
+
+
+@pytest.mark.parametrize(("cycle", "from_s"), [(1, 20.0), (4, 20.0), (1, 200.0)])
+def test_a_source_that_gives_the_same_samples_again_and_again_is_stuck(cycle: int, from_s: float) -> None:
+    recording = simulate(paper_script(), {"array": DEVICE}, 1, site=SITE)
+    ((name, data),) = recording.sources.items()
+    first = int(from_s * len(data.t_ns) / paper_script().duration_s)
+    rates = data.rate_rps.copy()
+    rates[first:] = rates[first : first + cycle][np.arange(len(rates) - first) % cycle]
+    stuck = replace(recording, sources={name: replace(data, rate_rps=rates)})
+    said = calibrate(stuck, innovations=False).spoilt[0]
+    assert re.match(rf".*: the same samples again and again from {from_s:.0f}\.\d s on for \d+\.\d s", said), said
+
+
+def test_a_coarse_gyro_that_rests_on_a_count_is_not_stuck() -> None:
+    recording = simulate(paper_script(), {"array": DEVICE}, 1, site=SITE)
+    ((name, data),) = recording.sources.items()
+    coarse = np.round(data.rate_rps / np.radians(0.5)) * np.radians(0.5)
+    rounded = replace(recording, sources={name: replace(data, rate_rps=coarse)})
+    assert not any("stuck" in one for one in calibrate(rounded, innovations=False).spoilt)

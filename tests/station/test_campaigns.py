@@ -240,8 +240,9 @@ def test_a_cluster_whose_last_worker_dies_keeps_what_was_done(tmp_path: Path, re
 
 
 def test_no_scheduler_at_the_address_is_told_within_seconds(
-    recordings: list[str], capsys: pytest.CaptureFixture[str]
+    recordings: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("station.campaigns.cluster.ANSWER_S", 1.0)
     began = time.monotonic()
     assert main(["calibrate", recordings[0], "--scheduler", "tcp://127.0.0.1:1"]) == 2
     assert "no Dask scheduler answers" in capsys.readouterr().err

@@ -21,6 +21,7 @@ LAYOUT = vectornav.layout_of({vectornav.COMMON: 1 << 0, vectornav.IMU: 1 << 2 | 
 _ASYNC_OFF, _ASYNC_IMU = 0, 19
 _REGISTER_TYPE, _REGISTER_RATE = "06", "07"
 _REGISTERS_BINARY = ("75", "76", "77")
+_REGISTERS_KEPT = ("26", "84", "85")  # not set here, and its samples depend on them: rotation, compensation, filters
 _SHOWN = [6, 7, 8, 9, 3, 4, 5]  # of VNIMU, after three of magnetic field: rates, temperature, accelerations
 _IMU_FIELDS = 11
 
@@ -67,7 +68,15 @@ class VectorNavImu(OneSource[ByteLink]):
         """
         await self._pause()
         model, hardware, serial, firmware = [await self._read(register) for register in ("01", "02", "03", "04")]
-        return Identity(f"{model}, hardware {hardware}", serial, firmware)
+        settings = [await self._kept(register) for register in _REGISTERS_KEPT]
+        return Identity(f"{model}, hardware {hardware}", serial, firmware, "; ".join(filter(None, settings)))
+
+    async def _kept(self, register: str) -> str:
+        """Return how a register is set that not every firmware has."""
+        try:
+            return f"register {register} at {await self._read(register)}"
+        except DeviceRefused:
+            return ""
 
     async def configure(self) -> None:
         """Stop every output of the device but the one asked for, set that, and let it run. Nothing goes to its flash.

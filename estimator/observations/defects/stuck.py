@@ -1,0 +1,45 @@
+"""Sources that give the same few samples again and again, while the table turns them otherwise."""
+
+import numpy as np
+
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import BodyRates, TableReadings
+from estimator.types import Flags, runs_of
+
+_LONG_S = 1.0
+_TOGETHER_S, _TOGETHER = 0.05, 8  # samples of so long, at least so many, may be sent, and sent again, together
+_OTHERWISE_RPS = float(
+    np.radians(1.0)
+)  # by which what a gyro is turned at changes meanwhile: no resolution is so coarse
+
+
+def stuck_doubts(recording: Recording) -> list[str]:
+    """Return, in words, which sources of a recording against a table were stuck, and when."""
+    if not isinstance(recording.reference, TableReadings):
+        return []
+    doubts = []
+    for source, data in recording.sources.items():
+        spans_ns = [data.t_ns[[max(start - 1, 0), stop - 1]] for start, stop in runs_of(_seen_before(data))]
+        for first_ns, last_ns in (span for span in spans_ns if np.ptp(span) > _LONG_S * 1e9):
+            rates = BodyRates.of(recording.reference, recording.site)
+            within_ns = np.clip([first_ns, last_ns], rates.starts_ns, rates.final_until_ns - 1)
+            turned = rates.at(np.linspace(within_ns[0], within_ns[1], 200).astype(np.int64)) @ data.array.p.T
+            if np.ptp(turned, axis=0).max() > _OTHERWISE_RPS:
+                after_s = (first_ns - recording.reference.t_ns[0]) * 1e-9
+                doubts.append(
+                    f"{data.device or source}: the same samples again and again from {after_s:.1f} s on for "
+                    f"{(last_ns - first_ns) * 1e-9:.1f} s in which it was turned otherwise: it is stuck"
+                )
+    return list(dict.fromkeys(doubts))
+
+
+def _seen_before(data: ImuData) -> Flags:
+    """Return which samples (n,) of all gyros are, to the bit, those of a moment before."""
+    values = np.ascontiguousarray(data.rate_rps, dtype=np.float64)
+    bits = values.view(np.int64)
+    key = (bits * np.arange(0x9E3779B97F4A7C1, 0x9E3779B97F4A7C1 + 2 * bits.shape[1], 2)).sum(axis=1)
+    order = np.argsort(key, kind="stable")
+    rows_ago = np.full(len(key), len(key))
+    rows_ago[order[1:]] = np.where(np.diff(key[order]) == 0, np.diff(order), len(key))
+    step_s = max(float(np.median(np.diff(data.t_ns[:10000]))) * 1e-9, 1e-6) if len(key) > 1 else _LONG_S
+    return np.asarray((rows_ago <= max(_TOGETHER_S / step_s, _TOGETHER)) & np.isfinite(values).all(axis=1))
