@@ -1,7 +1,6 @@
 """Prepare: bench and what answers, script and its plan, operator and device; START once everything is green."""
 
 import asyncio
-import math
 import time
 from dataclasses import replace
 from functools import partial
@@ -24,7 +23,7 @@ from station.screen.sessions.link import sessions_on
 from station.screen.sessions.live_run import LiveRun
 from station.screen.sessions.programs import Answer, ask
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
-from station.views.figures import clock, number, three_digits
+from station.views.figures import clock, three_digits
 
 _FIELDS = (
     ("bench", "Bench file", "built-in twins"),
@@ -277,12 +276,9 @@ class PrepareScreen(StationScreen):
         prospect = self._prospect
         limits = prospect.limits if prospect is not None else None
         self.query_one("#limits", Static).update(templated("limits.rich", {"limits": limits}))
-        values = {
-            "bench": prospect.bench if prospect is not None else "",
-            "check": self._check,
-            "checking": self._checking,
-        }
-        self.query_one("#check", Static).update(templated("check.rich", {**values, "degrees": _degrees}))
+        bench = prospect.bench if prospect is not None else ""
+        values = {"bench": bench, "check": self._check, "checking": self._checking}
+        self.query_one("#check", Static).update(templated("check.rich", values))
         shown = {"prospect": prospect, "plan": self._plan, "columns": columns, "three_digits": three_digits}
         self.query_one("#plan", Static).update(templated("plan.rich", {**shown, "clock": clock}))
         self.query_one(Charts).draw()
@@ -304,7 +300,3 @@ def _summary(obstacles: list[tuple[str, str]]) -> Text:
     first = next((o for o in obstacles if o[0] == "WRONG"), obstacles[0])
     more = f"  (and {len(obstacles) - 1} more)" if len(obstacles) > 1 else ""
     return Text.assemble(("NOT READY", "bold red" if first[0] == "WRONG" else "bold yellow"), f"  {first[1]}{more}")
-
-
-def _degrees(angle_rad: float) -> str:
-    return number(math.degrees(angle_rad), 3)

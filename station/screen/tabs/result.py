@@ -107,7 +107,9 @@ class ResultScreen(StationScreen):
         lines = [(_NONE, "this run itself, step by step (cross-validation)")]
         if len(self._same) > 1:
             lines.append((_ALL, f"all {len(self._same)} other runs of this device together"))
-        lines += [(str(n), _run_words(entry)) for n, entry in enumerate(self._same[:_MOST_OFFERED])]
+        for n, e in enumerate(self._same[:_MOST_OFFERED]):
+            words = f"{e.when}  {e.texts.get('outcome', ''):7} {e.texts.get('script', '')}  {e.path.name}"
+            lines.append((str(n), words))
         self.app.push_screen(ChooseDialog("By what is a cause to be judged that is found?", lines), self._judged_by)
 
     def _judged_by(self, chosen: str | None) -> None:
@@ -294,7 +296,3 @@ def _verdict(path: Path | None, whole: Whole | None, busy: str, said: str) -> Te
         "named": [f"{_NAMED.get(key, key)} {text}" for key, text in known.items() if text],
     }
     return templated("verdict.rich", values)
-
-
-def _run_words(entry: Entry) -> str:
-    return f"{entry.when}  {entry.texts.get('outcome', ''):7} {entry.texts.get('script', '')}  {entry.path.name}"

@@ -48,6 +48,7 @@ def test_a_snapshot_tells_rate_and_residual_of_each_gyro_and_one_of_before_is_re
     assert math.isnan(old.gyros[0].rate_rps)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("size", "count"), [((80, 24), 1), ((120, 40), 8), ((200, 60), 8)])
 def test_charts_fill_the_room_there_is(place: Path, size: tuple[int, int], count: int) -> None:
     async def drive(pilot: Pilot[None]) -> None:
