@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs/pages"
 COMMAND = "python docs/generate.py"
 _SHOTS = ROOT / "tests/station/screen/__snapshots__/test_pictures"
-_PICTURES = {"run.svg": "test_a_run[80x24].svg", "run-wide.svg": "test_a_run[150x44].svg"}
+_PICTURES = {"run.svg": "test_a_run[80x24].svg", "run-wide.svg": "test_a_run[120x40].svg"}
 _BLOCK = re.compile(r"(?<=<!-- generated: )([a-z_. ]+?)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 

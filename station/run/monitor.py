@@ -151,7 +151,8 @@ class Monitor:
     def _gyro_snapshots(self) -> Iterator[GyroSnapshot]:
         for name, source in self._live.sources.items():
             x, states, sd = source.recent()
-            by_gyro = (x**2).mean(axis=0) if len(x) else np.full(len(source.array), np.nan)
-            rows = zip(source.array.names, states.tolist(), sd.tolist(), by_gyro.tolist(), strict=True)
-            for gyro, values, sds, nis in rows:
-                yield GyroSnapshot(gyro, name, tuple(values), tuple(sds), nis)
+            nothing, last = np.full(len(source.array), np.nan), self._last.get(name)
+            nis, residual = ((x**2).mean(axis=0), x[-1]) if len(x) else (nothing, nothing)
+            columns = (states, sd, nis, nothing if last is None else last.rate_rps[-1], residual)
+            for gyro, values, sds, *figures in zip(source.array.names, *(c.tolist() for c in columns), strict=True):
+                yield GyroSnapshot(gyro, name, tuple(values), tuple(sds), *figures)

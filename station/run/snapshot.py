@@ -58,7 +58,8 @@ class GyroSnapshot:
     """One gyro as the live filter sees it now, or as a recording has it, without ``nis``.
 
     ``values`` (k, b_rps, sigma_j_rad, sigma_k_rad) and their standard deviations ``sds``; ``nis``: mean square of
-    its normalised innovations of the last half minute, 1 for a filter that is right.
+    its normalised innovations of the last half minute, 1 for a filter that is right. ``rate_rps``: its newest sample;
+    ``residual``: its last normalised innovation, mostly within 2 of a filter that is right.
     """
 
     name: str
@@ -66,6 +67,8 @@ class GyroSnapshot:
     values: tuple[float, ...]
     sds: tuple[float, ...]
     nis: float = math.nan
+    rate_rps: float = math.nan
+    residual: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

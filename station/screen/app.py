@@ -6,7 +6,7 @@ import os
 import select
 import sys
 import time
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Any, ClassVar, TextIO, cast
 
 from textual import events
-from textual.app import App, ScreenStackError
+from textual.app import App, ScreenStackError, SystemCommand
 from textual.binding import Binding
 from textual.css.query import NoMatches
 from textual.driver import Driver
 from textual.message import Message
+from textual.screen import Screen
 from textual.worker import WorkType
 
 from station.remote.attaching import running_sessions
@@ -26,11 +27,12 @@ from station.screen.archive.archive import Archive
 from station.screen.bars import SCREENS, STOP_KEY, StopBar
 from station.screen.base import StationScreen
 from station.screen.choices import TWIN_SCALE, Choices
-from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_remembered
+from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
+from station.screen.memory import HIGH_CONTRAST, REMEMBERED, Remembered, load_remembered, save_remembered
 from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
+from station.screen.tabs.giving_out import offered
 from station.screen.tabs.history import HistoryScreen
 from station.screen.tabs.prepare import PrepareScreen
 from station.screen.tabs.prospects import Prospect
@@ -38,6 +40,7 @@ from station.screen.tabs.result import ResultScreen
 from station.screen.tabs.run import RunScreen
 
 _TICK_S = 0.1
+_YIELD_S = 0.001  # after which a chart that is being drawn lets the thread go on that has read STOP
 _HANGUP_S = 0.5
 _OTHERS_S = 2.0
 _SETTLED_S = 2.0
@@ -58,13 +61,13 @@ class StationApp(App[None]):
 
     TITLE = "turntable station"
     CSS_PATH = Path(__file__).with_name("station.tcss")
-    ENABLE_COMMAND_PALETTE = False
     MODES: ClassVar = {"prepare": PrepareScreen, "run": RunScreen, "result": ResultScreen, "history": HistoryScreen}
     DEFAULT_MODE: str = "prepare"  # type: ignore[misc]  # it depends on how the app is begun
     BINDINGS: ClassVar = [
         *(Binding(key.lower(), f"switch_mode('{mode}')", name, show=False) for mode, key, name in SCREENS),
         Binding(",".join(_STOP_KEYS), "stop", "STOP", show=False, priority=True),
-        Binding("ctrl+q", "leave", "Quit", show=False, priority=True),
+        Binding("ctrl+q", "quit", "Quit", show=False, priority=True),
+        Binding("f1", "help", "Help", key_display="F1"),
     ]
 
     def __init__(self, choices: Choices, *, attach: bool = False) -> None:
@@ -73,6 +76,8 @@ class StationApp(App[None]):
             self.DEFAULT_MODE = "run"
         super().__init__()
         self.remembered: Remembered = load_remembered()
+        self.register_theme(HIGH_CONTRAST)
+        self.theme = self.remembered.theme if self.remembered.theme in self.available_themes else self.theme
         entered = {key: getattr(choices, key) or getattr(self.remembered, key) for key in REMEMBERED}
         self.choices = replace(choices, **entered)
         self.operator_utc_s = time.time() if choices.operator else self.remembered.operator_utc_s
@@ -96,6 +101,7 @@ class StationApp(App[None]):
         return type("StopFirstDriver", (_StopFirst, super().get_driver_class()), {})
 
     def on_mount(self) -> None:
+        sys.setswitchinterval(_YIELD_S)
         self.set_interval(_TICK_S, self._tick)
         self.set_interval(_HANGUP_S, self._watch_terminal)
         self.set_interval(_OTHERS_S, partial(self.work, self._count_others, "others"))
@@ -137,7 +143,19 @@ class StationApp(App[None]):
             await asyncio.gather(*map(stop_session, sockets[1:]))
             self.notify(f"{len(sockets)} told to stop", title="STOP", severity="warning")
 
-    def action_leave(self) -> None:
+    def action_help(self) -> None:
+        """Show all keys of the screen."""
+        if not isinstance(self.screen, StationDialog):
+            keys = (active.binding for active in self.screen.active_bindings.values() if active.enabled)
+            self.push_screen(HelpDialog(keys))
+
+    def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
+        """Offer what can be made of the recording on the screen, and what textual offers; keys are told by F1."""
+        if isinstance(screen, StationScreen) and screen.recording is not None:
+            yield from offered(self, screen.recording)
+        yield from (command for command in super().get_system_commands(screen) if command.title != "Keys")
+
+    async def action_quit(self) -> None:
         """Leave; if a session runs, ask what is to become of it."""
         if not self.busy:
             self.exit()
@@ -186,10 +204,16 @@ class StationApp(App[None]):
         else:
             self.notify(f"no session takes it: {text}", title="Note NOT kept", severity="error", markup=False)
 
+    def watch_theme(self) -> None:
+        """Keep the theme that was chosen, for the next time."""
+        if self.is_running and self.theme != self.remembered.theme:
+            self.remembered = replace(self.remembered, theme=self.theme)
+            save_remembered(self.remembered)
+
     def _remember(self) -> None:
         chosen = self.choices.bench, self.choices.script
         bench, script = (str(Path(path).absolute()) if path else "" for path in chosen)
-        self.remembered = Remembered(self.choices.operator, bench, script, self.operator_utc_s)
+        self.remembered = Remembered(self.choices.operator, bench, script, self.operator_utc_s, self.theme)
         save_remembered(self.remembered)
 
     def prepare(self, script: str | None) -> None:
@@ -304,7 +328,7 @@ class StationApp(App[None]):
 
     def _show_stop(self) -> None:
         with suppress(ScreenStackError):
-            for bar in self.screen.query(StopBar):
+            for bar in (bar for screen in self.screen_stack for bar in screen.query(StopBar)):
                 bar.show(self.shown, self.others)
 
     def _watch_terminal(self) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, cast
+from pathlib import Path
+from typing import Any, ClassVar, cast
 
 from textual import events
 from textual.app import ComposeResult
@@ -14,7 +15,7 @@ from station.screen.bars import StopBar, TopBar
 from station.screen.seen_app import SeenApp
 
 LEAST_WIDTH, LEAST_HEIGHT = 80, 24
-_TALL = 34
+_TALL, _LARGE = 34, (200, 52)
 
 
 class StationScreen(Screen[None]):
@@ -23,8 +24,12 @@ class StationScreen(Screen[None]):
     MODE: ClassVar[str] = ""
     WIDE: ClassVar[int] = 120
     AUTO_FOCUS = None
+    ALLOW_IN_MAXIMIZED_VIEW = "#small, #start-row, #actions, Footer, StopBar"
+    BINDINGS: ClassVar = [("c", "chart", "Chart")]
     gyro = 0
     """Number of the gyro whose pictures are shown, of as many as there are."""
+    recording: Path | None = None
+    """The recording that is shown, or chosen."""
 
     def compose(self) -> ComposeResult:
         """Lay out the frame; ``body`` is the screen's own."""
@@ -54,6 +59,10 @@ class StationScreen(Screen[None]):
     def redraw(self) -> None:
         """Draw what depends on the room there is, and on the gyro that is shown."""
 
+    def action_chart(self) -> None:
+        """Give the next chart the focus."""
+        self.focus_next("Chart")
+
     def action_gyro(self, step: int) -> None:
         """Show another gyro."""
         self.gyro += step
@@ -74,13 +83,14 @@ class StationScreen(Screen[None]):
         self.set_class(self.small, "-small")
         self.set_class(size.width >= self.WIDE, "-wide")
         self.set_class(size.height >= _TALL, "-tall")
+        self.set_class(size.width >= _LARGE[0] and size.height >= _LARGE[1], "-large")
         self.call_after_refresh(self.redraw)
 
 
 class Field(Input):
     """A line of input, one row high, whose cursor stands still: nothing but news is to move on these screens."""
 
-    def __init__(self, *, id: str | None = None, placeholder: str = "", max_length: int = 0) -> None:
-        """``max_length`` in characters, 0 for any."""
-        super().__init__(id=id, placeholder=placeholder, max_length=max_length, compact=True, select_on_focus=False)
+    def __init__(self, **options: Any) -> None:
+        """``options`` are those of ``Input``."""
+        super().__init__(compact=True, select_on_focus=False, **options)
         self.cursor_blink = False

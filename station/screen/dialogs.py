@@ -1,9 +1,11 @@
 """Questions over a screen."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import zip_longest
 from typing import ClassVar
 
 from textual.app import ComposeResult
+from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Button, Input, OptionList, Static
@@ -11,6 +13,9 @@ from textual.widgets.option_list import Option
 
 from station.screen.bars import StopBar
 from station.screen.base import Field
+
+_FRAME = ("scroll", "page", "app.focus", "screen.", "command_palette", "help_quit")
+"""Actions of every textual screen, which need no help."""
 
 
 class StationDialog(ModalScreen[str | None]):
@@ -34,6 +39,17 @@ class StationDialog(ModalScreen[str | None]):
     def answers(self) -> ComposeResult:
         """Yield what may be answered."""
         yield from ()
+
+
+class HelpDialog(StationDialog):
+    """All keys that do something on a screen."""
+
+    def __init__(self, bindings: Iterable[Binding]) -> None:
+        super().__init__("")
+        own = (b for b in bindings if b.description and not b.action.startswith(_FRAME))
+        told = [f"{b.key_display or b.key.upper():7} {b.description:26}" for b in own]
+        rows = zip_longest(told[::2], [*told[1::2], "CTRL+P  Commands, themes"], fillvalue="")
+        self._question = "\n".join(map("".join, rows))
 
 
 class AskDialog(StationDialog):

@@ -1,5 +1,6 @@
 """Tables of figures as the screen shows them."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -48,3 +49,10 @@ def templated(name: str, values: Mapping[str, Any]) -> Text:
 def titled(title: str, lines: Sequence[Text]) -> Text:
     """Return lines as one text below a title."""
     return Text("\n").join([Text(title, "bold underline"), *lines])
+
+
+def bar(share: float, width: int) -> str:
+    """Return a progress bar, an eighth of a character fine."""
+    eighths = round(min(max(share if math.isfinite(share) else 0.0, 0.0), 1.0) * width * 8)
+    whole, part = divmod(eighths, 8)
+    return ("█" * whole + (" ▏▎▍▌▋▊▉"[part] if part else "")).ljust(width, "·")

@@ -1,4 +1,4 @@
-"""What the screen remembers from one day to the next: the operator and when that was confirmed, bench and script."""
+"""What the screen remembers from one day to the next: the operator and when that was confirmed, files, the theme."""
 
 import json
 import os
@@ -7,6 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from textual.theme import Theme
+
+from drivers.packaged import packaged_toml
 from estimator.errors import MISSHAPEN
 from estimator.untrusted import harmless, read_text
 from station.atomic_write import write_whole
@@ -16,6 +19,8 @@ _FOLDER = "turntable-station"
 _FILE = "screen.json"
 REMEMBERED = ("operator", "bench", "script")
 """What is remembered of the fields: the number of a device is not, the next device has another."""
+HIGH_CONTRAST = Theme(**packaged_toml("station.screen", "themes.toml"))
+"""Beside the themes of textual, dark and light."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +31,7 @@ class Remembered:
     bench: str = ""
     script: str = ""
     operator_utc_s: float = 0.0
+    theme: str = ""
 
 
 def state_folder() -> Path:
@@ -39,7 +45,9 @@ def load_remembered() -> Remembered:
     try:
         found: Any = json.loads(harmless(read_text(state_folder() / _FILE, UsageError)))
         texts = {key: str(found.get(key, "")) for key in REMEMBERED}
-        return Remembered(**texts, operator_utc_s=float(found.get("operator_utc_s", 0.0)))
+        return Remembered(
+            **texts, operator_utc_s=float(found.get("operator_utc_s", 0.0)), theme=str(found.get("theme", ""))
+        )
     except (UsageError, *MISSHAPEN):
         return Remembered()
 

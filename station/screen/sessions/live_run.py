@@ -59,6 +59,8 @@ class LiveRun:
         self.result: Mapping[str, Any] | None = None
         self.events: deque[tuple[float, str]] = deque(maxlen=_MOST_EVENTS)
         self.trends: dict[str, Trend] = {}
+        self.seen: list[Snapshot] = []
+        """Snapshots since the script began, as time went on; of a long run every other, and so on."""
         self.trouble = ""
         self.refusals: deque[str] = deque(maxlen=20)
         """What the session refused, and nobody has been told yet."""
@@ -156,6 +158,10 @@ class LiveRun:
     def _take_snapshot(self, snapshot: Snapshot) -> None:
         self.snapshot = snapshot
         self.moved = self.moved or snapshot.phase in _MOVING or snapshot.elapsed_s > 0
+        if not self.seen or snapshot.elapsed_s > self.seen[-1].elapsed_s:
+            self.seen.append(snapshot)
+            if len(self.seen) > _MOST_POINTS:
+                del self.seen[1:-1:2]
         for gyro in snapshot.gyros:
             if all(map(math.isfinite, gyro.values)) and all(map(math.isfinite, gyro.sds)):
                 self.trends.setdefault(gyro.name, Trend()).add(snapshot.elapsed_s, gyro.values, gyro.sds)

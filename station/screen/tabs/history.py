@@ -13,13 +13,15 @@ from textual.widgets import DataTable, Input, Label, Static
 
 from station.screen.archive.entries import NO_LIMITS, Entry
 from station.screen.base import Field, StationScreen
-from station.screen.plots import trend_plot
-from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
+from station.screen.charts import Charts
+from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
+from station.screen.sessions.live_run import Trend
+from station.views.figures import OUTCOME_STYLES
 
 _COLUMNS = ("when", "device", "script", "outcome", "operator", "accepted", "file")
 _SHOWN_EVERY_S = 0.5
 _MOST_ROWS = 500  # of more the table would keep its reader waiting: narrow them
-_TREND_ROWS = 9
+_DAY_S = 86400.0
 
 
 class HistoryScreen(StationScreen):
@@ -27,10 +29,10 @@ class HistoryScreen(StationScreen):
 
     MODE = "history"
     BINDINGS: ClassVar = [
-        Binding("f6", "read_again", "Read folder again", key_display="F6"),
+        Binding("f6", "read_again", "Reread", key_display="F6"),
         Binding("slash", "filter", "Filter", key_display="/"),
-        ("s", "state(1)", "Next state"),
-        ("g", "gyro(1)", "Next gyro"),
+        ("s", "sort", "Sort"),
+        ("g", "gyro(1)", "Gyro"),
     ]
 
     def __init__(self) -> None:
@@ -38,21 +40,18 @@ class HistoryScreen(StationScreen):
         self._entries: list[Entry] = []
         self._shown: list[Entry] = []
         self._reading = False
-        self._state = 0
+        self._sorted = 0
         self._limits = NO_LIMITS
+        self._trend = Trend()
 
     def body(self) -> ComposeResult:
         with Horizontal(classes="field"):
-            yield Label("Device")
-            yield Field(id="device", placeholder="any")
-            yield Label("Date")
-            yield Field(id="date", placeholder="any; 2026-11, 2026-11-21")
+            yield Label("Filter")
+            yield Field(id="device", placeholder="words of any column: SN-0042 2026-11 FAIL")
         yield Static(id="folder", markup=False)
         yield DataTable(id="recordings", cursor_type="row", zebra_stripes=True)
-        yield Static(id="trend", markup=False, classes="block")
-
-    def on_mount(self) -> None:
-        self.query_one(DataTable).add_columns(*_COLUMNS)
+        yield Static(id="trend", markup=False)
+        yield Charts(STATE_CHARTS, self._drawing)
 
     def on_screen_resume(self) -> None:
         """Read what is new; what was read before is known."""
@@ -61,6 +60,10 @@ class HistoryScreen(StationScreen):
 
     def action_read_again(self) -> None:
         self.station.work(partial(self._read, self.station.choices.folder), "read")
+
+    def _columns(self) -> tuple[str, ...]:
+        """Return the columns that there is room for: the file is named below, too."""
+        return _COLUMNS if self.has_class("-wide") else _COLUMNS[:-1]
 
     def action_filter(self) -> None:
         self.set_focus(self.query_one("#device", Input))
@@ -78,9 +81,15 @@ class HistoryScreen(StationScreen):
     def on_data_table_row_highlighted(self, event: DataTable.RowHighlighted) -> None:
         self.redraw()
 
-    def action_state(self, step: int) -> None:
-        self._state = (self._state + step) % len(STATE_FIGURES)
-        self.redraw()
+    def action_sort(self) -> None:
+        """Sort by the next column; at first by date, the newest first."""
+        self._sorted = (self._sorted + 1) % len(_COLUMNS)
+        self._show()
+
+    def on_data_table_header_selected(self, event: DataTable.HeaderSelected) -> None:
+        """Sort by the column whose heading was pressed."""
+        self._sorted = event.column_index
+        self._show()
 
     async def _read(self, folder: Path) -> None:
         self._entries, self._reading, shown_s = [], True, time.monotonic()
@@ -102,50 +111,57 @@ class HistoryScreen(StationScreen):
             self.redraw()
 
     def _show(self) -> None:
-        device = self.query_one("#device", Input).value.strip().lower()
-        date = self.query_one("#date", Input).value.strip()
-        self._shown = [e for e in self._entries if device in e.device.lower() and e.when.startswith(date)]
+        words = self.query_one("#device", Input).value.lower().split()
+        rows = [(entry, _cells(entry)) for entry in self._entries]
+        rows = [row for row in rows if all(word in " ".join(map(str, row[1])).lower() for word in words)]
+        if self._sorted:
+            rows.sort(key=lambda row: str(row[1][self._sorted]))
+        self._shown = [entry for entry, _ in rows]
         table = self.query_one(DataTable)
         row = table.cursor_row
-        table.clear()
-        for entry in self._shown[:_MOST_ROWS]:
-            table.add_row(*_cells(entry))
+        table.clear(columns=True)
+        names = self._columns()
+        table.add_columns(*(f"{name} ↑" if at and at == self._sorted else name for at, name in enumerate(names)))
+        for _, cells in rows[:_MOST_ROWS]:
+            table.add_row(*cells[: len(names)])
         if self._shown:
             table.move_cursor(row=min(row, len(self._shown) - 1))
         of = "" if len(self._shown) == len(self._entries) else f" of {len(self._entries)}"
         reading = ", reading ..." if self._reading else ""
         most = f", the first {_MOST_ROWS} here" if len(self._shown) > _MOST_ROWS else ""
-        words = f"{len(self._shown)}{of} recordings in {self.station.choices.folder}{most}{reading}   (Enter opens one)"
-        self.query_one("#folder", Static).update(words)
+        said = f"{len(self._shown)}{of} recordings in {self.station.choices.folder}{most}{reading}   (Enter opens one)"
+        self.query_one("#folder", Static).update(said)
         self.redraw()
 
     def redraw(self) -> None:
-        if not self.is_mounted:
+        if not self.query(Charts):
             return
-        table = self.query_one(DataTable)
+        table, self._trend, said = self.query_one(DataTable), Trend(), Text()
+        if len(table.columns) not in (0, len(self._columns())):
+            self._show()
         chosen = self._shown[table.cursor_row] if table.cursor_row < len(self._shown) else None
-        width = max(self.query_one("#body").size.width - 2, 70)
-        lines = self._trend(chosen, width) if chosen is not None else []
-        self.query_one("#trend", Static).update(Text("\n").join(lines))
+        self.recording = chosen.path if chosen is not None else None
+        if chosen is not None and chosen.wrong:
+            said = Text(f"{chosen.path.name}: {chosen.wrong}", "red")
+        elif chosen is not None and not chosen.gyros:
+            said = Text(f"{chosen.path.name} came to no calibration", "dim")
+        elif chosen is not None:
+            gyro = chosen.gyros[self.gyro % len(chosen.gyros)]
+            alike = sorted(filter(chosen.same_device, self._entries), key=lambda entry: entry.when_utc_s)
+            for entry, own in (
+                (e, g) for e in alike for g in e.gyros if (g.source, g.name) == (gyro.source, gyro.name)
+            ):
+                self._trend.add((entry.when_utc_s - alike[0].when_utc_s) / _DAY_S, own.values, own.sds)
+            count = f"{len(self._trend.values)} calibration{'s' * (len(self._trend.values) != 1)}"
+            said = Text(f"{gyro.name} of {chosen.device or 'device'}, {count};  {chosen.path.name}", "bold")
+        self.query_one("#trend", Static).update(said)
+        charts = self.query_one(Charts)
+        charts.display = bool(self._trend.values)
+        charts.draw()
 
-    def _trend(self, chosen: Entry, width: int) -> list[Text]:
-        if chosen.wrong:
-            return [Text(f"{chosen.path.name}: {chosen.wrong}", "red")]
-        if not chosen.gyros:
-            return [Text(f"{chosen.path.name} came to no calibration", "dim")]
-        gyro = chosen.gyros[self.gyro % len(chosen.gyros)]
-        points = []
-        for entry in sorted(self._entries, key=lambda entry: entry.when_utc_s):
-            if entry.same_device(chosen):
-                points += [g for g in entry.gyros if (g.source, g.name) == (gyro.source, gyro.name)]
-        unit = STATE_FIGURES[self._state]
-        values = [point.values[self._state] * unit.factor for point in points]
-        sds = [point.sds[self._state] * unit.factor for point in points]
-        limit = self._limits[self._state] * unit.factor
-        count = f"{len(points)} calibration{'s' * (len(points) != 1)}"
-        title = f"{unit.name} ({unit.unit}) of {gyro.name}, {chosen.device or 'this device'}, {count}"
-        label = partial(number, digits=unit.digits)
-        return trend_plot(title, values, sds, limit, width, _TREND_ROWS, label)
+    def _drawing(self, name: str) -> Drawing | None:
+        index = STATE_CHARTS.index(name)
+        return state_drawing(index, self._trend, self._limits[index], "days") if self._trend.values else None
 
 
 def _cells(entry: Entry) -> list[Text]:

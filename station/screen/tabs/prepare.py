@@ -1,9 +1,7 @@
 """Prepare: bench and what answers, script and its plan, operator and device; START once everything is green."""
 
 import asyncio
-import math
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
@@ -12,17 +10,20 @@ from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Container, Horizontal, Vertical
+from textual.suggester import SuggestFromList
 from textual.widgets import Button, Input, Label, Static
 
 from station.screen.base import Field, StationScreen
+from station.screen.charts import Charts
 from station.screen.choices import Choices
 from station.screen.dialogs import AskTextDialog
+from station.screen.drawings import Drawing, motion_drawing
 from station.screen.figures import columns, templated, titled
 from station.screen.sessions.link import sessions_on
 from station.screen.sessions.live_run import LiveRun
 from station.screen.sessions.programs import Answer, ask
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
-from station.views.figures import STATE_UNITS, clock, number, three_digits
+from station.views.figures import clock, three_digits
 
 _FIELDS = (
     ("bench", "Bench file", "built-in twins"),
@@ -69,6 +70,7 @@ class PrepareScreen(StationScreen):
             with Vertical(id="answers"):
                 yield Static(id="check", markup=False, classes="block")
                 yield Static(id="plan", markup=False, classes="block")
+        yield Charts(("motion",), self._drawing)
 
     def row_below(self) -> ComposeResult:
         with Horizontal(id="start-row"):
@@ -154,6 +156,8 @@ class PrepareScreen(StationScreen):
     async def _look(self, choices: Choices) -> None:
         found = await asyncio.to_thread(look_ahead, choices)
         self._prospect = found
+        for field in ("#bench", "#script"):
+            self.query_one(field, Input).suggester = SuggestFromList(found.files)
         self.redraw()
         if found.bench_wrong:
             return
@@ -261,7 +265,7 @@ class PrepareScreen(StationScreen):
         return [("WRONG", f"{d['device']}: {wrong}") for d in devices for wrong in d["wrong"]]
 
     def redraw(self) -> None:
-        if not self.is_mounted:
+        if not self.query(Charts):
             return
         obstacles = self._obstacles()
         self.query_one("#start", Button).disabled = bool(obstacles)
@@ -270,18 +274,18 @@ class PrepareScreen(StationScreen):
         lines += [Text.assemble(("NOTE  ", "bold yellow"), text) for text in self._warnings()]
         self.query_one("#ready", Static).update(titled("Before START", lines or [Text("nothing is missing", "green")]))
         prospect = self._prospect
-        limits: tuple[str, ...] = ()
-        if prospect is not None and not prospect.bench_wrong:
-            limits = prospect.limits or ("none: every run that comes to its end passes",)
-        self.query_one("#limits", Static).update(titled("Limits of the bench", [Text(line) for line in limits]))
-        values = {
-            "bench": prospect.bench if prospect is not None else "",
-            "check": self._check,
-            "checking": self._checking,
-        }
-        self.query_one("#check", Static).update(templated("check.rich", {**values, "degrees": _degrees}))
-        width = max(self.query_one("#plan").size.width, 40)
-        self.query_one("#plan", Static).update(_plan(prospect, self._plan, width))
+        limits = prospect.limits if prospect is not None else None
+        self.query_one("#limits", Static).update(templated("limits.rich", {"limits": limits}))
+        bench = prospect.bench if prospect is not None else ""
+        values = {"bench": bench, "check": self._check, "checking": self._checking}
+        self.query_one("#check", Static).update(templated("check.rich", values))
+        shown = {"prospect": prospect, "plan": self._plan, "columns": columns, "three_digits": three_digits}
+        self.query_one("#plan", Static).update(templated("plan.rich", {**shown, "clock": clock}))
+        self.query_one(Charts).draw()
+
+    def _drawing(self, name: str) -> Drawing | None:
+        motion = self._prospect.motion if self._prospect is not None else None
+        return None if motion is None else motion_drawing(motion.gimbals, motion.t_s, motion.rate_rps)
 
     def _warnings(self) -> list[str]:
         plan = self._plan.found if self._plan is not None else {}
@@ -296,31 +300,3 @@ def _summary(obstacles: list[tuple[str, str]]) -> Text:
     first = next((o for o in obstacles if o[0] == "WRONG"), obstacles[0])
     more = f"  (and {len(obstacles) - 1} more)" if len(obstacles) > 1 else ""
     return Text.assemble(("NOT READY", "bold red" if first[0] == "WRONG" else "bold yellow"), f"  {first[1]}{more}")
-
-
-def _degrees(angle_rad: float) -> str:
-    return number(math.degrees(angle_rad), 3)
-
-
-def _plan(prospect: Prospect | None, plan: Answer | None, width: int) -> Text:
-    profile: list[str] = []
-    rows: list[list[str]] = []
-    gyros = plan.found.get("gyros") or [] if plan is not None else []
-    if prospect is not None and prospect.motion is not None:
-        from station.scripts.axis_profile import profile_lines  # loaded by now, in the thread that read the script
-
-        profile = profile_lines(prospect.motion, width)
-    if plan is not None and gyros:
-        required = plan.found.get("required") or {}
-        asked = any(value is not None for value in required.values())
-        rows = [["predicted", *(f"{name} {unit}" for name, unit, _ in STATE_UNITS)]]
-        rows += [_sizes(g["name"], g["sd"]) for g in gyros] + ([_sizes("required", required)] if asked else [])
-    table = columns(rows, gap=" ") if rows else []
-    values = {"prospect": prospect, "plan": plan, "profile": profile, "table": table, "gyros": gyros, "clock": clock}
-    return templated("plan.rich", values)
-
-
-def _sizes(name: str, by_state: Mapping[str, float | None]) -> list[str]:
-    """Return a name and the sigmas of the four states, a dash for what is not there."""
-    pairs = zip(by_state.values(), STATE_UNITS, strict=True)
-    return [name, *(three_digits(None if v is None else v * factor) for v, (_, _, factor) in pairs)]

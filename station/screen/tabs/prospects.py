@@ -11,8 +11,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from station.views.figures import STATE_FIGURES, STATE_UNITS
-
 if TYPE_CHECKING:
     from station.bench.bench import Limits
     from station.screen.choices import Choices
@@ -26,7 +24,7 @@ ANYTHING = r".*\S.*"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prospect:
-    """A bench and a script that belong together, or what is wrong with either."""
+    """A bench and a script that belong together, or what is wrong with either; ``files`` are what may be named."""
 
     bench: str = ""
     bench_wrong: str = ""
@@ -34,18 +32,20 @@ class Prospect:
     serial_pattern: str = ANYTHING
     shift_s: float = math.inf
     all_twins: bool = False
-    limits: tuple[str, ...] = ()
+    limits: Limits | None = None
     script: str = ""
     script_wrong: str = ""
     duration_s: float = math.nan
     motion: PlannedMotion | None = None
     folder_wrong: str = ""
+    files: tuple[str, ...] = ()
 
 
 def look_ahead(choices: Choices) -> Prospect:
     """Read bench and script, and see to the folder; not for the thread that paints: it loads numpy, a disk may hang."""
     found = _read(choices.bench, choices.script, choices.device_options)
-    return replace(found, folder_wrong=folder_trouble(choices.folder))
+    files = sorted(str(path) for pattern in ("*.toml", "*/*.toml") for path in Path().glob(pattern))
+    return replace(found, folder_wrong=folder_trouble(choices.folder), files=tuple(files))
 
 
 def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) -> Prospect:
@@ -67,7 +67,7 @@ def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) ->
         serial_pattern=bench.serial_pattern or ANYTHING,
         shift_s=bench.shift_s,
         all_twins=needs_only_memory(bench),
-        limits=limit_lines(bench.limits),
+        limits=bench.limits,
     )
     try:
         script = load_script(Path(script_path)) if script_path else paper_script()
@@ -76,24 +76,6 @@ def _read(bench_path: str, script_path: str, device_options: tuple[str, ...]) ->
         return replace(found, script_wrong=str(error))
     motion = planned_motion(script, bench.table.gimbals)
     return replace(found, script=script.name, duration_s=script.duration_s, motion=motion)
-
-
-def limit_lines(limits: Limits) -> tuple[str, ...]:
-    """Return the limits that mean PASS, a line each; those that are not given are left out."""
-    names = ("|k|", "|b|", "|sigma_j|, |sigma_k|")
-    lines = []
-    for name, most, most_sd, state, (_, sd_unit, sd_factor) in zip(
-        names, limits.sizes[:3], limits.sds[:3], STATE_FIGURES[:3], STATE_UNITS[:3], strict=True
-    ):
-        parts = [f"{name} up to {most * state.factor:g} {state.unit}"] if math.isfinite(most) else []
-        parts += [f"its sigma up to {most_sd * sd_factor:g} {sd_unit}"] if math.isfinite(most_sd) else []
-        if parts:
-            lines.append(", ".join(parts) if math.isfinite(most) else f"sigma of {name.strip('|')}: {parts[0]}")
-    if limits.nis_low > 0 or math.isfinite(limits.nis_high):
-        lines.append(f"mean NIS {limits.nis_low:g} to {limits.nis_high:g}")
-    if limits.lost < 1:
-        lines.append(f"samples lost up to {limits.lost * 100:g} %")
-    return tuple(lines)
 
 
 def matches(pattern: str, text: str) -> bool:

@@ -11,17 +11,19 @@ from typing import Any, ClassVar, cast
 from rich.console import Group, RenderableType
 from rich.text import Text
 from textual.app import ComposeResult
-from textual.containers import Horizontal
+from textual.binding import Binding
+from textual.containers import Container, Horizontal, VerticalScroll
 from textual.widgets import Button, Static
 
 from station.atomic_write import free_path
 from station.screen.archive.entries import INVESTIGATION, Entry, Whole, last_before
 from station.screen.base import StationScreen
+from station.screen.charts import Charts
 from station.screen.dialogs import AskDialog, ChooseDialog
-from station.screen.figures import columns, headed, state_heads, state_lines, templated, titled
-from station.screen.plots import gyro_plots
+from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
+from station.screen.figures import columns, state_heads, state_lines, templated, titled
 from station.screen.sessions.programs import ask
-from station.views.figures import OUTCOME_STYLES, STATE_FIGURES, number
+from station.views.figures import OUTCOME_STYLES
 
 _MANY_SIGMAS = 3.0
 _REASONS = 4
@@ -30,6 +32,7 @@ _LOOKING = "looking for what the model lacks"
 _NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
 _NAMED = {"operator": "operator", "script": "script", "station": "bench"}
 """What identifies a run beside its device, and what it is called."""
+_BLOCKS = ("verdict", "states", "change", "model", "record")
 _BUTTONS = (
     ("accept", "Accept  A"),
     ("investigate", "Investigate  I"),
@@ -43,17 +46,13 @@ class ResultScreen(StationScreen):
 
     MODE = "result"
     BINDINGS: ClassVar = [
-        ("a", "accept", "Accept"),
-        ("i", "investigate", "Investigate"),
-        ("r", "repeat", "Repeat"),
-        ("d", "next", "Drive next script"),
-        ("right", "gyro(1)", "Next gyro"),
-        ("left", "gyro(-1)", "Previous gyro"),
+        *(Binding(words[-1].lower(), name, words[:-3], show=False) for name, words in _BUTTONS),
+        ("g,right", "gyro(1)", "Gyro"),
+        Binding("left", "gyro(-1)", "Previous gyro", show=False),
     ]
 
     def __init__(self) -> None:
         super().__init__()
-        self._path: Path | None = None
         self._whole: Whole | None = None
         self._same: list[Entry] = []
         self._found: Mapping[str, Any] = {}
@@ -62,8 +61,11 @@ class ResultScreen(StationScreen):
         self._said = ""
 
     def body(self) -> ComposeResult:
-        for name in ("verdict", "states", "change", "model", "curves", "record"):
-            yield Static(id=name, markup=False, classes="block")
+        with Container(id="columns"):
+            with VerticalScroll(id="figures", can_focus=False):
+                for name in _BLOCKS:
+                    yield Static(id=name, markup=False, classes="block")
+            yield Charts(STATE_CHARTS, self._drawing)
 
     def row_below(self) -> ComposeResult:
         with Horizontal(id="actions", classes="buttons"):
@@ -72,7 +74,7 @@ class ResultScreen(StationScreen):
 
     def _open(self, path: Path, fresh: bool) -> None:
         """Show a recording. ``fresh``: it has just been made; if it failed, the cause is looked for at once."""
-        self._path, self._whole, self._same, self._found = path, None, [], {}
+        self.recording, self._whole, self._same, self._found = path, None, [], {}
         self._busy, self._said, self.gyro = "reading", "", 0
         self.redraw()
         self.station.work(partial(self._read, path, fresh), "open")
@@ -105,7 +107,9 @@ class ResultScreen(StationScreen):
         lines = [(_NONE, "this run itself, step by step (cross-validation)")]
         if len(self._same) > 1:
             lines.append((_ALL, f"all {len(self._same)} other runs of this device together"))
-        lines += [(str(n), _run_words(entry)) for n, entry in enumerate(self._same[:_MOST_OFFERED])]
+        for n, e in enumerate(self._same[:_MOST_OFFERED]):
+            words = f"{e.when}  {e.texts.get('outcome', ''):7} {e.texts.get('script', '')}  {e.path.name}"
+            lines.append((str(n), words))
         self.app.push_screen(ChooseDialog("By what is a cause to be judged that is found?", lines), self._judged_by)
 
     def _judged_by(self, chosen: str | None) -> None:
@@ -115,9 +119,11 @@ class ResultScreen(StationScreen):
 
     def _look_for_cause(self, judging: Sequence[Entry]) -> None:
         """Investigate in a process of its own; ``judging`` are the runs that verify what is found."""
-        if self._path is not None:
+        if self.recording is not None:
             self._tell(_LOOKING)
-            self.station.work(partial(self._investigate, self._path, [entry.path for entry in judging]), "investigate")
+            self.station.work(
+                partial(self._investigate, self.recording, [entry.path for entry in judging]), "investigate"
+            )
 
     async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
         kept, script = await asyncio.to_thread(
@@ -130,7 +136,7 @@ class ResultScreen(StationScreen):
         files = ["--output", str(kept), "--next-script", str(script)]
         arguments = ["investigate", str(path), *verify, "--json", *files]
         answer = await ask(arguments, lambda line: self._tell(f"{_LOOKING}: {line}"))
-        if path != self._path:
+        if path != self.recording:
             return
         self._busy = ""
         self._said = "" if answer.found.get("verdict") else f"no verdict: {answer.reason}"
@@ -150,9 +156,9 @@ class ResultScreen(StationScreen):
         self.app.push_screen(AskDialog(question, answers), self._accepted)
 
     def _accepted(self, answer: str | None) -> None:
-        if answer == "yes" and self._path is not None:
+        if answer == "yes" and self.recording is not None:
             self._tell("writing the certificate")
-            self.station.work(partial(self._certify, self._path), "accept")
+            self.station.work(partial(self._certify, self.recording), "accept")
 
     async def _certify(self, path: Path) -> None:
         now = datetime.now(UTC).isoformat(timespec="seconds")
@@ -168,7 +174,7 @@ class ResultScreen(StationScreen):
             if answer.code:
                 said = f"accepted, but NO CERTIFICATE: {answer.reason}"
         whole = await self.station.archive.read(path)
-        if path == self._path:
+        if path == self.recording:
             self._busy, self._said, self._whole = "", said, whole
             self.redraw()
 
@@ -218,14 +224,15 @@ class ResultScreen(StationScreen):
         self.redraw()
 
     def redraw(self) -> None:
-        if not self.is_mounted:
+        if not self.query(Charts):
             return
         for name, _ in _BUTTONS:
             self.query_one(f"#{name}", Button).disabled = bool(self._obstacle(name))
-        whole = self._whole
-        self._block("verdict", _verdict(self._path, whole, self._busy, self._said))
+        whole, charts = self._whole, self.query_one(Charts)
+        charts.display = bool(whole and whole.curves)
+        self._block("verdict", _verdict(self.recording, whole, self._busy, self._said))
         if whole is None or whole.entry.wrong:
-            for name in ("states", "change", "model", "curves", "record"):
+            for name in _BLOCKS[1:]:
                 self._block(name, None)
             return
         gyros = whole.entry.gyros
@@ -233,20 +240,21 @@ class ResultScreen(StationScreen):
         self._block("change", _change(whole.entry, last_before(whole.entry, self._same)) if gyros else None)
         lines = self._model or [Text("I looks for what the four states lack", "dim")]
         self._block("model", Group(Text("Investigation", "bold underline"), *lines) if gyros else None)
-        self._block("curves", self._curves(whole))
-        self._block("record", _record(whole))
+        self._block("record", templated("record.rich", {"whole": whole, "most": _REASONS}))
+        charts.draw()
 
     def _block(self, name: str, shown: RenderableType | None) -> None:
         block = self.query_one(f"#{name}", Static)
         block.display = shown is not None
         block.update("" if shown is None else shown)
 
-    def _curves(self, whole: Whole) -> Text | None:
-        if not whole.curves:
+    def _drawing(self, name: str) -> Drawing | None:
+        whole = self._whole
+        if whole is None or not whole.curves:
             return None
-        name = list(whole.curves)[self.gyro % len(whole.curves)]
-        width = max(self.query_one("#body").size.width - 2, 76)
-        return Text("\n").join(gyro_plots(name, whole.curves[name], width))
+        index = STATE_CHARTS.index(name)
+        curve = list(whole.curves.values())[self.gyro % len(whole.curves)]
+        return state_drawing(index, curve, whole.sizes[index])
 
 
 def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
@@ -267,36 +275,10 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
 
 
 def _change(entry: Entry, last: Entry | None) -> Text:
-    title = "Change since the last calibration of this device"
-    if last is None:
-        return titled(title, [Text("none of it in this folder", "dim")])
-    before = {(gyro.source, gyro.name): gyro for gyro in last.gyros}
-    rows = state_heads("gyro", "sigmas")
-    marked = []
-    for gyro in entry.gyros:
-        old = before.get((gyro.source, gyro.name))
-        if old is None:
-            continue
-        cells, far = [gyro.name], False
-        for state, new_value, new_sd, value, sd in zip(
-            STATE_FIGURES, gyro.values, gyro.sds, old.values, old.sds, strict=True
-        ):
-            delta, sigma = new_value - value, math.hypot(new_sd, sd)
-            ratio = delta / sigma if sigma > 0 else math.nan
-            far = far or abs(ratio) > _MANY_SIGMAS
-            cells += [state.text(delta, signed=True), number(ratio, 1, signed=True)]
-        rows.append(cells)
-        marked.append(far)
-    lines = headed(columns(rows, gap=" "), 2)
-    for line, far in zip(lines[2:], marked, strict=True):
-        if far:
-            line.stylize("yellow")
-    if any(marked):
-        lines.append(Text(f"yellow: a state moved by more than {_MANY_SIGMAS:g} of its sigmas", "dim"))
-    outcomes = {run.texts.get("outcome") or "no outcome" for run in (entry, last)} - {"PASS"}
-    if outcomes:
-        lines.append(Text(f"not both runs are a PASS ({', '.join(sorted(outcomes))}): this may be no change", "yellow"))
-    return titled(f"{title}, {last.when} ({last.path.name}, {last.texts.get('outcome', '')})", lines)
+    before = {(gyro.source, gyro.name): gyro for gyro in last.gyros} if last is not None else {}
+    pairs = [(gyro, before[gyro.source, gyro.name]) for gyro in entry.gyros if (gyro.source, gyro.name) in before]
+    tables = {"heads": state_heads("gyro", "sigmas"), "columns": columns, "hypot": math.hypot}
+    return templated("change.rich", {"entry": entry, "last": last, "pairs": pairs, "most": _MANY_SIGMAS, **tables})
 
 
 def _verdict(path: Path | None, whole: Whole | None, busy: str, said: str) -> Text:
@@ -310,28 +292,7 @@ def _verdict(path: Path | None, whole: Whole | None, busy: str, said: str) -> Te
         "busy": busy,
         "said": said,
         "style": OUTCOME_STYLES.get(entry.texts.get("outcome", ""), "bold") if entry is not None else "",
-        "short": _short,
+        "most": _REASONS,
         "named": [f"{_NAMED.get(key, key)} {text}" for key, text in known.items() if text],
     }
     return templated("verdict.rich", values)
-
-
-def _run_words(entry: Entry) -> str:
-    return f"{entry.when}  {entry.texts.get('outcome', ''):7} {entry.texts.get('script', '')}  {entry.path.name}"
-
-
-def _short(reason: str) -> str:
-    """Return a reason cut to the first things it names; all of it is in the record below."""
-    parts = reason.split("; ")
-    more = len(parts) - _REASONS
-    return reason if more <= 0 else f"{'; '.join(parts[:_REASONS])}; and {more} more, see the record below"
-
-
-def _record(whole: Whole) -> Text:
-    reasons = whole.entry.texts.get("reason", "").split("; ")
-    values = {
-        "whole": whole,
-        "reasons": reasons if len(reasons) > _REASONS else [],
-        "nis": number(whole.nis_mean, 3),
-    }
-    return templated("record.rich", values)

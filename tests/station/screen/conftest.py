@@ -8,7 +8,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
 import h5py
@@ -96,3 +96,13 @@ async def until(pilot: Pilot[None], holds: Callable[[], object], limit_s: float 
 def keys(text: str) -> list[str]:
     """Return the keys that type a text."""
     return [{" ": "space", ".": "full_stop", "-": "minus"}.get(letter, letter) for letter in text]
+
+
+def driven(app: StationApp, drive: Callable[[Pilot[None]], Awaitable[None]], size: tuple[int, int] = (80, 24)) -> None:
+    """Drive an app in a terminal of a size."""
+
+    async def run() -> None:
+        async with app.run_test(size=size) as pilot:
+            await drive(pilot)
+
+    asyncio.run(run())

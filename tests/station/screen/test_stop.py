@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import threading
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import h5py
 import pytest
-from conftest import HistoryFirst, keys, until
+from conftest import HistoryFirst, driven, keys, until
 from streams import Replay
 from textual import events
 from textual.pilot import Pilot
@@ -26,14 +24,6 @@ from station.views.json_values import json_object
 
 PROSPECT = Prospect(bench="built-in twins", all_twins=True)
 CHOICES = Choices("bench.toml", "short.toml", Path("recordings"), "A. Operator", "SN-0042", 1.0)
-
-
-def driven(app: StationApp, drive: Callable[[Pilot[None]], Awaitable[None]], size: tuple[int, int] = (80, 24)) -> None:
-    async def run() -> None:
-        async with app.run_test(size=size) as pilot:
-            await drive(pilot)
-
-    asyncio.run(run())
 
 
 def said_by_bar(app: StationApp) -> str:

@@ -1,0 +1,132 @@
+"""One chart, drawn by textual-plot. It loads numpy: import it where nobody waits for a picture."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
+from typing import ClassVar
+
+import numpy as np
+from textual.app import ComposeResult
+from textual.binding import Binding
+from textual.containers import Grid
+from textual.content import Content
+from textual.strip import Strip
+from textual_hires_canvas import Canvas
+from textual_plot import HiResMode, PlotWidget
+from textual_plot.axis_formatter import NumericAxisFormatter
+from textual_plot.plot_widget import Legend
+
+from drivers.types import Floats
+from station.screen.drawings import Drawing
+
+_DOTS, _DOTS_WIDE = HiResMode.BRAILLE, 2
+_LABEL_WIDTH, _TICK_WIDTH, _MARGIN = 9, 6, 0.06
+
+
+class _Canvas(Canvas):
+    """A canvas whose lines always have a style: those without one end the app where colours are taken away."""
+
+    def render_line(self, y: int) -> Strip:
+        strip = super().render_line(y)
+        return strip if strip.cell_length else Strip.blank(0, self.rich_style)
+
+
+class _Ticks(NumericAxisFormatter):
+    """As many ticks as there is room for, with the digits that they need; a unit stands at the first of them."""
+
+    room, unit = 1, ""
+
+    def get_ticks(self, min_: float, max_: float, max_ticks: int = 8) -> list[float]:
+        ticks = super().get_ticks(min_, max_, max_ticks)
+        step = max(-(-len(ticks) // max(self.room, 1)), 1)
+        return ticks[min(range(len(ticks)), key=lambda at: abs(ticks[at]), default=0) % step :: step]
+
+    def get_labels_for_ticks(self, ticks: Sequence[float]) -> list[str]:
+        digits = max((len(f"{tick:.7f}".rstrip("0").partition(".")[2]) for tick in ticks), default=0)
+        return [f"{round(tick, digits) + 0.0:.{digits}f}{'' if at else self.unit}" for at, tick in enumerate(ticks)]
+
+
+class Chart(PlotWidget, inherit_bindings=False):
+    """A chart with a title; focused, it goes back and forth in time, and takes a shorter or a longer time."""
+
+    COMPONENT_CLASSES: ClassVar[set[str]] = {
+        f"chart--{style}" for style in ("line", "band", "limit", "mark", "first", "second", "third")
+    }
+    BINDINGS: ClassVar = [
+        Binding("left", "pan_left", "Earlier", show=False),
+        Binding("right", "pan_right", "Later", show=False),
+        Binding("plus", "zoom_x_in", "Shorter", key_display="+", show=False),
+        Binding("minus", "zoom_x_out", "Longer", key_display="-", show=False),
+        Binding("z", "enlarge", "Enlarge"),
+    ]
+    KEYBOARD_PAN_FACTOR = 8.0
+    KEYBOARD_ZOOM_FACTOR = 0.5
+
+    def __init__(self, draw: Callable[[], None]) -> None:
+        """``draw`` has this chart drawn: it gets its size late, in a part that is scrolled to."""
+        super().__init__()
+        self._draw_again = draw
+        self._x_formatter, self._y_formatter = self._over, self._along = _Ticks(), _Ticks()
+        self.set_reactive(PlotWidget.margin_top, 0)
+        self.set_reactive(PlotWidget.margin_bottom, 1)
+        self.set_reactive(PlotWidget.margin_left, _LABEL_WIDTH)
+
+    def on_resize(self) -> None:
+        """Draw anew once the size is there."""
+        self.call_after_refresh(self._draw_again)
+
+    def action_enlarge(self) -> None:
+        """Take all the room, or go back."""
+        if self.is_maximized:
+            self.screen.minimize()
+        else:
+            self.screen.maximize(self, container=False)
+
+    def compose(self) -> ComposeResult:
+        """Lay out what ``PlotWidget`` draws on."""
+        with Grid():
+            for name in ("margin-top", "margin-left", "plot", "margin-bottom"):
+                yield _Canvas(1, 1, id=name)
+        yield Legend(id="legend")
+
+    def show(self, drawing: Drawing, window: tuple[float, float] | None) -> None:
+        """Show a drawing, all of its time or a window of it; its title has the words that there is room for."""
+        low, high = window or (drawing.span[0], max(drawing.span[1], drawing.span[0] + 1.0))
+        cells = max(self.size.width - _LABEL_WIDTH, _TICK_WIDTH)
+        self._over.room, self._over.unit = cells // _TICK_WIDTH, f" {drawing.over}"
+        self._along.room = (self.size.height - 1) // 2
+        self.clear()
+        for mark in drawing.marks:
+            if low < mark < high:
+                self.add_v_line(mark, self._style("mark"))
+        shown = [np.array([0.0])]
+        for times, values, style, sds in drawing.curves:
+            first, last = max(bisect_left(times, low) - 1, 0), bisect_right(times, high) + 1
+            part = slice(first, last, 1 if sds else max((last - first) // (cells * _DOTS_WIDE), 1))
+            shown.append(np.array(values[part]))
+            if sds:
+                self.errorbar(times[part], values[part], None, sds[part], "●", self._style(style))
+            else:
+                self.plot(times[part], values[part], self._style(style), _DOTS)
+        self.set_xlimits(low, high)
+        self.set_yticks(None if drawing.curves else [])
+        self.set_ylimits(*drawing.range or _around(np.concatenate(shown[1:] or shown)))
+        name, *others = drawing.words
+        room, title = self.size.width - 4, Content(" ")
+        for text, style in [name, *([("0 shows all", "limit")] if window else []), *others]:
+            if title.cell_length + len(text) < room:
+                title += Content.assemble((text, self._style(style) if style else ""), " ")
+        self.border_title = title
+        self.render()  # now, so that the terminal is written to once for all that this tick has changed
+
+    def _style(self, name: str) -> str:
+        return str(self.get_component_rich_style(f"chart--{name}"))
+
+
+def _around(values: Floats) -> tuple[float, float]:
+    """Return a range somewhat wider than that of values."""
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    margin = _MARGIN * (high - low) or 1.0
+    return low - margin, high + margin

@@ -1,0 +1,80 @@
+"""The charts of a screen: side by side as the room allows, or one in sight and the others scrolled to."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, cast
+
+from textual.binding import Binding
+from textual.containers import Grid
+
+from station.screen.drawings import Drawing
+from station.screen.seen_app import SeenApp
+
+if TYPE_CHECKING:
+    from station.screen.chart import Chart
+
+_WIDE_TO_HIGH, _LEAST_ROWS = 3.0, 7.0
+_TICKS = 3
+"""In so many ticks one chart is drawn anew, so that no key waits for several, and the session keeps its core."""
+
+
+class Charts(Grid):
+    """Charts by name, drawn by a function that returns what each is to show; None while there is nothing."""
+
+    BINDINGS = [Binding("0", "show_all", "All of the time", show=False)]  # noqa: RUF012
+
+    def __init__(self, names: Sequence[str], draw: Callable[[str], Drawing | None]) -> None:
+        super().__init__(id="charts")
+        self._names, self._draw = names, draw
+        self._charts: list[Chart] = []
+        self._turn = 0
+        self._window: tuple[float, float] | None = None
+
+    def on_mount(self) -> None:
+        """Bring the charts once the first picture is out: what draws them takes a while to load."""
+        self.call_after_refresh(lambda: cast(SeenApp, self.app).work(self._bring, f"charts {id(self)}"))
+
+    async def _bring(self) -> None:
+        kind = (await asyncio.to_thread(import_module, "station.screen.chart")).Chart
+        if self.is_attached:
+            charts = [kind(self.draw) for _ in self._names]
+            await self.mount(*charts)
+            self._charts = charts
+            self.draw()
+
+    def on_resize(self) -> None:
+        """Choose the columns that leave each chart the most room; if that is too little for all, show one."""
+        count, size = len(self._names), self.size
+        room = {n: min(size.width / n / _WIDE_TO_HIGH, size.height / -(-count // n)) for n in range(1, count + 1)}
+        across = max(room, key=room.__getitem__)
+        fits = room[across] >= _LEAST_ROWS
+        self.styles.grid_size_columns = across if fits else 1
+        self.styles.grid_rows = "1fr" if fits else "100%"
+
+    def draw(self, only: int | None = None) -> None:
+        """Draw all charts, or one of them."""
+        for at, chart in enumerate(self._charts):
+            if only in (None, at):
+                drawing = self._draw(self._names[at])
+                chart.visible = drawing is not None
+                if drawing is not None and chart.size.area:
+                    chart.show(drawing, self._window)
+
+    def draw_next(self) -> None:
+        """Draw the chart whose turn it is."""
+        self._turn = (self._turn + 1) % (_TICKS * len(self._names))
+        if self._turn % _TICKS == 0:
+            self.draw(self._turn // _TICKS)
+
+    def on_plot_widget_scale_changed(self, event: Any) -> None:
+        """Show in all charts the time that one was moved to."""
+        self._window = event.x_min, event.x_max
+        self.draw()
+
+    def action_show_all(self) -> None:
+        """Show all of the time, and what comes."""
+        self._window = None
+        self.draw()

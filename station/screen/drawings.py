@@ -1,0 +1,123 @@
+"""What the charts show: a run as it goes, the states of a gyro over time and over calibrations, a script's motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+from station.run.snapshot import GyroSnapshot
+from station.screen.sessions.live_run import LiveRun, Trend
+from station.views.figures import STATE_FIGURES, number
+
+STATE_CHARTS = tuple(state.name for state in STATE_FIGURES)
+RUN_CHARTS = ("rate", "residual", "NIS", "temperature", *STATE_CHARTS)
+_AXIS_STYLES = ("first", "second", "third")
+_LIMITS = ("k", "b_rps", "sigma_rad", "sigma_rad")
+_RECENT, _LEAST_SIGMAS, _MARGIN = 0.2, 3.0, 1.15
+_SHOWN_BY_MOTION = 0.5  # of the sigma that a state begins with
+_SIGMAS = 2.0
+_DEG = math.degrees(1)
+_EVER = (-1e12, 1e12)
+
+
+class Curve(NamedTuple):
+    """Values over time, in a style of the charts; with ``sds`` they are points with bars."""
+
+    times: Sequence[float]
+    values: Sequence[float]
+    style: str = "line"
+    sds: Sequence[float] = ()
+
+
+class Drawing(NamedTuple):
+    """One chart: words of its title with their styles, curves, the range of values (None: that of the curves).
+
+    ``span`` is the range of times in the unit ``over``, ``marks`` are instants.
+    """
+
+    words: Sequence[tuple[str, str]]
+    curves: Sequence[Curve]
+    range: tuple[float, float] | None = None
+    span: tuple[float, float] = (0.0, 1.0)
+    marks: Sequence[float] = ()
+    over: str = "s"
+
+
+def run_drawing(name: str, run: LiveRun, gyro: GyroSnapshot) -> Drawing:
+    """Return a chart of a run, one of ``RUN_CHARTS``, with its steps marked."""
+    marks = [float(step["start_s"]) for step in run.hello.get("script", {}).get("steps", [])]
+    limits = run.hello.get("limits") or {}
+    if name in STATE_CHARTS:
+        index = STATE_CHARTS.index(name)
+        limit = limits.get(_LIMITS[index])
+        found = state_drawing(index, run.trends.get(gyro.name) or Trend(), math.inf if limit is None else limit)
+    else:
+        found = _seen(name, run, gyro, [float(limits[key]) for key in ("nis_low", "nis_high") if limits.get(key)])
+    return found._replace(marks=marks, span=(0.0, run.seen[-1].elapsed_s))
+
+
+def _seen(name: str, run: LiveRun, gyro: GyroSnapshot, nis_limits: Sequence[float]) -> Drawing:
+    """Return a chart of what was seen of a run: the rate of a gyro and of the table, residual, NIS, temperature."""
+    times, last = [s.elapsed_s for s in run.seen], run.seen[-1]
+    if name == "NIS":
+        reach = [_SIGMAS * math.sqrt(2 / s.recent) if s.recent else math.nan for s in run.seen]
+        curves = [Curve(times, [1 + sign * r for r in reach], "band") for sign in (1, -1)]
+        curves += [*_levels(nis_limits, "limit"), Curve(times, [s.nis_recent for s in run.seen])]
+        words = [("NIS (30 s)", ""), (number(last.nis_recent, 2), "line"), ("95 %", "band"), ("limits", "limit")]
+        return Drawing(words[: 3 + bool(nis_limits)], curves, (0.5, 1.5))
+    if name == "temperature":
+        degc = [next((u.temperature_c for u in s.sources if u.name == gyro.source), math.nan) for s in run.seen]
+        return Drawing(
+            [("temperature (degC)", ""), (number(degc[-1], 1), "line"), (gyro.source, "")], [Curve(times, degc)]
+        )
+    of_gyro = [next((g for g in s.gyros if g.name == gyro.name), GyroSnapshot("", "", (), ())) for s in run.seen]
+    if name == "residual":
+        curves = [*_levels((_SIGMAS, -_SIGMAS), "band"), Curve(times, [g.residual for g in of_gyro])]
+        words = [("residual (sigmas)", ""), (gyro.name, "line"), ("95 %", "band")]
+        return Drawing(words, curves, (-2 * _SIGMAS, 2 * _SIGMAS))
+    axes = list(zip(sorted(axis.name for axis in last.axes), _AXIS_STYLES, strict=False))
+    rates = [[a.rate_rps * _DEG for s in run.seen for a in s.axes if a.name == axis] for axis, _ in axes]
+    curves = [Curve(times, rate, style) for rate, (_, style) in zip(rates, axes, strict=True)]
+    curves.append(Curve(times, [g.rate_rps * _DEG for g in of_gyro]))
+    return Drawing([("rate (deg/s)", ""), (gyro.name, "line"), *axes], curves)
+
+
+def state_drawing(index: int, trend: Trend, limit: float, over: str = "s") -> Drawing:
+    """Return how a state of a gyro narrowed, between one sigma below and above it; ``limit`` in SI.
+
+    Over days it is that of one calibration after the other, points with bars. Nothing is shown before the motion that
+    shows the state. The range of values is that of the last fifth of the time, so that a band which narrows is seen to;
+    a limit is drawn where it is near, and else said.
+    """
+    state, days = STATE_FIGURES[index], over != "s"
+    words = [(f"{state.name} ({state.unit})", "")]
+    rows = list(zip(trend.times_s, trend.values, trend.sds, strict=True))
+    scaled = [(t, value[index] * state.factor, sd[index] * state.factor) for t, value, sd in rows]
+    if not scaled or (scaled[-1][2] > _SHOWN_BY_MOTION * scaled[0][2] and not days):
+        return Drawing([*words, ("no motion has shown it yet", "band")], [])
+    start, (end, centre, sd) = scaled[0][0], scaled[-1]
+    since = -math.inf if days else end - _RECENT * (end - start)
+    reach = max(_LEAST_SIGMAS * sd, *(abs(value - centre) + s for t, value, s in scaled if t >= since)) * _MARGIN or 1.0
+    times, values, sds = zip(*(row for row in scaled if row[2] < reach), strict=True)
+    words += [(number(centre, state.digits), "line"), (f"± {number(sd, state.digits)}", "line")]
+    edges = [Curve(times, [v + sign * s for v, s in zip(values, sds, strict=True)], "band") for sign in (1, -1)]
+    curves = [Curve(times, values, sds=sds)] if days else [*edges, Curve(times, values)]
+    margin = (0.05 * (end - start) or 1.0) if days else 0.0
+    near: list[float] = []
+    if math.isfinite(limit := limit * state.factor):
+        near = [at for at in (limit, -limit) if abs(at - centre) < 3 * reach]
+        words.append((f"limit ±{limit:.5g}", "limit"))
+    values_range = min([centre - reach, *near]), max([centre + reach, *near])
+    return Drawing(words, [*_levels(near, "limit"), *curves], values_range, (start - margin, end + margin), over=over)
+
+
+def motion_drawing(axes: Sequence[str], t_s: Any, rates_rps: Any) -> Drawing:
+    """Return the rates (N, axes) that a script asks of the axes of a table."""
+    styled = list(zip(sorted(range(len(axes)), key=axes.__getitem__), _AXIS_STYLES, strict=False))
+    words = [("rate (deg/s) that the script asks for", ""), *((axes[at], style) for at, style in styled)]
+    return Drawing(words, [Curve(t_s, rates_rps[:, at] * _DEG, style) for at, style in styled], span=(0.0, t_s[-1]))
+
+
+def _levels(values: Iterable[float], style: str) -> list[Curve]:
+    return [Curve(_EVER, (value, value), style) for value in values]

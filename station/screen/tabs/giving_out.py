@@ -1,0 +1,37 @@
+"""What can be made of a recording, offered in the command palette: its path copied, report, PDF, exports."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from textual.app import SystemCommand
+
+from station.atomic_write import free_path
+from station.screen.sessions.programs import ask
+
+_PAPER = {"html": "Report, written and opened", "pdf": "Report as PDF"}
+_EXPORTS = {"csv": "Export as CSV", "json": "Export as JSON", "yaml": "Export as YAML", "h": "Export as C header"}
+
+
+def offered(app: Any, recording: Path) -> Iterator[SystemCommand]:
+    """Yield what can be made of a recording, beside it, under a name that is free."""
+    yield SystemCommand("Copy path", str(recording), partial(app.copy_to_clipboard, str(recording.absolute())))
+    for suffix, words in (_PAPER | _EXPORTS).items():
+        make = partial(app.work, partial(_make, app, recording, suffix), "give out")
+        yield SystemCommand(words, f"of {recording.name}", make)
+
+
+async def _make(app: Any, recording: Path, suffix: str) -> None:
+    file = await asyncio.to_thread(free_path, recording.with_suffix(f".{suffix}"))
+    how = ["report"] if suffix in _PAPER else ["export", "--format", "c" if suffix == "h" else suffix]
+    answer = await ask([*how, str(recording), "--output", str(file)])
+    title, severity = ("NOT written", "error") if answer.code else ("Written", "information")
+    app.notify(answer.reason if answer.code else str(file), title=title, severity=severity, markup=False)
+    # Without a desktop a browser would run in this terminal, and nobody could press STOP.
+    if suffix == "html" and not answer.code and (os.environ.keys() & {"DISPLAY", "WAYLAND_DISPLAY"}):
+        app.open_url(file.absolute().as_uri())
