@@ -153,6 +153,8 @@ class HistoryScreen(StationScreen):
             ):
                 self._trend.add((entry.when_utc_s - alike[0].when_utc_s) / _DAY_S, own.values, own.sds)
             count = f"{len(self._trend.values)} calibration{'s' * (len(self._trend.values) != 1)}"
+            failed = sum(bool(e.gyros) and e.texts.get("outcome") == "FAIL" for e in alike)
+            count += f", {failed} of them FAIL" * (failed > 0)
             said = Text(f"{gyro.name} of {chosen.device or 'device'}, {count};  {chosen.path.name}", "bold")
         self.query_one("#trend", Static).update(said)
         charts = self.query_one(Charts)
