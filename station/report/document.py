@@ -10,6 +10,7 @@ from pathlib import Path
 
 from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A
+from estimator.recordings.reference import TableReadings
 from station.errors import UsageError
 from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
 from station.render.investigation_printed import verdict_lines
@@ -75,6 +76,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     not_seen = unseen.unseen_of(recorded)
     values = {
         "recorded": recorded,
+        "on_table": isinstance(recorded.recording.reference, TableReadings),
         "formal": formal,
         "logo": _logo(formal.laboratory_logo) if formal.laboratory_logo else "",
         "before": before,
