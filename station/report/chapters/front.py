@@ -20,6 +20,13 @@ ELSEWHERE = {RateReadings: "body rates", AttitudeReadings: "attitudes", Turns: "
 _LOCAL = re.compile(r"//(?:127\.|localhost|\[::1\])|/dev/pts/|udp_multicast|can:virtual")
 
 
+def links_of(recorded: Recorded) -> dict[str, str]:
+    """Return protocol and link of each device and of the table."""
+    devices = (text.partition(" (") for text in recorded.recording.attributes.get("devices", ()))
+    links = {name: rest.rstrip(")") for name, _, rest in devices}
+    return links | ({"table": recorded.text("table_link")} if recorded.text("table_link") else {})
+
+
 def local_links(links: Mapping[str, str]) -> list[str]:
     """Return the names whose links end on this computer."""
     return [name for name, link in links.items() if _LOCAL.search(link)]
