@@ -1,6 +1,5 @@
 """An investigation, and a closed loop of them, as a person reads it, in a terminal and on the screen."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from station.render.terminal import Shown, print_all, print_rendered, shown_of, 
 from station.run.closed_loop import Loop, Round
 from station.scripts.next_script import NextScript
 from station.views.figures import FINDING_STYLES
-from station.views.investigation import InvestigationView, ResidualView, investigation_view
+from station.views.investigation import InvestigationView, investigation_view
 from station.views.json_values import named
 
 _LEAST_SHOWN = 0.005  # suspects less probable than this are one line together
@@ -63,9 +62,8 @@ def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> l
         "shown": shown,
         "others": ranked[len(shown) :],
         "figure": lambda value: "inf" if value is None else f"{value:.3g}",
-        "residuals": _residuals(what["residual"]),
         "by_chance": BY_CHANCE,
-        "common": Origin.COMMON,
+        "origins": Origin,
         "left_out": left_out,
     }
     return shown_of("station.render", "investigation.rich", values)
@@ -74,26 +72,6 @@ def investigation_shown(what: InvestigationView, how: str, drive: str = "") -> l
 def verdict_lines(what: InvestigationView) -> list[str]:
     """Return what was found, in sentences: effects with their parameters, rivals, what is unexplained."""
     return rendered("station.render", "verdict.txt", {"what": what}).splitlines()
-
-
-def _residuals(residual: Mapping[str, Any] | None) -> list[tuple[str, ResidualView, ResidualView]]:
-    """Return what is left, before and after: of the recordings fitted; of the verification run where it is not noise.
-
-    Nothing if the residual was not looked at.
-    """
-    if residual is None:
-        return []
-    shown, verified = [("recordings fitted", residual["before"], residual["after"])], residual["verification"]
-    if verified is not None and not _is_noise(verified["after"]):
-        shown.append(("verification run", verified["before"], verified["after"]))
-    return shown
-
-
-def _is_noise(residual: ResidualView) -> bool:
-    """Return whether a residual passes for noise, in every gyro and in what they have in common."""
-    split = residual["split"]
-    clean = all((gyro["white_p"] or 0) >= BY_CHANCE and not gyro["beyond"] for gyro in residual["gyros"].values())
-    return clean and (split is None or split["origin"] == Origin.NOISE)
 
 
 def loop_object(loop: Loop) -> dict[str, Any]:
