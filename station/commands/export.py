@@ -5,8 +5,6 @@ import json
 import sys
 from pathlib import Path
 
-from rich.markup import escape
-
 from drivers.plugins import load_files
 from estimator.strict_toml import not_one_of
 from station.atomic_write import write_whole
@@ -14,7 +12,7 @@ from station.errors import UsageError
 from station.exports.exported import Exported, exported_of
 from station.exports.formats import FORMATS
 from station.exports.written import Written
-from station.render.terminal import rich_table, stdout
+from station.render.terminal import print_rendered, stdout
 from station.run.outcome import Outcome
 
 _STDOUT = "-"
@@ -87,7 +85,4 @@ def _print_list(as_json: bool) -> None:
     if as_json:
         print(json.dumps({name: {"holds": holds, "lacks": lacks} for name, (holds, lacks) in listed.items()}))
         return
-    table = rich_table("Formats of station export", ("--format", "holds", "not in it"), fold=True)
-    for name, (holds, lacks) in listed.items():
-        table.add_row(name, escape(holds), escape(lacks))
-    stdout().print(table)
+    print_rendered(stdout(), "station.render", "formats.rich", {"listed": listed})

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from drivers.types import Flags, Floats
+from drivers.types import Floats
 from estimator.calibration.budget import table_budget
 from estimator.geometry.kinematics import body_rate
 from estimator.geometry.model import regressor_maps
@@ -84,7 +84,8 @@ def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
         return _refuse(_why_not(search, bench, wanted, gyros), arguments.json)
     check(found.script, bench.table.limits)
     improved = Improved(script, wanted, found, gyros, time.perf_counter() - began_s)
-    write_whole(path, script_text(found.script, _origin(improved, bench)))
+    told = {"improved": improved, "bench": bench}
+    write_whole(path, script_text(found.script, rendered("station.commands", "improved_origin.txt", told)))
     if arguments.json:
         print(json.dumps(improved_object(improved, path)))
     else:
@@ -195,36 +196,17 @@ def _columns(text: str) -> list[int]:
 
 def _why_not(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[str, str], ...]) -> str:
     """Return which sigmas cannot be reached, and what limits them."""
-    if wanted.total_s is not None:
-        return f"no turns about the table's axes fit into {wanted.total_s:g} s beside the rests: give more time"
-    missed = search.unreachable()
-    if missed.any():
-        directions = np.array([way.direction for way in ways_of(bench.table.gimbals, (0.0, math.pi / 2))])
-        if np.linalg.matrix_rank(directions) < 3:
-            axes = ", ".join(bench.table.gimbals)
-            reason = f"the table turns the body about too few directions (it has axis {axes}): an axis is missing"
-        else:
-            reason = f"the rates that the axes allow and the white noise, even in {LONGEST_S / 3600:g} h"
-        return f"cannot be reached: {_listed(missed, gyros)}; what limits it: {reason}"
-    longest = search.longest()
-    sd, table_sd = sds_of(search.predict(longest)), make_plan(longest, bench, effects=()).table_sd
-    missed = sd > wanted.sd
-    reason = (
-        "the table's own uncertainty ([table.uncertainty])"
-        if (table_sd > wanted.sd).any()
-        else "noise that no time averages out (bias_instability, rate_random_walk of the data sheet)"
-    )
-    return f"cannot be reached: {_listed(missed, gyros)}; what limits it: {reason}"
-
-
-def _listed(missed: Flags, gyros: tuple[tuple[str, str], ...]) -> str:
-    names = [
-        f"{name} {STATE_UNITS[state][0]}"
-        for (_, name), row in zip(gyros, missed, strict=True)
-        for state in np.flatnonzero(row)
-    ]
-    more = f" and {len(names) - 4} more" if len(names) > 4 else ""
-    return f"sigma of {', '.join(names[:4])}{more}"
+    directions = np.array([way.direction for way in ways_of(bench.table.gimbals, (0.0, math.pi / 2))])
+    values = {"wanted": wanted, "axes": bench.table.gimbals, "turns": np.linalg.matrix_rank(directions)}
+    if wanted.total_s is None:
+        missed, table_sd = search.unreachable(), None
+        if not missed.any():
+            longest = search.longest()
+            missed = sds_of(search.predict(longest)) > wanted.sd
+            table_sd = make_plan(longest, bench, effects=()).table_sd
+        names = [f"{gyros[row][1]} {STATE_UNITS[state][0]}" for row, state in np.argwhere(missed)]
+        values |= {"missed": names, "table_sd": table_sd, "longest_h": LONGEST_S / 3600}
+    return rendered("station.commands", "unreachable.txt", values).rstrip()
 
 
 def _refuse(reason: str, as_json: bool) -> int:
@@ -239,16 +221,6 @@ def script_text(script: Script, origin: str) -> str:
     steps = zip((_KINDS[type(step)] for step in script.steps), script.steps, script.durations_s(), strict=True)
     values = {"origin": origin, "script": script, "steps": steps}
     return rendered("station.commands", "script.toml", values)
-
-
-def _origin(improved: Improved, bench: Bench) -> str:
-    wanted, script = improved.wanted, improved.found.script
-    aim = "least time to its sigmas" if wanted.total_s is None else f"least sigmas in {wanted.total_s:g} s"
-    return (
-        f"Found by station plan --improve for the bench {bench.name!r}, criterion {wanted.criterion}: {aim}.\n"
-        f"{script.duration_s:.1f} s; {improved.before.name} takes {improved.before.duration_s:.1f} s.\n"
-        f"It rests {wanted.rest_s:g} s at both ends, so that the noise can be told from the motion."
-    )
 
 
 def improved_object(improved: Improved, path: Path) -> dict[str, Any]:

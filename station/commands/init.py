@@ -21,6 +21,7 @@ from station.init.imu import ask_imu
 from station.init.links import Links
 from station.init.rest import ask_rest
 from station.init.table import ask_table
+from station.render.template import rendered
 from station.run.outcome import Outcome
 from station.scripts.script import check, paper_script
 
@@ -89,15 +90,11 @@ def _check_name(text: str) -> None:
 def _say_next(path: Path, bench: Bench) -> None:
     """Say what was written, and what to type next."""
     links = {"table": bench.table.link, **{imu.name: imu.link for imu in bench.imus}}
-    twins = [device for device, link in links.items() if link == TWIN]
-    named = shlex.quote(str(path))
-    print(f"\nwritten: {path}")
-    if twins:
-        print(f"simulated until you put in their links: {', '.join(twins)}")
-    print("next:")
-    print(f"  station check {named:<30} does everything answer? nothing moves")
+    unfit = ""
     try:
         check(paper_script(), bench.table.limits)
-        print(f"  station run --bench {named:<24} the 360 s script, and the calibration")
     except ScriptError as error:
-        print(f"  station run --bench {named} --script FILE   a script of your own, since: {error}")
+        unfit = str(error)
+    twins = [device for device, link in links.items() if link == TWIN]
+    values = {"path": path, "twins": twins, "named": shlex.quote(str(path)), "unfit": unfit}
+    print(rendered("station.commands", "init_next.txt", values), end="")

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from drivers.types import Floats
 from estimator.effects.conditions import REFERENCE_C
-from estimator.effects.constructed import readable as words
 from estimator.effects.disturbances import TONE
-from estimator.planning.planning import ALIKE, EffectForecast, Forecast
-from station.render.terminal import print_rendered, rich_table
+from estimator.planning.planning import ALIKE, EffectForecast
+from station.render.terminal import print_rendered
 from station.scripts.axis_profile import profile_lines
 from station.scripts.plan import WARMING_TIME_S, Plan
 from station.scripts.polling import too_steep
-from station.views.figures import STATE_UNITS, shown_unit
+from station.views.figures import shown_unit
 
 MARKED = 1.0
 """Shifts of the states below so many of their sigmas are not worth a word."""
@@ -33,10 +30,11 @@ def print_plan(plan: Plan, console: Console) -> None:
         "size": _number,
         "is_required": bool(np.isfinite(plan.required).any()),
         "combination": combination,
-        "effects": _effects(found),
         "warnings": [*plan.rounded, *too_steep(plan.script, plan.bench.table.read_time_s)],
         "partly_seen": any(f.seen.any() and not f.seen.all() for f in found.effects),
-        "corrupted": [line for forecast in found.effects for line in _corrupted(forecast, found)],
+        "worst_hidden": _worst_hidden,
+        "marked": MARKED,
+        "shown_unit": shown_unit,
         "alike": ALIKE,
         "reference_c": REFERENCE_C,
         "warming_time_s": WARMING_TIME_S,
@@ -58,54 +56,15 @@ def combination(direction: Floats) -> str:
     return text
 
 
-def _effects(found: Forecast) -> Table:
-    heads = ("effect", "smallest", "up to*", "unit")
-    table = rich_table("Smallest size of each effect that would be found", heads, "lrrl")
-    for forecast in found.effects:
-        for unit in dict.fromkeys(parameter.unit for parameter in forecast.effect.parameters):
-            own = [i for i, parameter in enumerate(forecast.effect.parameters) if parameter.unit == unit]
-            shown, factor = shown_unit(unit)
-            largest = _number(float(forecast.largest[own].max()) * factor)
-            table.add_row(words(forecast.effect.name), _smallest(forecast, own, factor), largest, shown)
-    return table
+def _worst_hidden(forecast: EffectForecast) -> tuple[int, Floats, int] | None:
+    """Return of the parameters that are not seen which does most to the states, and how many others do enough.
 
-
-def _smallest(forecast: EffectForecast, own: Sequence[int], factor: float) -> str:
-    smallest, seen = forecast.smallest[own] * factor, forecast.seen[own]
-    if not seen.any():
-        return "[red]cannot be seen[/]" if np.any(forecast.shift[own]) else "[dim]does nothing[/]"
-    least, most = _number(float(smallest[seen].min())), _number(float(smallest[seen].max()))
-    text = least if least == most else f"{least} - {most}"
-    return text if seen.all() else f"{text} [red]({int(seen.sum())}/{seen.size})[/]"
-
-
-def _corrupted(forecast: EffectForecast, found: Forecast) -> list[str]:
-    """Return what the worst parameter that is not seen does to the states, a line for each kind of state."""
-    hidden = np.flatnonzero(~forecast.seen.all(axis=1))
+    Between the two by how many sigmas it moves the states of each gyro (gyros, 4). None if none does enough.
+    """
     sigmas = unnoticed(forecast)
-    if not len(hidden) or sigmas.max() < MARKED:
-        return []
-    worst = int(hidden[np.argmax(sigmas[hidden].max(axis=(1, 2)))])
-    parameter = forecast.effect.parameters[worst]
-    unit, factor = shown_unit(parameter.unit)
-    others = int(np.sum(sigmas[hidden].max(axis=(1, 2)) >= MARKED)) - 1
-    more = f" (and {others} more of its parameters)" if others > 0 else ""
-    size = f"{_number(parameter.largest * factor)} {unit}"
-    lines = [
-        f"[bold]{words(forecast.effect.name)}[/], {parameter.name}, {size}{more}; "
-        f"needed to see it: {forecast.effect.record.shown_by}"
-    ]
-    for state, (name, state_unit, scale) in enumerate(STATE_UNITS):
-        parts = [
-            f"{gyro.name} {'-' if shift < 0 else '+'}{_number(abs(shift * scale))} ({sigma:.0f})"
-            for gyro, shift, sigma in zip(
-                found.gyros, forecast.shift[worst, :, state], sigmas[worst, :, state], strict=True
-            )
-            if sigma >= MARKED
-        ]
-        if parts:
-            lines.append(f"  {name} of {', '.join(parts)} {state_unit}")
-    return lines
+    largest = sigmas.max(axis=(1, 2), initial=0.0)
+    worst = int(np.argmax(largest))
+    return (worst, sigmas[worst], int(np.sum(largest >= MARKED)) - 1) if largest[worst] >= MARKED else None
 
 
 def unnoticed(forecast: EffectForecast) -> Floats:

@@ -5,12 +5,16 @@ import platform
 from base64 import b64encode
 from dataclasses import dataclass
 from mimetypes import guess_type
+from os.path import basename
 from pathlib import Path
 
 from drivers.packaged import packaged_toml
 from estimator.calibration.budget import TYPE_A
+from estimator.recordings.reference import TableReadings
 from station.errors import UsageError
 from station.exports.exported import RAW_RULE, file_sha256, raw_sha256
+from station.render.investigation_printed import verdict_lines
+from station.render.plan_printed import combination
 from station.render.template import rendered
 from station.report import figures, pictures
 from station.report import traced as residual
@@ -24,7 +28,9 @@ from station.views.seen import seen_by
 _PACKAGES = ("turntable-station", "numpy", "scipy", "h5py", "matplotlib")
 _MADE_OF = {
     "asked_for": packaged_toml("station.report", "certificate.toml")["not_stated"],
+    "basename": basename,
     "blind_spots": unseen,
+    "combination": combination,
     "correction": correction,
     "figures": figures,
     "front": front,
@@ -34,6 +40,7 @@ _MADE_OF = {
     "results": results,
     "seen_by": seen_by,
     "type_a": TYPE_A,
+    "verdict_lines": verdict_lines,
 }
 """What the templates ask for values."""
 
@@ -69,6 +76,7 @@ def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Re
     not_seen = unseen.unseen_of(recorded)
     values = {
         "recorded": recorded,
+        "on_table": isinstance(recorded.recording.reference, TableReadings),
         "formal": formal,
         "logo": _logo(formal.laboratory_logo) if formal.laboratory_logo else "",
         "before": before,

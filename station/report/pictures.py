@@ -97,12 +97,8 @@ def _convergence_picture(gyro: str, course: Course, channel: int, start_ns: int,
             panel.locator_params(nbins=4)  # more labels would not fit, and each costs time
             panel.set_title(f"{symbol}, {unit.name}")
             panel.margins(x=0)
-        last = [
-            f"{word} {course.states[-1, channel, s] * unit.factor:.4g} ± {course.sd[-1, channel, s] * unit.factor:.2g} "
-            f"{unit.name}"
-            for s, (word, (_, unit)) in enumerate(zip(("k", "b", "sigma j", "sigma k"), STATES, strict=True))
-        ]
-        return _done(figure, "convergence", gyro=gyro, last=last)
+        last = course.states[-1, channel], course.sd[-1, channel]
+        return _done(figure, "convergence", gyro=gyro, units=STATES, last=last)
 
 
 def nis_picture(recorded: Recorded) -> Picture | None:

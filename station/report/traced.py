@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from markupsafe import Markup
 
 from drivers.types import Floats
 from estimator.calibration.error_model import ErrorModel
@@ -19,8 +18,6 @@ from estimator.errors import RecordingError
 from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import plain
 from estimator.tracing.investigation import ResidualView
-from station.render.investigation_printed import verdict_lines
-from station.report.figures import COVERAGE, worded
 from station.report.recorded import Recorded, labels_of, laid_out
 from station.views.investigation import InvestigationView, Spectra, judged_views
 
@@ -114,32 +111,6 @@ def _spectrum(part: Group) -> Spectra:
     return Spectra(*(part[key][()].astype(np.float64) for key in ("frequency_hz", "before", "after", "noise")))
 
 
-def file_names(paths: Sequence[str]) -> str:
-    """Return the names of files."""
-    return ", ".join(Path(path).name for path in paths)
-
-
-def is_among(recorded: Recorded, what: Mapping[str, Any]) -> bool:
-    """Return whether an investigation was made with a recording."""
-    return recorded.path.name in {Path(path).name for key in ("recordings", "verification") for path in what[key]}
-
-
-def parameter(value: float | None, sd: float | None, unit: str) -> Markup:
-    """Return a parameter of an effect that was traced, with its expanded uncertainty."""
-    return worded(number(value), COVERAGE * number(sd), unit)
-
-
-def findings(what: InvestigationView) -> list[str]:
-    """Return what else an investigation says, in sentences."""
-    return [sentence(said) for said in (*verdict_lines({**what, "added": []}), *what["notes"])]
-
-
 def number(value: float | None) -> float:
     """Return a number of JSON, in which null stands for what is not known."""
     return math.nan if value is None else float(value)
-
-
-def sentence(text: str) -> str:
-    """Return a text as a sentence, nothing if it is empty."""
-    text = text.strip()
-    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}" if text else ""

@@ -16,10 +16,10 @@ from estimator.tracing.residuals.dependence import Dependence
 from estimator.tracing.residuals.origin import Origin, Split
 from estimator.tracing.residuals.residual import GyroResidual, Residual, Spectrum
 from station.exports.investigation_file import write_investigation
-from station.render.investigation_printed import origin_line, print_investigation
+from station.render.investigation_printed import print_investigation
 from station.render.terminal import stdout
 from station.report.pictures import draw_investigation
-from station.views.investigation import ResidualView, investigation_view, residual_view
+from station.views.investigation import investigation_view
 
 
 @pytest.fixture
@@ -61,12 +61,15 @@ def test_a_verification_run_that_is_not_noise_is_shown(
     assert "states 90%" in text
 
 
-def test_it_is_said_how_far_the_gyros_can_tell_what_they_share() -> None:
-    four, five = (residual_view(left(2.0, origin=Origin.COMMON, spare=spare)) for spare in (1, 2))
-    assert origin_line(four, four).endswith("common to all gyros, as far as one gyro more than axes can tell")
-    assert origin_line(five, five).endswith("common to all gyros")
-    three: ResidualView = {**four, "split": None, "no_split": "3 gyros on 3 axes: why"}
-    assert "cannot be told: 3 gyros on 3 axes: why" in origin_line(three, three)
+def test_it_is_said_how_far_the_gyros_can_tell_what_they_share(
+    found: Investigation, capsys: pytest.CaptureFixture[str]
+) -> None:
+    four, five = (left(2.0, origin=Origin.COMMON, spare=spare) for spare in (1, 2))
+    three = replace(four, split=None, no_split="3 gyros on 3 axes: why")
+    said = [printed(replace(found, residual_before=one, residual_after=one), capsys) for one in (four, five, three)]
+    assert "own? common to all gyros, as far as one gyro more than axes can tell\n" in said[0]
+    assert "own? common to all gyros\n" in said[1]
+    assert "cannot be told: 3 gyros on 3 axes: why\n" in said[2]
 
 
 def test_json_holds_what_is_left_before_and_after_of_all_runs(found: Investigation) -> None:

@@ -187,7 +187,8 @@ def _function_text(
         "state": terms.keeps_state,
         "dt_s": terms.timed,
         "lag": name_of(terms.lag) if terms.lag is not None else "",
-        "tables": _tables(exported, terms),
+        "held": exported.compensation,
+        "terms": terms,
         "numbers": lambda row: ", ".join(number(x) if np.isfinite(x) else "NAN" for x in row),
         "gyros": len(exported.gyros),
         "delay_s": number(exported.compensation.delay_s),
@@ -201,19 +202,3 @@ def _function_text(
     }
     lines = rendered("station.exports", template, values).split("\n")
     return "\n".join(line.rstrip() for line in lines)
-
-
-def _tables(exported: Exported, terms: Terms) -> list[tuple[str, str, Floats]]:
-    """Return all numbers of the correction: of each table what it is, its name, its values."""
-    held = exported.compensation
-    return [
-        ("Body rate per output: the inverse of the sensitivity, rows x, y, z.", "solution", held.solution),
-        ("Biases, to be added to the outputs, in rad/s.", "bias", held.bias_rps),
-        *([("Nominal sense axes.", "axis", held.array.p)] if terms.uses("u") or terms.uses("axis") else []),
-        *([("Nominal tilt axes j.", "axis_j", held.array.j)] if terms.uses("axis_j") else []),
-        *([("Nominal tilt axes k.", "axis_k", held.array.k)] if terms.uses("axis_k") else []),
-        *(
-            (f"{term.effect.replace('_', ' ')}: {' '.join(term.unit.split())}", term.table, term.values)
-            for term in terms.all
-        ),
-    ]

@@ -23,7 +23,6 @@ from estimator.geometry.array import SensorArray
 from estimator.geometry.kinematics import GRAVITY_MPS2
 from station.exports.terms import SPELLED, law_terms
 from station.render.template import rendered
-from station.report.figures import ONE, fixed
 from station.report.recorded import Recorded
 from station.report.traced import ALL, Traced
 
@@ -36,11 +35,6 @@ _NEEDS: Mapping[str, str] = {"temperature_c": r"\bt\b", "accel_mps2": "accel_mps
 """The arguments beside the outputs, and what needs them in the code of the effects."""
 _U = re.compile(r"\bu\b")
 _ACTS = (Acts.LAG, Acts.ADDED, Acts.RATE, Acts.MOTION)
-_ARGUMENTS = {
-    "temperature_c": "temperature_c (N,) in degC",
-    "accel_mps2": "accel_mps2 (N, 3), specific force in body axes, m/s2",
-    "t_s": "t_s (N,), instants in s",
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,18 +100,6 @@ def _correction(device: str, gyros: list[GyroCalibration], arrays: Mapping[str, 
     return Correction(device, compensation, axes_only, not_applied)
 
 
-def origin(recorded: Recorded, data_sha256: str, title: str) -> str:
-    """Return the comment that Python for a device begins with."""
-    return f"Recording {recorded.path.name}, SHA-256 of its samples\n{data_sha256}\n{title}"
-
-
-def gains(one: Correction, gyro: int) -> list[Markup]:
-    """Return the row of the sensitivity of a gyro, or what it has of the rate about its own axis."""
-    compensation = one.compensation
-    values = [1 - compensation.states[gyro, 0]] if one.axes_only else compensation.sensitivity[gyro].tolist()
-    return [fixed(float(value), ONE, 7) for value in values]
-
-
 def formula_of(effect: HeldEffect) -> Markup:
     """Return what an effect adds to the outputs, with a factor a for each of its terms."""
     known = effect.known
@@ -181,7 +163,6 @@ def snippet(correction: Correction, origin: str) -> str:
         "of_motion": of_motion,
         "motion_uses_u": any(_U.search(term) for term in of_motion),
         "needs": [argument for argument, names in _NEEDS.items() if re.search(names, code)],
-        "arguments": _ARGUMENTS,
         "warms_up": "since" in code,
         "share": f"{LAST_SHARE:g}",
         "iterations": MOST_ITERATIONS,

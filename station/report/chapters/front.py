@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from station.report.pictures import Picture, rates_picture
 from station.report.recorded import Recorded, Step
 from station.scripts.script import Rotate
 
+ELSEWHERE = {RateReadings: "body rates", AttitudeReadings: "attitudes", Turns: "turns of known angle"}
+"""What was measured where there was no table."""
 _LOCAL = re.compile(r"//(?:127\.|localhost|\[::1\])|/dev/pts/|udp_multicast|can:virtual")
 
 
@@ -28,37 +30,6 @@ def links_of(recorded: Recorded) -> dict[str, str]:
 def local_links(links: Mapping[str, str]) -> list[str]:
     """Return the names whose links end on this computer."""
     return [name for name, link in links.items() if _LOCAL.search(link)]
-
-
-def identities(recorded: Recorded) -> list[tuple[str, str]]:
-    """Return what the sources say that they are, sources that say the same together."""
-    told: dict[str, list[str]] = {}
-    for name, attributes in recorded.source_attributes.items():
-        text = _identity(attributes.get(key) for key in ("model", "serial", "firmware"))
-        if text:
-            told.setdefault(text, []).append(name)
-    return [(f"Identity of {', '.join(names)}", text) for text, names in told.items()]
-
-
-def _identity(values: Iterable[object]) -> str:
-    words = ("{}", "serial number {}", "firmware {}")
-    return ", ".join(word.format(value) for value, word in zip(values, words, strict=True) if value)
-
-
-def has_table(recorded: Recorded) -> bool:
-    """Return whether a table was the reference."""
-    return isinstance(recorded.recording.reference, TableReadings)
-
-
-def table_words(recorded: Recorded) -> str:
-    """Return what the table is, or what was the reference instead."""
-    reference = recorded.recording.reference
-    if isinstance(reference, TableReadings):
-        told = _identity(recorded.text(f"table_{key}") for key in ("model", "serial", "firmware"))
-        axes = f"axes {', '.join(reference.gimbals)} (outermost first)"
-        return f"{told or 'not identified'}; {axes}"
-    kinds = {RateReadings: "body rates", AttitudeReadings: "attitudes", Turns: "turns of known angle"}
-    return f"none: the reference are {kinds[type(reference)]} that were measured elsewhere"
 
 
 def rate_hz(data: ImuData) -> float:

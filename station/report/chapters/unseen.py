@@ -17,8 +17,8 @@ from estimator.observations.rests import REST_RPS
 from estimator.planning.planning import EffectForecast, Forecast, PlannedDevice, forecast
 from estimator.recordings.recording import ImuData
 from estimator.recordings.reference import TableReadings
-from station.render.plan_printed import MARKED, combination, unnoticed
-from station.report.figures import SYMBOLS, Unit, figure, significant, typographic
+from station.render.plan_printed import MARKED, unnoticed
+from station.report.figures import Unit, figure, significant, typographic
 from station.report.recorded import Recorded, Step
 from station.scripts.planned import planned_motion
 from station.scripts.script import Rest, Rotate, Script
@@ -30,7 +30,6 @@ _MOST_ROWS = 36_000  # an hour of them; longer runs are looked at in coarser ste
 _PLATEAU = 0.9  # of the largest rate: above it an axis is taken to be at its steady rate
 _FINEST_DEG = 0.01  # to which rates and turns of a script are told from the readings of the table
 _SHORTEST_RAMP_S = 0.05
-_ABSURD = 10.0  # times the largest plausible size: an effect that would have to be larger cannot be seen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,29 +144,11 @@ def by_state(found: Forecast) -> Mapping[str, Floats]:
     return {effect.effect.name: unnoticed(effect).max(axis=(0, 1), initial=0.0) for effect in found.effects}
 
 
-def lacking(recorded: Recorded, unseen: Unseen) -> list[str]:
-    """Return by gyro the combinations of its states that the motion does not show."""
-    gyros = [gyro for gyro in unseen.forecast.gyros if len(gyro.unseen)]
-    return [f"{recorded.label(g.source, g.name)}: {'; '.join(map(combination, g.unseen))}" for g in gyros]
-
-
-def hidden(unseen: Unseen) -> list[tuple[EffectForecast, list[tuple[Markup, float]]]]:
-    """Return the effects that the motion does not show, the worst first, each with the states that it moves unnoticed.
-
-    Those come with their shifts in sigmas.
-    """
+def hidden(unseen: Unseen) -> list[tuple[EffectForecast, Floats]]:
+    """Return the effects that the motion does not show, the worst first, each with ``by_state`` of it."""
     shifts = by_state(unseen.forecast)
-    effects = [effect for effect in unseen.forecast.effects if not effect.seen.all()]
-    effects.sort(key=lambda effect: -float(shifts[effect.effect.name].max()))
-    pairs = [list(zip(SYMBOLS, shifts[effect.effect.name].tolist(), strict=True)) for effect in effects]
-    marked = ([(symbol, size) for symbol, size in moved if size >= MARKED] for moved in pairs)
-    return list(zip(effects, marked, strict=True))
-
-
-def smallest(effect: EffectForecast) -> str:
-    """Return the smallest size of an effect that is shown, of its parameters and the gyros the worst."""
-    worst = float(effect.smallest.max())
-    return "∞" if not worst < _ABSURD * float(effect.largest.max()) else size(effect.effect, worst)
+    effects = [(effect, shifts[effect.effect.name]) for effect in unseen.forecast.effects if not effect.seen.all()]
+    return sorted(effects, key=lambda pair: -float(pair[1].max()))
 
 
 def size(effect: Effect, value: float) -> Markup:
