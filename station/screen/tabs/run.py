@@ -111,9 +111,6 @@ def _values(run: LiveRun, snapshot: Snapshot, large: bool) -> dict[str, Any]:
         "snapshot": snapshot,
         "old": run.stage is not Stage.RUNNING or run.silent_s > SILENCE_S,
         "moving": not run.at_rest,  # the last figures may be from before it came to rest
-        "axes": sorted(snapshot.axes, key=lambda axis: axis.name),
-        "sources": snapshot.sources,
-        "links": ["losses" if s.link == "ok" and (s.lost or s.corrupt) else s.link for s in snapshot.sources],
         "rate_hz": max((s.rate_hz for s in snapshot.sources if math.isfinite(s.rate_hz)), default=math.nan),
         "judged": judged,
         "style": style,
