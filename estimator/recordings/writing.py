@@ -234,9 +234,7 @@ def write_recording(path: Path, recording: Recording) -> None:
     writer = RecordingWriter(path, recording.attributes)
     try:
         if recording.site is not None:
-            writer.set_attributes(
-                {"site_latitude_rad": recording.site.latitude_rad, "site_heading_rad": recording.site.heading_rad}
-            )
+            writer.set_attributes({f"site_{key}": value for key, value in asdict(recording.site).items()})
         reference = recording.reference
         if isinstance(reference, TableReadings):
             writer.add_table(reference.gimbals, reference.uncertainty, reference.rate_window_ns)

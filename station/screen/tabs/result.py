@@ -122,12 +122,8 @@ class ResultScreen(StationScreen):
             )
 
     async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
-        kept, script = await asyncio.to_thread(
-            lambda: (
-                free_path(path.with_name(f"{path.stem}{INVESTIGATION}.h5")),
-                free_path(path.with_name(f"{path.stem}-next.toml")),
-            )
-        )
+        kept = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}{INVESTIGATION}.h5"))
+        script = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}-next.toml"))
         verify = ["--verify", *map(str, judging)] if judging else []
         files = ["--output", str(kept), "--next-script", str(script)]
         arguments = ["investigate", str(path), *verify, "--json", *files]
