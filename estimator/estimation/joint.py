@@ -395,10 +395,8 @@ def _clustered(joint: Joint) -> tuple[list[Floats], list[str]]:
         return joint.covariances, [f"{who}: too short to tell how the residual hangs together; sigmas assume noise"]
     places = [np.r_[g * own : (g + 1) * own, n * own : n * own + whole - own] for g in range(n)]
     precision = np.ones(n * own + whole - own)
-    information, scores = (
-        np.zeros((len(precision),) * 2),
-        np.zeros((np.concatenate(clusters).max() + 1, len(precision))),
-    )
+    information = np.zeros((len(precision),) * 2)
+    scores = np.zeros((np.concatenate(clusters).max() + 1, len(precision)))
     for g, place in enumerate(places):
         t_s, rows = joint.whitened(g)
         both = np.delete(rows, Z, axis=1)

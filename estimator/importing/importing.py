@@ -171,11 +171,8 @@ def _rows_beside(
     t_s, values = _readings(reference, own.time.t_s + (other.offset_s or 0.0), values[own.time.rows], notes)
     if own.time.zero_s is not None and time.zero_s is not None:
         t_s += own.time.zero_s - time.zero_s
-    outputs, array, signed = (
-        Turned.of_rates(_ns(gyros[0]), gyros[1]),
-        mapping.gyro.array,
-        not mapping.gyro.sign_from_data,
-    )
+    outputs, array = Turned.of_rates(_ns(gyros[0]), gyros[1]), mapping.gyro.array
+    signed = not mapping.gyro.sign_from_data
 
     def body() -> Turned:
         return Turned.of_reference(foreign_reference(reference, _ns(t_s), values), None)

@@ -125,7 +125,6 @@ def read_journal(file: BinaryIO) -> Iterator[Entry | None]:
 
 def _next_mark(file: BinaryIO, at: int) -> int:
     """Return where the next mark is, or the end."""
-    block = b""
     while True:
         file.seek(at)
         block = file.read(1 << 20)

@@ -156,11 +156,9 @@ def _start(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: i
     beyond = abs(inner[peak] - 0.5 * (before + after)) - 0.5 * abs(after - before)
     if beyond > 0.1 * np.ptp(inner):  # up and down again, or the other way round
         middle = t_s[first] + np.array([0.0, t_s[first + peak] - t_s[first], t_s[last] - t_s[first]])
-        return (
-            np.concatenate([middle, [before, inner[peak], after], [angle_rad[first]], [1.0]])
-            if 0 < peak < len(inner) - 1
-            else None
-        )
+        if not 0 < peak < len(inner) - 1:
+            return None
+        return np.concatenate([middle, [before, inner[peak], after], [angle_rad[first]], [1.0]])
     if abs(after - before) < 1e-9:
         return None
     steep = float(np.median(slope[np.abs(slope) >= 0.5 * np.abs(slope).max()]))

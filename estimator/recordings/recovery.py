@@ -107,7 +107,7 @@ class _Found:
         writer = RecordingWriter(part, {})
         try:
             for group, attributes in self._attributes.items():
-                writer.set_group(group, attributes)
+                writer.set_attributes(attributes, group)
             self._write_rows(writer, file)
             told = f"{self.samples} samples recovered from its journal, the last at {self._last_ns * 1e-9:.3f} s"
             if "clock_zero_utc_s" in root:

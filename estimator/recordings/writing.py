@@ -79,12 +79,8 @@ class RecordingWriter:
         self.flush()
         self.write_journal()
 
-    def set_attributes(self, attributes: Mapping[str, Any]) -> None:
-        """Set attributes of the file."""
-        self.set_group("/", attributes)
-
-    def set_group(self, group: str, attributes: Mapping[str, Any]) -> None:
-        """Set attributes of a group, which is made if it is not there."""
+    def set_attributes(self, attributes: Mapping[str, Any], group: str = "/") -> None:
+        """Set attributes of the file, or of a group, which is made if it is not there."""
         self._file.require_group(group).attrs.update(attributes)
         self._note(ATTRIBUTES, group, attributes)
 
@@ -95,16 +91,16 @@ class RecordingWriter:
         stated = asdict(uncertainty) if uncertainty is not None else {}
         attributes = {f"u_{key}": value for key, value in stated.items()}
         named = {"axes": gimbals, "gimbals": gimbals, "rate_window_ns": rate_window_ns}
-        self.set_group("table", {**attributes, **named})
+        self.set_attributes({**attributes, **named}, "table")
 
     def add_source(self, name: str, array: SensorArray, prior: Prior, attributes: Mapping[str, Any]) -> None:
         """Declare a source with the axes of its channels and what its data sheet promises."""
         axes = {"p": array.p, "j": array.j, "k": array.k}
-        self.set_group(f"imu/{name}", {"prior": astuple(prior), "names": list(array.names), **axes, **attributes})
+        self.set_source(name, {"prior": astuple(prior), "names": list(array.names), **axes, **attributes})
 
     def set_source(self, name: str, attributes: Mapping[str, Any]) -> None:
         """Set attributes of a source, for instance its counts of lost samples."""
-        self.set_group(f"imu/{name}", attributes)
+        self.set_attributes(attributes, f"imu/{name}")
 
     def note_source(self, name: str, attributes: Mapping[str, Any]) -> None:
         """Keep in the journal what the attributes of a source would be if the run ended now."""
@@ -238,9 +234,7 @@ def write_recording(path: Path, recording: Recording) -> None:
     writer = RecordingWriter(path, recording.attributes)
     try:
         if recording.site is not None:
-            writer.set_attributes(
-                {"site_latitude_rad": recording.site.latitude_rad, "site_heading_rad": recording.site.heading_rad}
-            )
+            writer.set_attributes({f"site_{key}": value for key, value in asdict(recording.site).items()})
         reference = recording.reference
         if isinstance(reference, TableReadings):
             writer.add_table(reference.gimbals, reference.uncertainty, reference.rate_window_ns)
@@ -274,17 +268,12 @@ def write_results(path: Path, group: str, datasets: Mapping[str, NDArray[Any]], 
             _create(held, name, np.asarray(values), growing=False)
 
 
-def write_attributes(path: Path, attributes: Mapping[str, Any]) -> None:
-    """Set attributes of an existing recording; RecordingError if it cannot be written."""
+def write_attributes(path: Path, attributes: Mapping[str, Any], *sources: tuple[str, Mapping[str, Any]]) -> None:
+    """Set attributes of an existing recording, and of ``sources`` by name; RecordingError if it cannot be written."""
     with _changing(path, _ATTRIBUTES_BYTES) as file:
         file.attrs.update(attributes)
-
-
-def write_source_attributes(path: Path, by_source: Mapping[str, Mapping[str, Any]]) -> None:
-    """Set attributes of the sources of an existing recording; RecordingError if it cannot be written."""
-    with _changing(path, _ATTRIBUTES_BYTES) as file:
-        for name, attributes in by_source.items():
-            file[f"imu/{name}"].attrs.update(attributes)
+        for name, own in sources:
+            file[f"imu/{name}"].attrs.update(own)
 
 
 def _disk_full(path: Path, needed: str) -> RecordingError:

@@ -3,6 +3,7 @@
 import math
 
 from drivers.tables.modbus import cia402
+from drivers.tables.modbus.cia402 import DriveState
 from drivers.tables.modbus.registers import DriveProfile
 from sims.physics.table import TableModel
 from sims.wires.watchdog import Watchdog
@@ -24,7 +25,7 @@ class Drive:
         """Start in Switch-on disabled; ``watchdog_s`` of silence stops the axis (0: never)."""
         self._table, self._axis = table, axis
         self._errors = profile.errors
-        self._state = cia402.DriveState.SWITCH_ON_DISABLED
+        self._state = DriveState.SWITCH_ON_DISABLED
         self._controlword = 0
         self._watchdog_s = watchdog_s
         self._watchdog = Watchdog(table.clock, self._silence_s, self._master_is_silent)
@@ -37,7 +38,7 @@ class Drive:
 
     def heard(self) -> None:
         """Note that the master has said something."""
-        self._watchdog.heard(self._state is cia402.DriveState.OPERATION_ENABLED)
+        self._watchdog.heard(self._state is DriveState.OPERATION_ENABLED)
 
     def read(self, register: str) -> float:
         """Return what a register says now."""
@@ -81,46 +82,42 @@ class Drive:
     def _control(self, word: int) -> None:
         before, self._controlword = self._controlword, word
         rising = word & ~before
-        if rising & 0x80 and self._state is cia402.DriveState.FAULT:
+        if rising & 0x80 and self._state is DriveState.FAULT:
             self._table.tripped.pop(self._axis, None)
-            self._state = cia402.DriveState.SWITCH_ON_DISABLED
+            self._state = DriveState.SWITCH_ON_DISABLED
             return
-        if self._state in (cia402.DriveState.FAULT, cia402.DriveState.FAULT_REACTION):
+        if self._state in (DriveState.FAULT, DriveState.FAULT_REACTION):
             return
         self._walk(word)
-        if self._state is cia402.DriveState.OPERATION_ENABLED:
+        if self._state is DriveState.OPERATION_ENABLED:
             self._operate(word, rising, (word ^ before) & _HALT)
 
     def _walk(self, word: int) -> None:
         """Carry out the device-control bits 0 to 3 (CiA 402 transitions 2 to 12 and 16)."""
         state = self._state
         if not word & 0x02:  # disable voltage
-            self._release(cia402.DriveState.SWITCH_ON_DISABLED)
+            self._release(DriveState.SWITCH_ON_DISABLED)
         elif not word & 0x04:  # quick stop
-            if state is cia402.DriveState.OPERATION_ENABLED:
+            if state is DriveState.OPERATION_ENABLED:
                 self._table.stop(self._axis)
-                self._state = cia402.DriveState.QUICK_STOP_ACTIVE
-            elif state is not cia402.DriveState.QUICK_STOP_ACTIVE:
-                self._release(cia402.DriveState.SWITCH_ON_DISABLED)
+                self._state = DriveState.QUICK_STOP_ACTIVE
+            elif state is not DriveState.QUICK_STOP_ACTIVE:
+                self._release(DriveState.SWITCH_ON_DISABLED)
         elif word & 0x0F == 0x0F:
-            if state in (
-                cia402.DriveState.SWITCHED_ON,
-                cia402.DriveState.READY_TO_SWITCH_ON,
-                cia402.DriveState.QUICK_STOP_ACTIVE,
-            ):
+            if state in (DriveState.SWITCHED_ON, DriveState.READY_TO_SWITCH_ON, DriveState.QUICK_STOP_ACTIVE):
                 self._enter_operation()
-        elif state is cia402.DriveState.QUICK_STOP_ACTIVE:
+        elif state is DriveState.QUICK_STOP_ACTIVE:
             pass  # as with the quick stop options 5 to 8 (605Ah): neither shutdown nor switch on leads out of it
         elif word & 0x07 == 0x07:
-            if state is cia402.DriveState.READY_TO_SWITCH_ON:
-                self._state = cia402.DriveState.SWITCHED_ON
-            elif state is cia402.DriveState.OPERATION_ENABLED:
-                self._release(cia402.DriveState.SWITCHED_ON)
+            if state is DriveState.READY_TO_SWITCH_ON:
+                self._state = DriveState.SWITCHED_ON
+            elif state is DriveState.OPERATION_ENABLED:
+                self._release(DriveState.SWITCHED_ON)
         else:
-            self._release(cia402.DriveState.READY_TO_SWITCH_ON)
+            self._release(DriveState.READY_TO_SWITCH_ON)
 
     def _enter_operation(self) -> None:
-        self._state = cia402.DriveState.OPERATION_ENABLED
+        self._state = DriveState.OPERATION_ENABLED
         self.values["target_rate"] = 0.0
         self._acknowledged, self._goal = False, None
         self.heard()
@@ -155,7 +152,7 @@ class Drive:
             self._table.move_encoder(self._axis, self._goal, rate, acceleration)
 
     def _follow_rate(self) -> None:
-        if self._state is cia402.DriveState.OPERATION_ENABLED:
+        if self._state is DriveState.OPERATION_ENABLED:
             self._jog(self.values["target_rate"])
 
     def _jog(self, rate: float) -> None:
@@ -174,7 +171,7 @@ class Drive:
         motion = self._table.motion[self._axis]
         settled = motion.settled(self._table.clock())
         if self._axis in self._table.tripped:
-            self._state = cia402.DriveState.FAULT if settled else cia402.DriveState.FAULT_REACTION
+            self._state = DriveState.FAULT if settled else DriveState.FAULT_REACTION
             self._homing = False
         if self._homing and settled:
             self._homing, self._homed = False, True
@@ -212,10 +209,10 @@ class Drive:
         return min(limits, default=0.0)
 
     def _master_is_silent(self) -> None:
-        if self._state is not cia402.DriveState.OPERATION_ENABLED:
+        if self._state is not DriveState.OPERATION_ENABLED:
             return
         if self._silence_s() == self._watchdog_s:
-            self._release(cia402.DriveState.SWITCH_ON_DISABLED)
+            self._release(DriveState.SWITCH_ON_DISABLED)
         else:
             self._table.trip(self._axis, "node guarding")
             self._update()

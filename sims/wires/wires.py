@@ -253,7 +253,7 @@ class _Tcp:
     """A TCP port and the stations at it: who comes last is served."""
 
     def __init__(self) -> None:
-        self.received: Write = _ignore
+        self.received: Write = _nothing
         self.hung_up: Callable[[], None] = _nothing
         self._server: asyncio.Server | None = None
         self._client: asyncio.StreamWriter | None = None
@@ -314,9 +314,5 @@ class _Tcp:
             await writer.wait_closed()
 
 
-def _nothing() -> None:
+def _nothing(data: bytes = b"") -> None:
     """Do nothing."""
-
-
-def _ignore(data: bytes) -> None:
-    """Do nothing with bytes."""

@@ -15,7 +15,7 @@ from estimator.estimation.calibrate import calibrate
 from estimator.estimation.live.sample_columns import white_solution
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import Recording
-from estimator.recordings.writing import write_source_attributes
+from estimator.recordings.writing import write_attributes
 from station.run.acquisition import SourceReport
 from station.run.live import LiveEstimate
 
@@ -37,7 +37,7 @@ def final_estimate(
     calibration = replace(found, nis_mean=live.nis_mean, notes=(*found.notes, *live.notes))
     agreement = _agreement(recording, live)
     fuller = {name: replace(reports[name], offset=calibration.offsets.get(name)) for name in live.sources}
-    write_source_attributes(path, {name: report.attributes() for name, report in fuller.items()})
+    write_attributes(path, {}, *((name, report.attributes()) for name, report in fuller.items()))
     write_calibration(path, calibration, {"live_batch_difference_sigma": agreement})
     return calibration, agreement, fuller
 

@@ -105,11 +105,10 @@ class VectorNavImu(OneSource[ByteLink]):
         while True:
             chunk = await self._link.receive()
             for item in self._decoder.feed(chunk.data):
-                block = (
-                    self._of_frames(chunk, item)
-                    if isinstance(item, vectornav.Frames)
-                    else self._of_sentence(chunk, item)
-                )
+                if isinstance(item, vectornav.Frames):
+                    block = self._of_frames(chunk, item)
+                else:
+                    block = self._of_sentence(chunk, item)
                 if block is not None:
                     yield self._device, block
 

@@ -109,11 +109,8 @@ def run_of(recording: Recording, source: str, data: ImuData) -> Run | None:
 def _run(recording: Recording, source: str, data: ImuData, block_s: float, order: int, held: int) -> Run | None:
     if isinstance(recording.reference, Turns):
         return _run_of_turns(recording, recording.reference, source, data, order)
-    measured = (
-        means_by_turns(recording, data, block_s)
-        if by_turns(recording.reference)
-        else means_by_samples(recording, data, block_s)
-    )
+    means = means_by_turns if by_turns(recording.reference) else means_by_samples
+    measured = means(recording, data, block_s)
     if measured is None or len(measured.index) < _FEWEST_BLOCKS:
         return None
     index, where = even_grid(measured.index, measured.length_s)

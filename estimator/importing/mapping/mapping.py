@@ -195,10 +195,8 @@ def _reference_file(
 ) -> ReferenceFile:
     offset_s: float | None = 0.0
     if isinstance(section.again().value("file"), str):
-        name, own = (
-            section.string("file"),
-            replace(file_format, columns=(), from_row=0.0, until_row=math.inf, from_s=0.0, until_s=math.inf),
-        )
+        name = section.string("file")
+        own = replace(file_format, columns=(), from_row=0.0, until_row=math.inf, from_s=0.0, until_s=math.inf)
     else:
         stated = section.table("file")
         name, own = stated.string("name"), _format(stated, protocols, folder)

@@ -15,6 +15,7 @@ from station.screen.archive.entries import NO_LIMITS, Entry
 from station.screen.base import Field, StationScreen
 from station.screen.charts import Charts
 from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
+from station.screen.figures import templated
 from station.screen.sessions.live_run import Trend
 from station.views.figures import OUTCOME_STYLES
 
@@ -126,37 +127,29 @@ class HistoryScreen(StationScreen):
             table.add_row(*cells[: len(names)])
         if self._shown:
             table.move_cursor(row=min(row, len(self._shown) - 1))
-        of = "" if len(self._shown) == len(self._entries) else f" of {len(self._entries)}"
-        reading = ", reading ..." if self._reading else ""
-        most = f", the first {_MOST_ROWS} here" if len(self._shown) > _MOST_ROWS else ""
-        said = f"{len(self._shown)}{of} recordings in {self.station.choices.folder}{most}{reading}   (Enter opens one)"
-        self.query_one("#folder", Static).update(said)
+        counts = {"shown": len(self._shown), "all": len(self._entries), "most": _MOST_ROWS, "reading": self._reading}
+        values = {**counts, "folder": self.station.choices.folder}
+        self.query_one("#folder", Static).update(templated("folder.rich", values))
         self.redraw()
 
     def redraw(self) -> None:
         if not self.query(Charts):
             return
-        table, self._trend, said = self.query_one(DataTable), Trend(), Text()
+        table, self._trend, failed = self.query_one(DataTable), Trend(), 0
         if len(table.columns) not in (0, len(self._columns())):
             self._show()
         chosen = self._shown[table.cursor_row] if table.cursor_row < len(self._shown) else None
         self.recording = chosen.path if chosen is not None else None
-        if chosen is not None and chosen.wrong:
-            said = Text(f"{chosen.path.name}: {chosen.wrong}", "red")
-        elif chosen is not None and not chosen.gyros:
-            said = Text(f"{chosen.path.name} came to no calibration", "dim")
-        elif chosen is not None:
-            gyro = chosen.gyros[self.gyro % len(chosen.gyros)]
+        gyro = chosen.gyros[self.gyro % len(chosen.gyros)] if chosen is not None and chosen.gyros else None
+        if chosen is not None and gyro is not None:
             alike = sorted(filter(chosen.same_device, self._entries), key=lambda entry: entry.when_utc_s)
             for entry, own in (
                 (e, g) for e in alike for g in e.gyros if (g.source, g.name) == (gyro.source, gyro.name)
             ):
                 self._trend.add((entry.when_utc_s - alike[0].when_utc_s) / _DAY_S, own.values, own.sds)
-            count = f"{len(self._trend.values)} calibration{'s' * (len(self._trend.values) != 1)}"
             failed = sum(bool(e.gyros) and e.texts.get("outcome") == "FAIL" for e in alike)
-            count += f", {failed} of them FAIL" * (failed > 0)
-            said = Text(f"{gyro.name} of {chosen.device or 'device'}, {count};  {chosen.path.name}", "bold")
-        self.query_one("#trend", Static).update(said)
+        values = {"chosen": chosen, "gyro": gyro, "count": len(self._trend.values), "failed": failed}
+        self.query_one("#trend", Static).update(templated("trend.rich", values))
         charts = self.query_one(Charts)
         charts.display = bool(self._trend.values)
         charts.draw()

@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
-from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Container, Horizontal, Vertical
@@ -18,12 +17,11 @@ from station.screen.charts import Charts
 from station.screen.choices import Choices
 from station.screen.dialogs import AskTextDialog
 from station.screen.drawings import Drawing, motion_drawing
-from station.screen.figures import columns, templated, titled
+from station.screen.figures import templated
 from station.screen.sessions.link import sessions_on
 from station.screen.sessions.live_run import LiveRun
 from station.screen.sessions.programs import Answer, ask
 from station.screen.tabs.prospects import Prospect, look_ahead, matches
-from station.views.figures import clock, three_digits
 
 _FIELDS = (
     ("bench", "Bench file", "built-in twins"),
@@ -31,7 +29,7 @@ _FIELDS = (
     ("operator", "Operator", "your name"),
     ("serial", "Device serial no.", "of the device under test"),
 )
-_DOTS = {"OK": "bold green", "WRONG": "bold red", "WAIT": "bold yellow"}
+_BLOCKS = ("summary", "ready", "limits", "check", "plan")
 
 
 class PrepareScreen(StationScreen):
@@ -269,34 +267,12 @@ class PrepareScreen(StationScreen):
             return
         obstacles = self._obstacles()
         self.query_one("#start", Button).disabled = bool(obstacles)
-        self.query_one("#summary", Static).update(_summary(obstacles))
-        lines = [Text.assemble((f"{kind:5} ", _DOTS[kind]), text) for kind, text in obstacles]
-        lines += [Text.assemble(("NOTE  ", "bold yellow"), text) for text in self._warnings()]
-        self.query_one("#ready", Static).update(titled("Before START", lines or [Text("nothing is missing", "green")]))
-        prospect = self._prospect
-        limits = prospect.limits if prospect is not None else None
-        self.query_one("#limits", Static).update(templated("limits.rich", {"limits": limits}))
-        bench = prospect.bench if prospect is not None else ""
-        values = {"bench": bench, "check": self._check, "checking": self._checking}
-        self.query_one("#check", Static).update(templated("check.rich", values))
-        shown = {"prospect": prospect, "plan": self._plan, "columns": columns, "three_digits": three_digits}
-        self.query_one("#plan", Static).update(templated("plan.rich", {**shown, "clock": clock}))
+        values = {"obstacles": obstacles, "prospect": self._prospect or Prospect(), "plan": self._plan}
+        values |= {"check": self._check, "checking": self._checking}
+        for name in _BLOCKS:
+            self.query_one(f"#{name}", Static).update(templated(f"{name}.rich", values))
         self.query_one(Charts).draw()
 
     def _drawing(self, name: str) -> Drawing | None:
         motion = self._prospect.motion if self._prospect is not None else None
         return None if motion is None else motion_drawing(motion.gimbals, motion.t_s, motion.rate_rps)
-
-    def _warnings(self) -> list[str]:
-        plan = self._plan.found if self._plan is not None else {}
-        missed = [gyro["name"] for gyro in plan.get("gyros", []) if not gyro["reached"]]
-        warning = "this script does not reach the sigmas that the bench requires ({}): it will end FAIL"
-        return [warning.format(", ".join(missed))] if missed else []
-
-
-def _summary(obstacles: list[tuple[str, str]]) -> Text:
-    if not obstacles:
-        return Text.assemble(("READY", "bold green"), "  the table will move")
-    first = next((o for o in obstacles if o[0] == "WRONG"), obstacles[0])
-    more = f"  (and {len(obstacles) - 1} more)" if len(obstacles) > 1 else ""
-    return Text.assemble(("NOT READY", "bold red" if first[0] == "WRONG" else "bold yellow"), f"  {first[1]}{more}")

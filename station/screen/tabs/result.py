@@ -1,7 +1,6 @@
 """Result: the verdict, the states, what changed since the last calibration, what the model lacks, and what to do."""
 
 import asyncio
-import math
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
@@ -21,17 +20,14 @@ from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskDialog, ChooseDialog
 from station.screen.drawings import STATE_CHARTS, Drawing, state_drawing
-from station.screen.figures import columns, state_heads, state_lines, templated, titled
+from station.screen.figures import templated
 from station.screen.sessions.programs import ask
-from station.views.figures import OUTCOME_STYLES
 
 _MANY_SIGMAS = 3.0
 _REASONS = 4
 _MOST_OFFERED = 20
 _LOOKING = "looking for what the model lacks"
 _NONE, _ALL = "none", "all"  # choices of runs that judge, beside the number of one
-_NAMED = {"operator": "operator", "script": "script", "station": "bench"}
-"""What identifies a run beside its device, and what it is called."""
 _BLOCKS = ("verdict", "states", "change", "model", "record")
 _BUTTONS = (
     ("accept", "Accept  A"),
@@ -126,12 +122,8 @@ class ResultScreen(StationScreen):
             )
 
     async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
-        kept, script = await asyncio.to_thread(
-            lambda: (
-                free_path(path.with_name(f"{path.stem}{INVESTIGATION}.h5")),
-                free_path(path.with_name(f"{path.stem}-next.toml")),
-            )
-        )
+        kept = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}{INVESTIGATION}.h5"))
+        script = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}-next.toml"))
         verify = ["--verify", *map(str, judging)] if judging else []
         files = ["--output", str(kept), "--next-script", str(script)]
         arguments = ["investigate", str(path), *verify, "--json", *files]
@@ -230,17 +222,19 @@ class ResultScreen(StationScreen):
             self.query_one(f"#{name}", Button).disabled = bool(self._obstacle(name))
         whole, charts = self._whole, self.query_one(Charts)
         charts.display = bool(whole and whole.curves)
-        self._block("verdict", _verdict(self.recording, whole, self._busy, self._said))
-        if whole is None or whole.entry.wrong:
-            for name in _BLOCKS[1:]:
-                self._block(name, None)
-            return
-        gyros = whole.entry.gyros
-        self._block("states", titled("States and their sigmas", state_lines(gyros)) if gyros else None)
-        self._block("change", _change(whole.entry, last_before(whole.entry, self._same)) if gyros else None)
-        lines = self._model or [Text("I looks for what the four states lack", "dim")]
-        self._block("model", Group(Text("Investigation", "bold underline"), *lines) if gyros else None)
-        self._block("record", templated("record.rich", {"whole": whole, "most": _REASONS}))
+        values: dict[str, Any] = {"whole": whole, "path": self.recording, "busy": self._busy, "said": self._said}
+        values["most"] = _REASONS
+        self._block("verdict", templated("verdict.rich", values))
+        shown: dict[str, RenderableType] = {}
+        if whole is not None and not whole.entry.wrong:
+            values |= {"entry": whole.entry, "last": last_before(whole.entry, self._same), "many_sigmas": _MANY_SIGMAS}
+            told = ("states", "change", "record") if whole.entry.gyros else ("record",)
+            shown = {name: templated(f"{name}.rich", values) for name in told}
+            if whole.entry.gyros:
+                lines = self._model or [Text("I looks for what the four states lack", "dim")]
+                shown["model"] = Group(Text("Investigation", "bold underline"), *lines)
+        for name in _BLOCKS[1:]:
+            self._block(name, shown.get(name))
         charts.draw()
 
     def _block(self, name: str, shown: RenderableType | None) -> None:
@@ -272,27 +266,3 @@ def _investigation(found: Mapping[str, Any]) -> list[RenderableType]:
     if shown is None:
         return [Text("damaged, or kept by another version of the station: I investigates again", "yellow")]
     return [Text.from_markup(what, emoji=False) if isinstance(what, str) else what for what, _ in shown]
-
-
-def _change(entry: Entry, last: Entry | None) -> Text:
-    before = {(gyro.source, gyro.name): gyro for gyro in last.gyros} if last is not None else {}
-    pairs = [(gyro, before[gyro.source, gyro.name]) for gyro in entry.gyros if (gyro.source, gyro.name) in before]
-    tables = {"heads": state_heads("gyro", "sigmas"), "columns": columns, "hypot": math.hypot}
-    return templated("change.rich", {"entry": entry, "last": last, "pairs": pairs, "most": _MANY_SIGMAS, **tables})
-
-
-def _verdict(path: Path | None, whole: Whole | None, busy: str, said: str) -> Text:
-    if path is None:
-        return Text("No run has ended yet. F5 opens a recording, F2 prepares a run.")
-    entry = whole.entry if whole is not None else None
-    known = {"device": entry.device} | {key: entry.texts.get(key, "") for key in _NAMED} if entry is not None else {}
-    values = {
-        "entry": entry,
-        "path": path,
-        "busy": busy,
-        "said": said,
-        "style": OUTCOME_STYLES.get(entry.texts.get("outcome", ""), "bold") if entry is not None else "",
-        "most": _REASONS,
-        "named": [f"{_NAMED.get(key, key)} {text}" for key, text in known.items() if text],
-    }
-    return templated("verdict.rich", values)

@@ -18,9 +18,8 @@ from station.screen.base import StationScreen
 from station.screen.charts import Charts
 from station.screen.dialogs import AskTextDialog
 from station.screen.drawings import RUN_CHARTS, Drawing, run_drawing
-from station.screen.figures import bar, columns, state_lines, templated
+from station.screen.figures import templated
 from station.screen.sessions.live_run import LiveRun, Stage
-from station.views.figures import clock
 
 _SOURCES, _EVENTS = ("sources", "details"), ("events", "latest")  # beside the figures, or at the end of all
 _MOST_EVENTS = 24
@@ -62,7 +61,10 @@ class RunScreen(StationScreen):
     def tick(self) -> None:
         """Show figures at each tick, one of the charts, too; what has not changed costs nothing."""
         run = self.station.shown
-        self._show("progress", _progress(run, self.station.others, self.size.width - 4))
+        width = self.size.width - 4
+        wrapped = partial(textwrap.wrap, width=max(width, 1), max_lines=_REASON_ROWS, placeholder=" ...")
+        shown = {"run": run, "others": self.station.others, "width": width, "wrapped": wrapped, "silence_s": SILENCE_S}
+        self._show("progress", templated("progress.rich", shown))
         if run is None or run.snapshot is None:  # what is there is of the run before
             for name in ("figures", *_SOURCES, *_EVENTS):
                 self._show(name, Text())
@@ -73,7 +75,9 @@ class RunScreen(StationScreen):
         for name in _SOURCES:
             self._show(name, sources)
         for name in _EVENTS:
-            self._show(name, _event_lines(run, max(self.query_one(f"#{name}").size.width, 30)))
+            events = {"events": list(run.events)[-_MOST_EVENTS:], "wrap": textwrap.wrap}
+            width = max(self.query_one(f"#{name}").size.width, 30)
+            self._show(name, templated("events.rich", {**events, "width": width}))
         self.query_one(Charts).draw_next()
 
     def _show(self, name: str, text: Text) -> None:
@@ -100,15 +104,6 @@ class RunScreen(StationScreen):
             )
 
 
-def _progress(run: LiveRun | None, others: int, width: int) -> Text:
-    values: dict[str, Any] = {"run": run, "others": others, "width": width, "clock": clock, "bar": bar}
-    if run is not None:
-        silent_s = f"{run.silent_s:.0f}" if run.silent_s > SILENCE_S else ""
-        values |= {"stage": run.stage.name, "silent_s": silent_s, "snapshot": run.snapshot}
-    wrapped = partial(textwrap.wrap, width=max(width, 1), max_lines=_REASON_ROWS, placeholder=" ...")
-    return templated("progress.rich", {**values, "wrapped": wrapped})
-
-
 def _values(run: LiveRun, snapshot: Snapshot, large: bool) -> dict[str, Any]:
     """Return what is shown of axes, sources, innovations, states; of a run that has gone the last that is known."""
     judged, style = _judgement(snapshot)
@@ -116,15 +111,10 @@ def _values(run: LiveRun, snapshot: Snapshot, large: bool) -> dict[str, Any]:
         "snapshot": snapshot,
         "old": run.stage is not Stage.RUNNING or run.silent_s > SILENCE_S,
         "moving": not run.at_rest,  # the last figures may be from before it came to rest
-        "axes": sorted(snapshot.axes, key=lambda axis: axis.name),
-        "sources": snapshot.sources,
-        "links": ["losses" if s.link == "ok" and (s.lost or s.corrupt) else s.link for s in snapshot.sources],
         "rate_hz": max((s.rate_hz for s in snapshot.sources if math.isfinite(s.rate_hz)), default=math.nan),
-        "states": state_lines(snapshot.gyros, nis=True),
         "judged": judged,
         "style": style,
         "large": large,
-        "columns": columns,
     }
 
 
@@ -138,12 +128,3 @@ def _judgement(snapshot: Snapshot) -> tuple[str, str]:
     if abs(snapshot.whiteness) > max(_WHITE_OFF, by_chance):
         return "NOT WHITE: something is not in the model", "bold red"
     return "good: near 1, and white", "green"
-
-
-def _event_lines(run: LiveRun, width: int) -> Text:
-    lines = [Text("events", "bold")]
-    for t_s, text in list(run.events)[-_MOST_EVENTS:]:
-        at = f"{t_s:8.1f} s  "
-        first, *more = textwrap.wrap(text, width - len(at)) or [""]
-        lines += [Text.assemble((at, "dim"), first), *(Text(" " * len(at) + line) for line in more)]
-    return Text("\n").join(lines)
