@@ -74,10 +74,10 @@ class RunScreen(StationScreen):
         sources = templated("sources.rich", values)
         for name in _SOURCES:
             self._show(name, sources)
+        events = {"events": list(run.events)[-_MOST_EVENTS:], "wrap": textwrap.wrap}
         for name in _EVENTS:
-            events = {"events": list(run.events)[-_MOST_EVENTS:], "wrap": textwrap.wrap}
-            width = max(self.query_one(f"#{name}").size.width, 30)
-            self._show(name, templated("events.rich", {**events, "width": width}))
+            if (room := self.query_one(f"#{name}")).display:
+                self._show(name, templated("events.rich", {**events, "width": max(room.size.width, 30)}))
         self.query_one(Charts).draw_next()
 
     def _show(self, name: str, text: Text) -> None:
