@@ -33,10 +33,10 @@ GRAVITY: Errors = lambda up, t_s, w, warmth: np.radians(0.05) * up[:, [1, 2, 0]]
     ("effect", "errors", "further"),
     [
         ("scale_asymmetry", ASYMMETRY, {}),
-        ("scale_cubic", CUBIC, {}),
-        ("thermal_scale", THERMAL_SCALE, {"temperature_c": (20.0, 45.0)}),
+        pytest.param("scale_cubic", CUBIC, {}, marks=pytest.mark.full),
+        pytest.param("thermal_scale", THERMAL_SCALE, {"temperature_c": (20.0, 45.0)}, marks=pytest.mark.full),
         ("thermal_bias", THERMAL_BIAS, {"temperature_c": (20.0, 45.0)}),
-        ("g_sensitivity", GRAVITY, {"accelerometer": True}),
+        pytest.param("g_sensitivity", GRAVITY, {"accelerometer": True}, marks=pytest.mark.full),
     ],
 )
 def test_what_the_integral_over_a_turn_shows_is_traced(effect: str, errors: Errors, further: dict) -> None:

@@ -18,7 +18,7 @@ from station.commands.conformance import complaint, suites_of
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 FILES = [EXAMPLES / "counted_imu.py", EXAMPLES / "numbered_table.py"]
 # test_table_conformance tries the station's own tables harder, on its own wires; tests of each decoder cut and spoil.
-LONG = ("framing cut anywhere", "garbage")
+LONG = ("framing cut anywhere", "garbage", "clock", "loss")
 DEVICES = [
     pytest.param(spec, suite, id=f"{name} {suite}", marks=[pytest.mark.full] if name in TABLES or suite in LONG else [])
     for name, spec in (*IMUS.items(), *TABLES.items())

@@ -106,7 +106,9 @@ def babbling_server(seed: int) -> Iterator[int]:
         thread.join(2)
 
 
-@pytest.mark.parametrize(("device", "options"), [("table", []), ("stim300", ["--device", "stim300"])])
+@pytest.mark.parametrize(
+    ("device", "options"), [("table", []), pytest.param("stim300", ["--device", "stim300"], marks=pytest.mark.full)]
+)
 def test_garbage_on_a_link_ends_with_the_device_named_and_no_traceback(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], device: str, options: list[str]
 ) -> None:

@@ -17,7 +17,9 @@ CASES_LONG = [("clean-40", ""), ("table+10ms", ""), ("clean-40", "galil_xsens")]
 LONG = [pytest.param(*case, marks=pytest.mark.full) for case in CASES_LONG]
 
 
-@pytest.mark.parametrize(("name", "bench"), [("gyros+30ms", ""), ("1 in 20 by 150 ms", ""), *LONG])
+@pytest.mark.parametrize(
+    ("name", "bench"), [("gyros+30ms", ""), pytest.param("1 in 20 by 150 ms", "", marks=pytest.mark.full), *LONG]
+)
 def test_a_run_off_the_grid_is_true_whatever_is_late(name: str, bench: str) -> None:
     found = ended(name, CASES[name], seed=1, bench_name=bench, turn_s=4.0)
     assert found.outcome == "PASS", found.reason

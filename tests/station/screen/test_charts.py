@@ -119,6 +119,7 @@ def test_a_path_is_completed(place: Path) -> None:
     driven(app, drive)
 
 
+@pytest.mark.full
 def test_history_is_sorted_and_filtered_by_any_word_and_gives_out_what_is_asked_for(recordings: Path) -> None:
     async def drive(pilot: Pilot[None]) -> None:
         table = app.screen.query_one(DataTable)
