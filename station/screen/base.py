@@ -92,5 +92,5 @@ class Field(Input):
 
     def __init__(self, **options: Any) -> None:
         """``options`` are those of ``Input``."""
-        super().__init__(compact=True, select_on_focus=False, **options)
+        super().__init__(**{"compact": True, "select_on_focus": False, **options})
         self.cursor_blink = False

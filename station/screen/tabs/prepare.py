@@ -62,7 +62,7 @@ class PrepareScreen(StationScreen):
                 for name, words, placeholder in _FIELDS:
                     with Horizontal(classes="field"):
                         yield Label(words)
-                        yield Field(id=name, placeholder=placeholder)
+                        yield Field(id=name, placeholder=placeholder, select_on_focus=name == "serial")
                 yield Static(id="ready", markup=False, classes="block")
                 yield Static(id="limits", markup=False, classes="block")
             with Vertical(id="answers"):
@@ -195,6 +195,7 @@ class PrepareScreen(StationScreen):
         field, told = self.query_one("#serial", Input), self._told_serial()
         if told and not field.value and self._prospect and matches(self._prospect.serial_pattern, told):
             field.value = told
+            field.select_all()  # what is scanned next, at whatever moment, takes its place
 
     def action_confirm_serial(self) -> None:
         """Ask why a device that says another number is the right one all the same; it goes onto the record."""
