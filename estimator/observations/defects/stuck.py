@@ -7,6 +7,7 @@ from estimator.recordings.reference import BodyRates, TableReadings
 from estimator.types import Flags, runs_of
 
 _LONG_S = 1.0
+_AWRY_NS = 400_000_000  # by which stamps may be off the table's: what rests while that turns already is not stuck
 _TOGETHER_S, _TOGETHER = 0.05, 8  # samples of so long, at least so many, may be sent, and sent again, together
 _OTHERWISE_RPS = float(
     np.radians(1.0)
@@ -22,7 +23,7 @@ def stuck_doubts(recording: Recording) -> list[str]:
         spans_ns = [data.t_ns[[max(start - 1, 0), stop - 1]] for start, stop in runs_of(_seen_before(data))]
         for first_ns, last_ns in (span for span in spans_ns if np.ptp(span) > _LONG_S * 1e9):
             rates = BodyRates.of(recording.reference, recording.site)
-            within_ns = np.clip([first_ns, last_ns], rates.starts_ns, rates.final_until_ns - 1)
+            within_ns = np.clip([first_ns + _AWRY_NS, last_ns - _AWRY_NS], rates.starts_ns, rates.final_until_ns - 1)
             turned = rates.at(np.linspace(within_ns[0], within_ns[1], 200).astype(np.int64)) @ data.array.p.T
             if np.ptp(turned, axis=0).max() > _OTHERWISE_RPS:
                 after_s = (first_ns - recording.reference.t_ns[0]) * 1e-9
