@@ -24,10 +24,9 @@ def print_pdf(html: str, pdf: Path) -> None:
 
     class Fonts(URLFetcher):  # type: ignore[misc]
         def fetch(self, url: str, headers: object = None) -> object:
-            """Fetch what the sheet names: a picture of the laboratory may ask for files, and call hosts."""
             if url.startswith("data:") or f"url({url})" in sheet:
                 return super().fetch(url, headers)
-            raise ValueError(f"{url} is neither in the report nor a font of it")
+            raise ValueError(f"{url} is named by a picture, which is to lead to no host and no file")
 
     document = HTML(string=html.replace("</style>", f"{sheet}</style>", 1), url_fetcher=Fonts())
     write_whole(pdf, document.write_pdf(pdf_variant="pdf/a-3b"))
