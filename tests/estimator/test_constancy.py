@@ -106,3 +106,11 @@ def test_a_coarse_and_quiet_gyro_whose_stamps_are_late_is_not_stuck() -> None:
     counts = np.round(data.rate_rps / np.radians(0.061)) * np.radians(0.061)
     late = replace(recording, sources={name: replace(data, rate_rps=counts, t_ns=data.t_ns + 60_000_000)})
     assert stuck_doubts(late) == []
+
+
+def test_gyros_at_the_limit_of_their_range_are_not_stuck() -> None:
+    recording = simulate(verification_script(), {"array": DEVICE}, 1, site=SITE)
+    ((name, data),) = recording.sources.items()
+    most = np.radians(5.0)
+    limited = replace(recording, sources={name: replace(data, rate_rps=np.clip(data.rate_rps, -most, most))})
+    assert stuck_doubts(limited) == []
